@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 _LONG = 3
-"""Number of digits above which a number with a power of ten is printed with all of them [1]. Chosen: up to here one
-digit of the mantissa suffices; a larger value rounds precise numbers, a smaller one prints long ones."""
+"""Number of digits above which a number with a power of ten is printed with all its digits [1]. Chosen: shorter numbers
+need only one digit of the mantissa; a larger value rounds precise numbers, a smaller one prints long numbers."""
 _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
 _UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AVN](?=-\d))\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
 _POWER = re.compile(r"x 10\^(-?\d+)")
@@ -24,9 +24,9 @@ _AFTER_NUMBER = re.compile(r"(?<=[\d)⁰-⁹¹²³]) (?=(?:m?rad|N|kg|J|K|s|ms|p
 POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$10^{-12}$"}
 TORQUE = "N m"
 PER_INERTIA = "rad/s2"
-"""Unit of a torque per unit of inertia, where no moment of inertia is known."""
+"""Unit of a torque per unit of inertia, for bodies of unknown moment of inertia."""
 PER_TORQUE = "kg-1 m-2"
-"""Unit of a factor of a torque in N m that acts on a body whose moment of inertia is not known."""
+"""Unit of the factor of a torque in N m that acts on a body of unknown moment of inertia."""
 _STRENGTH = re.compile(r"N m(?: s(?:\^?([^ ]+))?)?((?: (?:A|V|K)(?:-?\d*\.?\d+)?)*)")
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n"), (1e12, "p"))
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
@@ -68,7 +68,7 @@ def unit_text(unit: str) -> str:
     return _UNIT.sub(lambda m: m[1] + m[2].translate(_RAISED), unit)
 
 
-# what a terminal writes in ASCII
+# replacements of the ASCII that a terminal prints
 _TYPESET = (
     (re.compile(r"(?<=\d) u(?=(?:N m|rad)\b)"), " µ"),
     (re.compile(r"(?<=\d) sigma\b"), " σ"),
@@ -100,7 +100,7 @@ def with_uncertainty(value: float, error: float, unit: str) -> str:
 
 
 def short(value: float, digits: int = 3) -> str:
-    """Return a number of a table in few digits: 0.0462, 6.6 × 10⁵, or a dash for none."""
+    """Return a number of a table in few digits: 0.0462, 6.6 × 10⁵, or a dash for a missing number."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞"
     if value != 0 and not 1e-3 <= abs(value) < 1e5:
@@ -113,7 +113,7 @@ def short(value: float, digits: int = 3) -> str:
 
 
 def plain(value: float) -> str:
-    """Return a number of a sentence in three digits, without an exponent from 0.0001 to 99 999."""
+    """Return a number of a sentence in three digits; numbers from 0.0001 to 99 999 have no exponent."""
     text = f"{value:.3g}"
     if "e" not in text:
         return text
@@ -124,14 +124,14 @@ def plain(value: float) -> str:
 
 
 def interval(first: float, last: float) -> tuple[str, str]:
-    """Return both ends of an interval, with as many digits as show its length."""
+    """Return both ends of an interval, with enough digits to show its length."""
     length = last - first
     digits = 1 if length <= 0 else min(max(1 - math.floor(math.log10(length)), 1), 6)
     return f"{first:.{digits}f}", f"{last:.{digits}f}"
 
 
 def percentage(share: float) -> str:
-    """Return a share in per cent: two digits below 10 %, above in whole per cent, as 99.6 % only near 100 %."""
+    """Return a share in per cent: two digits below 10 %, whole per cent above, 99.6 % only near 100 %."""
     percent = 100 * share
     if percent < 10:
         return f"{plain(float(f'{percent:.2g}'))} %"
@@ -146,7 +146,7 @@ def probability(p: float) -> str:
 
 
 def scaled(largest: float, prefixes: Iterable[tuple[float, str]] = _PREFIXES) -> tuple[float, str]:
-    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500; no prefix if none does."""
+    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500; no prefix if there is none."""
     return next((p for p in prefixes if largest * p[0] >= 0.5), _PREFIXES[0])
 
 
@@ -200,7 +200,7 @@ def rounded(value: float, error: float, unit: str = "") -> str:
 
 
 def per_inertia(unit: str) -> str:
-    """Return the unit of a torque's parameter divided by kg m2, the radian counted as 1: ``N m s`` becomes s-1."""
+    """Return the unit of a parameter of a torque divided by kg m2, with rad = 1: ``N m s`` becomes s-1."""
     found = _STRENGTH.fullmatch(unit)
     if found is None:
         return unit
@@ -221,11 +221,11 @@ class Units:
     Parameters
     ----------
     torque, energy, inertia : str
-        Units of a torque, an energy and a moment of inertia; that of the last one is empty where none is known.
+        Units of a torque, an energy and a moment of inertia; the last is empty if the moment of inertia is unknown.
     gain : str
         Unit of the ratio of a torque to a recorded torque.
     note : str
-        What a reader has to know about them; empty for SI units.
+        Explanation for the reader; empty for SI units.
     of : callable
         Return the unit of a constant of a torque law from its SI unit.
     steps : tuple
@@ -250,7 +250,7 @@ class Units:
 
     @classmethod
     def by_torque(cls, unit: str) -> Units:
-        """Return the units in which a torque is given in `unit`; SI units for an unknown one."""
+        """Return the units whose unit of torque is `unit`; SI units if there are none."""
         return {PER_INERTIA: WITHOUT_INERTIA}.get(unit, SI)
 
 
@@ -258,7 +258,7 @@ SI = Units(
     TORQUE, "J", "kg m2", "1", "", str,
     steps=((0.1, 1.0, "N m"), (1e-3, 1e3, "mN m"), (1e-8, 1e6, "uN m"), (0.0, 1e9, "nN m")), prefixes=_PREFIXES,
 )  # fmt: skip
-# of bodies whose moment of inertia is not known: their torques are angular accelerations, which have no prefixes
+# for bodies of unknown moment of inertia: their torques are angular accelerations, which have no prefixes
 WITHOUT_INERTIA = Units(
     PER_INERTIA, "rad²/s²", "", PER_TORQUE, "torques are per unit of inertia", per_inertia,
     steps=((0.1, 1.0, "rad/s2"), (1e-4, 1e3, "mrad/s2"), (0.0, 1e6, "urad/s2")), prefixes=(),
@@ -266,10 +266,10 @@ WITHOUT_INERTIA = Units(
 
 
 _LINES = 20
-"""Lines of the repr of a result [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger
-one scrolls."""
+"""Largest number of lines of the repr of a result [lines]. Chosen: one screen of a console; a smaller value hides
+parameters, a larger one scrolls."""
 _COLUMNS = 120
-"""Columns of the repr of a result [characters]. Chosen: a smaller value cuts sentences, a larger one wraps in narrow
+"""Width of the repr of a result [characters]. Chosen: a smaller value cuts sentences, a larger one wraps in narrow
 consoles."""
 
 
@@ -282,7 +282,7 @@ def on_screen(lines: Iterable[str]) -> str:
 
 
 def span_of(name: str, values: Any, unit: str) -> str:
-    """Return an array in words, by its number of values and its range."""
+    """Return a description of an array: its number of values and its range."""
     if not len(values):
         return f"{name}: no values"
     return f"{name}: {len(values)} values from {min(values):.4g} to {max(values):.4g} {unit}".rstrip()

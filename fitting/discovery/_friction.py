@@ -1,12 +1,11 @@
-"""Which laws of friction of a contact a motion separates: Coulomb, Stribeck, starvation, Dahl, LuGre, Maxwell slip.
+"""The friction laws of a contact that a motion separates: Coulomb, Stribeck, starvation, Dahl, LuGre, Maxwell slip.
 
-Each law acts along a motion with the strength of the present dry friction and typical shape constants. Another law
-explains it as well as Coulomb and viscous friction together with that law, at the best of its trial shapes, do. The
-square of what is left, in the whitened rows of the recording, is the expected fall of the deviance by which the right
-law is preferred. Three motions are compared: that of the recording, a motion that reverses about rest, and a slow ramp
-of the speed from rest, both of the same length, with the same samples and noise. A body that turns in one sense slides
-after a small angle: its friction is then a function of the speed, and no length of such a recording shows how the
-contact yields.
+Each law acts along a motion with the strength of the present dry friction and typical shape constants. A rival law,
+together with Coulomb and viscous friction, is fitted to this torque with the best of its trial shapes. The square of
+the residual, in the whitened rows of the recording, is the expected difference of the deviances by which the right law
+is preferred. Three motions of equal length are compared, with the same samples and noise: the motion of the recording,
+a motion that reverses about rest, and a slow ramp of the speed from rest. A body that turns in one sense slides after a
+small angle. Its friction is then a function of the speed, and even a long recording does not show pre-sliding.
 """
 
 from __future__ import annotations
@@ -32,24 +31,24 @@ from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-# laws that every description contains: Coulomb and viscous friction
+# laws that are always fitted: Coulomb and viscous friction
 _ALWAYS = FRICTION[:2]
 _FINE = 16
 """Times at which a law is evaluated in each cell of the recording [1]. Chosen: fewer blur laws that change within a
 cell, more cost time."""
 _REVERSALS = 10
-"""Reversals of the second motion [1]. Chosen: fewer show less of the hysteresis, more are not a practical proposal."""
+"""Number of reversals of the second motion [1]. Chosen: fewer show less of the hysteresis, more are not practical."""
 _AMPLITUDE = 4.0
-"""Amplitude of the second motion over the angle through which a contact yields [1]. Chosen: at a smaller value the
-contact does not slide, at a larger one it yields for a small part of the motion."""
+"""Amplitude of the second motion, relative to the pre-sliding angle of the contact [1]. Chosen: at a smaller value the
+contact does not slide, at a larger one pre-sliding is a small part of the motion."""
 _SHARE = 0.1
-"""Dry friction of a model that has none, as a share of its rms net torque [1]. Chosen: a smaller value understates what
-the motions separate, a larger one exceeds realistic friction."""
+"""Dry friction of a model that has none, as a share of its rms net torque [1]. Chosen: with a smaller value the motions
+separate too few laws, a larger one is not realistic."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion: times and speeds of the casing in each cell, at `_FINE` times each."""
+    """A motion: times and speeds of the casing, at `_FINE` times in each cell."""
 
     name: str
     time: Array  # shape (cells * fine,)
@@ -58,25 +57,25 @@ class Motion:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two laws, and the expected fall of the deviance by which the first is preferred to the second, by motion."""
+    """Two laws, and for each motion the expected difference of deviances by which the first is preferred."""
 
     first: str
     second: str
     evidence: Mapping[str, float]
 
     def separated(self, motion: str, width: float) -> bool:
-        """Return whether a motion separates them."""
+        """Return whether a motion separates the two laws."""
         return self.evidence[motion] > width
 
 
 @dataclass(frozen=True, repr=False)
 class FrictionPlan:
-    """What the recording and two other motions tell about the laws of friction."""
+    """The friction laws that the recording and two other motions separate."""
 
     strength: float  # of the dry friction [torque unit]
     unit: str
     pairs: tuple[Pair, ...]
-    width: float  # fall of the deviance from which two laws are separated
+    width: float  # smallest difference of deviances of two separated laws
     amplitude: float  # of the motion that reverses [rad]
     ramp: float  # last speed of the ramp [rad/s]
 
@@ -85,7 +84,7 @@ class FrictionPlan:
 
     @property
     def sentences(self) -> list[str]:
-        """The result in words."""
+        """Return the result as sentences."""
         names = ("recording", "reversals", "ramp")
         runs = {
             "reversals": f"a run of {_REVERSALS} reversals with an amplitude of {self.amplitude:.2g} rad about rest",
@@ -128,19 +127,19 @@ def _grouped(pairs: Sequence[Pair]) -> str:
 
 
 def friction_plan(fit: Fit, *, criteria: Criteria = DEFAULT) -> FrictionPlan:
-    """Return which friction laws the first recording of a fit separates, and which other run would.
+    """Return the friction laws that the first recording of a fit, and other runs, separate.
 
     Parameters
     ----------
     fit : Fit
         A fit of the present recordings.
     criteria : Criteria
-        Its `equivalence_width` is the fall of the deviance within which two laws are not separated.
+        Its `equivalence_width` is the largest difference of deviances of laws that are not separated.
 
     Raises
     ------
     EstimationError
-        If the motion has no torque.
+        If no torque acts during the motion.
     """
     strength = _strength(fit)
     responses = _Responses(fit)
@@ -172,7 +171,7 @@ def friction_plan(fit: Fit, *, criteria: Criteria = DEFAULT) -> FrictionPlan:
 
 
 def _strength(fit: Fit) -> float:
-    """Return the dry friction of a model, or a tenth of the rms net torque if the model has none."""
+    """Return the dry friction of a model, or a tenth of the rms net torque if it contains no dry friction."""
     dry = find(_ALWAYS[0])
     own = [e.value for k, e in fit.estimates.items() if k.startswith(f"{dry.name}.")]
     if own and own[0] > 0:
@@ -187,14 +186,14 @@ def _strength(fit: Fit) -> float:
 
 
 def _typical(effect: Effect) -> dict[str, float]:
-    """Return the strength 1 and the usual value of each shape constant."""
+    """Return the strength 1 and the typical value of each shape constant."""
     return {p.symbol: 1.0 if p.role == "amplitude" else p.start for p in effect.parameters}
 
 
 def _trials(effect: Effect) -> Iterator[dict[str, float]]:
-    """Yield the strength 1 with all trial values of the shape constants, their usual values, and bounds of zero.
+    """Yield the strength 1 with all trial values of the shape constants, their typical values, and bounds of zero.
 
-    At a bound of zero a law is the simpler one that it contains.
+    At a bound of zero a law reduces to the simpler law that it contains.
     """
     shapes = [p for p in effect.parameters if p.role == "shape"]
     grids = [dict.fromkeys((*p.grid, p.start, *((0.0,) if p.lower == 0 else ()))) for p in shapes]
@@ -203,7 +202,7 @@ def _trials(effect: Effect) -> Iterator[dict[str, float]]:
 
 
 def torque_along(effect: Effect, values: Mapping[str, float], motion: Motion) -> Array:
-    """Return the torque of a law along a motion; states by exact exponentials with rates constant between times."""
+    """Return the torque of a law along a motion; state variables are exact for rates constant between times."""
     known: dict[str, Array | float] = dict(values) | {"omega_c": motion.omega, "t": motion.time}
     for state, rate in zip(effect.states, effect.rates, strict=True):
         # the rates are linear in the state: source + decay * state
@@ -232,7 +231,7 @@ def torque_along(effect: Effect, values: Mapping[str, float], motion: Motion) ->
 
 
 class _Responses:
-    """The whitened response of the rows of a recording to torques, and the columns that are always free."""
+    """The whitened response of the rows of a recording to torques, and the columns that are always fitted."""
 
     def __init__(self, fit: Fit) -> None:
         self._columns = CaseColumns(fit, 0)
@@ -253,7 +252,7 @@ class _Responses:
         return self._known[key]
 
     def evidence(self, one: Effect, other: Effect, motion: Motion, strength: float) -> float:
-        """Return the smallest chi-square of a law that the other one and the simple laws do not explain."""
+        """Return the smallest chi-square of a law after the other law and the simple laws are fitted to it."""
         target = strength * self.of(one, _typical(one), motion)
         simple = [self.of(find(n), _typical(find(n)), motion) for n in _ALWAYS]
         least = math.inf

@@ -1,7 +1,7 @@
-"""Power of the search for a missing effect: detection limits, upper limits, runs needed.
+"""Power of the search for a missing effect: detection limits, upper limits, number of runs needed.
 
-An effect of strength k has the whitened response k s in the rows of the recordings. With M, which projects out all free
-parameters, its noncentrality is
+An effect of strength k has the whitened response k s in the rows of the recordings. The matrix M projects out all free
+parameters. The noncentrality of the effect is
 
     delta = k |M s|,        standard error of k:  se = 1 / |M s|.
 
@@ -10,17 +10,17 @@ shape constants, the same null distributions, and the thresholds of `Criteria`. 
 which at least one candidate is significant in the whole list and lowers BIC by the evidence that an added effect needs.
 The detection limit is the strength at which it is 90 %.
 
-Where no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0)
-+ 1.64 se for a friction, which is not negative); for an amplitude with a phase, the amplitude whose noncentral
-chi-square gives a smaller score than the observed one with a probability of 5 % (J. Neyman, Phil. Trans. R. Soc. A 236,
-333 (1937)). For recordings that are only planned, the estimate is taken as zero: the expected limit.
+If no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) +
+1.64 se for a friction, which is not negative). The upper limit of an amplitude with a phase is the amplitude for which
+a score below the observed one has a probability of 5 %, from the noncentral chi-square (J. Neyman, Phil. Trans. R. Soc.
+A 236, 333 (1937)). For recordings that are only planned, the estimate is zero, which gives the expected limit.
 
-Where the search would find a smaller strength than that with a probability of 95 %, because the effect shifts a
-parameter of the model to its bound, an insignificant score excludes this strength already.
+If the effect shifts a parameter of the model to its bound, the search may find a strength below this limit with a
+probability of 95 %. An insignificant score then excludes this smaller strength.
 
-The score that is significant depends on the uncertainty of the process noise, which varies from one recording to the
-next: where a tenfold level cannot be excluded, the threshold is far higher. For recordings that are only planned, the
-thresholds are therefore computed for several simulated estimates of the noise, and the power is the mean over them.
+The threshold of a significant score depends on the uncertainty of the process noise, which varies between recordings:
+if a tenfold level cannot be excluded, the threshold is far higher. For recordings that are only planned, the thresholds
+are therefore computed for several simulated estimates of the noise, and the power is the mean over them.
 
 Several runs of the same kind multiply delta^2 by their number.
 """
@@ -57,8 +57,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 POWER = 0.9
-"""Probability of detection at the detection limit [1]. Chosen: a larger value raises the limits, a smaller one promises
-too much."""
+"""Probability of detection at the detection limit [1]. Chosen: a larger value raises the limits, a smaller one leaves
+effects at the limit undetected too often."""
 CONFIDENCE = 0.95
 """Confidence of upper limits [1]. Chosen: the usual value; a larger one raises the limits, a smaller one excludes true
 strengths more often."""
@@ -69,7 +69,8 @@ _POWER_SIGMA = 1.2815516
 """Distance above a threshold at which it is exceeded with 90 % probability [standard errors]. Derived: quantile 0.9 of
 the standard normal distribution, at `POWER`."""
 _DRAWS = 1500
-"""Null data sets for thresholds [1]. Chosen: fewer make thresholds of a long list uncertain, more cost time."""
+"""Number of null data sets for thresholds [1]. Chosen: fewer make thresholds of a long list uncertain, more cost
+time."""
 _POWER_DRAWS = 600
 """Simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; fewer enlarge it, more
 cost time."""
@@ -77,23 +78,23 @@ _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)]
 """Strengths at which the power is simulated [standard errors]. Chosen: dense where a parameter reaches its bound; fewer
 round the limits, more cost time."""
 _SIZE = 0.01
-"""Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value asks for many
-runs, a larger one finds every plan sufficient."""
+"""Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value requires many
+runs, a larger one makes every plan sufficient."""
 _MOST_RUNS = 10_000
-"""Largest number of runs that are counted [1]. Chosen: more are not practical; a smaller value hides what several
-hundred runs reach."""
+"""Largest number of runs that are counted [1]. Chosen: more are not practical; a smaller value hides large numbers of
+runs."""
 _LARGEST_SCORE = 2000.0
-"""Score below which thresholds are sought [1]. Chosen: a smaller value ends below high thresholds, a larger one costs
+"""Upper end of the search for thresholds [1]. Chosen: a smaller value is below high thresholds, a larger one costs
 time."""
 _MOST_HIDDEN = 5
 """Effects in the sentence of an adequate fit [1]. Chosen: fewer hide undetected effects, more make the sentence
 unreadable."""
 _RANK = 1e-6
-"""Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value inverts rounding, a larger
-one omits weakly determined strengths."""
+"""Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value amplifies rounding errors,
+a larger one omits weakly determined strengths."""
 _RARE = 0.5
-"""Share of the data sets, summed over the strengths, below which a parameter at its bound is neglected [1]. Chosen: a
-smaller value costs time for rare cases, a larger one biases the power."""
+"""Share of the data sets with a parameter at its bound, summed over the strengths, below which this case is neglected
+[1]. Chosen: a smaller value costs time for rare cases, a larger one biases the power."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class EffectLimits:
     effect: Effect
     strength: str  # symbol
     unit: str  # of the strength
-    shape: dict[str, float]  # shape constants with the median detection limit, for which the limits hold
+    shape: dict[str, float]  # shape constants with the median detection limit; the limits below are for them
     stderr: float  # of the strength when added to the model [unit]; infinite if the base absorbs it
     torque: float  # rms torque for a strength of 1 [N m / unit], the larger of both bodies; NaN for a camera
     detection_limit: float  # strength found with 90 % probability [unit]
@@ -111,13 +112,13 @@ class EffectLimits:
     upper_limit: float  # 95 % upper limit of the strength [unit]; NaN if the effect is significant
     power: float  # probability of finding an effect of `size`
     size: float  # strength of this size [unit]
-    runs_needed: float  # runs like these, these included, that find it with 90 % probability
+    runs_needed: float  # number of such runs, including these, that find it with 90 % probability
     indistinguishable_from: tuple[str, ...]  # not separated at the larger of `size` and `detection_limit`
     curve: Array = field(repr=False)  # (points, 2): noncentrality and power
 
     @property
     def absorbed(self) -> bool:
-        """Whether the model absorbs it, so that no limit exists."""
+        """Whether the model absorbs the effect, so that no limit exists."""
         return not math.isfinite(self.stderr)
 
     @property
@@ -183,18 +184,17 @@ class _Responses:
 class _Test:
     """The score test of one candidate in null data."""
 
-    # one, or one for each case where each has its own strength: scores of the best shapes add up
+    # one, or one for each case if each case has its own strength; the scores of the best shapes are then added
     parts: tuple[_Responses, ...]
-    # shape (rows of all bases, data sets); projections of the null data on the bases, of all parts one below the
-    # other
+    # shape (rows of all bases, data sets); projections of the null data on the bases of all parts, stacked
     null: Array
-    # shape (estimates of the noise,); score from which the candidate is found, for each possible estimate of the
+    # shape (estimates of the noise,); smallest score that detects the candidate, for each possible estimate of the
     # process noise
     thresholds: Array
 
     @property
     def threshold(self) -> float:
-        """Score from which the candidate is found, in the middle of the estimates of the noise."""
+        """Smallest score that detects the candidate, for the median estimate of the noise."""
         return float(np.median(self.thresholds))
 
     @property
@@ -213,16 +213,17 @@ class _Test:
 
 @dataclass(frozen=True)
 class ShiftedToBound:
-    """Which parameter of the base an effect shifts to its bound.
+    """The parameter of the base that an effect shifts to its bound.
 
-    A missing effect shifts the parameters of the base, and noise scatters them. The fit holds a parameter that would
-    pass its bound, and the part of the effect that it would have absorbed beyond the bound contributes to the score. Of
-    several such parameters, the one furthest beyond its bound, in standard errors, is held.
+    A missing effect shifts the parameters of the base, and noise scatters them. The fit holds a parameter at the bound
+    that it would cross. The part of the effect that the parameter would absorb beyond the bound then contributes to the
+    score. If several parameters would cross their bounds, the one furthest beyond its bound, in standard errors, is
+    held.
     """
 
-    free: Array  # shape (rows, columns); whitened derivatives by the parameters, first, and nuisance columns
+    free: Array  # shape (rows, columns); whitened derivatives with respect to the parameters, then nuisance columns
     inverse: Array  # shape (parameters, rows); from data to changes of the parameters
-    noise: Array  # shape (parameters, data sets); their changes in null data
+    noise: Array  # shape (parameters, data sets); changes of the parameters in null data
     distance: Array  # shape (2, parameters); distance to the lower (negative) and to the upper bound
 
     @classmethod
@@ -244,7 +245,7 @@ class ShiftedToBound:
         return cls(free, inverse, inverse @ context.draws[:, :draws], distance)
 
     def held(self, response: Array, strengths: Array) -> NDArray[np.intp]:
-        """Return, by strength and data set, twice the index of the parameter at its bound (+ 1: upper), or -1."""
+        """Return twice the index of the parameter at its bound (+ 1: upper), or -1, (strengths, data sets)."""
         error = np.sqrt((self.inverse**2).sum(axis=1))[:, None]
         shift = (self.inverse @ response)[:, None]
         found = []
@@ -294,7 +295,7 @@ class ShiftedToBound:
 
 
 class SearchScore(NamedTuple):
-    """Score of a candidate, its best shape constants, and the score from which it is significant."""
+    """Score of a candidate, its best shape constants, and the smallest significant score."""
 
     score: float
     shape: dict[str, float]
@@ -304,8 +305,8 @@ class SearchScore(NamedTuple):
 class Search:
     """The search for a missing effect in the recordings of a fit, as a test whose power is computed.
 
-    `draws` null data sets are simulated. `truth` are the parameters by key where they are known (simulated recordings),
-    `process` estimates of the process noise of each case in further simulations of the same recordings.
+    `draws` null data sets are simulated. `truth` are the parameters by key if they are known (simulated recordings).
+    `process` are estimates of the process noise of each case in further simulations of the same recordings.
     """
 
     def __init__(
@@ -325,7 +326,7 @@ class Search:
         self.effects = applicable_effects(fit, extra)
         self.cases = [CaseColumns(fit, i) for i in range(len(fit.problem.cases))]
         self._context = ScoreContext(fit, draws)
-        # the lack of fit of a model is not noise: with a further effect the data have the pure level
+        # the lack of fit of a model is not noise: after a further effect is added, the data have the pure level
         self._level = self._context.levels[0 if fit.fails(criteria) else -1]
         self._trials = {e.name: self._all_trials(e) for e in self.effects}
         self._common = {e.name: self._responses(e, self._stacked(e), self._level.basis) for e in self.effects}
@@ -339,7 +340,7 @@ class Search:
         return [first, *(c.trials(effect, [t.shape for t in first]) for c in self.cases[1:])]
 
     def _stacked(self, effect: Effect) -> list[Array]:
-        """Return the columns of an effect of common strength for each choice of its shape constants."""
+        """Return the columns of an effect with one common strength, for each choice of its shape constants."""
         trials = self._trials[effect.name]
         return [np.concatenate([t[i].columns for t in trials]) for i in range(len(trials[0]))]
 
@@ -364,7 +365,7 @@ class Search:
             common = self._responses(e, self._stacked(e), free)
             variants: list[tuple[tuple[_Responses, ...], float]] = [((common,), 1.0)]
             if len(self.cases) > 1 and e.per_case:
-                # each case has its own strength; the fit with one common value is tried as well: twice the p-value
+                # each case has its own strength; a common strength is also tried, so the p-value is doubled
                 per_case = tuple(
                     self._responses(e, self._of_case(e, i), free) for i in range(len(self.cases))
                 )
@@ -423,7 +424,7 @@ class Search:
             tests, offset = self._tests, np.zeros(len(raw))
             if which >= 0:
                 tests, offset = self._tests_with_held(int(which) // 2), self._bounds.shift(int(which))
-            # the effect's own tests first: what one test has found needs no other
+            # the tests of the effect itself first: data sets that one test has detected skip further tests
             for name in sorted(tests, key=lambda name: name != effect.name):
                 for test in tests[name]:
                     signal, shift = test.basis.T @ raw, test.basis.T @ offset
@@ -458,7 +459,7 @@ class Search:
 
         `size` is the rms torque [N m] for which power and runs are computed; by default 1 % of the rms torque of the
         bearing (for a single body, of the net torque). With `planned` data the upper limits are expected ones. `others`
-        are other simulations of the same recordings, whose noise is estimated anew: the power is their mean.
+        are other simulations of the same recordings with new estimates of the noise: the power is the mean over all.
         """
         common = self._common[effect.name]
         unit_torque = self._unit_torques(effect)
@@ -480,7 +481,7 @@ class Search:
         needed = delta_of_power(curve) if self._tests else np.nan
         wanted = self._size(torque, size)
         delta = wanted * root
-        # the score that is seen with 90 % probability, also where a parameter at its bound makes the effect visible
+        # the noncentrality detected with 90 % probability, also if a parameter at its bound makes the effect visible
         seen = (
             math.sqrt(min((t.threshold for t in self._tests.get(effect.name, ())), default=0.0))
             + _POWER_SIGMA
@@ -489,7 +490,8 @@ class Search:
         upper = self._upper(effect, group, planned=planned)
         detected = delta_of_power(curve, CONFIDENCE) if self._tests else np.inf
         if detected < _ONE_SIDED and not math.isnan(upper):
-            # the effect is detected by a parameter at its bound before its estimate excludes it
+            # because of a parameter at its bound, the effect is detected at a strength that its estimate does not
+            # exclude
             upper = detected
         return EffectLimits(
             effect,
@@ -551,7 +553,7 @@ class Search:
         return self._bounds.largest_strength(response, data, limit, one_sided=common.one_sided)
 
     def _runs(self, effect: Effect, delta: float, needed: float) -> float:
-        """Return how many runs find an effect of this noncentrality in all present runs."""
+        """Return the number of runs that detect an effect with this noncentrality in the present runs together."""
         if delta <= 0 or not math.isfinite(needed):
             return np.inf
         cases = len(self.cases)
@@ -572,7 +574,7 @@ class Search:
             if e.name == effect.name:
                 continue
             other = self._common[e.name]
-            # an effect of either sign is compared with both
+            # an effect of either sign is compared with both signs
             signs = (1, -1) if other.one_sided and not self._common[effect.name].one_sided else (1,)
             each = [other.scores(other.basis.T @ (sign * u)[:, None]) for sign in signs]
             cosine2 = max(float(x.max(initial=0.0)) for x in each)
@@ -583,9 +585,9 @@ class Search:
 
 
 def largest_hidden(fit: Fit, extra: Sequence[Effect], criteria: Criteria) -> tuple[UpperLimit, ...]:
-    """Return the physical effects with the largest upper limits of the rms torque; absorbed ones have none.
+    """Return the physical effects with the largest upper limits of the rms torque; absorbed effects have no limit.
 
-    A limit above the torque of the bearing, or on a single body, contains no information and is left out.
+    A limit above the torque of the bearing (of a single body: the net torque) contains no information and is omitted.
     """
     search = Search(fit, extra, criteria, draws=1)
     found = [search.limits(e) for e in search.effects if e.kind == "physical"]
@@ -638,7 +640,7 @@ def _median_shape(root: Array, torque: Array) -> tuple[int, tuple[float, float]]
 
 
 def delta_of_power(curve: Array, power: float = POWER) -> float:
-    """Return the noncentrality of some power, from a monotonic power curve; infinite if it is not reached."""
+    """Return the noncentrality at which a monotonic power curve reaches a power; infinite if it does not."""
     rising = np.maximum.accumulate(curve[:, 1])
     i = int(np.argmax(rising >= power))
     if rising[i] < power or i == 0:
@@ -662,6 +664,6 @@ def upper_limit(projections: Array, *, one_sided: bool) -> float:
         return (max(p, 0.0) if one_sided else abs(p)) + _ONE_SIDED
     from scipy.special import chndtrinc
 
-    # a score below the median of the null distribution would give a limit smaller than the sensitivity of the data
+    # a score below the median of the null distribution would give a limit below the sensitivity of the data
     score = max(float(projections @ projections), 1.3862944)
     return float(np.sqrt(chndtrinc(score, len(projections), 1 - CONFIDENCE)))

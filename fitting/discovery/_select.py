@@ -1,8 +1,8 @@
 """From scores to a ranking, and from a ranking to the effects that are added.
 
-1. `rank`: score every candidate, refit the promising ones, order them by BIC, mark what is indistinguishable.
-2. `select`: refine the best one; rank it and its rivals once more at its lower noise (`ranked_at_noise`); add a second
-   effect if one is not enough.
+1. `rank`: score every candidate, refit the promising ones, order them by BIC, mark indistinguishable ones.
+2. `select`: refine the best candidate; rank it and its rivals again at the lower noise of its fit
+   (`ranked_at_noise`); add a second effect if one is not sufficient.
 3. `improve`: forward selection while a candidate is significant, each step followed by backward elimination.
 """
 
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 
 _SHOWN = 4
-"""Parameters that the repr of a candidate lists [1]. Chosen: fewer hide shape constants, more need several lines."""
+"""Number of parameters in the repr of a candidate [1]. Chosen: fewer hide shape constants, more need several lines."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -72,21 +72,21 @@ class Candidate:
     effect : Effect
         The effect.
     score : float
-        Fall of the deviance when it is added: of its refit, or as predicted by the score test.
+        Decrease of the deviance when the effect is added: of the refit, or as predicted by the score test.
     delta_bic : float
-        BIC with it minus BIC without: negative is better. nan without a refit.
+        BIC with the effect minus BIC without it: negative is better. nan without a refit.
     p_value : float
-        Family-wise p-value: probability of such a score anywhere in the list if nothing is missing.
+        Family-wise p-value: probability of a score this large anywhere in the list if nothing is missing.
     held_out_gain : float
-        Fall of the casing's cross-validation error in units of the noise. nan without a refit.
+        Decrease of the casing's cross-validation error in units of the noise. nan without a refit.
     indistinguishable_from : tuple of str
-        Other candidates that this data cannot separate from it.
+        Other candidates that these data cannot separate from this one.
     estimates : dict
-        Its own parameters.
+        Parameters of the effect.
     significant : bool
         Whether `p_value` is below `Criteria.significance`.
     screened : Score
-        Its score test.
+        The result of the score test.
     fit : Fit or None
         The refit.
     """
@@ -117,12 +117,12 @@ class Candidate:
 
     @property
     def physical(self) -> bool:
-        """Whether it is physics and not an artefact of the measurement."""
+        """Whether the effect is physical, not an effect of the measurement."""
         return self.effect.kind == "physical"
 
 
 def equivalence_classes(candidates: Sequence[Candidate]) -> dict[str, str]:
-    """Return the letter of the equivalence class of each candidate that has indistinguishable ones."""
+    """Return the letter of the equivalence class of each candidate that is indistinguishable from another."""
     letters: dict[str, str] = {}
     for c in candidates:
         if c.indistinguishable_from and c.effect.name not in letters:
@@ -145,7 +145,7 @@ def rank(
     `extra` are effects of the user, in addition to the library; `workers` run some of the refits.
     """
     data = base.problem.data
-    # only a restoring torque makes a body oscillate; scores about a motion without oscillation are not reliable
+    # only a restoring torque causes an oscillation; scores about a motion without oscillation are not reliable
     restoring_only = base.lacks_restoring_torque
     effects = [e for e in applicable_effects(base, extra) if e.restoring or not restoring_only]
     driving = needed_drives(base, effects)
@@ -169,7 +169,7 @@ def rank(
         ]
         chosen = [w or a for w, a in zip(chosen, afresh, strict=True)]
     if base.model.restoring:
-        # through many periods a refit takes long, and that of a law with a small score is degenerate
+        # over many periods a refit takes long, and the refit of a law with a small score is degenerate
         most = criteria.refit_oscillation_p
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
         chosen = [w and c.p_value < most and c.score >= least for w, c in zip(chosen, found, strict=True)]
@@ -203,7 +203,7 @@ def rank(
 
 
 def _start_candidate(base: Fit, family: FamilywiseNull, criteria: Criteria) -> Candidate:
-    """Return errors of the starts of the rotor windows, about which nothing is stated, as a candidate."""
+    """Return the errors of the starts of the rotor windows, whose uncertainty is not stated, as a candidate."""
     starts = StartErrors(base, criteria)
     p_value = family(np.array([starts.p_value]), np.ones(1))
     significant = p_value < criteria.significance
@@ -216,17 +216,17 @@ def _start_candidate(base: Fit, family: FamilywiseNull, criteria: Criteria) -> C
 
 
 _SMALLEST_RANGE = 1.0
-"""Range of an oscillation from which on a harmonic of the angle is distinguishable from its Taylor series [rad].
+"""Smallest range of an oscillation in which a harmonic of the angle is distinguishable from its Taylor series [rad].
 Chosen: a smaller value adds candidates equivalent to springs, a larger one overlooks harmonics of wide oscillations."""
 
 
 def shared_data(fit: Fit) -> Sequence[CaseData]:
-    """Return the parts of a fit to which the refits of workers refer."""
+    """Return the parts of a fit that the refits of workers share."""
     return fit.problem.data
 
 
 def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
-    """Return the effects of the library and of the user that a fit could lack."""
+    """Return the effects of the library and of the user that may be missing in a fit."""
     first, *others = ({(i.name, i.unit) for i in d.record.inputs} for d in base.problem.data)
     varying = {i.name for d in base.problem.data for i in d.record.driving}
     common = {name: unit for name, unit in sorted(first.intersection(*others)) if name in varying}
@@ -242,15 +242,15 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
 
 
 _DRIVE_ERROR = 0.5
-"""Rms residual speed with a law of a recorded input, over that without, below which the input drives the body [1].
-Chosen: a larger value takes a chance correlation for a drive, a smaller one overlooks weak drives."""
+"""Ratio of the rms residual speeds with and without a law of a recorded input below which the input drives the body
+[1]. Chosen: a larger value mistakes a chance correlation for a drive, a smaller one overlooks weak drives."""
 
 
 def needed_drives(base: Fit, effects: Sequence[Effect]) -> set[str]:
-    """Return the laws of recorded inputs without which a model has nothing in common with the motion of a driven body.
+    """Return the laws of recorded inputs that a model of a driven body needs before other effects can be scored.
 
-    Scores about such a model are not reliable, so each is fitted from scratch. Empty if the model has a law of an
-    input, or if no input halves the rms residual speed.
+    Scores about a model without the drive are not reliable, so each law is fitted from scratch. Empty if the model
+    contains a law of an input, or if no input halves the rms residual speed.
     """
     laws = [e for e in effects if e.inputs and e.joint != "input" and e.amplitude is not None]
     if any(e.inputs for e in base.model.effects):
@@ -261,7 +261,7 @@ def needed_drives(base: Fit, effects: Sequence[Effect]) -> set[str]:
 
 
 def _same_law(one: Effect, other: Effect) -> bool:
-    """Return whether two effects have the same law with another name of its strength."""
+    """Return whether two effects have the same law except for the name of the strength."""
     if (
         one.joint != other.joint
         or one.inputs != other.inputs
@@ -274,9 +274,9 @@ def _same_law(one: Effect, other: Effect) -> bool:
 
 
 def _without_dead_time(base: Fit) -> bool:
-    """Return whether a law of an input that varies has no dead time yet.
+    """Return whether the model contains a law of a varying input without its dead time.
 
-    A torque that sets in after a step of the input imitates one, with more parameters.
+    A torque that sets in after a step of the input imitates a dead time, with more parameters.
     """
     delayed = {name for e in base.model.effects if e.joint == "input" for name, _ in e.inputs}
     used = {name for e in base.model.effects for name, _ in e.inputs}
@@ -290,15 +290,15 @@ def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
         return any(effect.inputs[0] in e.inputs for e in base.model.effects)
     if not (effect.searched or asked) or not effect.bodies <= base.problem.data[0].record.parts:
         return False
-    # a contact that turns in one sense slides after a small angle: from then on its friction is constant
+    # a contact that turns in one sense slides after a small angle; its friction is constant after that
     reversing = effect.restoring or effect.contact
     motion = base.problem.data[0].motion
     if reversing and motion.is_smooth:
         return False
-    # over a small part of a turn a harmonic of the angle is a constant and a spring
+    # over a small part of a turn a harmonic of the angle is equivalent to a constant and a spring
     if not motion.is_smooth and effect.about_equilibrium is not effect:
         return bool(np.ptp(motion.deflection) > _SMALLEST_RANGE)
-    # nor is a harmonic distinguishable from another law before the body has turned once
+    # before the body has turned once, a harmonic is not distinguishable from other laws
     if motion.is_smooth and effect.depends_on_angle and not asked:
         angle = base.problem.data[0].measured_angle
         if angle is not None and np.ptp(angle) < 2 * np.pi:
@@ -321,7 +321,7 @@ def _to_refit(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]
             and c.p_value < criteria.refit_p
             and c.score > criteria.refit_share * (best_score or 0.0)
         )
-        # about a base that a fault of the measurement has bent, the linear score misses this fault
+        # a base that has partly absorbed an error of the measurement has a small linear score for this error
         faulty = significant and not c.physical
         chosen.append(testable and (count < criteria.refit_least or promising or faulty))
         count += testable
@@ -334,7 +334,7 @@ class _Promising(NamedTuple):
     family: FamilywiseNull
     criteria: Criteria
     thorough: bool
-    afresh: bool = False  # fitted from scratch: the scores about the base mislead
+    afresh: bool = False  # fitted from scratch, because scores about the base are not reliable
 
 
 def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
@@ -352,13 +352,13 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
         other = refit(base, with_common_phase(screened), criteria, thorough=thorough)
         found = other if other is not None and other.bic < found.bic else found
     if not found.converged:
-        # a quick search is far from the minimum where a parameter of the base was at its bound
+        # a quick search ends far from the minimum if a parameter of the base was at its bound
         found = _refined(found, criteria)
     delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
     common = None if screened.own_phase else with_common_values(base, screened, found)
     if common is not None:
         if common.deviance < found.deviance:
-            # per-case values cannot fit worse than common ones: that search failed
+            # a fit with per-case values that is worse than with common values is a failed search
             found = with_values_per_case(base, screened, found, common)
             delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
         delta_bic = min(delta_bic, common.bic - base.bic)
@@ -366,7 +366,7 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
         p = np.minimum(p, 2 * null.of(base.deviance - common.deviance, width))
     p_value = family(p, null.weights)
     excess = base.deviance - deviance_at_noise_of(base, found) if p_value < criteria.significance else 0.0
-    if excess > 0:  # a part of the improvement is that of the noise
+    if excess > 0:  # a part of the improvement is due to the noise
         delta_bic, p_value = (
             delta_bic + excess,
             family(null(base.deviance - excess - found.deviance), null.weights),
@@ -388,7 +388,7 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
 
 
 def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
-    """Return candidates in order, best first, each with those that the data cannot separate from it."""
+    """Return candidates in order, best first, each with the candidates that the data cannot separate from it."""
 
     def order(c: Candidate) -> tuple[bool, float]:
         penalised = c.delta_bic
@@ -413,7 +413,7 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
     if unstated is not None and all(
         unstated.delta_bic < c.delta_bic + criteria.equivalence_width for c in candidates if c.fit is not None
     ):
-        # an effect that is not separable from errors of starts about which nothing is stated is not physics yet
+        # an effect that cannot be separated from start errors of unstated uncertainty is not established as physical
         candidates = [unstated, *(c for c in candidates if c is not unstated)]
     return [
         replace(
@@ -429,7 +429,7 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
 def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candidate | None:
     """Return the candidate to add next: significant, refitted, better in BIC; None if there is none.
 
-    If the strength of the best candidate is not determined, because its shape constant diverges for example, the first
+    If the strength of the best candidate is not determined, for example because its shape constant diverges, the first
     indistinguishable candidate with a determined strength is returned instead.
     """
     fitting = [
@@ -459,7 +459,7 @@ def reason_undetermined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
 
 
 def needed_evidence(effect: Effect, fit: Fit, criteria: Criteria) -> float:
-    """Return the fall of BIC that an added effect needs in the recordings of a fit.
+    """Return the decrease of BIC that is required for adding an effect in the recordings of a fit.
 
     Tracking errors are periodic in the turns of casing and rotor and in their beats, so on film a periodic law needs
     more evidence.
@@ -472,7 +472,7 @@ def needed_evidence(effect: Effect, fit: Fit, criteria: Criteria) -> float:
 def ranked_at_noise(
     base: Fit, candidates: Sequence[Candidate], chosen: Candidate, noise: Sequence[Noise], criteria: Criteria
 ) -> list[Candidate]:
-    """Return the candidates in their order, with one and its equivalence class refitted at another noise.
+    """Return the candidates in order, with `chosen` and its equivalence class refitted at another noise.
 
     `noise` was measured about the refined fit of `chosen`.
     """
@@ -508,7 +508,7 @@ def ranked_at_noise(
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a history: what was added or dropped, the fit, and the candidates for the next step."""
+    """One step of a history: the added or dropped effect, the fit, and the candidates for the next step."""
 
     change: str
     fit: Fit
@@ -528,8 +528,8 @@ class Step:
 class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table.
 
-    `stopped` is the reason of an early end: the message of a fit that failed, or what is not stated about the data.
-    `trace` lists every fit of the search, also those that failed.
+    `stopped` is the reason for an early end: the message of a failed fit, or information on the data that is missing.
+    `trace` lists every fit of the search, including failed ones.
     """
 
     stopped: str = ""
@@ -544,7 +544,7 @@ class History(list[Step]):
         return "\n".join(lines)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw how the error falls from step to step, in a new figure with the cross-validation error, or in `ax`."""
+        """Draw the error of each step, in a new figure with the cross-validation error, or in `ax`."""
         changes = [s.words for s in self]
         body = self[0].fit.problem.data[0].record.body
         rms, name = [s.fit.rmse_casing for s in self], f"rms residual of the {body} [rad/s]"
@@ -587,7 +587,8 @@ class Selection(NamedTuple):
     candidates: list[Candidate]  # in their final order
     chosen: Candidate | None  # the effect to add
     named: Fit  # the refined fit with this effect alone; the base if there is none
-    # the refined fit with all that was added, a free shape constant or a second effect; the base if nothing was
+    # the refined fit with everything that was added (also a free shape constant or a second effect); the base if
+    # nothing was added
     final: Fit
 
 
@@ -599,9 +600,9 @@ def select(
     workers: WorkerPool,
     known: Sequence[Step] = (),
 ) -> Selection:
-    """Return the effect to add to a fit, and the fit with it and with what else it needs.
+    """Return the effect to add to a fit, and the fit with this effect and any further freedom that it needs.
 
-    `known` is the history of an earlier `improve` of the same fit: its first steps are taken over if it added the same
+    `known` is the history of an earlier `improve` of the same fit; its first steps are reused if it added the same
     effect.
     """
     ranked = list(candidates)
@@ -612,7 +613,8 @@ def select(
     if chosen.effect is START:
         return Selection(ranked, chosen, chosen.fit, chosen.fit)
     end = _refined(chosen.fit, criteria)
-    # process noise that falls when an effect is added may have masked another effect, and the difference between rivals
+    # if an effect reduces the process noise, the larger noise may have masked another effect, or the difference between
+    # rivals
     less_noise = has_less_process_noise(end, chosen.fit, criteria)
     if less_noise:
         ranked = ranked_at_noise(base, ranked, chosen, end.noise, criteria)
@@ -629,7 +631,7 @@ def select(
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
     if end is not named and not named.model.restoring:
-        # the averaged equations of an oscillation have one minimum
+        # the averaged equations of an oscillation have only one minimum
         named = restarted_from(named, end)
     if chosen.indistinguishable_from and end is not named:
         # at the noise of the most complete fit the data may separate the class
@@ -644,7 +646,7 @@ def select(
 
 
 def _refined(found: Fit, criteria: Criteria) -> Fit:
-    """Return a fit to full convergence, or as it is if the model cannot be computed on the way."""
+    """Return a fit at full convergence, or unchanged if the model cannot be computed during the search."""
     with attempt("to full convergence"):
         return refined(found, criteria)
     return found
@@ -653,7 +655,7 @@ def _refined(found: Fit, criteria: Criteria) -> Fit:
 def _with_free_shape(
     found: Fit, chosen: Candidate, following: Sequence[Candidate], criteria: Criteria
 ) -> Fit | None:
-    """Return the fit with the shape constant of the newest law free, if its BIC is lower than with another effect."""
+    """Return the fit with a free shape constant of the newest law, if its BIC is lower than with another effect."""
     if chosen.effect not in found.model.effects:
         return None
     general = with_free_shape(found, chosen.effect, criteria)
@@ -672,7 +674,7 @@ def separate_values(
     """
     if not base.fails(criteria):
         return None
-    # scores of large effects are rough: that of the difference may be smaller than that of an effect it beats
+    # scores of large effects are approximate: a difference may have a smaller score than an effect that fits worse
     least = criteria.rival_share * max((c.score for c in candidates if c.physical), default=0.0)
     separate = different_parameter(base, criteria, least=least)
     if separate is None or separate.fit.fails(criteria):
@@ -704,14 +706,14 @@ def improve(
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     criteria : Criteria, optional
-        Thresholds of every decision; those of the fit by default. With other criteria of the noise the fit is repeated
+        Thresholds of every decision; by default those of the fit. If criteria of the noise differ, the fit is repeated
         first, and `first` is not used.
     max_steps : int, optional
         Maximum number of added effects; `Criteria.max_steps` if not given.
     progress : callable, optional
         Called with (steps done, None).
     first : sequence of Candidate, optional
-        The ranking of the base, if it is known already.
+        The ranking of the base, if available.
     workers : WorkerPool, optional
         Processes that share the work.
     keep : callable, optional
@@ -720,7 +722,7 @@ def improve(
     Returns
     -------
     History
-        A list of steps, the base first, the final model last. A fit that fails ends it; the steps before it remain.
+        A list of steps, the base first, the final model last. A failed fit ends the history; earlier steps remain.
     """
     criteria = criteria or base.criteria
     with recording() as trace:
@@ -790,9 +792,9 @@ def _steps(
     criteria: Criteria,
     workers: WorkerPool | None,
 ) -> Iterator[Step]:
-    """Yield the step that adds a candidate, whose refit is `found`, and the one that frees its shape constant."""
+    """Yield the step that adds a candidate, whose refit is `found`, and the step that frees its shape constant."""
     converged = _refined(found, criteria)
-    # a search at a new noise level may end in another, worse minimum, most often of an oscillation with dry friction
+    # a search at a new noise level may end in a worse minimum, most often for an oscillation with dry friction
     found = converged if converged.bic < found.bic + criteria.evidence else found
     if found.bic > history[-1].fit.bic - criteria.evidence:
         return
@@ -813,10 +815,9 @@ def _steps(
 
 
 def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, criteria: Criteria) -> bool:
-    """Return whether a random torque explains what a further effect explains, about a fit without a lack of fit.
+    """Return whether a random torque describes the data as well as a further effect, for a fit without a lack of fit.
 
-    The diagnosis tests the first effect; a fit that fails lacks more than a random torque. Laws of an
-    oscillation are excepted.
+    The diagnosis tests the first effect, and a random torque does not explain a lack of fit. Oscillations are excepted.
     """
     before = history[-1].fit
     first = before.model.names == history[0].fit.model.names
@@ -828,10 +829,10 @@ def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, crite
 
 
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
-    """Drop effects that the newest one makes unnecessary.
+    """Drop effects that the newest effect makes unnecessary.
 
-    Where many were added, the model is tried without each of them: several wrong effects can imitate a right one that
-    is added last.
+    If many were added, the model is fitted without each of them: several wrong effects can imitate a right one added
+    last.
     """
     newest = history[-1]
     change, current = newest.change, newest.fit
@@ -864,8 +865,8 @@ def _without(fitted: Fit, effect: Effect) -> Fit:
 
 
 _DRAWS = 2
-"""Null data sets of a score that is used as an initial value only [1]. Chosen: its p-value is not used; more cost time,
-one leaves its spread undefined."""
+"""Number of null data sets of a score that is used only for an initial value [1]. Chosen: the p-value is not used; more
+cost time, with one the spread of the scores is undefined."""
 
 
 def needs_search(effect: Effect) -> bool:
@@ -877,7 +878,7 @@ def needs_search(effect: Effect) -> bool:
 def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
     """Return initial values of the parameters of effects that are added to a fitted model, by their names in a fit.
 
-    There are none for an effect that the base absorbs.
+    An effect that the base absorbs has no initial values.
     """
     cases = [CaseColumns(base, i) for i in range(len(base.problem.cases))]
     values: dict[str, float] = {}
@@ -885,7 +886,7 @@ def found_starts(base: Fit, effects: Sequence[Effect]) -> dict[str, float]:
         if s.absorbed:
             continue
         if s.own_phase:
-            # whether strength and phase are common to all cases is decided by the fit
+            # the fit decides whether strength and phase are common to all cases
             values |= initial_values_of(base, with_common_phase(s)) | initial_values_of(base, s)
             continue
         found = refit(base, s, base.criteria) if s.effect.breakpoint else None

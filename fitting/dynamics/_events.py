@@ -3,17 +3,18 @@
 Dry friction jumps where the speed of the casing passes zero. Between these events the casing turns in one sense, or
 rests, and the equations are smooth; the times of the events are roots. The casing comes to rest if friction decelerates
 it in either sense (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988), and starts again
-when the other torques exceed friction. A deviation dy of the state just
-before a jump of the rates from f- to f+, on the surface omega_c = 0, is afterwards
+when the other torques exceed friction. On the surface omega_c = 0 the rates jump from f- to f+, and a deviation dy- of
+the state before the jump becomes
 
     dy+ = dy- - (f- - f+) dy-_c / f-_c        (the saltation matrix).
 
-A known solution for similar numbers is the initial solution: stretch by stretch on its mesh, with the time of each stop
-as one more unknown. Only where the sequence of events has changed, meshes and events are determined without it.
+A known solution for similar numbers is the initial solution: each stretch is solved on its mesh, with the time of the
+stop as an additional unknown. If the sequence of events has changed, meshes and events are determined anew.
 
-An oscillation has hundreds of events. There Newton's method treats all stretches at once: with the state y, the speed w
-of the casing and the rates f- and f+ at an edge where the casing reverses, the edge moves by -(w + dw) / f-_c,
-and the deviation of what follows, continued to the old time, is the saltation matrix times dy minus (f- - f+) w / f-_c.
+An oscillation has hundreds of events. In this case Newton's method treats all stretches simultaneously. With the state
+y, the speed w of the casing and the rates f- and f+ at an edge where the casing reverses, the edge moves by -(w + dw) /
+f-_c. The deviation of the next stretch, continued to the old time, is the saltation matrix times dy minus (f- - f+) w /
+f-_c.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ ROUNDING = 1e-10
 """Relative speed below which a change of sign is rounding [1]. Derived: the truncation error of the motion,
 `fitting.dynamics._collocation.TOLERANCE`."""
 _STOPPED = 1e-11
-"""Share of the largest speed below which the casing stands [1]. Derived: rounding, below `ROUNDING`."""
+"""Share of the largest speed below which the casing is at rest [1]. Derived: rounding, below `ROUNDING`."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,11 @@ class Segments:
     dynamics: Dynamics
     numbers: Mapping[str, float]
     breaks: Sequence[float]
-    intervals: int = MAX_INTERVALS  # largest number of them in one stretch
+    intervals: int = MAX_INTERVALS  # largest number of intervals in one stretch
     least_scale: float = 0.0
 
     def acceleration(self, time: Array | float, y: Array, sense: float) -> Array:
-        """Return the acceleration of the casing with friction of this sense of motion."""
+        """Return the acceleration of the casing with friction for this sense of motion."""
         with np.errstate(all="ignore"):
             rates = self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))
             return np.asarray(rates[..., _CASING])
@@ -84,7 +85,7 @@ class Segments:
         return -(sense or 1.0) if back * -(sense or 1.0) > 0 else 0.0
 
     def released(self, time: float, y: Array) -> float:
-        """Return the sense in which a casing starts that friction no longer holds."""
+        """Return the sense in which the casing starts when friction no longer holds it."""
         return 1.0 if self.acceleration(time, y, 1.0) > -self.acceleration(time, y, -1.0) else -1.0
 
     def _solved(self, first: Path, pivot: float | None = None) -> Path:
@@ -101,13 +102,13 @@ class Segments:
             first, then = (self.dynamics.rates(t, y, self.numbers, s) for s in (before, after))
             if not (np.isfinite(first).all() and np.isfinite(then).all()):
                 raise SimulationError(UNBOUNDED)
-            # at a turning point without acceleration there is no jump
+            # without acceleration at a reversal there is no jump
             if first[_CASING] != 0:
                 matrix[:, _CASING] -= (first - then) / first[_CASING]
         return matrix
 
     def reversals(self, pieces: Sequence[Path]) -> list[Array]:
-        """Return the saltation matrices after the first stretches, as far as the casing reverses without rest."""
+        """Return the saltation matrices of the first stretches up to the first rest of the casing."""
         ends = [p.edges[-1] for p in pieces]
         if not ends:
             return []
@@ -127,10 +128,9 @@ class Segments:
     def continued(
         self, start: Array, time: float, end: float, sense: float, known: Path, *, stops: bool
     ) -> Path | None:
-        """Return the path between two events from that of a known solution; None if it has another sequence of events.
+        """Return the path between two events from a known solution; None if the sequence of events differs.
 
-        `known` is this stretch of the known solution; with `stops` it ended with the casing at rest, not with the
-        record.
+        `known` is this stretch of the known solution; with `stops` it ended at a stop of the casing, not of the record.
         """
         edges = known.mesh.edges
         within = [b for b in self.breaks if time < b < (edges[-1] if stops else end)]
@@ -162,7 +162,7 @@ class Segments:
         return bool(stop < end and not between and braked and abs(y[_CASING]) <= _STOPPED * largest)
 
     def oscillating(self, start: Array, sense: float, known: Path) -> list[Path]:
-        """Return the stretches of a motion through many reversals, as far as its events are those of a known solution.
+        """Return the stretches of a motion with many reversals, while its events are those of a known solution.
 
         `known` is a solution for similar numbers, or the measured motion: its jumps are at edges where the casing
         reverses.
@@ -174,7 +174,7 @@ class Segments:
         anchors = [*known.mesh.edges[[0, *sorted(known.jumps), -1]].tolist(), *known.breaks]
         places = [*anchors[: len(anchors) - len(known.breaks)], *sorted(self.breaks)]
         if np.any(np.argsort(anchors) != np.argsort(places)):
-            return []  # the order of reversals and times at which laws set in has changed
+            return []  # the order of reversals and changepoints has changed
         known = replace(known, mesh=known.mesh.moved(sorted(anchors), sorted(places)))
         at = sorted(known.jumps)
         for share in _NEARBY if known.exact else _SHARES:
@@ -193,8 +193,8 @@ class Segments:
     def _with_beginning(self, start: Array, sense: float, known: Path) -> Path | None:
         """Return a known motion with the first reversal according to the initial speed.
 
-        A body that is released nearly at rest may reverse at once, depending on the sign of its small initial speed;
-        all later reversals are the same.
+        A body that is released nearly at rest may reverse immediately, depending on the sign of its small initial
+        speed; all later reversals are the same.
         """
         known = replace(known, kinks=known.breaks)
         at, edges = sorted(known.jumps), known.mesh.edges
@@ -252,7 +252,7 @@ class Segments:
         return pieces
 
     def _through_reversals(self, path: Path) -> Path:
-        """Solve the collocation equations of all stretches at once; the times of the reversals are unknowns."""
+        """Solve the collocation equations of all stretches simultaneously; the times of the reversals are unknowns."""
         gauss, dynamics = rule(), self.dynamics
         mesh, y, edges, sense = path.mesh, path.y.copy(), path.edges.copy(), path.sense[:, None]
         at = np.array(sorted(path.jumps))
@@ -317,10 +317,10 @@ class Segments:
         guess: Path | None,
         horizon: float,
     ) -> Path:
-        """Return the path from a time until the casing comes to rest, or to the end of the record (both in `span`).
+        """Return the path from the start of `span` until the casing comes to rest, or to the end of `span`.
 
-        The stop is searched for within `horizon` [s] first: under dry friction, the stop of an oscillation would
-        otherwise be solved for needlessly at each of its reversals.
+        The stop is first searched within `horizon` [s]: an oscillation with dry friction would otherwise be solved
+        beyond each of its reversals needlessly.
         """
         time, end = span
         while True:
@@ -435,7 +435,7 @@ def _until(path: Path, edge: int) -> Path:
 
 
 def halved(path: Path, rough: NDArray[np.bool_], most: int) -> Path:
-    """Return a path with some of its at `most` intervals cut in two; senses and jumps stay at their times."""
+    """Return a path with its `rough` intervals halved, at `most` in total; senses and jumps keep their times."""
     edges = path.mesh.edges
     parent = np.repeat(np.arange(len(rough)), 1 + rough)
     middle = 0.5 * (edges[1:] + edges[:-1])[rough]
@@ -472,37 +472,37 @@ def _first_crossing(path: Path) -> float | None:
 
 
 _MAX_EVENTS = 2000
-"""Reversals of a record at most [1]. Chosen: a limit of time; a smaller value refuses long oscillations, a larger one
-delays the failure of a motion that chatters."""
+"""Largest number of reversals of a record [1]. Chosen: a limit of time; a smaller value refuses long oscillations, a
+larger one delays the failure of a motion that chatters."""
 _MANY = 3
-"""Reversals from which on all stretches of an oscillation are solved at once [1]. Chosen: a smaller value does so where
-the number of events may still change, a larger one costs time."""
+"""Smallest number of reversals for which all stretches are solved simultaneously [1]. Chosen: with a smaller value the
+number of events may still change, a larger one costs time."""
 _MOST_STEPS = 25
-"""Newton steps for the times of all reversals at most [1]. Chosen: fewer give up too early, more delay the failure."""
+"""Largest number of Newton steps for the times of all reversals [1]. Chosen: fewer stop early, more delay failures."""
 _HORIZON = 2.0
-"""Time within which the next event is sought first, over the largest one between two reversals [1]. Chosen: a smaller
-value overlooks the next reversal, a larger one integrates needlessly."""
+"""Time within which the next event is first searched, relative to the largest time between two reversals [1]. Chosen: a
+smaller value overlooks the next reversal, a larger one integrates needlessly."""
 _NEARBY = (1.0, 0.97)
-"""Shares of the reversals that are solved at once near a known solution [1]. Chosen: the second one leaves out
+"""Shares of the reversals that are solved simultaneously near a known solution [1]. Chosen: the second share omits
 reversals at the end that may not exist; a smaller one costs time."""
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
-"""Shares of the reversals that are solved at once near the measured motion [1]. Chosen: decreasing shares survive
-larger errors of the frequency; fewer give up, more cost time."""
+"""Shares of the reversals that are solved simultaneously near the measured motion [1]. Chosen: smaller shares allow
+larger errors of the frequency; with fewer shares the solution may fail, more cost time."""
 _BRIEF = 0.1
-"""Longest first stretch that is determined again, over the second one [1]. Chosen: a smaller value keeps a first
-stretch that need not exist, a larger one discards a regular one."""
+"""Longest first stretch that is determined again, relative to the second stretch [1]. Chosen: a smaller value keeps a
+first stretch that may not exist, a larger one discards a valid one."""
 _LONGEST_BEGINNING = 0.3
-"""Longest first stretch that is added, over the time to the first reversal [1]. Chosen: a smaller value solves a motion
-without its first reversal, a larger one extrapolates the first rate too far."""
+"""Longest first stretch that is added, relative to the time to the first reversal [1]. Chosen: a smaller value solves a
+motion without its first reversal, a larger one extrapolates the first rate too far."""
 _SMALL = 1e-9
 """Relative change of the times below which Newton's method has converged [1]. Derived: convergence is quadratic, so the
 next change is rounding."""
 _EXACT = 1e-13
-"""Change of the times that is rounding [1]. Derived: some hundred times the relative precision of a number, for sums
-over many reversals."""
+"""Relative change of the times that is rounding [1]. Derived: some hundred times the relative precision of a number,
+for sums over many reversals."""
 _SLOW = 1e-3
-"""Speed of an oscillating casing, over its largest one, below which errors are no longer relative to it [1]. Chosen: a
-smaller value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""
+"""Speed of an oscillating casing, relative to its largest speed, below which errors are not relative to the speed [1].
+Chosen: a smaller value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""
 _LONGEST_DELAY = 0.45
 """Largest change of the time of a reversal in a step, as a share of the time to its neighbours [1]. Derived: below one
 half, so that two reversals do not change their order."""
@@ -522,9 +522,8 @@ def solve(
 
     The intervals of `mesh` are halved where necessary, and divided at the model's changepoints, at the changes of its
     inputs, and where the casing stops, reverses or starts. `guess` is a solution for similar numbers, or the measured
-    motion; where the sequence of events has changed, at most `most` stretches are integrated one by one, each in at
-    most `intervals`. SimulationError: these are not enough, Newton's method does not converge, or the states leave the
-    finite numbers.
+    motion; if the sequence of events has changed, at most `most` stretches are integrated one by one, each in at most
+    `intervals`. A SimulationError is raised if these limits are exceeded, Newton's method diverges, or states overflow.
     """
     span = float(mesh.edges[0]), float(mesh.edges[-1])
     own = (numbers[k] for k in dynamics.breakpoints if span[0] < numbers[k] < span[1])

@@ -2,10 +2,10 @@
 
 The unit of every torque law is the newton metre. A dimension is a vector of exponents of (kg, m, s, K, A, V); radians
 and pixels count as 1. The volt is a base unit here: the constant of a motor is proposed in N m A-1 or N m V-1.
-Exponents that are parameters (the g of a power law) take the value that is given for them.
+Exponents that are parameters (the g of a power law) have the given values.
 
-A law may depend on recorded inputs. They have symbols of their own (`input_symbol`), so that no name of an input meets
-that of a variable or a parameter.
+A law may depend on recorded inputs. Inputs have separate symbols (`input_symbol`), so that the name of an input may be
+equal to that of a variable or a parameter.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _BASE: dict[str, Dimension] = {
 unit here."""
 _TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|-?[a-z]))?$")
 _TOLERANCE = 1e-9
-"""Difference of exponents of units that is rounding [1]. Chosen: a smaller value refuses sums of decimal exponents, a
-larger one accepts wrong units."""
+"""Largest difference of exponents of units that is rounding [1]. Chosen: a smaller value refuses sums of decimal
+exponents, a larger one accepts wrong units."""
 
 
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
@@ -58,7 +58,7 @@ def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimen
 
 
 def format_unit(dimension: Dimension) -> str:
-    """Return a dimension as a unit with N m factored out where that is shorter, for example ``N m s2``."""
+    """Return a dimension as a unit, with N m factored out if the unit is then shorter, for example ``N m s2``."""
     kg, m, s, *others = dimension
     parts = []
     if abs(kg - 1) < _TOLERANCE and abs(m - 2) < _TOLERANCE:
@@ -70,9 +70,9 @@ def format_unit(dimension: Dimension) -> str:
 
 
 def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, float]) -> Dimension:
-    """Return the dimension of an expression from those of its symbols; `exponents` are values of symbols in exponents.
+    """Return the dimension of an expression from `units` of symbols; `exponents` are values of exponents.
 
-    An ExpressionError is raised if unlike quantities are added, or a function is taken of a quantity that has a unit.
+    An ExpressionError is raised if quantities of different units are added, or the argument of a function has a unit.
     """
     if e.op == "num":
         return NONE
@@ -136,7 +136,7 @@ Scale = Literal["", "speed", "length", "chirp"]
 # The variables of a law, with their units. `tau` is the whole bearing torque, for states that depend on it;
 # `deflection` is the angle of the casing, or of the single body, from its equilibrium. For a contact with the ratio n,
 # `slip` is omega_r - n omega_c, `inertia_slip` the effective inertia 1 / (1 / I_r + n^2 / I_c), and `torque_held` the
-# torque on the rotor with which the slip is constant under all other torques.
+# torque on the rotor that keeps the slip constant under all other torques.
 VARIABLES: dict[str, str] = {
     "t": "s", "omega_r": "s-1", "omega_c": "s-1", "psi_r": "1", "psi_c": "1", "deflection": "1",
     "delta": "s-1", "temperature": "K", "chirp": "1", "strain": "1", "tau": "N m", "lag": "s-1", "psi": "1",
@@ -144,7 +144,7 @@ VARIABLES: dict[str, str] = {
 }  # fmt: skip
 # Variables of laws in a contact only.
 _CONTACT_VARIABLES: dict[str, str] = {"slip": "s-1", "inertia_slip": "kg m2", "torque_held": "N m"}
-# names of variables of laws that no user's law may contain; inputs may have them
+# variables that laws of users must not contain; inputs may have these names
 NOT_FOR_USERS = frozenset(
     {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag", "bristle", "element_a", "element_b"}
 )
@@ -179,9 +179,9 @@ def refuse_input_name(name: str) -> None:
 
 
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
-"""Trial changepoints, as shares of the length of the recording [1]. Chosen: in steps of 0.02, without the ends, where a
-change is an initial value; fewer start far from the optimum, more cost time."""
-# joints whose law is a torque; that of the others is a number
+"""Trial changepoints, as shares of the length of the recording [1]. Chosen: steps of 0.02, without the ends, where a
+change is equivalent to an initial value; fewer start far from the optimum, more cost time."""
+# joints whose law is a torque; laws of other joints are numbers
 _TORQUES: tuple[Joint, ...] = ("rotor", "casing", "bearing", "contact")
 # symbol of the ratio omega_r / omega_c of a contact without slip
 RATIO = "n"
@@ -197,7 +197,7 @@ _BODIES: dict[str, frozenset[str]] = {
 
 
 def bodies_of(joint: str, variables: Iterable[str]) -> frozenset[str]:
-    """Return the bodies of the library on which a law acts at its joint, or depends by its variables."""
+    """Return the bodies on which a law acts at its joint, or on which it depends through its variables."""
     return frozenset().union(*(_BODIES.get(name, frozenset()) for name in (joint, *variables)))
 
 
@@ -208,7 +208,7 @@ class Parameter:
     Parameters
     ----------
     symbol : str
-        The paper's symbol where there is one.
+        The paper's symbol if there is one.
     unit : str
         SI unit in the style of CF, for example ``N m s2``.
     role : {"amplitude", "shape", "phase", "fixed"}
@@ -218,14 +218,14 @@ class Parameter:
     lower, upper : float
         Bounds [unit]; friction is not negative.
     start : float
-        Value where the data give none [unit].
+        Value if the data determine none [unit].
     grid : tuple of float
         Trial values of a shape constant [unit, or lengths of the recording].
     relative : bool
         The grid is in lengths of the recording.
     scale : {"", "speed", "length", "chirp"}
         Bounds, `start` and grid are in units of the largest speed of the body, of the length of the recording, or of
-        that speed over that length.
+        their ratio.
     meaning : str
         One line of description.
     """
@@ -242,7 +242,7 @@ class Parameter:
     scale: Scale = ""
 
     def at(self, speed: float, length: float) -> Parameter:
-        """Return the parameter of recordings of this largest speed [rad/s] and length [s], with values in its unit."""
+        """Return the parameter with values in its unit, for recordings of this largest speed [rad/s] and length [s]."""
         if not self.scale:
             return self
         unit = {"speed": speed, "length": length, "chirp": speed / length}[self.scale]
@@ -269,28 +269,28 @@ class State:
 class Effect:
     """A law that acts on a body, between the bodies, or on the angles that a camera measures.
 
-    The law is written once, as a formula. With joint ``rotor`` or ``casing`` it is the torque on that
-    body; with ``bearing`` the torque +tau on the casing and -tau on the rotor; with ``contact`` (rims that touch,
-    gears, a belt) the torque tau on the rotor and -n tau on the casing, n its ratio; with ``factor`` it
-    multiplies the whole bearing torque, with ``inertia`` the casing's acceleration; with
-    ``camera.casing`` or ``camera.rotor`` it is an angle added to those that the camera measures (psi and
-    omega are then those of the body filmed); with ``input`` it is the dead time after which a recorded input acts.
+    The law is written once, as a formula. With joint ``rotor`` or ``casing`` it is the torque on that body; with
+    ``bearing`` the torque +tau on the casing and -tau on the rotor; with ``contact`` (rims that touch, gears, a belt)
+    the torque tau on the rotor and -n tau on the casing, n its ratio; with ``factor`` it multiplies the whole bearing
+    torque, with ``inertia`` the casing's acceleration; with ``camera.casing`` or ``camera.rotor`` it is an angle added
+    to those that the camera measures (psi and omega are then those of the filmed body); with ``input`` it is the dead
+    time of a recorded input.
 
-    All properties of an effect are fields or properties of this class; no code depends on the name of an effect, so
-    that a new law is one entry of the library.
+    All properties of an effect are fields or properties of this class. No code depends on the name of an effect, so a
+    new law is one entry of the library.
 
     Parameters
     ----------
     name : str
         The name in commands and results.
     joint : str
-        Where it acts.
+        The body or joint on which the law acts.
     law : str
         The formula, in SI units.
     parameters : tuple of Parameter
-        The numbers in it.
+        The numbers in the law.
     kind : {"physical", "measurement"}
-        A measurement effect is an artefact of the set-up or of a camera.
+        A measurement effect is an error of the set-up or of a camera.
     signature : str
         Its signature in the data.
     confused_with : tuple of str
@@ -298,29 +298,30 @@ class Effect:
     source : str
         Origin of the law.
     state, second : State or None
-        State variables that belong to it; the second one does not depend on the first.
+        State variables of the law; the second does not depend on the first.
     breakpoint : str
         Symbol of the parameter that is a changepoint: the time at which the law jumps.
     per_case : bool
         In a fit of several cases each has its own parameters, unless requested otherwise.
     per_surface : bool
-        Whether the parameters depend on the surface under the touch point, and differ in other recordings.
+        Whether the parameters depend on the surface under the touch point, which may differ between recordings.
     nuisance : bool
-        Whether it is fitted always, as a nuisance effect.
+        Whether the effect is always fitted, as a nuisance effect.
     equivalent : tuple of str
-        Effects that a usual recording does not separate from it.
+        Effects that a usual recording does not separate from this one.
     searched : bool
-        Whether it is a candidate effect of every search. Contacts between bodies, visible on the apparatus, and laws
-        that only few motions separate from simpler ones are not.
+        Whether the effect is a candidate of every search. Contacts between bodies, which are visible on the apparatus,
+        and laws that few motions separate from simpler laws are not.
     contact : bool
-        Whether it is friction whose states follow the angle from the last reversal: a body that turns in one sense
-        slides after a small angle, and the law is then a function of the speed.
+        Whether the effect is friction whose states depend on the angle since the last reversal: a body that turns in
+        one sense slides after a small angle, and the law is then a function of the speed.
     rigid : bool
-        Whether it is a contact without slip: it contains torque_held, and one initial speed follows from the other.
+        Whether the effect is a contact without slip: its law contains torque_held, and one initial speed follows from
+        the other.
     inputs : tuple of (str, str)
         Names and units of the recorded inputs in the law.
     words : str
-        The name in words, of the casing: "quadratic air drag of the casing".
+        The name in words, for example "quadratic air drag of the casing".
     """
 
     name: str
@@ -356,19 +357,19 @@ class Effect:
 
     @cached_property
     def rate(self) -> Expr | None:
-        """The rate of change of its state variable as a tree."""
+        """The rate of change of the state variable as a tree."""
         if self.state is None:
             return None
         return with_input_symbols(parse(self.state.rate), [name for name, _ in self.inputs])
 
     @property
     def states(self) -> tuple[State, ...]:
-        """Its state variables."""
+        """The state variables of the law."""
         return tuple(s for s in (self.state, self.second) if s is not None)
 
     @cached_property
     def rates(self) -> tuple[Expr, ...]:
-        """The rates of change of its state variables as trees."""
+        """The rates of change of the state variables as trees."""
         names = [name for name, _ in self.inputs]
         return tuple(with_input_symbols(parse(s.rate), names) for s in self.states)
 
@@ -385,17 +386,17 @@ class Effect:
 
     @property
     def camera(self) -> Literal["casing", "rotor"] | None:
-        """The body whose camera's angles it changes; None for an effect of the motion."""
+        """The body whose measured angles the effect changes; None for an effect of the motion."""
         return _CAMERAS.get(self.joint)
 
     @property
     def mechanical(self) -> bool:
-        """Whether it is a term of the equations of motion."""
+        """Whether the effect is a term of the equations of motion."""
         return self.camera is None
 
     @cached_property
     def bodies(self) -> frozenset[str]:
-        """The bodies of the library on which it acts or depends: a case without one of them does not have it."""
+        """The bodies on which the effect acts or depends; it does not apply to cases without one of them."""
         return bodies_of(self.joint, symbols(self.expression).union(*map(symbols, self.rates)))
 
     @cached_property
@@ -423,12 +424,12 @@ class Effect:
 
     @cached_property
     def restoring(self) -> bool:
-        """Whether the law depends on the angle from equilibrium: a torque that makes the body oscillate."""
+        """Whether the law depends on the angle from equilibrium, as a torque that causes an oscillation does."""
         return "deflection" in symbols(self.expression)
 
     @property
     def periodic(self) -> bool:
-        """Whether it is sinusoidal: in an angle, or in time with its own phase."""
+        """Whether the law is sinusoidal, in an angle or in time with a phase."""
         return self.depends_on_angle or any(p.role == "phase" for p in self.parameters)
 
     def check(self) -> None:
@@ -461,5 +462,5 @@ class Effect:
 
 
 def with_input_symbols(expression: Expr, names: Iterable[str]) -> Expr:
-    """Return an expression with the symbols of the inputs of these names."""
+    """Return an expression in which these names of inputs are replaced by their symbols."""
     return substitute(expression, {name: sym(input_symbol(name)) for name in names})

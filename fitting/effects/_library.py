@@ -1,10 +1,10 @@
 """The library of physical and measurement effects; one entry for each law.
 
-The drag torque of a disc is proportional to omega^1.5 in laminar and to omega^1.8 in turbulent flow (Th. von Karman,
-Z. angew. Math. Mech. 1, 233 (1921)), that of a thin viscous film to omega, that of a bluff body to omega^2.
+The drag torque of a disc is proportional to omega^1.5 in laminar and to omega^1.8 in turbulent flow (Th. von Karman, Z.
+angew. Math. Mech. 1, 233 (1921)). For a thin viscous film it is proportional to omega, for a bluff body to omega^2.
 
-D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque:
-its own temperature, raised by the heat of friction, and a slow drift.
+D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque: the temperature of the
+bearing, which frictional heat raises, and a slow drift.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ AIR = (
     Effect("rotor.air.disk", "rotor", "-k*abs(omega_r)**1.5*sign(omega_r)",
         (Parameter("k", "N m s1.5", meaning="laminar drag of a disc in free air"),),
         words="laminar disc drag of the rotor",
-        signature="between linear and quadratic drag of the rotor",
+        signature="dependence on the speed between linear and quadratic drag of the rotor",
         confused_with=("rotor.air.turbulent", "rotor.air.linear"), source=_DISC),
     Effect("rotor.air.turbulent", "rotor", "-k*abs(omega_r)**1.8*sign(omega_r)",
         (Parameter("k", "N m s1.8", meaning="turbulent drag of a disc in free air"),),
         words="turbulent disc drag of the rotor",
-        signature="close to quadratic drag of the rotor",
+        signature="similar to quadratic drag of the rotor",
         confused_with=("rotor.air.quadratic", "rotor.air.disk"), source=_DISC),
     Effect("casing.air.linear", "casing", "-b2*omega_c",
         (Parameter("b2", "N m s", meaning="viscous drag on the casing"),),
         words="linear air drag of the casing",
-        signature="the tail of the casing's speed falls exponentially", confused_with=("casing.air.laminar",),
+        signature="at the end of the run the casing's speed falls exponentially", confused_with=("casing.air.laminar",),
         source="term b2 of the paper", per_case=True),
     Effect("casing.air.quadratic", "casing", "-k*omega_c*abs(omega_c)",
         (Parameter("k", "N m s2", meaning="pressure drag on the casing"),),
@@ -107,7 +107,7 @@ BEARING = (
     Effect("bearing.power", "bearing", "f*abs(delta)**g*sign(delta)",
         (
             Parameter("f", "N m s^g", meaning="strength of the power law"),
-            Parameter("g", "1", "shape", 0.3, 1.4, 1.2, (0.4, 0.6, 0.8, 1.2, 1.35), meaning="its exponent"),
+            Parameter("g", "1", "shape", 0.3, 1.4, 1.2, (0.4, 0.6, 0.8, 1.2, 1.35), meaning="exponent of the law"),
         ),
         words="power-law friction of the bearing",
         signature="a fractional power of the difference of the speeds",
@@ -122,7 +122,7 @@ BEARING = (
         ),
         words="temperature dependence of the bearing friction",
         signature="the friction falls as the bearing warms; it depends on the history of the speeds",
-        confused_with=("bearing.drift",), source="viscosity of a lubricant against temperature",
+        confused_with=("bearing.drift",), source="viscosity of a lubricant as a function of temperature",
         state=State("temperature", "tau*delta/C - temperature/tau_T")),
     Effect("bearing.load", "bearing", "k*omega_r**2",
         (Parameter("k", "N m s2", meaning="load of an unbalanced rotor on the bearing"),),
@@ -143,12 +143,13 @@ BEARING = (
         source="running-in or ageing, first order in time"),
 )
 
-# rate of the strain of a contact that yields and slides; it approaches 1 + r exp(-(omega_c/w)^2), the Stribeck curve
+# rate of the strain of a contact that yields and slides; the strain approaches the Stribeck curve 1 + r
+# exp(-(omega_c/w)^2)
 _BRISTLE = "(omega_c - abs(omega_c)*{z}/(1 + r*exp(-(omega_c/w)**2)))/{s}"
 _SLOW = (0.007, 0.013, 0.033, 0.08, 0.2, 0.6)
-"""Trial speeds at which the additional friction of slow motion has decreased, over the largest speed [1]. Chosen: 1 to
-90 rad/s for the casing of the paper; fewer pass over narrow maxima of the score, more cost time."""
-_STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7), meaning="static over Coulomb friction, minus 1")
+"""Trial speeds at which the additional friction of slow motion has decreased, relative to the largest speed [1].
+Chosen: 1 to 90 rad/s for the casing of the paper; fewer omit narrow maxima of the score, more cost time."""
+_STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7), meaning="static over Coulomb friction - 1")
 _STRIBECK = Parameter(
     "w", "s-1", "shape", 1e-5, 3.0, 0.15, (0.01, 0.15), scale="speed",
     meaning="Stribeck speed, at which the excess is 1/e",
@@ -165,7 +166,7 @@ TOUCHPOINT = (
         (
             Parameter("k", "N m", meaning="extra friction at low speed"),
             Parameter("w", "s-1", "shape", 1e-3, 3.0, 0.03, _SLOW, scale="speed",
-                meaning="speed at which it has fallen to 1/e"),
+                meaning="speed at which the extra friction has decreased to 1/e"),
         ),
         words="Stribeck friction at the touch point",
         signature="additional friction while the casing is slow: in the first seconds and at the end",
@@ -182,7 +183,7 @@ TOUCHPOINT = (
         words="load-dependent friction at the touch point",
         signature="a braking torque on the casing early in the run: windage with the opposite sign",
         confused_with=("casing.windage",),
-        source="Coulomb friction under a load that grows with the rotor's speed", per_case=True,
+        source="Coulomb friction under a load that increases with the rotor's speed", per_case=True,
         per_surface=True),
     Effect("touchpoint.step", "casing", "-k*heaviside(t - t0)*sign(omega_c)",
         (
@@ -210,7 +211,7 @@ TOUCHPOINT = (
                 meaning="angle through which the contact yields before it slides [rad]; k/s is its stiffness"),
             _STATIC, _STRIBECK,
             Parameter("T", "s", "shape", 0.0, 1.0, 0.0, (0.0,), scale="length",
-                meaning="damping of the bristles over their stiffness"),
+                meaning="ratio of damping to stiffness of the bristles"),
         ),
         words="LuGre friction of the casing",
         signature="dry friction with hysteresis near rest, and a maximum before it slides",
@@ -224,7 +225,7 @@ TOUCHPOINT = (
             Parameter("s", "1", "shape", 1e-5, 10.0, 0.01, (0.003, 0.03),
                 meaning="angle through which the first element yields before it slides [rad]"),
             Parameter("q", "1", "shape", 1.5, 1e3, 10.0, (3.0, 10.0, 30.0),
-                meaning="angle of the second element over that of the first"),
+                meaning="ratio of the angle of the second element to that of the first"),
             _STATIC, _STRIBECK,
         ),
         words="two-element Maxwell-slip friction of the casing",
@@ -323,7 +324,7 @@ CAMERA = (
         signature="the speeds of the rotor clips are shifted in time with respect to the modelled curve",
         source="first order of psi(t + dt)"),
     Effect("camera.centre", "camera.casing", "eps*sin(psi - phi)",
-        (Parameter("eps", "rad", meaning="offset of the centre over the marker's radius"), _PHASE),
+        (Parameter("eps", "rad", meaning="offset of the centre, divided by the marker's radius"), _PHASE),
         kind="measurement", words="camera centre offset",
         signature="a first harmonic of constant angle",
         confused_with=("casing.unbalance", "camera.shutter"), source="first order of an offset centre",
@@ -334,7 +335,7 @@ CAMERA = (
         signature="a second harmonic of constant angle",
         confused_with=("casing.asymmetry",), source="a circle seen as an ellipse", nuisance=True),
     Effect("camera.shutter", "camera.casing", "-k*omega*sin(psi - phi)",
-        (Parameter("k", "s", meaning="time in which the shutter rolls over the marker's radius"), _PHASE),
+        (Parameter("k", "s", meaning="time in which the shutter moves by the marker's radius"), _PHASE),
         kind="measurement", words="rolling shutter of the camera",
         signature="a first harmonic that grows with the speed",
         confused_with=("camera.centre",),
@@ -361,14 +362,14 @@ SETUP = (
         source="only ratios of torque to inertia are observable; the bearing torque acts on both bodies"),
 )
 
-# faults of single windows and samples, which the discovery fits by means of their own
+# errors of single windows and samples, which the discovery fits by separate methods
 START = Effect("camera.start", "camera.rotor", "dt*omega",
     (Parameter("dt", "s", meaning="error of the start of a window"),),
     kind="measurement", words="start errors of the rotor windows",
     signature="each rotor window is shifted in time by its own amount",
     confused_with=("camera.offset",), source="first order of psi(t + dt)", searched=False)
 SLIP = Effect("camera.slip", "camera.rotor", "n*omega",
-    (Parameter("n", "1", meaning="whole turns that slipped"),),
+    (Parameter("n", "1", meaning="number of whole turns"),),
     kind="measurement", words="slipped turns", signature="a step of whole turns between two samples",
     source="an integer of turns", searched=False)
 
@@ -404,12 +405,12 @@ CONTACT = (
 LIBRARY = MappingProxyType(
     {e.name: e for e in (*AIR, *BEARING, *TOUCHPOINT, *CASING, *OSCILLATOR, *CONTACT, *CAMERA, *SETUP)}
 )
-# friction laws of a contact, from the simplest one, which `plan --friction` and `diagnose --friction` tell apart
+# friction laws of a contact that `plan --friction` and `diagnose --friction` distinguish, the simplest first
 FRICTION = (
     "touchpoint.constant", "casing.air.linear", "touchpoint.stribeck", "casing.friction.starvation",
     "casing.friction.presliding", "casing.friction.lugre", "casing.friction.gms",
 )  # fmt: skip
-# nuisance effects, which the discovery fits always
+# nuisance effects, which are always fitted
 NUISANCE = tuple(e.name for e in LIBRARY.values() if e.nuisance)
 
 LINEAR = ("rotor.air.quadratic", "touchpoint.constant", "casing.air.linear", "bearing.linear")
@@ -417,7 +418,7 @@ REDUCED = (*LINEAR, "bearing.power")
 GENERAL = (*REDUCED, "rotor.air.linear", "bearing.constant", "bearing.quadratic")
 
 
-# the roles that the keys of a single body leave out or call by another name
+# roles that the keys of a single body omit or replace
 _ROLES = (("casing.", ""), ("touchpoint.", "support."))
 
 
@@ -427,7 +428,7 @@ def shortened(key: str) -> str:
 
 
 def find(name: str) -> Effect:
-    """Return the effect of this name, which may be shortened; an EffectError offers the closest names otherwise."""
+    """Return the effect of this name, which may be shortened; otherwise an EffectError with the closest names."""
     if name in LIBRARY:
         return LIBRARY[name]
     for role, short in _ROLES:
@@ -458,18 +459,18 @@ PAPER = MappingProxyType(
         "bearing.quadratic.e": 8.01e-11,
     }
 )
-"""Typical values of the parameters, from which initial values are taken [SI units]. Source: table 5 of the paper, case
-1, the reduced model on full data; it lacks a1, c and e, whose origin is not recorded."""
+"""Typical values of the parameters, used as initial values [SI units]. Source: table 5 of the paper, case 1, the
+reduced model on full data; the origin of a1, c and e, which this model does not contain, is not recorded."""
 INERTIA_ROTOR = 5.54e-5
 """Moment of inertia of the rotor of the paper [kg m2]. Source: the paper."""
 INERTIA_CASING = 2.06e-5
 """Moment of inertia of the casing of the paper [kg m2]. Source: the paper."""
 _BUDGET = 1e-4
-"""Torque from which the initial values of constants are scaled [N m]. Source: the torque budget of the paper."""
+"""Torque that scales the initial values of constants [N m]. Source: the torque budget of the paper."""
 
 
 def of_the_rotor(effect: Effect) -> Effect | None:
-    """Return the effect of the rotor whose law is that of a body alone, or None."""
+    """Return the effect of the rotor with the law of an effect of a single body, or None."""
 
     def law(e: Effect) -> tuple[str, ...]:
         own = {p.symbol: sym(f"p{i}") for i, p in enumerate(e.parameters)}
@@ -484,10 +485,10 @@ def of_the_rotor(effect: Effect) -> Effect | None:
 def typical_values(
     effect: Effect, share: float, *, duration: float, speeds: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return values of an effect's parameters with which it has a given share of the torque budget.
+    """Return values of an effect's parameters for which the effect has a given share of the torque budget.
 
-    `share` is the largest torque over the budget of 1e-4 N m at the typical `speeds` omega_r and omega_c [rad/s]; the
-    `duration` of the recording [s] sets time constants.
+    `share` is the largest torque divided by the budget of 1e-4 N m, at the typical `speeds` omega_r and omega_c
+    [rad/s]; the `duration` of the recording [s] sets time constants.
     """
     own = effect.parameters_at(speeds, duration)
     values = {p.symbol: 1.0 if p.role == "amplitude" else p.start for p in own}
@@ -504,7 +505,7 @@ def typical_values(
 def _typical_strength(
     effect: Effect, values: Mapping[str, float], share: float, duration: float, speeds: Mapping[str, float]
 ) -> float:
-    """Return the strength with which an effect has a given share of the torque budget."""
+    """Return the strength for which an effect has a given share of the torque budget."""
     if effect.joint == "inertia":
         return share
     delta = speeds["omega_r"] - speeds["omega_c"]
@@ -534,7 +535,7 @@ def _typical_strength(
 def typical_of_model(
     effects: Iterable[Effect], share: float, *, duration: float, speeds: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return a value for each parameter of a model: the paper's where it has one, typical ones elsewhere.
+    """Return a value for each parameter of a model: the paper's value if there is one, otherwise a typical value.
 
     The other arguments are those of `typical_values`.
     """

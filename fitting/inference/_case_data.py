@@ -1,16 +1,16 @@
 """The measurements of one case as rows of the least-squares problem.
 
-An error dt of the start time of a camera is an error psi'(t) dt of its angles: apart from the free phase of the window,
-c dt with c = alpha (t - mean t) and the rotor's acceleration alpha; that of a measured speed is c dt with c = alpha.
-With the standard uncertainty s of the start, the rows of a window, otherwise white, have the covariance 1 + s^2 c c'.
-Its symmetric inverse root, which whitens them, changes one direction only:
+An error dt of the start time of a camera causes an error psi'(t) dt of its angles. Apart from the free phase of the
+window this is c dt with c = alpha (t - mean t), where alpha is the rotor's acceleration; for a measured speed c =
+alpha. With the standard uncertainty s of the start, the rows of a window, otherwise white, have the covariance 1 + s^2
+c c'. Its symmetric inverse root, which whitens the rows, changes only one direction:
 
     A = 1 - (1 - 1 / sqrt(1 + |s c|^2)) u u',   u = c / |c|.
 
 Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor window, then the
-harmonic rows of the casing. Nuisance parameters are fitted always: the initial angle of the casing, the phase of each
+harmonic rows of the casing. Nuisance parameters are always fitted: the initial angle of the casing, the phase of each
 rotor window, and a constant centre offset, tilt, rolling shutter and motion blur of the camera of the casing; for an
-oscillation whose speeds were measured, the bias of the gyroscope.
+oscillation with measured speeds, the bias of the gyroscope.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ from fitting.inference._spectral_lines import (
 
 @dataclass(frozen=True)
 class StartTimeNoise:
-    """Whitens the rows of rotor windows whose starts are uncertain: of each its rows, the unit vector u, and |s c|."""
+    """Whitens the rows of rotor windows with uncertain starts; for each window: rows, unit vector u, and |s c|."""
 
     parts: tuple[tuple[slice, Array, float], ...]
 
@@ -113,7 +113,7 @@ class StartTimeNoise:
 
 
 def start_response(window: Compressed, *, angle: bool) -> Array:
-    """Return the rows of a window by an error of its start, per second, apart from its free phase.
+    """Return the response of a window's rows to an error of its start, per second, apart from its free phase.
 
     An angle changes by the speed, and a speed by the acceleration.
     """
@@ -122,7 +122,7 @@ def start_response(window: Compressed, *, angle: bool) -> Array:
 
 
 def rate_of_change(samples: Samples, times: Array, *, degree: int) -> Array:
-    """Return the derivative at times of a polynomial fitted to samples; its degree is lower where there are few."""
+    """Return the derivative at times of a polynomial fitted to samples; few samples reduce its degree."""
     # a polynomial through all samples would follow their noise
     degree = min(degree, (len(samples) - 1) // 2)
     if degree < 1:
@@ -139,13 +139,13 @@ _GENERATED_BLOCKS = 20
 """Blocks of a generated curve [1]. Chosen: the curve is smooth; fewer do not resolve its start, more cost time."""
 _SHORT_WINDOW = 0.25
 """Share of the casing's record below which a window of the rotor is one block [1]. Chosen: the rotor hardly slows down
-in it; a smaller value divides windows needlessly, a larger one fits one polynomial to a changing speed."""
+within such a window; a smaller value divides windows needlessly, a larger one averages changing speeds."""
 _WINDOW_BLOCKS = 20
-"""Blocks of a window of the rotor as long as the record of the casing [1]. Chosen: fewer do not resolve the
-deceleration, more leave few samples for each."""
+"""Number of blocks of a window of the rotor that is as long as the record of the casing [1]. Chosen: fewer do not
+resolve the deceleration, more leave few samples for each."""
 _WINDOW_ROWS = 8
-"""Smallest number of rows of a rotor window with which correlated noise is estimated [rows]. Chosen: fewer do not
-separate motion and noise, more leave short windows without an estimate."""
+"""Smallest number of rows of a rotor window for estimating correlated noise [rows]. Chosen: fewer do not separate
+motion and noise, more leave short windows without an estimate."""
 _PERIOD_SAMPLES = 24
 """Smallest number of samples of a block of an oscillation [samples]. Chosen: fewer leave none for the noise, more give
 blocks of several periods at low frame rates."""
@@ -155,17 +155,17 @@ _DRIVEN_SAMPLES = 6
 """Smallest number of samples of each rough speed of a driven body [samples]. Chosen: fewer are noisy, more blur the
 response to the input."""
 _RISE = 0.1
-"""Smallest rise of the speed of a driven body, over its largest speed [1]. Chosen: a smaller value takes noise for a
-drive, a larger one overlooks weak drives."""
+"""Smallest rise of the speed of a driven body, relative to its largest speed [1]. Chosen: a smaller value mistakes
+noise for a drive, a larger one overlooks weak drives."""
 _INDEPENDENT = 1e-6
 """Smallest relative singular value of independent responses to inputs [1]. Chosen: a smaller value keeps rounding, a
 larger one drops weak responses."""
 SPEED_BLOCKS = 30
-"""Blocks of a record of smoothed speeds [1]. Chosen: they are long compared with the smoothing; more contain correlated
-noise, fewer do not resolve the motion."""
+"""Number of blocks of a record of smoothed speeds [1]. Chosen: they are long compared with the smoothing; more contain
+correlated noise, fewer do not resolve the motion."""
 SPEED_NOISE_ROWS = 28
-"""Further polynomials of a block of speeds [1]. Chosen: twice those of angles, so that the rows of a window resolve the
-smoothing; fewer understate the noise, more cost time."""
+"""Number of further polynomials of a block of speeds [1]. Chosen: twice that of angles, so that the rows of a window
+resolve the smoothing; fewer understate the noise, more cost time."""
 
 
 class Block(NamedTuple):
@@ -177,11 +177,11 @@ class Block(NamedTuple):
 
 
 class OscillationBlocks(NamedTuple):
-    """The blocks of records up to a number of periods.
+    """The blocks of records with at most a number of periods.
 
     cos(x) over a block of half width h is a polynomial of degree h and a few more (Bessel functions J_n(h) fall steeply
-    beyond n = h). Short records keep the third harmonic, long ones the fundamental; in both the noise is measured
-    beyond the third harmonic.
+    beyond n = h). In short records the model includes the third harmonic, in long records only the fundamental; in both
+    cases the noise is measured beyond the third harmonic.
     """
 
     periods: float
@@ -194,13 +194,14 @@ _OSCILLATION_BLOCKS = (
     OscillationBlocks(math.inf, Block(12, 50, 126)),
 )
 """Blocks of an oscillation: largest number of periods, then periods, degree and noise rows of a block [1]. Chosen:
-longer blocks in longer records limit the rows; longer ones need higher degrees, shorter ones cost time."""
+longer records have longer blocks, which limits the rows; still longer blocks need higher degrees, shorter ones cost
+time."""
 
 
 def blocks_of_window(window: Samples, casing: Samples) -> int:
     """Return the number of blocks of a window of the rotor: one if the rotor hardly slows down within it.
 
-    The record of the casing lasts for as long as the motion, so the number does not depend on the unit of time.
+    The number depends on the ratio of the lengths of window and casing record, not on the unit of time.
     """
     share = float(np.ptp(window.time)) / max(float(np.ptp(casing.time)), 1e-300)
     return 1 if share < _SHORT_WINDOW else min(round(_WINDOW_BLOCKS * share), BLOCKS)
@@ -216,10 +217,10 @@ def _beyond_noise(modes: Array, samples: Samples) -> Array:
 class CaseData:
     """A record, projected once and used for every model.
 
-    `noiseless` states that the values were computed for a planned run: no noise is estimated from them.
-    `free_inertia` states that the ratio of the moments of inertia is a parameter of the model, with a prior from their
-    stated uncertainties. `slips` are whole turns that slipped in the angles as measured; the record and all rows are
-    those of the corrected angles. `criteria` determine what is noise.
+    `noiseless` states that the values were computed for a planned run: no noise is estimated from them. `free_inertia`
+    states that the ratio of the moments of inertia is a parameter of the model, with a prior from their stated
+    uncertainties. `slips` are slips of whole turns in the measured angles; record and rows contain the corrected
+    angles. The noise depends on `criteria`.
     """
 
     record: Record
@@ -236,7 +237,7 @@ class CaseData:
 
     @classmethod
     def of(cls, record: Record, criteria: Criteria = DEFAULT) -> CaseData:
-        """Project a record, after the correction of whole turns that slipped."""
+        """Project a record after correcting slips of whole turns."""
         record, slips = without_slips(record, criteria)
         angle = record.quantity == "angle"
         driving = record.driving
@@ -293,11 +294,11 @@ class CaseData:
         return replace(made, noiseless=self.noiseless, free_inertia=self.free_inertia)
 
     def has_noise_of(self, criteria: Criteria) -> bool:
-        """Return whether other criteria determine the same noise of this recording (`NOISE`)."""
+        """Return whether other criteria give the same noise of this recording (`NOISE`)."""
         return all(getattr(criteria, name) == getattr(self.criteria, name) for name in NOISE)
 
     def with_start_u(self, u: float) -> CaseData:
-        """Return the same data with this standard uncertainty of every start that is not stated [s]."""
+        """Return the same data with this standard uncertainty [s] of every start without a stated uncertainty."""
         start_sigma = tuple(u if math.isnan(s) else s for s in self.record.start_sigma)
         return self._of_same_samples(record=replace(self.record, start_sigma=start_sigma))
 
@@ -310,7 +311,7 @@ class CaseData:
         return self if self.free_inertia == free else self._of_same_samples(free_inertia=free)
 
     def _of_same_samples(self, **changes: Any) -> CaseData:
-        """Return the data with other fields, and with the noise and motion that are known of the same samples."""
+        """Return the data with other fields, reusing the known noise and motion of the same samples."""
         changed = replace(self, **changes)
         kept = _OF_THE_SAMPLES
         if changed.record.I_casing * self.record.I_rotor != self.record.I_casing * changed.record.I_rotor:
@@ -319,7 +320,7 @@ class CaseData:
         return changed
 
     def start_columns(self) -> Iterator[tuple[int, Array]]:
-        """Yield window and rows of the response to an error of its start, per second, where nothing is stated."""
+        """Yield window and rows of the response to a start error, per second, for starts of unstated uncertainty."""
         first = self.slices["rotor"].start
         for i, (window, s) in enumerate(zip(self.rotor, self.record.start_sigma, strict=False)):
             rows = np.zeros(len(self.z))
@@ -352,23 +353,23 @@ class CaseData:
 
     @cached_property
     def measured_angle(self) -> Array | None:
-        """The angle of the casing [rad], measured or by integration of its speeds; None if these do not determine it.
+        """The angle of the casing [rad], measured or integrated from its speeds; None if these do not determine it.
 
-        The error of an integral is a random walk, far smaller than the difference from the angle of a model with a lack
+        The error of an integral is a random walk. It is far smaller than the error of the angle of a model with a lack
         of fit.
         """
         return _turning_angle(self.record) if self.is_angle or self.motion.is_smooth else None
 
     @cached_property
     def angle_cubics(self) -> PiecewiseCubics:
-        """Piecewise cubics that smooth functions of the time of the casing's samples."""
+        """Piecewise cubics for smoothing functions at the times of the casing's samples."""
         return PiecewiseCubics(self.record.casing.time)
 
     @cached_property
     def largest_torque(self) -> float:
         """Largest net torque on a body in the recording [N m], from its mean accelerations over short parts.
 
-        These are fiftieths of a run, or sixteenths of the period of an oscillation.
+        The parts are fiftieths of a run, or sixteenths of the period of an oscillation.
         """
         record, found = self.record, [0.0]
         for inertia, runs in ((record.I_casing, (self.casing,)), (record.I_rotor, self.rotor)):
@@ -384,14 +385,14 @@ class CaseData:
     def harmonic_responses(self) -> Array:
         """Rows of the responses to torques of the first two harmonics of the angle, (rows, columns).
 
-        A torque that is periodic in the angle is not random: these functions are free where a level of process noise
-        or of angle noise is estimated.
+        A torque that is periodic in the angle is not random: these functions are free when the level of process noise
+        or angle noise is estimated.
         """
         return self.casing_rows(self._harmonic_functions)
 
     @cached_property
     def _harmonic_functions(self) -> Array:
-        """The same functions at the samples, (samples, columns)."""
+        """The functions of `harmonic_responses` at the samples, (samples, columns)."""
         psi = self.measured_angle
         if psi is None or not self.motion.is_smooth:
             return np.zeros((len(self.record.casing), 0))
@@ -401,9 +402,9 @@ class CaseData:
         return angles if self._shows_periodic_torque(angles) else angles[:, :0]
 
     def _shows_periodic_torque(self, responses: Array) -> bool:
-        """Return whether the angle contains the response to a torque of the angle beside those of a camera.
+        """Return whether the angle contains the response to a torque of the angle in addition to harmonics of a camera.
 
-        The amplitude of the response decreases with the square of the speed; those of a camera are constant, or
+        The amplitude of the response decreases with the square of the speed; harmonics of a camera are constant, or
         increase with the speed.
         """
         camera = self.casing.at_samples(camera_columns(self.casing.samples))[1]
@@ -415,8 +416,8 @@ class CaseData:
         """Integral of the squared response of each row of a harmonic to an acceleration, and its frequency [rad/s].
 
         A random acceleration of the spectral density S, constant near this frequency, gives the row the variance S
-        times the integral. The angle may be that of few turns in a block: the covariance with its polynomial rows, up
-        to 0.4 of both standard deviations, is neglected.
+        times the integral. In a block with few turns, the covariance with the polynomial rows, up to 0.4 of both
+        standard deviations, is neglected.
         """
         psi = self.measured_angle
         if psi is None or not len(self.casing.harmonic):
@@ -425,7 +426,7 @@ class CaseData:
         k = self.casing.lift.shape[1]
         for where, operator in self.casing.operators:
             t, rows = self.casing.samples.time[where], operator[k:]
-            # a speed is the integral of the acceleration since then; the response of an angle increases with the time
+            # the speed is the integral of the earlier acceleration; the response of the angle increases with time
             later = np.cumsum(rows[:, ::-1], axis=1)[:, ::-1]
             if self.is_angle:
                 later = np.cumsum((rows * (t - t[0]))[:, ::-1], axis=1)[:, ::-1] - later * (t - t[0])
@@ -441,7 +442,7 @@ class CaseData:
 
     @cached_property
     def _times_of_bodies(self) -> tuple[Array, Array]:
-        """Times of the nodes of the casing, and of those of all windows."""
+        """Times of the nodes of the casing, and of the nodes of all windows."""
         count = len(self.casing.node_times)
         return self.node_times[:count], self.node_times[count:]
 
@@ -454,17 +455,17 @@ class CaseData:
 
     @property
     def prior_rows(self) -> int:
-        """Number of rows of the prior, the last ones; their measured values are zero."""
+        """Number of rows of the prior; they are the last rows, and their measured values are zero."""
         prior = self.prior
         return 0 if prior is None else len(prior.names)
 
     @cached_property
     def row_count(self) -> int:
-        """Number of rows without those of harmonics that are zero because polynomials of the block represent them."""
+        """Number of rows, except rows of harmonics that are zero because polynomials of the block represent them."""
         return len(self.z) - int((~self.casing.harmonic_exists).sum())
 
     def _tail(self, harmonic: Array) -> Array:
-        """Return the rows after those of the polynomials: of harmonics, and zeros in the place of the priors."""
+        """Return the rows after the polynomial rows: rows of harmonics, and zeros for the priors."""
         count = self.prior_rows + self._nuisance_priors
         return np.concatenate([harmonic, np.zeros((count, *harmonic.shape[1:]))]) if count else harmonic
 
@@ -473,7 +474,7 @@ class CaseData:
         """Standard deviations of the prior of the camera's nuisance functions, in units of `camera_columns`.
 
         They allow a centre offset up to a third of the radius, a tilt up to 0.6 rad, a shutter time up to a frame, and,
-        on film, 5 mrad by motion blur. Empty where these functions are not fitted.
+        on film, 5 mrad due to motion blur. Empty if these functions are not fitted.
         """
         if not self.is_angle or not (self.motion.is_smooth or self.record.tracked):
             return np.zeros(0)
@@ -494,15 +495,14 @@ class CaseData:
 
     @property
     def has_camera_prior(self) -> bool:
-        """Whether the camera's nuisance functions are fitted, with their prior."""
+        """Whether the nuisance functions of the camera, with their prior, are fitted."""
         return len(self._camera_prior) > 0
 
     @cached_property
     def angle_noise(self) -> AngleNoise:
         """Correlated angle noise of the casing; white if none is significant, or if speeds were measured.
 
-        It is distinguished from the motion by its higher frequencies; of an oscillation, the noise is assumed to be
-        white.
+        Its higher frequencies distinguish it from the motion; the angle noise of an oscillation is assumed to be white.
         """
         noise = self._correlated_noise
         known = AngleNoise() if self._excess_angle_noise(noise, (self.casing,)) else noise
@@ -528,9 +528,9 @@ class CaseData:
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
-        """Faults of the measurement that the data show without a model, as sentences: slipped turns, excessive noise.
+        """Errors of the measurement that the data show without a model, as sentences: slipped turns, excessive noise.
 
-        Noise above its limit enters no covariance: it would explain every lack of fit.
+        Noise above its limit is not added to the covariance, because it would explain every lack of fit.
         """
         found = [
             f"{slip.sentence[0].upper()}{slip.sentence[1:]}; the fit corrects it." for slip in self.slips
@@ -559,7 +559,7 @@ class CaseData:
             or min(len(w.z) for w in self.rotor) < _WINDOW_ROWS
         ):
             return AngleNoise()
-        # of two equal random torques on the casing and between the bodies, one acts on the rotor
+        # only the random torque between the bodies acts on the rotor, but both act on the casing
         share = record.I_casing / record.I_rotor / math.sqrt(2)
         process = self.process_noise
         nuisance = [
@@ -570,7 +570,7 @@ class CaseData:
 
     @cached_property
     def process_noise(self) -> ProcessNoise:
-        """Random acceleration of the casing; no model and no moment of inertia enters."""
+        """Random acceleration of the casing, independent of any model and moment of inertia."""
         motion = self.casing.at_samples(self.motion.harmonics(len(self.casing.samples)))[0]
         free = np.concatenate([self._nuisance_rows, FLAT_PRIOR_SIGMA * motion], axis=1)
         if not self.is_angle:
@@ -585,10 +585,10 @@ class CaseData:
 
     @cached_property
     def spectral_lines(self) -> tuple[SpectralLine, ...]:
-        """Sinusoidal torques that do not count as noise; none for an oscillation.
+        """Sinusoidal torques that are not taken as noise; none for an oscillation.
 
-        A camera may have systematic errors of some frequencies, smaller than the noise of one angle: on film, such
-        lines count as noise.
+        A camera may have systematic errors at some frequencies, smaller than the noise of one angle: on film they are
+        noise.
         """
         if not self.motion.is_smooth:
             return ()
@@ -665,7 +665,7 @@ class CaseData:
 
     @cached_property
     def _harmonic_scale(self) -> Array:
-        """Standard deviation of the rows of harmonics by the stated error of the angle; empty without one."""
+        """Standard deviation of the rows of harmonics due to the stated error of the angle; empty without an error."""
         stated = self.record.correlated[3]
         if stated == 0 or not self.is_angle or not self.motion.is_smooth:
             return np.zeros(0)
@@ -695,15 +695,15 @@ class CaseData:
     def initial_speeds(self) -> tuple[Array, Array]:
         """Times and rough speeds of rotor and casing, (times, 2)."""
         if self.record.driving:
-            # the response to a step takes a small part of a record
+            # the response to a step is a small part of a record
             return initial_speeds(self.record, _DRIVEN_POINTS, _DRIVEN_SAMPLES)
         return initial_speeds(self.record, *self.motion.rough)
 
     @cached_property
     def driven(self) -> bool:
-        """Whether an input that varies was recorded, and the body becomes faster, which friction does not do.
+        """Whether a varying input was recorded and the speed increases, which friction cannot cause.
 
-        Of two bodies the rotor decides: the casing is driven by the bearing.
+        If there are two bodies, the rotor decides, because the bearing drives the casing.
         """
         if not self.record.driving:
             return False
@@ -724,7 +724,7 @@ class CaseData:
 
     @property
     def smoothing_width(self) -> int:
-        """Points of the running median of `speeds`: the paper's 51, and at most a sixteenth of a period."""
+        """Points of the running median of `speeds`: the paper's 51, but at most a sixteenth of a period."""
         most = self.motion.samples_per_period(len(self.record.casing)) / _PERIOD_PARTS
         return min(WIDTH, max(1, int(min(most, WIDTH))) | 1)
 
@@ -742,7 +742,7 @@ class CaseData:
 
     @cached_property
     def nuisance(self) -> Array:
-        """Columns of the nuisance parameters, which are fitted always, (rows, columns).
+        """Columns of the nuisance parameters, which are always fitted, (rows, columns).
 
         These are the initial angles of casing and windows, the error modes, and the camera.
         """
@@ -768,7 +768,7 @@ class CaseData:
             # in the first slow turns camera errors are as slow as effects of torques
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
         else:
-            # zero-rate output of a gyroscope; its scale factor is not distinguishable from that of the deflections
+            # zero-rate output of a gyroscope; the scale factor is not distinguishable from that of the deflections
             offsets = self.motion.offsets(len(self.casing.node_times))
             columns += [self.rows(offset, []) for offset in offsets.T]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
@@ -813,8 +813,8 @@ class CaseData:
         return angles(sampler, path, state, nodes) if self.is_angle else sampler.value(nodes[:, :, state])
 
     def _projected_by_samples(self, path: Path, nodes: Array | None, rows: Array) -> Array:
-        """Replace the rows of blocks in which the motion is not a polynomial: with a kink, or with many harmonics."""
-        # an oscillation has many harmonics in a block, and the response to a step may be shorter than one
+        """Replace the rows of blocks in which the motion is not a polynomial (a kink, or many harmonics)."""
+        # an oscillation has many harmonics in a block, and the response to a step may be shorter than a block
         everywhere = not self.motion.is_smooth or bool(self.record.driving)
         if not path.kinks and not everywhere:
             return rows
@@ -837,20 +837,21 @@ class CaseData:
                     )
                     projected = operator @ observed
                     rows[first + i * k : first + (i + 1) * k] = projected[:k]
-                    # no polynomial, so its projections on the harmonics, which are orthogonal to those, do not vanish
+                    # not a polynomial, so its projections on the harmonics, which are orthogonal to polynomials, do not
+                    # vanish
                     rows[harmonic : harmonic + len(operator) - k] = projected[k:]
                 harmonic += len(operator) - k
             first += len(run.z)
         return rows
 
 
-# what is computed from the samples alone
+# properties that depend only on the samples
 _OF_THE_SAMPLES = frozenset({
     "_correlated_noise", "_correlated_rotor_noise", "angle_noise", "rotor_angle_noise", "findings", "process_noise",
     "mode_columns", "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds",
     "speeds",
 })  # fmt: skip
-# of these, what depends on the share of the random torque that acts on the rotor
+# those of them that depend on the share of the random torque that acts on the rotor
 _OF_THE_INERTIA_RATIO = frozenset({"_correlated_rotor_noise", "rotor_angle_noise", "findings"})
 
 
@@ -866,7 +867,7 @@ def with_free_inertia(data: Sequence[CaseData], names: Sequence[str]) -> list[Ca
 
 
 def _correlation(run: Compressed, noise: AngleNoise) -> float:
-    """Return the spectral density of all angle noise at low frequencies over that of the white noise alone."""
+    """Return the ratio of the spectral densities of all angle noise and of white noise at low frequencies."""
     samples = run.samples
     if noise.is_white or len(samples.time) < 2:
         return 1.0
@@ -878,7 +879,7 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
 
 
 def _reverses(record: Record) -> bool:
-    """Return whether a body turns in both senses, by more than a share of its path: it has no steady turns."""
+    """Return whether a body turns in both senses by more than a share of its path, so it has no steady turns."""
     value = record.casing.value
     way = np.diff(value) if record.quantity == "angle" else value[1:] * np.diff(record.casing.time)
     path = float(np.abs(way).sum())
@@ -886,12 +887,12 @@ def _reverses(record: Record) -> bool:
 
 
 _ONE_SENSE = 0.9
-"""Net rotation over the path of a driven body from which on harmonics of its angle are tested [1]. Chosen: a smaller
-value tests angles that are passed back and forth, a larger one leaves out slightly reversing bodies."""
+"""Smallest ratio of net rotation to path of a driven body for which harmonics of its angle are tested [1]. Chosen: a
+smaller value tests angles that are passed back and forth, a larger one omits bodies that reverse slightly."""
 
 
 def _turning_angle(record: Record) -> Array | None:
-    """Return the angle whose harmonics are distinguished: measured, or by integration of frequently measured speeds."""
+    """Return the angle for harmonics: measured, or integrated from speeds with sufficiently many samples."""
     if record.quantity == "angle":
         return record.casing.value
     psi = integrated(record.casing.time, record.casing.value)
@@ -900,7 +901,7 @@ def _turning_angle(record: Record) -> Array | None:
 
 
 def _gradients(speeds: Samples) -> Array:
-    """Return the time derivatives of `camera_columns`, with the angle by integration of the speeds."""
+    """Return the time derivatives of `camera_columns`, with the angle integrated from the speeds."""
     angle = Samples(speeds.time, integrated(speeds.time, speeds.value), speeds.sigma)
     return np.asarray(np.gradient(camera_columns(angle), speeds.time, axis=0))
 
@@ -909,26 +910,26 @@ CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 """Columns of `camera_columns` that belong to each nuisance effect [1]. Derived: a cosine and a sine of each, in the
 order of the library."""
 _SMOOTHED = 25
-"""Samples between the knots of a rough speed [samples]. Chosen: fewer follow noise, more blur the motion."""
+"""Number of samples between the knots of a rough speed [samples]. Chosen: fewer follow noise, more blur the motion."""
 _RUN_PARTS = 50
-"""Parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: fewer understate it, more
-follow noise."""
+"""Number of parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: fewer understate
+it, more follow noise."""
 _PERIOD_PARTS = 16
 """Parts of a period of an oscillation over which accelerations are averaged for the largest torque [1]. Chosen: fewer
 understate it, more follow noise."""
 _CENTRE = 0.15
-"""Prior standard deviation of the displacement of a centre over the radius [1]. Chosen: tracked films have 0.5 to 5
-mrad once a turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""
+"""Prior standard deviation of the displacement of a centre, relative to the radius [1]. Chosen: tracked films have
+errors of 0.5 to 5 mrad once per turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""
 _TILT = 0.05
 """Prior standard deviation of the second harmonic of a tilt [rad]. Chosen: a tilt of 26 degrees; a smaller value biases
 oblique films, a larger one absorbs slow motion."""
 _BLUR = 5e-3
-"""Prior standard deviation of the change of the first harmonic by motion blur at the largest speed [rad]. Chosen: the
-upper end of the once-a-turn errors of tracked films; a smaller value biases blurred films, a larger one absorbs slow
-motion."""
+"""Prior standard deviation of the change of the first harmonic due to motion blur at the largest speed [rad]. Chosen:
+the upper end of the once-per-turn errors of tracked films; a smaller value biases blurred films, a larger one absorbs
+slow motion."""
 _LONGEST_STEP = 1.0
-"""Longest step of the integral of speeds from sample to sample [rad]. Chosen: a larger one does not resolve a harmonic
-of the angle, a smaller one gives up slow sensors."""
+"""Longest step of the integral of speeds from sample to sample [rad]. Chosen: a larger step does not resolve a harmonic
+of the angle, a smaller one excludes slow sensors."""
 _ROUNDING = 1e-7
 """Smallest range of a harmonic of the angle that is more than rounding [1]. Chosen: a smaller value fits rounding, a
 larger one drops slowly turning bodies."""
@@ -937,9 +938,9 @@ larger one drops slowly turning bodies."""
 def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:
     """Return cos and sin of the angle, of twice the angle, of the angle times the speed and its square, (n, 8).
 
-    The speed is in units of the largest. Zeros where a harmonic is the same in all samples: pulses once per turn
-    contain no information on harmonics of the angle, and the rounding errors of their sines increase with the angle.
-    Only frames are `blurred` by the motion; for other samples the last two columns are zeros.
+    The speed is in units of the largest speed. Columns are zero if a harmonic is the same in all samples: pulses once
+    per turn contain no information on harmonics of the angle, and the rounding errors of their sines increase with the
+    angle. Only frames are `blurred` by the motion; for other samples the last two columns are zeros.
     """
     psi = samples.value
     knots, speed = _rough_speeds(samples)

@@ -1,8 +1,9 @@
 """One case under one model: predicted rows and their derivatives.
 
-A torque periodic in the angle would, with the measured angle as argument, be random by the noise of the angle. So its
-argument is the angle of the model, with the response to the torque itself, plus the smoothed deviation of the measured
-angle (of measured speeds: of their integral): many pieces if the model has a large lack of fit, few if it has none.
+If the argument of a torque that is periodic in the angle were the measured angle, its noise would make the torque
+random. Therefore the argument is the angle of the model, including the response to the torque itself, plus the smoothed
+deviation of the measured angle (for measured speeds, of their integral). The smoothing uses many pieces if the model
+has a large lack of fit, and few if it has none.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _GAUSS = 3
 """Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; fewer lose accuracy in long cells, more cost
 time."""
 _PASSES = 20
-"""Iterations of the argument of a law that it changes itself, at most [1]. Chosen: fewer stop before convergence, more
+"""Largest number of iterations for a law that changes its own argument [1]. Chosen: fewer stop before convergence, more
 delay the failure."""
 _NEGLIGIBLE = 0.01
 """Change of the angle at convergence, relative to the uncertainty of a mean of all samples [1]. Chosen: a smaller value
@@ -41,21 +42,21 @@ _CHANGE = 1e-3
 """Change of the derivative of the angle at convergence, relative to its fast part [1]. Chosen: a smaller value costs
 iterations, a larger one gives inaccurate derivatives."""
 _MEMORY = 6
-"""Iterations that the acceleration of the convergence remembers [1]. Chosen: fewer converge slowly, more make its
+"""Number of iterations used to accelerate the convergence [1]. Chosen: fewer converge slowly, more make the
 least-squares problem degenerate."""
 _ERRORS = 6
-"""Parts of the error of an integrated angle, a random walk [1]. Derived: its Karhunen-Loeve series; the first two parts
-have nine tenths of the variance, six have 97 %."""
+"""Number of parts of the error of an integrated angle, a random walk [1]. Derived: its Karhunen-Loeve series; two parts
+contain 90 % of the variance, six contain 97 %."""
 
 
 class AngleRows(NamedTuple):
-    """Rows of a law of an angle, linearised about its present strengths at phase 0 and at a quarter period."""
+    """Rows of a law of an angle, linearised at its present strengths at phase 0 and at a quarter period."""
 
-    columns: Array  # (rows, 2), derivatives by the two strengths
+    columns: Array  # (rows, 2), derivatives with respect to the two strengths
     strength: Array  # the present strengths
     value: Array  # (rows,), response at these strengths
     # response of speed and angle of rotor and casing at the samples of the casing at these strengths, (2, 2, samples);
-    # of an error of the measurement none
+    # None for an error of the measurement
     motion: Array | None = None
 
 
@@ -69,9 +70,9 @@ def angle_dependent_rows(
 ) -> AngleRows:
     """Return the response of the rows to a law of an angle about the solution without it.
 
-    The law changes the angle that is its argument, which gives a mean torque of second order in its strength. At a
-    constant argument a change of the phase would give a mean torque of first order, which it does not. `error` is an
-    error of the measured angle of the casing [rad] as a function of time, to compute its effect.
+    The law changes the angle that is its argument, which causes a mean torque of second order in the strength. With a
+    constant argument, a change of the phase would wrongly cause a mean torque of first order. `error` is an error of
+    the measured angle of the casing [rad] as a function of time, whose effect is computed.
     """
     record = data.record
     t = record.casing.time
@@ -104,7 +105,7 @@ def angle_dependent_rows(
         deviation = start + measured - model.integral(*path.angle("omega_c"))
         deviation = deviation if error is None else deviation + error(t)
         of_values = deviation if data.is_angle else record.casing.value - model.value(path.y[..., 1])
-    # speeds and angles of the casing by the law of the present strengths, and for the first derivatives none
+    # speeds and angles of the casing due to the law at its present strengths; zero in the first iteration
     own, search, pieces, cubics = np.zeros((2, len(t))), _FixedPoint(), [0], data.angle_cubics
     for _ in range(_PASSES):
         if measured is not None:
@@ -152,7 +153,7 @@ class _FixedPoint:
         self._values: list[Array] = []
 
     def next(self, x: Array, value: Array) -> Array:
-        """Return the next x from x and g(x): the mean of earlier values whose steps g(x) - x cancel best."""
+        """Return the next x from x and g(x): the weighted mean of values whose steps g(x) - x cancel best."""
         if not np.abs(value).max() < _DIVERGED:
             raise SimulationError(UNBOUNDED)
         self._steps.append((value - x).ravel())
@@ -173,10 +174,10 @@ def _observed(data: CaseData, speed: Array, angle: Array) -> Array:
 
 
 def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[dict[str, float]], Array]:
-    """Return the parameters of the law at strength 1 and both phases, and the present strengths of the two."""
+    """Return the parameters of the law at strength 1 for both phases, and both present strengths."""
     values = {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
     symbol = {p.role: p.symbol for p in effect.parameters}
-    # a held parameter has the role "fixed" and keeps its value
+    # a fixed parameter has the role "fixed" and keeps its value
     phase, amplitude = symbol.get("phase", ""), symbol.get("amplitude", "")
     unit = {amplitude: 1.0} if amplitude else {}
     laws = [values | unit | ({phase: phi} if phase else {}) for phi in (0.0, np.pi / 2)]
@@ -200,7 +201,7 @@ _INTERVALS = 12
 time."""
 _PER_REVERSAL = 5
 """Intervals of the first mesh between two reversals of an oscillation [1]. Derived: ten nodes resolve a sinusoid over a
-fifth of the half period to 1e-11, the Bessel function J_8 of pi / 10, so that few intervals have to be halved."""
+fifth of the half period to 1e-11, the Bessel function J_8 of pi / 10, so few intervals have to be halved."""
 _LEAST_INTERVALS = 600
 """Smallest limit of the number of intervals [1]. Chosen: the solution of stiff equations takes minutes to fail; a
 smaller value refuses short records, a larger one delays the failure."""
@@ -208,25 +209,25 @@ _PER_SAMPLE = 2
 """Intervals per sample at most [1]. Chosen: a motion with several changes between two samples is not measured; a
 smaller value refuses fast changes, a larger one delays the failure."""
 _MANY_REVERSALS = 3
-"""Reversals from which on all of them are solved at once [1]. Chosen: as `fitting.dynamics._events._MANY`; a smaller
-value does so where the number of events may still change, a larger one costs time."""
+"""Smallest number of reversals that are solved simultaneously [1]. Chosen: equal to `fitting.dynamics._events._MANY`; a
+smaller value does so although the number of events may still change, a larger one costs time."""
 _SPARE_EVENTS = 20
-"""Stops and reversals of a trial beyond twice those of the measured motion [1]. Chosen: a smaller value refuses trials
-that converge, a larger one delays the failure of trials that chatter."""
+"""Largest number of stops and reversals of a trial in addition to twice those of the measured motion [1]. Chosen: a
+smaller value refuses trials that converge, a larger one delays the failure of trials that chatter."""
 _FEW_SINGLE = 40
-"""Stretches between reversals that may be integrated one by one [1]. Chosen: each takes as long as all of them at once;
-a smaller value refuses trials that converge, a larger one costs time."""
+"""Largest number of stretches between reversals that are integrated one by one [1]. Chosen: one stretch takes as long
+as all of them simultaneously; a smaller value refuses trials that converge, a larger one costs time."""
 _HALVINGS = 2
-"""Bisections of the step between two solutions at most [1]. Chosen: fewer refuse long steps, more cost time in hopeless
-ones."""
+"""Largest number of bisections of the step between two solutions [1]. Chosen: fewer refuse long steps, more delay
+failures."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Rows that a model predicts, their derivatives by the variables of the fit, and the solution."""
+    """Rows that a model predicts, their derivatives with respect to the variables of the fit, and the solution."""
 
     rows: Array
-    columns: Array  # (rows, own): derivatives by the variables on which this case depends
+    columns: Array  # (rows, own): derivatives with respect to the variables on which this case depends
     places: NDArray[np.intp]  # (own,): indices of these variables
     count: int  # number of all variables of the fit
     path: Path
@@ -234,7 +235,7 @@ class Prediction:
 
     @property
     def jacobian(self) -> Array:
-        """Derivatives by all variables of the fit, (rows, variables)."""
+        """Derivatives with respect to all variables of the fit, (rows, variables)."""
         dense = np.zeros((len(self.rows), self.count))
         dense[:, self.places] = self.columns
         return dense
@@ -274,11 +275,11 @@ class CaseModel:
         self._columns: dict[str, AngleRows] = {}
 
     def solve(self, theta: Array, halvings: int = _HALVINGS) -> Path:
-        """Integrate the smooth part of the model; over many reversals, by continuation from the last solution.
+        """Integrate the smooth part of the model; with many reversals, by continuation from the last solution.
 
         Over hundreds of reversals a change of the frequency accumulates, and Newton's method converges only if each
-        reversal is near its previous time. Integration from one reversal to the next takes a hundred times as long, so
-        a trial that is too far away even in short steps raises an error instead.
+        reversal is near its previous time. Integration from one reversal to the next takes a hundred times as long.
+        Therefore a trial that fails even in short steps raises an error.
         """
         last = self._last
         known = self._measured(theta) if last is None else last[1]
@@ -302,7 +303,7 @@ class CaseModel:
 
     @cached_property
     def _most_events(self) -> int:
-        """Number of stops and reversals beyond which a trial has nothing in common with the measured motion."""
+        """Largest number of stops and reversals of a trial; with more, it is unrelated to the measured motion."""
         sense = np.sign(self.data.initial_speeds[1][:, 1])
         turned = int((sense[1:] != sense[:-1]).sum())
         return _SPARE_EVENTS + 2 * max(turned, len(self.data.motion.reversals))
@@ -345,7 +346,7 @@ class CaseModel:
         return Path(mesh, y, edges, self.dynamics.states[:n], sense, jumps=jumps, exact=False)
 
     def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
-        """Return the mesh with an edge at each measured reversal, their indices, and the sense of each interval."""
+        """Return the mesh with an edge at each measured reversal, the indices of these, and the senses of intervals."""
         motion = self.data.motion
         times: tuple[float, ...] = ()
         if "deflection" in self.dynamics.states:
@@ -363,7 +364,7 @@ class CaseModel:
         return mesh, {int(i): np.eye(len(first)) for i in at}, sense
 
     def predict(self, theta: Array) -> Prediction:
-        """Return rows and derivatives at these variables."""
+        """Return rows and derivatives at these values of the variables."""
         path = self.solve(theta)
         numbers = self.layout.numbers(theta, self.case)
         sensitivity = sensitivities(self.dynamics, numbers, path)
@@ -385,7 +386,7 @@ class CaseModel:
         return Prediction(rows, columns, self.places, len(theta), path, sensitivity)
 
     def response_to_angles(self, prediction: Prediction, theta: Array) -> Array | None:
-        """Return the response to all laws of an angle, which the path does not contain; None if there are none.
+        """Return the response to all laws of an angle, which is not part of the path; None without such laws.
 
         Returns
         -------
@@ -400,13 +401,13 @@ class CaseModel:
         return np.sum([f for f in found if f is not None], axis=0) if found else None
 
     def forget_columns(self) -> None:
-        """Discard the responses to laws of an angle, which the next prediction then computes again."""
+        """Clear the cached responses to laws of an angle; the next prediction computes them again."""
         self._columns.clear()
 
     def _add(self, effect: Effect, numbers: dict[str, float], rows: Array, columns: Array) -> None:
         known = self._columns[effect.name]
         sine, cosine = known.columns.T
-        # a held parameter has no column
+        # a fixed parameter has no column
         keys = {p.role: f"{effect.name}.{p.symbol}" for p in effect.parameters}
         places = {role: int(self.layout.places(self.case, [key])[0]) for role, key in keys.items()}
         k = numbers[keys["amplitude"]] if "amplitude" in keys else 1.0
@@ -421,7 +422,7 @@ class CaseModel:
     def unit_columns(
         self, effect: Effect, path: Path, sensitivity: Sensitivity, numbers: dict[str, float]
     ) -> tuple[Array, Array]:
-        """Return the derivatives of the rows by the strengths at phase 0 and at a quarter period."""
+        """Return the derivatives of the rows with respect to the strengths at phase 0 and at a quarter period."""
         sine, cosine = self._rows_of(effect, path, sensitivity, numbers).columns.T
         return sine, cosine
 
@@ -439,7 +440,7 @@ class CaseModel:
     def integration_errors(self, prediction: Prediction, theta: Array) -> Array:
         """Return the effect of the error of an integrated angle on the rows, one column for each independent part.
 
-        White noise of measured speeds is a random walk of their integral; over a time T with variance v, its
+        White noise of measured speeds causes a random walk of their integral. If its variance after a time T is v, its
         Karhunen-Loeve expansion has the parts sqrt(2 v) sin(w t) / (w T), w = (j - 1/2) pi / T.
         """
         run, effects = self.data.casing, self.layout.model.angle_dependent

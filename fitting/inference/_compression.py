@@ -1,10 +1,10 @@
 """Lossless compression of samples by projection on polynomials.
 
-The samples of a block are projected on polynomials in time, and on the first two harmonics of the measured
-angle, by a weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so its
-chi-square depends only on these projections; the orthogonal part of the samples is noise. Polynomials of the next
-higher degrees contain no model either: they measure the noise at low frequencies, where it matters, including any
-correlation between neighbouring samples.
+The samples of a block are projected on polynomials in time, and on the first two harmonics of the measured angle, by a
+weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so its chi-square
+depends only on these projections; the orthogonal part of the samples is noise. The model has no component along
+polynomials of the next higher degrees either. Their rows measure the noise at the low frequencies that are relevant,
+including any correlation between neighbouring samples.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ HARMONICS = 4
 """Rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which the camera's centre and
 tilt cause."""
 _MIN_INDEPENDENCE = 0.2
-"""Amplitude orthogonal to the polynomials from which a harmonic has rows, relative to its amplitude [1]. Chosen: a
-smaller value adds rows of slow blocks that contain motion, a larger one drops information about harmonics."""
+"""Smallest amplitude orthogonal to the polynomials for which a harmonic has rows, relative to its amplitude [1].
+Chosen: a smaller value adds rows of slow blocks that contain motion, a larger one drops information about harmonics."""
 _SMALL_CHANGE = 1e-3
 """Change of an angle below which the integrals of its harmonics are series [rad]. Derived: the neglected fourth power
 is 1e-12."""
 _MIN_RESPONSE = 1e-6
-"""Share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than rounding [1].
-Chosen: a smaller value adds rows of rounding, a larger one drops weak responses."""
+"""Smallest share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than
+rounding [1]. Chosen: a smaller value adds rows of rounding, a larger one drops weak responses."""
 
 
 def _harmonics(y: Array) -> Array:
@@ -45,10 +45,10 @@ def _harmonics(y: Array) -> Array:
 
 
 def independent_harmonics(y: Array, polynomials: Array) -> Array:
-    """Return cos y, sin y, cos 2y, sin 2y, with zeros for those that are nearly polynomials here.
+    """Return cos y, sin y, cos 2y, sin 2y, with zeros for harmonics that are nearly polynomials.
 
-    In less than a turn a harmonic contains no further information; its part orthogonal to the polynomials would be the
-    noise of y, not a signal. For a casing at rest the whole harmonic is noise.
+    In less than a turn a harmonic contains no further information: its part orthogonal to the polynomials would be
+    noise of y. For a casing at rest the whole harmonic is noise.
     """
     waves = _harmonics(y)
     r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))
@@ -63,12 +63,11 @@ def integrated(time: Array, values: Array) -> Array:
 
 
 def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
-    """Return speeds and angles by accelerations cos(m psi) and sin(m psi), m = 1 and 2, (samples, 4) each.
+    """Return speeds and angles due to accelerations cos(m psi) and sin(m psi), m = 1 and 2, (samples, 4) each.
 
-    Between samples the angle is interpolated linearly: over a step h with the change x of m psi the speed gains
-    h Re or Im of exp(i m psi) (exp(i x) - 1) / (i x), and the angle h^2 exp(i m psi) (1 + i x - exp(i x)) / x^2 beyond
-    h times the speed. The initial state is that of no drift, up to an error of the order of an amplitude over the
-    number of turns.
+    Between samples the angle is interpolated linearly: over a step h with the change x of m psi the speed gains h Re or
+    Im of exp(i m psi) (exp(i x) - 1) / (i x), and the angle h^2 exp(i m psi) (1 + i x - exp(i x)) / x^2 beyond h times
+    the speed. The initial state gives no drift, up to an error of the order of amplitude / number of turns.
     """
     step = np.diff(time)[:, None]
     phase = psi[:, None] * [1, 2]
@@ -90,18 +89,18 @@ def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
 
 
 _TIME_CONSTANTS = 8
-"""Time constants with which the responses to an input are computed [1]. Chosen: fewer leave responses to other time
-constants in the noise, more need rows."""
+"""Number of time constants for the responses to an input [1]. Chosen: fewer leave responses to other time constants in
+the noise, more need rows."""
 _SHORTEST = 2.0
-"""Shortest time constant of a response to an input over the sampling interval [1]. Chosen: a smaller value is not
-resolved, a larger one leaves fast responses in the noise."""
+"""Shortest time constant of a response to an input, relative to the sampling interval [1]. Chosen: a smaller value is
+not resolved, a larger one leaves fast responses in the noise."""
 
 
 def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) -> Array:
     """Return speeds, or angles, of bodies of the first order that inputs drive, (samples, columns).
 
     d(y)/dt = (u - y) / tau, for time constants from twice the sampling interval to the length of the record: sums of
-    them are close to the response with any time constant between. The input is its mean in each sampling interval.
+    these responses are close to the response for any time constant in between. The input is averaged over intervals.
     """
     from scipy.signal import lfilter
 
@@ -122,20 +121,20 @@ def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) ->
 
 
 _ABRUPT = 0.1
-"""Smallest size of an abrupt change over the range of the input [1]. Chosen: a smaller value cuts blocks at noise, a
-larger one lets a block contain a kink."""
+"""Smallest size of an abrupt change, relative to the range of the input [1]. Chosen: a smaller value cuts blocks at
+noise, with a larger one a block may contain a kink."""
 _MOST_STEPS = 12
-"""Abrupt changes up to which an input is a sequence of steps [1]. Chosen: more leave blocks without enough samples,
-fewer refuse stepped inputs."""
+"""Largest number of abrupt changes of an input that is a sequence of steps [1]. Chosen: more leave blocks without
+enough samples, fewer refuse stepped inputs."""
 _AFTER_STEP = (20, 40)
-"""Samples of the first blocks after a step [samples]. Chosen: the response changes fastest there and later blocks are
-of usual length; fewer leave none for the noise, more need a higher degree."""
+"""Number of samples of the first blocks after a step [samples]. Chosen: the response changes fastest there, and later
+blocks have the usual length; fewer leave no samples for the noise, more need a higher degree."""
 
 
 def cuts_at_steps(time: Array, inputs: Sequence[Input]) -> NDArray[np.int_]:
     """Return the samples at which blocks begin because an input changes abruptly: short ones after each step.
 
-    There the motion has a kink, and changes fastest after it. An input that changes too often gives none.
+    The motion has a kink at the step and changes fastest after it. An input that changes too often is not used.
     """
     cuts: list[int] = []
     for i in inputs:
@@ -149,7 +148,7 @@ def cuts_at_steps(time: Array, inputs: Sequence[Input]) -> NDArray[np.int_]:
 
 
 def _with_cuts(edges: NDArray[np.int_], cuts: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return the edges of blocks with further ones, without blocks of fewer samples than the first one after a step."""
+    """Return the edges of blocks with `cuts` added, without blocks shorter than the first block after a step."""
     least = _AFTER_STEP[0]
     kept = [int(edges[0])]
     for c in cuts:
@@ -162,7 +161,7 @@ def _with_cuts(edges: NDArray[np.int_], cuts: NDArray[np.int_]) -> NDArray[np.in
 
 
 def harmonic_scatter(rows: Array) -> Array:
-    """Return the scatter of harmonics from block to block over the noise, at least 1.
+    """Return the scatter of harmonics between blocks divided by the noise, at least 1.
 
     Tracking artefacts (a smoothed centre, a marker degraded by the codec) vary from block to block; harmonics of a
     torque are smooth in time, so their second difference is small.
@@ -179,24 +178,24 @@ CASING_DEGREE = 7
 """Degree of the polynomial of a block of the casing [1]. Chosen: a smaller value does not follow the motion, a larger
 one costs rows."""
 ROTOR_DEGREE = 7
-"""Degree of the polynomial of a window of the rotor [1]. Chosen: as `CASING_DEGREE`; a smaller value does not follow
-the motion, a larger one costs rows."""
+"""Degree of the polynomial of a window of the rotor [1]. Chosen: equal to `CASING_DEGREE`; a smaller value does not
+follow the motion, a larger one costs rows."""
 NOISE_ROWS = 14
-"""Further polynomials of a block, from which the white noise is measured [1]. Chosen: fewer measure it less precisely,
-more measure it at frequencies that do not matter."""
+"""Number of further polynomials of a block, which measure the white noise [1]. Chosen: fewer are less precise, more
+measure the noise at irrelevant frequencies."""
 BLOCKS = 60
 """Blocks of a record of angles [1]. Chosen: fewer need a higher degree, more leave few samples for the noise."""
 _MIN_SAMPLES = 60
-"""Samples of a block at least [samples]. Chosen: fewer leave none for the noise, more blur fast parts of the motion."""
+"""Smallest number of samples of a block [samples]. Chosen: fewer leave none for the noise, more blur fast motion."""
 _SPEED_RATIO = 1.6
 """Ratio of the speeds in a block above which it is cut [1]. Chosen: a smaller value makes short blocks, a larger one
 fits one polynomial to a changing angle."""
 _AT_REST = 0.003
 """Speed at rest, as a share of the largest [1]. Source: the casing of the paper, 0.5 rad/s of 160 rad/s."""
 _MOST_CUTS = 12
-"""Cuts of a record at most [1]. Chosen: fewer leave fast changes in a block, more leave few samples for the noise."""
+"""Largest number of cuts [1]. Chosen: fewer leave fast changes in a block, more leave few samples for the noise."""
 _BINS = 128
-"""Groups of samples of a block [1]. Chosen: fewer blur short correlations, more cost time and memory."""
+"""Number of groups of samples of a block [1]. Chosen: fewer blur short correlations, more cost time and memory."""
 _SAME = 1e-7
 """Smallest range of a harmonic that is more than rounding [1]. Chosen: a smaller value adds rows of rounding, a larger
 one drops slowly turning bodies."""
@@ -216,7 +215,7 @@ class Compressed:
     z: Array  # polynomial rows of all blocks, in units of the noise
     harmonic: Array  # projections on the harmonics, in units of the noise
     operators: tuple[tuple[slice, Array], ...]  # samples of each block and the rows that project them
-    scale: float  # noise over the sigma that came with the data
+    scale: float  # noise, divided by the stated sigma
     rest: float  # chi-square of the samples orthogonal to all rows, in units of the calibrated noise
     rest_dof: int
     n_effective: float  # number of samples, reduced by their correlation
@@ -238,13 +237,13 @@ class Compressed:
 
     @cached_property
     def harmonic_exists(self) -> NDArray[np.bool_]:
-        """Which rows of harmonics are not zero because polynomials of the block represent them."""
+        """Mask of the rows of harmonics that polynomials of the block do not represent."""
         k = self.lift.shape[1]
         return np.concatenate([operator[k:].any(axis=1) for _, operator in self.operators])
 
     @cached_property
     def binned_operators(self) -> list[tuple[Array, Array]]:
-        """For each block the mean times of groups of samples, and the polynomial rows of a constant in each."""
+        """For each block, the mean times of groups of samples, and the polynomial rows of a constant in each group."""
         return self.operators_of_bins(_BINS)
 
     def operators_of_bins(self, bins: int) -> list[tuple[Array, Array]]:
@@ -275,12 +274,12 @@ def compress(
     """Project the samples of a series block by block, with the noise calibrated on the rows that contain no model.
 
     `degree` is the highest power of the polynomials; the first two harmonics of `angle` [rad] (the values themselves,
-    or the integral of measured speeds) are rows of their own. `noise_rows` polynomials of each block, from the power
-    `first_noise_row` on (the next after `degree`), measure the noise: more of them where there are few blocks and
-    neighbouring samples share their noise. Without `noisy` the sigma of the samples is used. `blocks` is the largest
-    number of blocks, `samples_per_block` the smallest number of samples in one. Further blocks begin at the samples
-    `cuts`; `driven` (samples, columns) are responses to recorded inputs, which are not noise. Nor are `modes` (samples,
-    columns), errors with amplitudes of variance 1.
+    or the integral of measured speeds) are separate rows. `noise_rows` polynomials of each block, beginning with the
+    power `first_noise_row` (the next after `degree`), measure the noise; more are needed if there are few blocks and
+    the noise of neighbouring samples is correlated. Without `noisy` the sigma of the samples is used. `blocks` is the
+    largest number of blocks, `samples_per_block` the smallest number of samples in one. Further blocks begin at the
+    samples `cuts`; `driven` (samples, columns) are responses to recorded inputs, and `modes` (samples, columns) errors
+    with amplitudes of variance 1; both are not noise.
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
@@ -293,13 +292,13 @@ def compress(
     parts = [
         _block(quiet, slice(a, b), degree, noise_rows, skipped, angle, driven) for a, b in pairwise(edges)
     ]
-    # a body at rest under a coarse resolution has equal values, which contain no noise
+    # a body at rest, measured with a coarse resolution, has equal values, which contain no noise
     still = [not np.ptp(samples.value[p.where]) for p in parts]
     slow = np.concatenate([p.noise for p, rests in zip(parts, still, strict=True) if not rests or all(still)])
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
-    # without noise, as in a computed table, rounding and the error of the integration are what remains
+    # without noise, as in a computed table, only rounding and the error of the integration remain
     least = (TOLERANCE * float(np.abs(samples.value).max()) / float(np.median(samples.sigma))) ** 2
     variance, fast = max(variance, least), max(fast, least)
     scale = float(np.sqrt(variance)) if variance > 0 else 1.0
@@ -327,10 +326,10 @@ def compress(
 
 
 def _without_modes(samples: Samples, modes: Array, edges: NDArray[np.int_], degree: int) -> Samples:
-    """Return samples without the posterior mean of the errors that differ from a polynomial in a block.
+    """Return samples minus the posterior mean of the errors that are not polynomials within a block.
 
-    With F and r the modes and the values over sigma, beside a polynomial in each block, the amplitudes of variance 1
-    are (F'F + 1)^-1 F'r. What is slow in a block is left to the fit.
+    With F and r the modes and the values, divided by sigma and without a polynomial in each block, the amplitudes of
+    variance 1 are (F'F + 1)^-1 F'r. The fit estimates the errors that are slow within a block.
     """
     gram, moment = np.eye(modes.shape[1]), np.zeros(modes.shape[1])
     for a, b in pairwise(edges):
@@ -350,7 +349,7 @@ def _cut_where_slow(time: Array, angles: Array, edges: NDArray[np.int_]) -> NDAr
 
     A torque periodic in the angle changes it by an amplitude proportional to 1 / speed^2: nearly all information about
     it is in the few turns in which the casing is slowest, a small part of a block. The blocks of a record in which the
-    casing comes to rest are not divided: there the ratio of speeds diverges within less than a turn.
+    casing comes to rest are not divided: in such a block the ratio of speeds diverges within less than a turn.
     """
     pieces = np.arange(0, len(time) - _MIN_SAMPLES + 1, _MIN_SAMPLES)
     last = pieces + _MIN_SAMPLES - 1
@@ -399,18 +398,18 @@ def _block(
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
     periodic, responses = np.zeros((len(t), 0)), np.zeros((len(t), 0))
     if angle is not None:
-        # smoothed: the noise of the measured angle would be correlated with the harmonics, and where these are nearly
-        # polynomials it would enter the rows that measure the noise
+        # smoothed, because the noise of the measured angle would be correlated with the harmonics, and would enter the
+        # rows that measure the noise if the harmonics are nearly polynomials
         smooth = np.linalg.qr(powers[:, :k] / sigma[:, None])[0]
         smoothed = smooth @ (smooth.T @ (angle[where] / sigma)) * sigma
         psi = smoothed if angle is samples.value else angle[where]
         responses = responses_to_harmonics(t, smoothed)[int(angle is samples.value)]
-        # a harmonic that is the same in all pulses would, of the smoothed angle, be the error of their times
+        # a harmonic that is equal in all pulses would, for the smoothed angle, be the error of the times of the pulses
         varies = np.ptp(_harmonics(angle[where]), axis=0) > _SAME
         periodic = independent_harmonics(psi, powers[:, :k]) * varies
         responses = responses * np.repeat(varies.reshape(2, 2).any(axis=1), 2)
     chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
-    # a torque periodic in the angle is not noise: its response is not a harmonic where the speed changes
+    # a torque periodic in the angle is not noise, but its response is not a harmonic where the speed changes
     model = np.concatenate([powers[:, :k], periodic[:, chosen]], axis=1) / sigma[:, None]
     responses = responses / sigma[:, None]
     rest_of = responses - model @ np.linalg.lstsq(model, responses, rcond=None)[0]
@@ -440,8 +439,8 @@ def _block(
 
 
 _INDEPENDENT = 1e-4
-"""Smallest relative singular value of responses and polynomials that are independent [1]. Chosen: a smaller value lets
-the rounding of the times enter the noise, a larger one loses rows of the noise."""
+"""Smallest relative singular value of independent responses and polynomials [1]. Chosen: with a smaller value rounding
+of the times is part of the noise, a larger one loses rows of the noise."""
 _TINY = 1e-300
 """Smallest norm of a column [1]. Derived: the quotient of zero and it is zero."""
 _DEPENDENT = 1e-6
@@ -450,10 +449,10 @@ value keeps rounding, a larger one leaves a part of the response in the noise.""
 
 
 def _independent(model: Array, responses: Array, higher: Array, skipped: int) -> tuple[Array, Array]:
-    """Return responses and higher polynomials of a block, whose last ones measure the noise, as independent columns.
+    """Return responses and higher polynomials of a block as independent columns; the last ones measure the noise.
 
-    In a few turns a response is nearly a polynomial: the directions of a QR decomposition would be those of rounding.
-    Such a response is dropped, and the first `skipped` higher polynomials stand for it.
+    In a few turns a response is nearly a polynomial, and rounding would determine the directions of a QR decomposition.
+    Such a response is replaced by the first `skipped` higher polynomials.
     """
     columns = np.concatenate([model, responses, higher], axis=1)
     values = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), _TINY), compute_uv=False)
@@ -464,7 +463,7 @@ def _independent(model: Array, responses: Array, higher: Array, skipped: int) ->
     u, s, _ = np.linalg.svd(rest - known @ (known.T @ rest), full_matrices=False)
     responses = u[:, s > _INDEPENDENT]
     known = np.concatenate([known, responses], axis=1)
-    # the highest polynomials are noise with most certainty
+    # the highest polynomials most certainly contain only noise
     noise = higher[:, skipped:][:, ::-1]
     noise = noise - known @ (known.T @ noise)
     r = np.abs(np.diag(np.linalg.qr(noise, mode="r")))

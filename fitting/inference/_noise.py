@@ -1,16 +1,16 @@
 """Covariance of the rows of a case, and the level of random torque in the residuals of a model.
 
-Rows in units of the white noise of the angles have the covariance C(s) = 1 + s^2 K, K their response to an
-Ornstein-Uhlenbeck torque of rms 1 N m on the casing and another one between the bodies, with the correlation time of
-the process noise of the recording. Rows of harmonics of the angle respond to the torque of their frequency alone, with
-a variance each.
+Rows in units of the white noise of the angles have the covariance C(s) = 1 + s^2 K. K is the covariance of their
+response to two independent Ornstein-Uhlenbeck torques of rms 1 N m, on the casing and between the bodies, with the
+correlation time of the process noise of the recording. The row of a harmonic of the angle responds only to the torque
+at its frequency and has a separate variance.
 
-Two levels matter. The *pure* level is that of the recording (`fitting.inference._process_noise`): no model enters,
-and chi-square and cross-validation errors of every fit of the recording use it. The *level* of a fit is the maximum of
-the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack of fit, and smaller
-if the model needs less random torque than the recording alone can exclude. Parameters and rival models are estimated at
-this level, so that a model that fails by a thousand standard deviations somewhere is not dominated by its worst
-interval. Tests of a fit use the smaller of the two.
+Two levels matter. The *pure* level is a property of the recording (`fitting.inference._process_noise`): it does not
+depend on a model, and chi-square and cross-validation errors of every fit of the recording use it. The *level* of a fit
+is the maximum of the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack
+of fit, and smaller if the model needs less random torque than the recording alone can exclude. Parameters are
+estimated, and rival models compared, at this level, so that an interval with residuals of a thousand standard
+deviations does not dominate the fit. Tests of a fit use the smaller of the two levels.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ WHITE = Whitener(np.zeros((0, 0)), np.zeros(0))
 class Noise:
     """Noise of one case, and the random torque in the residuals of a model."""
 
-    scale: float  # white noise of the casing's samples over the sigma that came with them
-    # rms of the process noise of the recording [N m], on the casing and between the bodies, each, and its standard
+    scale: float  # white noise of the casing's samples, divided by their stated sigma
+    # rms of the process noise of the recording [N m], equal on the casing and between the bodies, and its standard
     # uncertainty
     pure: float
     pure_u: float
@@ -98,16 +98,16 @@ class Noise:
     time: float  # correlation time of both [s]
     whitener: Whitener = field(repr=False)  # at `level`
     process: ProcessNoise = field(repr=False)  # the process noise as an acceleration
-    # twice the logarithm of the likelihood ratio of the most likely level against no random torque
+    # twice the log-likelihood ratio of the most likely level to no random torque
     excess: float = 0.0
-    # rms of the random torque [N m] that the residuals do not exclude, where `level` is not significant and the
-    # angle noise is correlated
+    # rms of the random torque that the residuals do not exclude [N m], if `level` is not significant and the angle
+    # noise is correlated
     unresolved: float = 0.0
-    # whether `level` is limited, and says nothing about what the model needs
+    # whether `level` is at its upper limit; the model may then need a larger level
     limited: bool = False
-    # whether all cases of a joint fit have the same level, because the model describes each of them alone
+    # whether all cases of a joint fit have the same level, because the model describes each case alone
     common: bool = False
-    # variables of the motion about which the response of the rows is linearised, by their names in the fit
+    # variables of the motion at which the response of the rows is linearised, by their names in the fit
     about: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def at(self, level: float) -> Noise:
@@ -116,12 +116,12 @@ class Noise:
 
     @property
     def with_unresolved(self) -> Noise:
-        """The noise that the uncertainties of parameters include."""
+        """The noise including `unresolved`, from which the uncertainties of parameters are computed."""
         return self.at(max(self.level, self.unresolved))
 
     @property
     def tested(self) -> float:
-        """The level at which residuals are tested [N m]: of the recording, or of the model if it needs less.
+        """The level at which residuals are tested [N m]: that of the recording, or that of the fit if it is smaller.
 
         The recording alone may not exclude a random torque that would hide a lack of fit of the model.
         """
@@ -134,13 +134,13 @@ class Noise:
 
     @property
     def raised(self) -> bool:
-        """Whether the model may need more random torque than the recording has."""
+        """Whether the model may need more random torque than the recording contains."""
         return self.level > _MORE * self.least
 
 
 @dataclass(frozen=True)
 class TorqueNoise:
-    """A random torque: rms [N m] on the casing and between the bodies, each, and correlation time [s]."""
+    """A random torque: rms [N m], equal on the casing and between the bodies, and correlation time [s]."""
 
     rms: float
     time: float
@@ -149,8 +149,7 @@ class TorqueNoise:
 def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shares: Sequence[float]) -> Array:
     """Return the probability of a larger chi-square, with the uncertain process noise of the cases integrated out.
 
-    `noise` is empty for white noise alone; `shares` are those of the process noise of each case in the summed
-    variance.
+    `noise` is empty for white noise alone; `shares` are the fractions of the variance due to each case's process noise.
     """
     from scipy.special import chdtrc
 
@@ -160,7 +159,7 @@ def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shar
 
 
 def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Array, Array]:
-    """Return factors by which the variance of a sum of squares may be wrong, and their probabilities.
+    """Return possible ratios of the true to the assumed variance of a sum of squares, and their probabilities.
 
     The process noise of each case is known with an uncertainty (see `tail_probability`); cases have equal weights.
     """
@@ -174,9 +173,9 @@ def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Ar
 def variance_factor(chi2: float, dof: int) -> float:
     """Return the expected factor by which the variance of residuals exceeds that of the noise.
 
-    The noise alone (factor 1) and a lack of fit, with an inverse factor that is uniform between 0 and 1, have equal
-    prior probabilities. A chi-square that is consistent with the noise hardly changes the standard errors; the factor
-    of a significant one approaches chi2/dof, that of R. T. Birge, Phys. Rev. 40, 207 (1932).
+    Noise alone (factor 1) and a lack of fit have equal prior probabilities; the prior of the inverse factor of a lack
+    of fit is uniform between 0 and 1. If chi-square is consistent with the noise, the standard errors hardly change. If
+    it is significant, the factor approaches chi2/dof (R. T. Birge, Phys. Rev. 40, 207 (1932)).
     """
     from scipy.special import gammainc, gammaln
 
@@ -190,32 +189,32 @@ def variance_factor(chi2: float, dof: int) -> float:
 
 
 _LEAST_SHARE = 0.1
-"""Lowest trial level, in units to which the most responsive row responds as much as to white noise [1]. Chosen: a lower
-one changes no row noticeably, a higher one leaves a gap above zero."""
+"""Lowest trial level, divided by the level at which the response of the most responsive row equals the white noise [1].
+Chosen: a lower one changes no row noticeably, a higher one leaves a gap above zero."""
 _EVIDENCE = 2.7
-"""Twice the logarithm of the likelihood ratio from which on residuals show a random torque [1]. Derived: without one it
-exceeds this in 5 % of the recordings (half of chi-square with one degree of freedom; S. Self, K.-Y. Liang, J. Am. Stat.
+"""Twice the log-likelihood ratio above which residuals show a random torque [1]. Derived: without a random torque it is
+larger in 5 % of the recordings (half of chi-square with one degree of freedom; S. Self, K.-Y. Liang, J. Am. Stat.
 Assoc. 82, 605 (1987))."""
 _LARGEST_SHARE = 3e5
-"""Highest trial level, in units to which the median row responds as much as to white noise [1]. Chosen: far above any
-misfit; a lower one ends at a bound."""
+"""Highest trial level, divided by the level at which the response of the median row equals the white noise [1]. Chosen:
+far above any misfit; a lower one ends at a bound."""
 _PER_DECADE = 8
 """Trial levels per decade [1]. Chosen: a coarser grid rounds the level, a finer one costs time."""
 _ROUNDING = 1e-20
-"""Share of the largest response below which a row does not respond [1]. Chosen: rows of a casing at rest have rounding
-only; a larger value excludes slow rows, a smaller one includes those at rest."""
+"""Share of the largest response below which a row does not respond [1]. Chosen: rows of a casing at rest contain only
+rounding errors; a larger value excludes slow rows, a smaller one includes rows at rest."""
 _MORE = 1.5
-"""Ratio to the lowest level that the recording allows from which on a level counts as raised [1]. Chosen: a smaller
-value calls its uncertainty a lack of fit, a larger one leaves a raised level unnoticed."""
+"""Ratio to the lowest level that the recording allows above which a level is raised [1]. Chosen: a smaller value takes
+the uncertainty of the level for a lack of fit, a larger one overlooks a raised level."""
 _LEAST_RESPONSE = 0.1
-"""Lowest unresolved level over that to which the most responsive row responds as much as to white noise [1]. Chosen: a
-lower one changes nothing, a higher one leaves a gap above zero."""
+"""Lowest unresolved level, divided by the level at which the response of the most responsive row equals the white noise
+[1]. Chosen: a lower one changes nothing, a higher one leaves a gap above zero."""
 _LEAST_EXPECTED = 0.03
-"""Lowest unresolved level over the expected one [1]. Chosen: a lower one changes nothing, a higher one leaves a gap
-above zero."""
+"""Ratio of the lowest unresolved level to the expected level [1]. Chosen: a lower one changes nothing, a higher one
+leaves a gap above zero."""
 _MOST_EXPECTED = 4.0
-"""Highest unresolved level over the expected one [1]. Chosen: a normal prior has 6e-5 beyond it; a smaller value cuts
-the prior, a larger one makes the grid coarser."""
+"""Ratio of the highest unresolved level to the expected level [1]. Chosen: a normal prior has a probability of 6e-5
+beyond it; a smaller value cuts the prior, a larger one makes the grid coarser."""
 _UNRESOLVED_LEVELS = 16
 """Number of unresolved levels [1]. Chosen: fewer make the posterior mean coarse, more cost time."""
 
@@ -223,9 +222,9 @@ _UNRESOLVED_LEVELS = 16
 def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
     """Return the most likely level of random torque, and twice the log-likelihood ratio against no random torque.
 
-    The likelihood is restricted: `free` (rows, columns), derivatives by the parameters and nuisance, is integrated
-    out. The level is set to zero if white noise alone would show as much evidence in one recording of twenty, because
-    it would double the standard errors of parameters whose effect resembles a slow torque.
+    The likelihood is restricted: the columns `free` (rows, columns), derivatives with respect to parameters and
+    nuisance parameters, are integrated out. The level is set to zero if white noise alone gives as much evidence in one
+    recording of twenty. It would double the standard errors of parameters whose effect resembles a slow torque.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
@@ -239,7 +238,7 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
 
 
 def _trial_levels(responses: Array) -> Array:
-    """Return zero, and levels from one that hardly changes the most responsive row to one far above any misfit."""
+    """Return zero, and levels from one that hardly changes any row to one far above any misfit."""
     first, last = _LEAST_SHARE / np.sqrt(responses.max()), _LARGEST_SHARE / np.sqrt(np.median(responses))
     count = int(np.ceil(_PER_DECADE * np.log10(last / first))) + 1
     return np.concatenate([[0.0], np.geomspace(first, last, count)])
@@ -249,11 +248,10 @@ def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected:
     """Return the rms random torque that residuals do not exclude [N m]: the root of the posterior mean of s^2.
 
     In a short record, or for slow torques, the most likely level is often zero although larger levels are as likely;
-    the standard errors of parameters would not include them. With equal prior probabilities there is no random
-    torque, or one whose rms has the positive half of a normal distribution of standard deviation `expected` [N m]:
-    the level of the recording, a posterior mean, whose own heavy tail is integrated out already. So the mean of s^2
-    is half of `expected`^2 where the residuals say nothing. Where they exclude most of these levels, no random torque
-    is far more probable.
+    the standard errors of parameters would not include these. The prior has probability 1/2 for no random torque, and
+    1/2 for a half-normal distribution of the rms with standard deviation `expected` [N m]. This is the level of the
+    recording, a posterior mean, whose heavy tail is already integrated out. If the residuals contain no information,
+    the mean of s^2 is half of `expected`^2. If they exclude most levels, no random torque is far more probable.
     """
     rotated, values = _rotated(whitener, residual, free)
     largest = values.max(initial=0.0)
@@ -277,7 +275,7 @@ def _rotated(whitener: Whitener, residual: Array, free: Array) -> tuple[Array, A
 
 
 def _peak(levels: Array, likelihood: Array) -> float:
-    """Return the level of the highest likelihood, between the levels of the grid by a parabola in its logarithm."""
+    """Return the level of the highest likelihood, interpolated by a parabola in the logarithm of the level."""
     i = int(np.argmax(likelihood))
     if not 1 <= i < len(levels) - 1 or levels[i - 1] <= 0:
         return float(levels[i])
@@ -298,11 +296,11 @@ def _deviance(rotated: Array, variance: Array) -> float:
 
 
 _CELLS_PER_ROW = 2.5
-"""Cells of the random torque per row [1]. Chosen: as in `fitting.inference._process_noise`; fewer blur the response of
-the highest row, more cost time."""
+"""Cells of the random torque per row [1]. Chosen: equal to that of `fitting.inference._process_noise`; fewer blur the
+response of the highest row, more cost time."""
 _GROUPS = 8
-"""Groups of cells of which the first rows that respond are known [1]. Chosen: another value costs time and does not
-change the result."""
+"""Number of groups of cells that skip the rows before their first response [1]. Chosen: another value costs time and
+does not change the result."""
 
 
 class TorqueResponse:
@@ -343,9 +341,9 @@ class TorqueResponse:
 
     @cached_property
     def _by_time(self) -> tuple[NDArray[np.intp], list[tuple[int, slice]], list[Array]]:
-        """Return the rows in the order of the last cell that changes them, groups of cells, and both responses.
+        """Return the order of the rows by the last cell that affects them, groups of cells, and both responses.
 
-        A torque changes no earlier row: a group of cells changes only the rows from its `first` on.
+        A torque does not affect earlier rows: a group of cells affects only rows from its `first` on.
         """
         responses = [self.casing.T, (self.casing - self.rotor).T]
         changed = np.any([w != 0 for w in responses], axis=0)
@@ -366,8 +364,8 @@ class TorqueResponse:
     def _harmonic_variances(self, time: float) -> Array:
         """Return the variances of the rows of harmonics for torques of rms 1 N m.
 
-        Such a row responds to the torque of its frequency, m times the speed, of which neighbouring blocks are
-        independent.
+        Such a row responds to the torque at its frequency, m times the speed. This torque is independent in
+        neighbouring blocks.
         """
         record = self.data.record
         directions = (0.0, 1 / record.I_casing), (-1 / record.I_rotor, 1 / record.I_casing)
@@ -391,7 +389,7 @@ def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Arr
         else:
             response = motion.fundamental(times)[:, state] @ impulses.T
         response = np.where(times[:, None] > centres, response, 0.0)
-        # within its cell a torque has acted for a part of the cell only
+        # a row within a cell responds only to the part of the cell before it
         cell = np.clip(np.searchsorted(cells, times, side="right") - 1, 0, len(centres) - 1)
         since = times - cells[cell]
         acceleration = motion.accelerations(direction)[state] * (motion.moving(times) if state else 1.0)
@@ -401,7 +399,7 @@ def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Arr
 
 
 def decaying_sums(w: Array, decay: float) -> Array:
-    """Return the sums over l >= k of decay^(l-k) w_l, one row a cell."""
+    """Return the sums over l >= k of decay^(l-k) w_l, one row per cell."""
     sums = w.copy()
     for k in range(len(sums) - 2, -1, -1):
         sums[k] += decay * sums[k + 1]

@@ -1,18 +1,18 @@
-"""The parameter vector of a fit, and transformed variables in which its least-squares problem is nearly linear.
+"""The parameter vector of a fit, and transformed variables that make its least-squares problem nearly linear.
 
-For a law d x^m and a power law f x^g on the same body, chi-square has a curved valley in (d, f, g): near g = m both are
-the same. With X = x / x_ref they are T1 X^m + K (X^g - X^m) / (g - m), where T1 is the torque at x_ref and K its
-curvature:
+For a law d x^m and a power law f x^g on the same body, chi-square has a curved valley in (d, f, g): near g = m the two
+laws are the same. With X = x / x_ref their sum is T1 X^m + K (X^g - X^m) / (g - m), where T1 is the torque at x_ref and
+K its curvature:
 
     T1 = d x_ref^m + f x_ref^g,    K = (g - m) f x_ref^g.
 
 This applies to the bearing's d D + f D^g, with m = 1, and to any power law that a user adds to a law of fixed power. A
-single power law has the variable F = f x_ref^g instead of f. Where d or f is held at a bound, the other is replaced by
-T1, which the data determine well.
+single power law has the variable F = f x_ref^g instead of f. If one of d and f is fixed at a bound, the other is
+replaced by T1, which the data determine well.
 
-A law of strength k and phase phi is k [cos(phi) s + sin(phi) c] with its responses s and c at phase 0 and at a quarter
-period. In k and phi the derivative by phi vanishes at k = 0, and a search cannot leave the bound k = 0 in the opposite
-phase. In
+A law of strength k and phase phi has the response k [cos(phi) s + sin(phi) c], with the unit responses s and c at phase
+0 and at a quarter period. The derivative with respect to phi vanishes at k = 0, and a search cannot leave the bound k =
+0 towards the opposite phase. In the variables
 
     a = k cos(phi),   b = k sin(phi)
 
@@ -51,11 +51,9 @@ class ParameterLayout:
     model: Model  # the model
     records: tuple[Record, ...]  # the cases
     per_case: tuple[str, ...]  # parameters (keys, effects or prefixes) with a value for each case
-    # bounds, by name, within the declared ones
+    # bounds, by name, within the declared bounds
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    ties: Mapping[str, str] = field(
-        default_factory=dict
-    )  # expressions of parameters that follow others, by key
+    ties: Mapping[str, str] = field(default_factory=dict)  # expressions of dependent parameters, by key
 
     @classmethod
     def of(
@@ -106,9 +104,9 @@ class ParameterLayout:
 
     @property
     def starts(self) -> tuple[str, ...]:
-        """The initial values that each case has: both speeds, and the deflection if a torque depends on it.
+        """The initial values of each case: both speeds, and the deflection if a torque depends on it.
 
-        In a contact without slip the rotor's speed is that of the casing times the ratio.
+        In a contact without slip the speed of the rotor follows from that of the casing.
         """
         first = 0 if self.model.rigid_contact is None else 1
         return (START_ROTOR, START_CASING, START_DEFLECTION)[first : 3 if self.model.restoring else 2]
@@ -120,7 +118,7 @@ class ParameterLayout:
 
     @cached_property
     def tied(self) -> tuple[Follower, ...]:
-        """The variables that follow expressions of others."""
+        """The variables that are expressions of other variables."""
         if not self.ties:
             return ()
         trees = resolved(self.ties, self.model.free, self.model.constants)
@@ -128,7 +126,7 @@ class ParameterLayout:
 
     @cached_property
     def is_free(self) -> NDArray[np.bool_]:
-        """Which variables follow no expression."""
+        """Mask of the variables that are not expressions of other variables."""
         free = np.ones(len(self.names), dtype=bool)
         free[[one.place for one in self.tied]] = False
         return free
@@ -154,7 +152,7 @@ class ParameterLayout:
         return np.concatenate([[values[0] * self.numbers(theta, case)[f"{rigid.name}.{RATIO}"]], values])
 
     def parameter(self, name: str) -> Parameter:
-        """Return the declaration behind a name."""
+        """Return the declared parameter of a name."""
         key = name.partition("@")[0]
         return self._declared.get(key, _DEFLECTION if key == START_DEFLECTION else _START)
 
@@ -165,12 +163,12 @@ class ParameterLayout:
 
     @property
     def units(self) -> Units:
-        """Units of all torques: per unit of inertia where no case has a moment of inertia."""
+        """Units of all torques: per unit of inertia if no case has a moment of inertia."""
         return Units.common(r.units for r in self.records)
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """The initial values, without their case, of bodies that the cases do not have: no row depends on them."""
+        """Names, without the case, of initial values of absent bodies, on which no row depends."""
         present = self.records[0].parts
         return tuple(
             key for part, key in (("rotor", START_ROTOR), ("casing", START_CASING)) if part not in present
@@ -204,7 +202,7 @@ class ParameterLayout:
         return np.array([p.lower for p in declared]), np.array([p.upper for p in declared])
 
     def at_bound(self, theta: Array) -> NDArray[np.bool_]:
-        """Return which variables are at a bound."""
+        """Return a mask of the variables at a bound."""
         lower, upper = self.bounds()
         near = 1e-9 * np.maximum(np.abs(theta), 1e-30)
         return np.asarray((theta - lower <= near) | (upper - theta <= near))
@@ -226,18 +224,18 @@ def covers(name: str, key: str) -> bool:
 
 
 _NEAREST = 3e-3
-"""Smallest distance of an exponent from that of a fixed power law [1]. Chosen: closer to it the difference of the two
-terms loses digits and the torque hardly changes; a larger value excludes exponents that the data determine."""
+"""Smallest distance of an exponent from that of a fixed power law [1]. Chosen: at smaller distances the difference of
+the two terms loses digits and the torque hardly changes; a larger value excludes exponents that the data determine."""
 _SAME = 1e-9
-"""Relative difference that a change of coordinates may leave [1]. Chosen: rounding; a smaller value refuses valid
-changes, a larger one accepts inaccurate ones."""
+"""Largest relative error of a change of coordinates [1]. Chosen: rounding; a smaller value refuses valid changes, a
+larger one accepts inaccurate changes."""
 
 
 @dataclass(frozen=True)
 class PowerLaw:
     """A power law, alone (d is None) or with a law of fixed power m: indices of the variables, x_ref, and m.
 
-    `held` is the one of d and f that is held.
+    `held` names the fixed one of d and f, if any.
     """
 
     d: int | None
@@ -249,7 +247,7 @@ class PowerLaw:
 
 
 def to_physical(u: Array, power_laws: Sequence[PowerLaw]) -> tuple[Array, Array]:
-    """Return (d, f, g, ...) and their derivatives by (T1, K, g, ...)."""
+    """Return (d, f, g, ...) and their derivatives with respect to (T1, K, g, ...)."""
     theta, slope = u.copy(), np.eye(len(u))
     for v in power_laws:
         if v.d is None:
@@ -314,7 +312,7 @@ def _away_from(g: float, order: float) -> float:
 
 
 def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]]) -> tuple[PowerLaw, ...]:
-    """Return the power laws of a model that need transformed variables, with the laws of fixed power.
+    """Return the power laws of a model that need transformed variables, paired with laws of fixed power.
 
     x_ref is the median of the rough (times, speeds) of the cases. A pair is not transformed if f has a value for each
     case and g or d is shared, or vice versa.
@@ -344,7 +342,7 @@ def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]
 
 
 def exponent(effect: Effect) -> Parameter | None:
-    """Return the parameter of an effect that may be the exponent of its law: its only shape, a pure number."""
+    """Return the possible exponent of the law of an effect: its only shape constant, if it is dimensionless."""
     shapes = [p for p in effect.parameters if p.role == "shape"]
     if effect.inputs or effect.state or effect.joint not in {"rotor", "casing", "bearing"}:
         return None
@@ -356,7 +354,7 @@ def exponent(effect: Effect) -> Parameter | None:
 
 
 def is_power_law(effect: Effect, times: Array, speeds: Array) -> bool:
-    """Return whether a law is k x^n with a positive x along these speeds."""
+    """Return whether a law has the form k x^n with a positive x at these speeds."""
     return exponent(effect) is not None and _base(effect, _variables(times, speeds)) is not None
 
 
@@ -383,7 +381,7 @@ def _base(effect: Effect, known: dict[str, Array]) -> Array | None:
 
 
 def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | None:
-    """Return the exponent m at which a power law is equal to the other law; None if there is none."""
+    """Return the exponent m for which a power law is equal to the other law; None if there is none."""
     if straight.joint != power.joint or straight.state or straight.inputs:
         return None
     if straight.depends_on_angle or straight.restoring:
@@ -419,8 +417,7 @@ def _places(
 
 
 _TINY = 1e-30
-"""Smallest strength, which has a phase but no influence [1]. Derived: it is below any torque and above zero; it is in
-the unit of the strength."""
+"""Smallest strength, which has a phase but no influence [1]. Derived: below any torque and above zero, in its unit."""
 
 
 @dataclass(frozen=True)
@@ -432,10 +429,10 @@ class Sinusoid:
 
 
 def find_sinusoids(layout: ParameterLayout) -> tuple[Sinusoid, ...]:
-    """Return the pairs of strength and phase that are free and without other bounds than a strength of zero.
+    """Return the pairs of free strength and phase with no bound other than a strength of zero.
 
-    Laws with a free shape are excluded: the data do not determine the shape while the strength is small. So are laws
-    whose strength has a value for each case and whose phase is shared, or vice versa.
+    Laws with a free shape are excluded: the data do not determine the shape while the strength is small. Laws whose
+    strength has a value per case and whose phase is shared, or vice versa, are also excluded.
     """
     found: dict[Sinusoid, None] = {}
     for effect in layout.model.effects:

@@ -1,19 +1,20 @@
 """Process noise of a recording: a random acceleration of the casing, estimated once and used for every fit.
 
-Neither a model nor a moment of inertia enters: the motion is described by a polynomial in each of a few stretches of
-time, with the camera's nuisance functions free, and the restricted likelihood of the rows orthogonal to them (H.
-Patterson, R. Thompson, Biometrika 58, 545 (1971)) decides. A slow torque, fitted or missing, is part of the
-polynomials.
+The estimate depends neither on a model nor on a moment of inertia. The motion is described by a polynomial in each of a
+few stretches of time, with the camera's nuisance functions free. The estimate maximises the restricted likelihood of
+the rows orthogonal to these functions (H. Patterson, R. Thompson, Biometrika 58, 545 (1971)). The polynomials absorb a
+slow torque, fitted or missing.
 
 The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. Level and time are the
 posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is the
-positive half of a Student distribution with three degrees of freedom. Its scale is the camera's resolution, the
-spectral density 2 s^2 T of an acceleration that is white for the rows and as large as their noise in half of them. So
-the level is never zero, and where the data contain no process noise it is a small part of that resolution. A random
-torque is not expected to exceed the mean torque that slows the body: the scale is at most the mean acceleration, which
-matters in records of a second or two. The prior of T is uniform in ln T from a thirty-second of a block, within which
-the noise is white for the rows, to three blocks, a twentieth of a long record. A stretch with a kink or a jump is far
-noisier than the others: the likelihood of a stretch is a mixture, with a share of a twentieth for a separate level.
+positive half of a Student distribution with three degrees of freedom. Its scale is the camera's resolution: the
+spectral density 2 s^2 T of an acceleration that is white for the rows, and whose effect equals the noise in half of the
+rows. Therefore the level is never zero; if the data contain no process noise, it is a small fraction of this
+resolution. A random torque is not expected to exceed the mean torque that slows the body: the scale is at most the mean
+acceleration, which is relevant for records of a second or two. The prior of T is uniform in ln T from a thirty-second
+of a block, below which the noise is white for the rows, to three blocks, a twentieth of a long record. A stretch with a
+kink or a jump is far noisier than the others. Therefore the likelihood of a stretch is a mixture, with a prior
+probability of 1/20 for a separate level.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ Array = NDArray[np.float64]
 FLAT_PRIOR_SIGMA = 1e6
 """Standard deviation of a prior without information [rad or rad/s]. Derived: far beyond any angle and speed."""
 CONSISTENT = 6.0
-"""Twice the logarithm of a likelihood ratio up to which two descriptions of the data are consistent [1]. Chosen:
-chi-square with two degrees of freedom exceeds it in 5 % of the cases; a smaller value refuses the right description, a
-larger one accepts wrong ones."""
+"""Largest value of twice the log-likelihood ratio of two consistent descriptions of the data [1]. Chosen: chi-square
+with two degrees of freedom is larger in 5 % of the cases; a smaller value refuses the right description, a larger one
+accepts wrong ones."""
 
 _MOST_STRETCHES = 6
-"""Stretches of a record, each with a level [1]. Chosen: fewer let a kink spoil the level, more leave few rows in
-each."""
+"""Largest number of stretches of a record, each with a level [1]. Chosen: with fewer a kink distorts the level, more
+have few rows."""
 _GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
 """Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower ones change nothing, higher ones do
 not occur; a coarser grid rounds the level."""
@@ -51,23 +52,23 @@ _DEGREE = 11
 """Degree of the polynomial of a stretch [1]. Chosen: a smaller value takes motion for noise, a larger one absorbs slow
 noise."""
 _SHORT_BLOCKS = 4
-"""Blocks of a stretch that holds several periods of an oscillation [1]. Chosen: fewer leave no rows for the noise, more
-contain too many periods for a polynomial."""
+"""Number of blocks of a stretch that contains several periods of an oscillation [1]. Chosen: fewer leave no rows for
+the noise, more contain too many periods for a polynomial."""
 _SHORT_DEGREE = 14
-"""Degree of the polynomial of a stretch that holds several periods of an oscillation [1]. Chosen: a smaller value takes
-the oscillation for noise, a larger one absorbs noise."""
+"""Degree of the polynomial of a stretch that contains several periods of an oscillation [1]. Chosen: a smaller value
+takes the oscillation for noise, a larger one absorbs noise."""
 _MOST_ROWS = 170
-"""Rows of two stretches together at most [rows]. Chosen: the cost is their cube; a larger value costs time, a smaller
-one leaves out the correlation between stretches."""
+"""Largest number of rows of two stretches together [rows]. Chosen: the cost increases with the cube; a larger value
+costs time, a smaller one neglects the correlation between stretches."""
 _FEW_STRETCHES = 2
-"""Number of stretches up to which none may have a separate level [1]. Derived: of two stretches the noisier one cannot
-be called the exception."""
+"""Largest number of stretches of which none may have a separate level [1]. Derived: it is unknown which of two
+stretches is the exception."""
 _OWN_LEVEL_SHARE = 0.05
-"""Prior probability of a separate level of a stretch [1]. Chosen: one kink in twenty stretches; a smaller value lets a
-kink raise the level, a larger one discards noisy stretches."""
+"""Prior probability of a separate level of a stretch [1]. Chosen: one kink in twenty stretches; with a smaller value a
+kink raises the level, a larger one discards noisy stretches."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
-"""Trial correlation times [lengths of a block]. Chosen: shorter ones are white for the rows, three blocks are a
-twentieth of a long record; longer ones are part of the polynomials."""
+"""Trial correlation times [lengths of a block]. Chosen: noise with a shorter time is white for the rows; three blocks
+are a twentieth of a long record; slower noise is absorbed by the polynomials."""
 _LEVELS = np.geomspace(1e-4, 1e6, 121)
 """Trial levels, in units of the noise of the rows [1]. Chosen: twelve per decade; lower ones change nothing, higher
 ones do not occur, a coarser grid rounds the posterior mean."""
@@ -75,16 +76,16 @@ _FINER = 16
 """Levels of the finer grid per level of the coarse one [1]. Chosen: fewer make the posterior mean coarse, more cost
 time."""
 _REFINED_SHARE = 1e-4
-"""Share of the largest probability of a time from which on the grid of times is refined about it [1]. Chosen: a smaller
-value costs time, a larger one rounds the posterior."""
+"""Smallest probability of a time about which the grid of times is refined, relative to the largest probability [1].
+Chosen: a smaller value costs time, a larger one rounds the posterior."""
 _STUDENT_DOF = 3
 """Degrees of freedom of the prior of a level [1]. Derived: the smallest number with a finite variance; its tails are
 heavy."""
 _LEAST_QUANTILE = 1e-3
-"""Quantile of the posterior that is the lowest level which the recording allows [1]. Chosen: a smaller value calls any
-level raised, a larger one none that the recording allows."""
+"""Quantile of the posterior that is the lowest level allowed by the recording [1]. Chosen: a smaller value makes any
+level raised, a larger one excludes levels that the recording allows."""
 _NEGLIGIBLE = 1e-25
-"""Probability below which a level is left out [1]. Chosen: a smaller value costs time, a larger one changes integrals
+"""Probability below which a level is omitted [1]. Chosen: a smaller value costs time, a larger one changes integrals
 over far tails."""
 _BINS = 60
 """Bins of the marginal distribution of the level [1]. Chosen: fewer round its quantiles, more have few levels in
@@ -93,14 +94,14 @@ each."""
 
 @dataclass(frozen=True)
 class ProcessNoise:
-    """Random acceleration of the casing, without a fit."""
+    """Random acceleration of the casing, estimated without a fit."""
 
     # rms s and its standard uncertainty [rad/s2]
     level: float
     level_u: float
     time: float  # correlation time T [s]
     least: float  # the quantile 0.001 of the posterior distribution of s [rad/s2]
-    # shape (n,); posterior distribution of s^2 T, on which the variance of slow rows depends, in units of `level`^2
+    # shape (n,); posterior distribution of s^2 T, which determines the variance of slow rows, in units of `level`^2
     # `time`
     ratios: Array = field(repr=False)
     weights: Array = field(repr=False)
@@ -112,8 +113,8 @@ def estimate_process_noise(
     """Estimate the process noise of a run of angles, or of speeds.
 
     `nuisance` (rows, columns) are the polynomial rows of the nuisance functions at one standard deviation of their
-    prior; `angle_root` (rows, rows) is C^(1/2) of correlated angle noise, empty if it is white; `typical` the mean
-    acceleration of the body [rad/s2], which the scale of the prior does not exceed.
+    prior. `angle_root` (rows, rows) is C^(1/2) of correlated angle noise, empty if the noise is white. `typical` is the
+    mean acceleration of the body [rad/s2], the upper limit of the scale of the prior.
     """
     blocks, k, _ = run.lift.shape
     times = float(np.ptp(run.samples.time)) / blocks * np.array(_TIMES)
@@ -133,7 +134,7 @@ def estimate_process_noise(
         fine = divided(blocks // _SHORT_BLOCKS, _SHORT_DEGREE)
         if not found.is_consistent_with(fine, times):
             found = fine
-    # longer stretches, where they describe the motion as well, determine slower noise
+    # longer stretches determine slower noise; use them where they describe the motion as well
     while len(found.parts) > 1:
         pairs = list(zip(found.parts[::2], found.parts[1::2], strict=False))
         merged: list[WhitenedStretch] = []
@@ -153,7 +154,7 @@ def estimate_process_noise(
 
 
 def _process_noise(likelihood: StretchLikelihood, times: Array, typical: float) -> ProcessNoise:
-    """Return the posterior of level and correlation time on a grid of times, refined where its weight is."""
+    """Return the posterior of level and correlation time on a grid of times, refined where it is large."""
     resolution = 2 * times[0] * likelihood.unit(times[0]) ** 2
     levels, density = _posterior(likelihood, times, resolution, typical)
     total = density.sum(axis=1)
@@ -189,7 +190,7 @@ def _posterior(
 
 
 def _log_prior(levels: Array, time: float, resolution: float, typical: float = math.inf) -> Array:
-    """Return the logarithm of the prior density of process noise in the logarithm of its level."""
+    """Return the logarithm of the prior density of the logarithm of the level."""
     scale = min(math.sqrt(resolution / (2 * time)), typical)
     return np.asarray(
         np.log(levels)
@@ -212,8 +213,8 @@ def _binned(values: Array, weights: Array) -> tuple[Array, Array]:
 def mean_acceleration(run: Compressed) -> float:
     """Return the mean absolute acceleration of a run, from the mean speeds in its parts [rad/s2].
 
-    It is at least the standard uncertainty of the change of speed over the run, per duration: angles without noise may
-    have no acceleration at all.
+    It is at least the standard uncertainty of the change of speed over the run divided by the duration, because angles
+    without noise may have no acceleration at all.
     """
     t, y = run.samples.time, run.samples.value
     edges = np.linspace(0, len(t) - 1, int(np.clip(len(run.lift), 4, 12)) + 1).astype(int)
@@ -226,7 +227,7 @@ def mean_acceleration(run: Compressed) -> float:
 class WhitenedStretch:
     """A stretch whose rows are whitened by the angle noise; the process noise is diagonalised once for each time.
 
-    `angle_covariance` is the covariance of the rows by correlated angle noise, in addition to the unit white noise.
+    `angle_covariance` is the covariance of the rows due to correlated angle noise, in addition to the unit white noise.
     """
 
     def __init__(self, stretch: Stretch, angle_covariance: Array | None) -> None:
@@ -235,7 +236,7 @@ class WhitenedStretch:
         self._spectra: dict[float, tuple[Array, Array, float]] = {}
 
     def spectrum(self, time: float) -> tuple[Array, Array, float]:
-        """Return independent rows, the variance of each by process noise, and its rms [rad/s2]."""
+        """Return independent rows, the variance of each due to process noise, and its rms [rad/s2]."""
         if time not in self._spectra:
             covariance, unit = self.stretch.torque_covariance(time)
             values, vectors = np.linalg.eigh(self.whitening @ covariance @ self.whitening.T)
@@ -252,11 +253,11 @@ class StretchLikelihood:
 
     @classmethod
     def of(cls, stretches: Sequence[Stretch], angle_covariance: Array | None) -> Self:
-        """Return the likelihood of stretches with this covariance of the rows by correlated angle noise."""
+        """Return the likelihood of stretches whose rows have this covariance due to correlated angle noise."""
         return cls([WhitenedStretch(s, angle_covariance) for s in stretches])
 
     def unit(self, time: float) -> float:
-        """Return the rms acceleration that is as large as the noise in half of the rows [rad/s2]."""
+        """Return the rms acceleration whose effect exceeds the noise in half of the rows [rad/s2]."""
         return float(np.median([p.stretch.torque_covariance(time)[1] for p in self.parts]))
 
     def __call__(self, time: float, levels: Array) -> Array:
@@ -275,8 +276,7 @@ class StretchLikelihood:
     def marginal(self, times: Sequence[float]) -> float:
         """Return the log-likelihood with the level, and correlation times of equal prior probability, integrated out.
 
-        All stretches have the same level: a separate level in each, at its most likely value, would describe the slow
-        part of angle noise.
+        All stretches have the same level: separate most likely levels would absorb the slow part of angle noise.
         """
         resolution = 2 * times[0] * self.unit(times[0]) ** 2
         found, total = -np.inf, -np.inf
@@ -289,9 +289,9 @@ class StretchLikelihood:
         return float(found - total) + log_determinant
 
     def is_consistent_with(self, finer: StretchLikelihood, times: Array) -> bool:
-        """Return whether the process noise that these stretches need is one that shorter stretches allow.
+        """Return whether shorter stretches allow the process noise that these stretches need.
 
-        Polynomials that do not follow the motion need more.
+        Stretches whose polynomials do not follow the motion need more process noise.
         """
         levels = [finer.unit(t) * _LEVELS for t in times]
         here = np.array([self(t, x) for t, x in zip(times, levels, strict=True)])
@@ -323,8 +323,8 @@ class Stretch:
         powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
         nuisance = nuisance[self.rows]
         if nuisance.shape[1] > len(nuisance):
-            # as many orthogonal combinations as rows: the others are not observed in this stretch. Principal ones stay
-            # apart where flat priors are far larger than the others
+            # as many orthogonal combinations as rows, because the others are not observed in this stretch; principal
+            # combinations remain separate although flat priors are far larger than the other priors
             directions, sizes, _ = np.linalg.svd(nuisance, full_matrices=False)
             nuisance = directions * sizes
         # the last rows are those of the prior of the nuisance functions, whose measured value is zero
@@ -339,26 +339,26 @@ class Stretch:
         self.projected = self.project(run.z[self.rows])
 
     def project(self, rows: Array) -> Array:
-        """Return the coordinates of rows of this stretch in the space orthogonal to what is free."""
+        """Return the coordinates of rows of this stretch in the space orthogonal to the free functions."""
         return np.asarray(self._complement.T @ rows)
 
     def _rows_of(self, values: Array) -> Array:
         return np.asarray((self._lift @ values).reshape(len(self.rows), -1))
 
     def torque_covariance(self, time: float) -> tuple[Array, float]:
-        """Return the covariance by a random acceleration, with a median variance of 1, and its rms [rad/s2]."""
+        """Return the covariance due to a random acceleration, with a median variance of 1, and its rms [rad/s2]."""
         if time not in self._torques:
             self._torques[time] = self._torque_covariance(time)
         return self._torques[time]
 
     @cached_property
     def _response(self) -> tuple[Array, Array]:
-        """Times of cells, and the response of the projected rows to a unit acceleration in each."""
+        """Times of cells, and the response of the projected rows to a unit acceleration in each cell."""
         cells = np.linspace(self._nodes.min(), self._nodes.max(), int(_CELLS_PER_ROW * len(self.rows)))
         width = float(cells[1] - cells[0])
         since = np.maximum(self._nodes[..., None] - cells, 0.0)
         if not self._angle:
-            # a speed changes only while the torque of the cell acts
+            # the speed changes only while the torque of the cell acts
             since = np.minimum(since / width, 1.0)
         return cells, self._complement.T @ self._rows_of(since) * width
 
@@ -377,7 +377,7 @@ class Stretch:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(m) + inner)))
 
     def whitenings_at(self, times: Sequence[float], shares: Sequence[float]) -> list[tuple[Array, float]]:
-        """Return whitening matrix and deviance at shares of the process noise most likely in this stretch alone."""
+        """Return whitening matrix and deviance at `shares` of the process noise most likely in this stretch alone."""
         best, found = -np.inf, (np.eye(len(self.projected)), np.zeros(len(self.projected)), 0.0)
         for covariance in (self.torque_covariance(t)[0] for t in times):
             values, vectors = np.linalg.eigh(covariance)
@@ -398,7 +398,7 @@ class Stretch:
         return float(np.log(np.diag(whitening)).sum()) - 0.5 * float(white @ white)
 
     def most_likely_level(self, times: Sequence[float]) -> float:
-        """Return the most likely level of process noise of white angles, over some correlation times [rad/s2]."""
+        """Return the most likely level of process noise for white angle noise, over some correlation times [rad/s2]."""
         best = (-0.5 * float(self.projected @ self.projected), 0.0)
         for covariance, unit in map(self.torque_covariance, times):
             values, vectors = np.linalg.eigh(covariance)

@@ -1,10 +1,10 @@
 """Measured angles or angular velocities of one experiment.
 
 A `Record` is made from arrays (`make_record`) or a case file (`fitting.inference._case_file`). Times are on one clock
-[s], angles in rad and unwrapped, speeds in rad/s. What was measured is the `quantity`: angles, or angular velocities.
+[s], angles in rad and unwrapped, speeds in rad/s. The `quantity` is the measured one: angles, or angular velocities.
 
-Angular velocities are smoothed from angles as in the paper; between its windows the rotor's speed is interpolated with
-the slopes measured in them.
+Angular velocities are computed from angles and smoothed as in the paper; between its windows the rotor's speed is
+interpolated with the slopes measured in the windows.
 """
 
 from __future__ import annotations
@@ -33,39 +33,39 @@ Indices = NDArray[np.intp]
 Quantity = Literal["angle", "omega"]
 
 _FEWEST_OF_BODY = 24
-"""Smallest number of samples of the first body [samples]. Derived: 12 for the model, and as many for the noise, in a
-block of the compression."""
+"""Smallest number of samples of the first body [samples]. Derived: in a block, 12 for the model and 12 for noise."""
 _PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
 """Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC chooses one; fewer smooth too much or too little, more
 cost time."""
 _MIN_PIECE = 12
 """Smallest number of samples of a piece [samples]. Chosen: fewer follow noise, more blur the motion."""
 _CUBIC = 4
-"""Coefficients of a piece [1]. Derived: a polynomial of degree 3."""
+"""Number of coefficients of a piece [1]. Derived: a polynomial of degree 3."""
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 """Smallest number of samples of a rotor window, by quantity [samples]. Chosen: a speed follows from several angles, or
-from one measured speed; fewer angles give no uncertainty, more refuse short films."""
+is measured directly; fewer angles give no uncertainty, more refuse short films."""
 _SHOWN = 6
-"""Windows and inputs that a repr lists [1]. Chosen: fewer hide windows, more fill the console."""
+"""Number of windows and inputs in a repr [1]. Chosen: fewer hide windows, more fill the console."""
 _SPEED_SAMPLES = 5
-"""Samples of an average speed, the largest of which is the unit of speeds in laws [samples]. Chosen: fewer contain
-more noise, more average over a period of an oscillation."""
+"""Samples of an average speed; the largest average is the unit of speeds in laws [samples]. Chosen: fewer contain more
+noise, more average over a period of an oscillation."""
 _LARGEST_SHARE = 0.95
-"""Quantile of the speeds that is their largest value [1]. Chosen: a higher one is an outlier, a lower one a mean."""
+"""Quantile of the speeds that is used as their largest value [1]. Chosen: a higher quantile depends on outliers, a
+lower one is a mean."""
 _MOVES = 3.0
-"""Largest speed over the noise of an average speed from which on a body moves [1]. Derived: the quantile 0.95 of the
-absolute value of noise alone is 2.0."""
+"""Ratio of the largest speed to the noise of an average speed above which a body moves [1]. Derived: the quantile 0.95
+of the absolute value of noise alone is 2.0."""
 LARGEST = 1e20
 """Largest time, angle or rate [SI units]. Derived: products of several are finite."""
 SMALLEST = 1e-20
-"""Smallest largest value of a body that is not at rest [SI units]. Derived: products of several do not vanish."""
+"""Lower limit of the largest value of a moving body [SI units]. Derived: products of several do not vanish."""
 PRECISION = 1e18
 """Largest ratio of a value to its uncertainty [1]. Derived: floating-point numbers have 1e16."""
 
 
 @dataclass(frozen=True, repr=False)
 class Samples:
-    """A run of measured values without interruption: time [s], value [rad or rad/s], sigma (same unit)."""
+    """An uninterrupted run of measured values: time [s], value [rad or rad/s], sigma (same unit)."""
 
     time: Array
     value: Array
@@ -85,17 +85,17 @@ class Body:
     Parameters
     ----------
     name : str
-        Its name.
+        The name of the body.
     role : {"rotor", "casing", "body"}
-        Its place in the apparatus; "body" for the only one.
+        Its role in the apparatus; "body" for a single body.
     part : {"rotor", "casing"}
-        The body of the library whose laws are its own.
+        The body of the library whose laws apply to it.
     state : int
         Index of its speed in the state of the motion.
     inertia, inertia_u : float
-        Moment of inertia and its standard uncertainty [kg m2]; NaN if the latter is not given.
+        Moment of inertia and its standard uncertainty [kg m2]; NaN if the uncertainty is not given.
     series : tuple of Samples
-        What was measured of it, without interruption each.
+        The measured runs, each without interruption.
     """
 
     name: str
@@ -141,10 +141,9 @@ class Record:
     windows : tuple of Samples
         The measured windows of a generated rotor.
     start_sigma : tuple of float
-        Uncertainty of the start of each rotor window on the casing's clock [s]; empty if it is known, NaN if it is not
-        stated.
+        Uncertainty of the start of each rotor window on the casing's clock [s]; empty if exact, NaN if not stated.
     units : Units
-        Units of its torques: SI units, or per unit of inertia where no moment of inertia is known, which is then 1.
+        Units of torques: SI units, or per unit of inertia for an unknown moment of inertia, which is then 1.
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
         uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
@@ -159,7 +158,7 @@ class Record:
     inputs : tuple of Input
         Recorded inputs on which torques may depend.
     name : str
-        Name of a body alone; empty for a gyroscope, and where it has none.
+        Name of a single body; empty for a gyroscope or without a name.
     modes : tuple of ErrorMode
         Errors that samples share.
     """
@@ -216,7 +215,7 @@ class Record:
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
-        """Its bodies: the casing or the only body, then the rotor if it was measured."""
+        """The bodies: the casing or the single body, then the rotor if it was measured."""
         role = _MAIN[bool(self.rotor)]
         main = Body(
             self.name or role, role, "casing", 1, self.I_casing, self.I_casing_u, (self.casing,)
@@ -226,7 +225,7 @@ class Record:
 
     @property
     def parts(self) -> frozenset[str]:
-        """The bodies of the library that it has: their laws are those of its motion."""
+        """The bodies of the library whose laws apply to the motion."""
         return frozenset(b.part for b in self.bodies)
 
     @property
@@ -236,12 +235,12 @@ class Record:
 
     @property
     def spun(self) -> Body:
-        """The body that is spun up or driven; it may drive another one through a joint."""
+        """The body that is spun up or driven; it may drive another body through a joint."""
         return self.bodies[-1]
 
     @property
     def single(self) -> bool:
-        """Whether it is the record of one body alone, which is stored as the casing."""
+        """Whether the record is that of a single body, which is stored as the casing."""
         return not self.rotor
 
     @property
@@ -251,22 +250,22 @@ class Record:
 
     @property
     def body(self) -> str:
-        """Name of the casing: "casing"; where only one body was recorded its name, or "body"."""
+        """Name of the casing: "casing"; for a single body, its name or "body"."""
         return self.bodies[0].name
 
     @property
     def torque_unit(self) -> str:
-        """Unit of its torques: "N m", or "rad/s2" per unit of inertia."""
+        """Unit of torques: "N m", or "rad/s2" per unit of inertia."""
         return self.units.torque
 
     @property
     def unstated_starts(self) -> bool:
-        """Whether nothing is known about the uncertainty of the starts of the rotor windows."""
+        """Whether the uncertainty of the starts of the rotor windows is not stated."""
         return any(math.isnan(s) for s in self.start_sigma)
 
     @property
     def driving(self) -> tuple[Input, ...]:
-        """The inputs that vary, and so may make the body change its speed or reverse; a temperature does not."""
+        """The varying inputs, which may change the speed or reverse the body; a temperature does not."""
         return tuple(i for i in self.inputs if i.varies and i.unit != "K")
 
     @property
@@ -277,10 +276,10 @@ class Record:
 
     @cached_property
     def largest_speeds(self) -> dict[str, float]:
-        """Largest speeds omega_c and omega_r [rad/s], that of the fastest body for one that was not measured or rests.
+        """Largest speeds omega_c and omega_r [rad/s]; that of the fastest body if a body is at rest or not measured.
 
-        Outliers and noise are limited: it is the quantile 0.95 of mean speeds over a few samples. A body rests if this
-        is not more than noise alone would give.
+        To limit outliers and noise, the quantile 0.95 of mean speeds over a few samples is used. A body is at rest if
+        this quantile is not larger than noise alone would give.
         """
         found = {"omega_c": self._largest_speed((self.casing,)), "omega_r": self._largest_speed(self.rotor)}
         return {k: v or max(found.values()) or 1.0 for k, v in found.items()}
@@ -328,7 +327,7 @@ def scales_of(records: Sequence[Record]) -> tuple[dict[str, float], float]:
 
 
 def is_body_name(name: str) -> bool:
-    """Return whether a text can be the name of a single body: an identifier without a meaning in the library."""
+    """Return whether a text can name a single body: an identifier without a meaning in the library."""
     return name not in _TAKEN - {"casing"} and _BODY_NAME.fullmatch(name) is not None
 
 
@@ -354,7 +353,7 @@ def make_record(
     name: str = "",
     modes: Sequence[ErrorMode] = (),
 ) -> Record:
-    """Make a record from arrays of (time, value, sigma); samples that are not finite are left out.
+    """Make a record from arrays of (time, value, sigma); samples that are not finite are omitted.
 
     Parameters
     ----------
@@ -365,7 +364,7 @@ def make_record(
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     label, surface, source : str
-        Name of the recording, what the casing turned on, where the data come from.
+        Name of the recording, surface under the casing, origin of the data.
     quantity : {"angle", "omega"}
         What the values are.
     tracked : bool
@@ -471,7 +470,7 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
     keep = np.isfinite(time) & np.isfinite(value)
     time, value, sigma = time[keep], value[keep], sigma[keep]
     if len(time) > 1 and not (np.diff(time) > 0).all():
-        raise RecordError(f"the times of the {what} do not grow from sample to sample")
+        raise RecordError(f"the times of the {what} are not strictly increasing")
     good = np.isfinite(sigma) & (sigma > 0)
     size = np.abs(value)
     for numbers in (np.abs(time), size, sigma[good]):
@@ -481,7 +480,7 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
         raise RecordError(f"no value of the {what} exceeds {SMALLEST:g} in SI units", _UNITS)
     if not (np.maximum(size[good], SMALLEST) < PRECISION * sigma[good]).all():
         raise RecordError(f"an uncertainty of the {what} is less than {1 / PRECISION:g} of its value", _UNITS)
-    # where no uncertainty is known all samples have the same weight; the noise level is estimated from the data
+    # if no uncertainty is known, all samples have the same weight; the noise level is estimated from the data
     typical = float(np.median(sigma[good])) if good.any() else 1e-3
     return Samples(time, value, np.where(good, sigma, typical))
 
@@ -489,13 +488,13 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
 def _stated(
     sigma: float = 0.0, time: float = 0.0, periodic: float = 0.0, harmonic: float = 0.0
 ) -> tuple[float, float, float, float]:
-    """Return the stated errors; one without a level or a correlation time is none."""
+    """Return the stated errors; an error without a level or a correlation time is omitted."""
     slow = (sigma, time) if sigma > 0 and time > 0 else (0.0, 0.0)
     return (*slow, max(periodic, 0.0), max(harmonic, 0.0))
 
 
 def _profile(pairs: Sequence[tuple[float, float]], *, stated: bool) -> tuple[tuple[float, float], ...]:
-    """Return a profile with increasing times and uncertainties that are not negative."""
+    """Return a profile with increasing times and non-negative uncertainties."""
     found = tuple((float(t), float(u)) for t, u in pairs)
     times = [t for t, _ in found]
     if found and not stated:
@@ -521,7 +520,7 @@ def _digest(record: Record) -> str:
     if any(s > 0 for s in record.start_sigma):
         hasher.update(repr(record.start_sigma).encode())
     if any(record.correlated):
-        # without the last one, as in earlier ledgers
+        # without the last error, as in earlier ledgers
         stated = record.correlated if record.correlated[3] else record.correlated[:3]
         hasher.update(repr(stated).encode())
     if record.correlated_profile:
@@ -541,12 +540,12 @@ def _digest(record: Record) -> str:
 
 
 WIDTH = 51
-"""Points of the running median [samples]. Source: the paper."""
+"""Number of points of the running median [samples]. Source: the paper."""
 DROPPED = 50
-"""Points that are dropped at each end of a smoothed curve [samples]. Source: the paper."""
+"""Number of points that are dropped at each end of a smoothed curve [samples]. Source: the paper."""
 _CHUNK = 1024
-"""Windows sorted at a time [1]. Chosen: their copies stay in the cache; another value costs time and does not change
-the result."""
+"""Number of windows that are sorted together [1]. Chosen: their copies stay in the cache; another value costs time and
+does not change the result."""
 
 
 def speeds(
@@ -584,10 +583,10 @@ def running_median(value: Array, width: int) -> Array:
 
 
 _POINTS = 160
-"""Points of the rough speeds of a run [1]. Chosen: fewer blur the motion, more are noisy."""
+"""Number of points of the rough speeds of a run [1]. Chosen: fewer blur the motion, more are noisy."""
 _LONG_WINDOW = 0.5
-"""Share of a run from which on a rotor window is divided like the run [1]. Chosen: a smaller value divides windows in
-which the speed is nearly constant, a larger one averages a changing speed."""
+"""Smallest share of a run for which a rotor window is divided like the run [1]. Chosen: a smaller value divides windows
+in which the speed is nearly constant, a larger one averages a changing speed."""
 
 
 def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> tuple[Array, Array]:
@@ -610,7 +609,7 @@ def _pieces(window: Samples, record: Record, points: int, samples: int) -> int:
 
 
 def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT001
-    """Return (time, speed, slope) of equal pieces of a run, by the normal equations of all pieces at once."""
+    """Return (time, speed, slope) of equal pieces of a run, from the normal equations of all pieces."""
     pieces = np.array_split(np.arange(len(samples)), max(1, count))
     first = np.array([p[0] for p in pieces])
     size = np.array([len(p) for p in pieces])
@@ -624,7 +623,7 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
     y = samples.value - np.repeat(samples.value[first], size)
     rows = np.full((len(first), 3), np.nan)
     rows[:, 0] = middle
-    # the lengths differ by one sample at most: the shortest determines the degree of all
+    # the lengths differ by at most one sample: the shortest determines the degree of all
     degree = min(2 if is_angle else 1, int(size.min()) - 1)
     powers = [np.ones(len(x)), x, x * x][: degree + 1]
     gram = np.stack([np.stack([sums(p * q) for q in powers], axis=-1) for p in powers], axis=-1)
@@ -666,7 +665,7 @@ def hermite(
 ) -> Array:
     """Return the cubics through values and slopes (n, ...), or their slopes, at times within.
 
-    `interval` are the indices of the intervals that contain the times, if they are known.
+    `interval` are the indices of the intervals that contain the times, if known.
     """
     if interval is None:
         interval = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)

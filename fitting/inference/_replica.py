@@ -1,10 +1,10 @@
 """New recordings of a fitted motion: the same bodies, samples and windows, with new random errors.
 
 The expected values are those of the fit at every sample, with the fitted initial angles, camera errors, laws of an
-angle and measurement effects. The random errors are those that the fit assumes (a parametric bootstrap; A. C. Davison,
-D. V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4): white noise at the measured level, correlated
-angle noise at a level drawn from its uncertainty, the random torque in the residuals of the fit, the errors that
-tracking states, the starts of the windows, and moments of inertia that differ from the stated ones by their standard
+angle and measurement effects. The random errors are those assumed by the fit (a parametric bootstrap; A. C. Davison, D.
+V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4): white noise at the measured level, correlated angle
+noise at a level drawn from its uncertainty, the random torque in the residuals of the fit, the errors that tracking
+states, the starts of the windows, and moments of inertia that differ from the stated ones by their standard
 uncertainties.
 """
 
@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 Random = np.random.Generator
 
 _CELLS_PER_TIME = 5
-"""Smallest number of cells of a random torque per correlation time [1]. Chosen: fewer make it a sequence of steps, more
-cost time."""
+"""Least number of cells of a random torque per correlation time [1]. Chosen: fewer give a series of steps, more cost
+time."""
 _FEWEST_CELLS = 400
 """Smallest number of cells of a random torque [1]. Chosen: fewer do not resolve the record, more cost time."""
 _MOST_CELLS = 40_000
@@ -56,7 +56,7 @@ def replica(fit: Fit, seed: int | Sequence[int]) -> list[Record]:
     Raises
     ------
     EstimationError
-        The values of a case are a curve that was generated from data, or gradients of filmed angles.
+        The values of a case are not measured: a curve generated from data, or gradients of filmed angles.
     SimulationError
         The motion with other moments of inertia cannot be integrated.
     """
@@ -108,7 +108,7 @@ def _recording(motion: FittedMotion, random: Random) -> Record:
     starts = (0.0, *(record.start_sigma or (0.0,) * len(record.rotor)))
     for i, (run, compressed, u) in enumerate(zip(runs, (data.casing, *data.rotor), starts, strict=True)):
         values[i] += compressed.scale * run.sigma * random.standard_normal(len(run))
-        if u > 0:  # NaN where nothing is stated
+        if u > 0:  # NaN if no uncertainty is stated
             values[i] += (
                 u * random.standard_normal() * np.gradient(motion.expected(run.time, rotor=i > 0), run.time)
             )
@@ -124,9 +124,9 @@ def _recording(motion: FittedMotion, random: Random) -> Record:
 
 
 def _other_inertias(motion: FittedMotion, random: Random) -> list[Array]:
-    """Return the change of the values by moments of inertia that differ from the stated ones, which the record keeps.
+    """Return the change of the values due to random errors of the stated moments of inertia.
 
-    The torques are those of the fit.
+    The torques are those of the fit; the record keeps the stated moments of inertia.
     """
     data, record = motion.data, motion.data.record
     runs = (record.casing, *record.rotor)
@@ -147,9 +147,9 @@ def _other_inertias(motion: FittedMotion, random: Random) -> list[Array]:
 
 
 def _random_torque(motion: FittedMotion, random: Random) -> list[Array]:
-    """Return the change of the values by random torques on the casing and between the bodies.
+    """Return the change of the values due to random torques on the casing and between the bodies.
 
-    Their level is the one that the uncertainties of the fit include.
+    The level of the torques is that included in the uncertainties of the fit.
     """
     noise, record = motion.fit.noise[motion.case].with_unresolved, motion.data.record
     runs, level = (record.casing, *record.rotor), noise.level
@@ -172,7 +172,7 @@ def _random_torque(motion: FittedMotion, random: Random) -> list[Array]:
 
 
 def _slow_error(run: Samples, noise: AngleNoise, random: Random) -> Array:
-    """Return correlated angle noise at a level drawn from its uncertainty, and its part that repeats with the angle."""
+    """Return correlated angle noise at a level drawn from its uncertainty, with its part periodic in the angle."""
     found = np.zeros(len(run))
     if noise.sigma > 0:
         level = abs(random.normal(noise.sigma, noise.sigma_u))

@@ -1,10 +1,10 @@
 """All on/off combinations of the paper's terms, its two models, and the robustness of parameters.
 
-Tables 1 and 2 vary the drags of rotor and casing (the bearing has its linear law): all four, then each left out once.
-Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen choices of c, d, e and f.
+Tables 1 and 2 vary the drags of rotor and casing (the bearing has its linear law): all four terms, then each omitted
+once. Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen combinations of c, d, e and f.
 
-Cross-validation over recordings: parameters that the recordings share have the values of a fit of the other recordings.
-Only parameters that these do not determine are free: the friction at the touch point (another surface) and the initial
+Cross-validation over recordings: shared parameters have the values of a fit of the other recordings. Only parameters
+that the other recordings do not determine are free: the friction at the touch point (another surface) and the initial
 speeds.
 """
 
@@ -59,13 +59,13 @@ EFFECT_OF = {symbol: c.key.rpartition(".")[0] for symbol, c in COLUMNS.items() i
 
 @dataclass(frozen=True)
 class Run:
-    """One combination of terms; `g` goes with `f`."""
+    """One combination of terms; `g` is fitted if `f` is."""
 
     terms: tuple[str, ...]
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The effects that are on."""
+        """The effects of the combination."""
         return tuple(EFFECT_OF[t] for t in self.terms)
 
 
@@ -100,9 +100,9 @@ the paper prints."""
 def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str, tuple[float, float]]:
     """Return ranges about the mean of separate fits of the reduced model, by name.
 
-    That the mean is over the separate fits follows from values of the paper: g = 1.05 and f = 0.0795e-7 of its second
-    case are the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In the joint fit parameters may have a value
-    for each of the cases `labels`. A parameter that is zero in the reduced fits keeps its declared bounds.
+    Values of the paper show that the mean is over the separate fits: g = 1.05 and f = 0.0795e-7 of its second case
+    equal the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In the joint fit parameters may have separate
+    values for the cases `labels`. A parameter that is zero in the reduced fits keeps its declared bounds.
     """
     ranges = {}
     for key, width in WIDTHS.items():
@@ -118,7 +118,7 @@ _ROBUST = 0.1
 """Relative change below which a parameter is robust [1]. Source: parameters that the paper calls robust change by a few
 per cent."""
 _UNSTABLE = 0.5
-"""Relative change from which on a parameter is unstable [1]. Source: parameters that the paper calls unstable change by
+"""Smallest relative change of an unstable parameter [1]. Source: parameters that the paper calls unstable change by
 half or more."""
 
 
@@ -126,19 +126,19 @@ half or more."""
 class Robustness:
     """One parameter of one model across cases.
 
-    `verdict` is by the larger of spread and shift "robust" (under a tenth), "varies" (under a half) or "unstable";
-    for a touch point by its shift alone, since surfaces may differ; "zero" or "not determined" where all separate
-    fits agree; "not known" for a single case. `shift` is the relative change from the separate fits to the joint one:
-    of their mean, or the largest one where each case has its own value.
+    The larger of spread and shift determines the `verdict`: "robust" (under a tenth), "varies" (under a half) or
+    "unstable". For a touch point the shift alone decides, because surfaces may differ. The verdict is "zero" or "not
+    determined" if this is true in all separate fits, and "not known" for a single case. `shift` is the relative change
+    from the mean of the separate fits to the joint fit, or the largest change if each case has its own value.
     """
 
     symbol: str
     key: str
     unit: str
     mean: float  # over the separate fits, in SI units
-    spread: float  # largest minus smallest value over their mean; nan for a single case
+    spread: float  # (largest - smallest value) / mean; nan for a single case
     shift: float  # nan without a joint fit
-    sigma: float  # largest difference of two fits over its standard error; nan where one is not known
+    sigma: float  # largest difference of two fits / its standard error; nan if a standard error is unknown
     verdict: str
 
 
@@ -196,11 +196,11 @@ class Predicted:
     """One recording, predicted from the others."""
 
     label: str
-    casing: float  # rms error over the noise; 1 = noise limit
+    casing: float  # rms error / noise; 1 = noise limit
     rotor: float
     r2: float  # of the casing's smoothed speed
     rmse: float  # of the casing's smoothed speed [rad/s]
-    others: Fit  # the fit of the others, from which the shared parameters come
+    others: Fit  # the fit of the other recordings, with the values of the shared parameters
 
 
 def predict_recordings(
@@ -215,9 +215,9 @@ def predict_recordings(
     data : sequence of CaseData
         At least two recordings.
     noise : sequence of Noise
-        Of each, from an earlier fit.
+        Noise of each recording, from an earlier fit.
     alone : sequence of Fit
-        Fits of the model to each recording alone, if they are known already (saves time for two recordings).
+        Fits of the model to each recording alone, if available (saves time for two recordings).
 
     Raises
     ------
@@ -236,7 +236,7 @@ def predict_recordings(
         if len(rest) == 1 and alone:
             others = alone[rest[0]]
         else:
-            # a parameter with a value for each case has no value for another recording: all others share it
+            # a parameter with a value per case has no value for another recording: here the other recordings share it
             others = fit(model, [data[k] for k in rest], share=shared, noise=[noise[k] for k in rest])
         held_values = {key: others.estimates[key].value for key in shared}
         free = fit(model.with_fixed(held_values), [held], noise=[noise[i]])
@@ -251,7 +251,7 @@ def _prediction_error(body: BodyMetrics) -> float:
 
 
 _SAME_MINIMUM = 0.1
-"""Difference of deviances with which no parameter changes significantly [1]. Chosen: a third of a standard error; a
+"""Largest difference of two deviances that are from the same minimum [1]. Chosen: a third of a standard error; a
 smaller value repeats fits, a larger one accepts a wrong minimum."""
 
 Progress = Callable[[int, int | None], None]
@@ -259,7 +259,7 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass(frozen=True)
 class Row:
-    """One run on one case: its fit, or why there is none."""
+    """One run on one case: its fit, or the reason why there is none."""
 
     run: Run
     fit: Fit | None
@@ -272,7 +272,7 @@ class Row:
 
     @property
     def shade(self) -> str:
-        """The paper's shade of it; empty without a fit."""
+        """The paper's shade of this R2; empty without a fit."""
         return shade(self.r2) if self.fit is not None else ""
 
 
@@ -334,7 +334,7 @@ def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None
     cases : sequence of Record or CaseData
         The experiments.
     progress : callable, optional
-        Called with fits done and fits in all.
+        Called with (fits done, fits in total).
 
     Returns
     -------
@@ -360,7 +360,7 @@ def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None
     small = _model("reduced", reduced, data, noise, {}, {})
     count.add(2)
     ranges = paper_ranges(reduced, labels)
-    # an extended model starts at the optimum of the smaller one, so that its deviance is not larger
+    # the extended model starts at the optimum of the smaller model, so that its deviance is not larger
     wide = Model.of(GENERAL)
     general = [
         fit(wide, [d], noise=[n], ranges=ranges, start=_extended(wide, f))
@@ -389,7 +389,7 @@ def _model(
 
 
 def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> tuple[Row, ...]:
-    """Fit the runs of a table, the small ones first: a larger model with a power law starts at a smaller one."""
+    """Fit the runs of a table, small models first: a larger model with a power law starts at a smaller model."""
     rows: dict[Run, Row] = {}
     for run in sorted(runs, key=lambda r: len(r.terms)):
         inner = [r.fit for r in rows.values() if r.fit is not None and set(r.run.terms) < set(run.terms)]
@@ -397,7 +397,7 @@ def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> t
         follows = best is not None and "bearing.power" in best.model.names
         row = Row(run, None) if follows else _row(run, data, noise)
         if best is not None and (row.fit is None or row.fit.deviance > best.deviance + _SAME_MINIMUM):
-            # a model has no larger deviance than one that it contains: the search ended in a local minimum
+            # a larger deviance than that of a nested model shows that the search ended in a local minimum
             row = _better(row, best, data, noise)
         rows[run] = row
         count.add(1)
@@ -430,7 +430,7 @@ def _fit(model: Model, data: CaseData, noise: Noise) -> Fit:
     try:
         return fit(model, [data], noise=[noise])
     except FittingError:
-        # with a wrong bearing law the touch point may stop the casing: the initial values are those without it
+        # with a wrong bearing law the touch point may stop the casing: take initial values from a fit without it
         rough = Model(tuple(e for e in model.effects if not e.per_surface))
         if rough == model:
             raise

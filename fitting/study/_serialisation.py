@@ -1,11 +1,11 @@
 """Fits, diagnoses and histories as documents of `fitting._schema`, and back.
 
 A fit is restored from its variables, its noise and the data by one prediction. A diagnosis is restored from its
-sentence and its ranking, its curves from its fit. Stored states are valid only for the same code and the same data: see
-`fingerprint`.
+sentence and its ranking; its curves are computed from its fit. Stored states are valid only for the same code and the
+same data, see `fingerprint`.
 
-A law that was found is an effect like any other, and is kept as a TOML file of effects: `fit --effects FILE.toml --add
-NAME` adds it, and `diagnose --effects FILE.toml` tests it together with the library.
+A law found by a search is an effect like any other, and is stored in a TOML file of effects: `fit --effects FILE.toml
+--add NAME` adds it, and `diagnose --effects FILE.toml` tests it together with the library.
 """
 
 from __future__ import annotations
@@ -100,14 +100,14 @@ from fitting.study._paper import CurveBias
 Array = NDArray[np.float64]
 
 _CURVE_POINTS = 200
-"""Points of a stored curve [1]. Chosen: fewer show corners, more make larger files."""
+"""Number of points of a stored curve [1]. Chosen: fewer show corners, more make larger files."""
 _FITS = 4
-"""Candidates whose fits are stored, best first [1]. Chosen: a report draws fewer; more make larger files, fewer lack
-curves."""
+"""Number of candidates whose fits are stored, best first [1]. Chosen: a report draws fewer; more make larger files,
+with fewer some curves are missing."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
 _AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Trial values of a shape constant over the fitted one [1]. Chosen: fewer start far from the optimum of other data,
-more cost time."""
+"""Ratios of the trial values of a shape constant to the fitted value [1]. Chosen: fewer start far from the optimum of
+other data, more cost time."""
 _UNITS = {"t": "s", "psi_c": "rad"}
 
 
@@ -153,7 +153,7 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
 
 
 def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
-    """Return the shift of each parameter by a generated rotor curve."""
+    """Return the shift of each parameter due to a generated rotor curve."""
     return {name: {**asdict(b), "errors": b.errors} for name, b in bias.items()}
 
 
@@ -195,7 +195,7 @@ def certificate_document(found: Certificate) -> dict[str, Any]:
 
 
 def stored_certificate(found: Certificate) -> StoredCertificate:
-    """Return the outcomes of a certificate with what they depend on: the code, the answer and the seed."""
+    """Return the outcomes of a certificate with the inputs on which they depend: the code, the answer and the seed."""
     return StoredCertificate.model_validate(vars(found) | {"code": fingerprint()})
 
 
@@ -259,7 +259,7 @@ def _next_run(n: NextRun) -> dict[str, Any]:
 
 
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:
-    """Return degenerate combinations of parameters: relative changes by name, the largest 1."""
+    """Return degenerate combinations of parameters as relative changes by name, scaled to a largest change of 1."""
     kept = [i for i, n in enumerate(fit.problem.layout.names) if not n.startswith("initial.")]
     names = [fit.problem.layout.names[i] for i in kept]
     return degenerate_directions(names, fit.theta[kept], fit.covariance[np.ix_(kept, kept)])
@@ -336,7 +336,7 @@ def _candidate(c: Candidate, d: Diagnosis) -> dict[str, Any]:
 
 
 def _in_words(fit: Fit, effect: Effect | str) -> dict[str, str]:
-    """Return the name of an effect in words and its symbol, as parts of a document."""
+    """Return the name of an effect in words, and its symbol, as parts of a document."""
     name = fit.name(effect)
     return {"words": name.words, "symbol": name.symbol}
 
@@ -350,7 +350,7 @@ class TermDocument(Document):
 
 
 class DifferenceDocument(Document):
-    """The largest difference of a law from another one of its set; torque [N m], times [s], speeds [rad/s]."""
+    """The largest difference of a law from another law of its set; torque [N m], times [s], speeds [rad/s]."""
 
     formula: str
     torque_Nm: Number  # noqa: N815 - the unit's own capitals
@@ -415,7 +415,7 @@ class LawsDocument(Document):
 
 
 def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
-    """Return laws under the keys of `laws --json`; `fit_id` is the base in its ledger."""
+    """Return laws under the keys of `laws --json`; `fit_id` is the base model in the ledger."""
     document = LawsDocument.model_validate(
         vars(found)
         | {
@@ -446,8 +446,8 @@ def _law(x: Law) -> LawDocument:
 def check_name(name: str, path: Path, terms: int = 1) -> None:
     """Raise an EffectError if a law of one or two terms cannot be added to a file of effects under this name.
 
-    The name is malformed or taken (in the library or the file), or the file does not contain effects. A second term is
-    called ``NAME.second``.
+    The error is raised if the name is malformed or taken (in the library or the file), or if the file does not contain
+    effects. A second term is called ``NAME.second``.
     """
     if not _NAME.fullmatch(name):
         raise EffectError(
@@ -467,9 +467,9 @@ def _names(name: str, terms: int) -> list[str]:
 
 
 def save_law(law: Law, name: str, path: Path, source: str) -> None:
-    """Add a law to a TOML file of effects, which is made if it does not exist; `source` says where it was found.
+    """Add a law to a TOML file of effects, which is created if necessary; `source` states where the law was found.
 
-    Errors are those of `check_name`, and a LedgerError if the file cannot be written.
+    Raise the errors of `check_name`, and a LedgerError if the file cannot be written.
     """
     with locked(path):
         check_name(name, path, len(law.effects))
@@ -538,7 +538,7 @@ def history_verdict(steps: Sequence[Step]) -> str:
     """Return the verdict of a finished history: "adequate", "missing_effect" (found and added) or "unexplained"."""
     if steps[-1].fit.verdict != "no_lack_of_fit":
         return "unexplained"
-    # a parameter with a value for each recording is not an effect
+    # a shared parameter that was freed per recording is not an effect
     return "missing_effect" if steps[-1].fit.model.names != steps[0].fit.model.names else "adequate"
 
 
@@ -560,7 +560,7 @@ class SavedFit(FitSummary):
     names: tuple[str, ...]  # variables, in the order of `covariance`
     covariance: Array  # (n, n), in SI units
     sources: tuple[str, ...]  # files of the data that were fitted
-    digests: tuple[str, ...]  # their SHA-256
+    digests: tuple[str, ...]  # SHA-256 of these files
 
     def _origin(self) -> Origin:
         return self.names, self.covariance, self.sources, self.digests
@@ -582,7 +582,7 @@ def load_fit(path: str | Path) -> SavedFit:
     Raises
     ------
     LedgerError
-        If the file is missing, damaged, or no fit.
+        If the file is missing, damaged, or not a fit.
     """
     path = Path(path)
     stored = read_json(path, SavedFitDocument, "is not a saved fit", "save one with Fit.save")
@@ -612,7 +612,7 @@ def _estimates(stored: Mapping[str, EstimateDocument]) -> dict[str, Estimate]:
 
 @cache
 def fingerprint() -> str:
-    """Return a digest of the code that fits: this package, numpy and scipy."""
+    """Return a digest of the code on which fits depend: this package, numpy and scipy."""
     digest = hashlib.sha256(f"numpy {version('numpy')} scipy {version('scipy')}".encode())
 
     def add(place: Any, name: str) -> None:
@@ -642,9 +642,9 @@ def stored_fit(fit: Fit) -> StoredFit:
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
     """Return a stored fit; None if it was made by another version of the code.
 
-    The noise is linearised about the same motion as in the original fit: the start of its last optimisation. Where a
-    model fails grossly, the optimum may be far from it. The noise of a candidate is that of the fit without
-    it, where its strengths are zero.
+    The noise is linearised about the same motion as in the original fit, the start of its last optimisation. If a model
+    has a very large lack of fit, the optimum may be far from this start. The noise of a candidate is that of the fit
+    without the candidate, with strengths of zero.
     """
     if stored.code != fingerprint():
         return None
@@ -665,7 +665,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
     """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
-    # a candidate that was fitted with free moments of inertia has another model
+    # a candidate that was fitted with free moments of inertia has a different model
     base = found.fit.model
     candidates, left = [], _FITS
     for c in found.candidates:
@@ -689,7 +689,7 @@ def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDi
 def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
     """Return a stored diagnosis; None if it was made by another version of the code or with other effects of the user.
 
-    Its candidates have no screening results: it serves display only.
+    Its candidates have no screening results, so the diagnosis is for display only.
     """
     if stored.code != fingerprint() or stored.extra != own_effects(extra):
         return None

@@ -81,9 +81,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-# kinds of films that no other method tracks; of two bodies, the user selects one
+# kinds of films that no other method tracks; if there are two bodies, the user must select one
 _NO_OTHER_WAY = ("cut", "no motion", "two bodies", "two links")
-_MIN_TRACKED = 0.8  # fraction of the frames in which the paper's markers must be found to be used
+_MIN_TRACKED = 0.8  # smallest fraction of the frames in which the paper's markers are found, if they are used
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class SpindownOptions:
     limits: Limits = field(default_factory=Limits)
     label: str = ""  # name of the case
     body_name: str = ""  # name of the body, for example wheel
-    # markers and colours of a film; without it, the texture of the body is tracked, or else the paper's markers
+    # markers and colours of a film; without a profile, the texture of the body is tracked, or else the paper's markers
     profile: Path | None = None
     body: str | None = None  # body to analyse, "casing" or "rotor", in a film or recording of both
     columns: tuple[str, ...] = ()  # meaning of columns of a table, for example "t=1" and "angle=2"
@@ -118,7 +118,7 @@ class SpindownOptions:
 
 @dataclass(frozen=True)
 class Source:
-    """What was read."""
+    """The data that were read from a source."""
 
     case: Case
     film: tuple[Film, Tracked | TrackedPoint] | None = (
@@ -142,7 +142,7 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
     tabulated = not filmed and source.suffix.lower() not in (".h5", ".hdf5")
     if options.inputs and not tabulated:
         what = "--input names a column of a table; a film or a recording has none."
-        raise UsageError(what, "Write the angles with `gyrotrack export`, and the input beside them.")
+        raise UsageError(what, "Write the angles with `gyrotrack export`, and add the input as a column.")
     if not filmed and (options.point or options.colour or options.scale or options.tilt):
         what = "--point, --colour, --scale and --tilt apply to films."
         raise UsageError(what, "Select a column or a tracked point of a table by --column or --marker.")
@@ -161,7 +161,9 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
     if options.inertia is None:
         warnings.append("No inertia is given: torques are per unit of inertia, in rad/s2 (inertia 1).")
     series = case.casing
-    is_table = table is not None  # the reader of tables applies the limits, and removes drive and rest
+    is_table = (
+        table is not None
+    )  # the reader of tables has already applied the limits and removed drive and rest
     if not is_table:
         series = _within(series, options.limits, warnings)
     if not (options.limits.keep_all or is_table):
@@ -196,7 +198,7 @@ def _reading(options: SpindownOptions) -> ReadOptions:
 
 
 def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
-    """Return the document of a pendulum in light gates, which has no angles and no case; None for another source."""
+    """Return the document of a pendulum in light gates, without angles and case; None for another source."""
     if not source.is_file() or is_film(source) or source.suffix.lower() in (".h5", ".hdf5"):
         return None
     with usable_numbers(source):
@@ -204,7 +206,7 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     if found is None:
         return None
     if options.inputs:
-        what = "Light gates measure period and decay of a pendulum; no input enters them."
+        what = "Light gates measure period and decay of a pendulum; inputs are not supported."
         raise UsageError(what, "Repeat the command without --input.")
     keep = within(found.time, options.limits)
     found = replace(found, time=found.time[keep], duration=found.duration[keep])
@@ -253,9 +255,9 @@ def _film(
 ) -> tuple[Recording, tuple[Film, Tracked | TrackedPoint] | None]:
     """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body.
 
-    The paper's markers are first where one of their bodies is selected. A point is followed where one is selected,
-    where no body is found that turns, where the hub is outside the picture, and where a compact body alone moves on an
-    arc: a ball on a thread shows its path better than its rotation.
+    If one of the bodies of the paper's markers is selected, the markers come first. A point is followed in four cases:
+    a point is selected, no body is found that turns, the hub is outside the picture, or only one compact body moves on
+    an arc, because the path of a ball on a thread is measured better than its rotation.
     """
     if options.profile is not None:
         return extract(
@@ -272,7 +274,7 @@ def _film(
         return recording, (film, point)
     film = Film(source) if options.tilt is None else Film(source, tilt=options.tilt)
     _limit(film, options)
-    # the texture of a film of the paper's gyroscope may be followed about either body
+    # in a film of the paper's gyroscope, the texture of either body may be tracked
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
         return found, None
     look = first_look(film)
@@ -294,7 +296,7 @@ def _film(
             recording, point = point_recording(
                 film, options, progress, None if film.stabilised else look.seen
             )
-        except TrackingError as other:  # of several compact bodies, one may move across the picture
+        except TrackingError as other:  # one of several compact bodies may move across the picture
             several = other if isinstance(other, RefusedFilmError) else None
         else:
             return recording, (film, point)
@@ -332,17 +334,17 @@ def _by_silhouette(
 def _papers_markers(
     source: Path, film: Film, options: SpindownOptions, progress: Progress | None
 ) -> Recording | None:
-    """Track the paper's markers; None with a hub, or where no body is tracked that turns."""
+    """Track the paper's markers; None if a hub is given, or if no tracked body turns."""
     if options.hub is not None or options.tilt is not None:
         return None
     fps, _, warnings = _rate(film, options.capture_fps)
-    # the angle of a drawn body at rest is constant: a prediction of it is singular
+    # the angle of a drawn body at rest is constant, so its prediction is singular
     with suppress(GyrotrackError, np.linalg.LinAlgError):
         if not is_coloured(source):
             return None
         found = extract(source, capture_fps=fps, body=options.body, progress=progress)
         tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
-        # coloured things at rest or in a hand are not markers
+        # coloured objects at rest or in a hand are not markers
         if any(float(np.ptp(b.angle)) >= LEAST_TURN for b in tracks):
             note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
             return replace(found, warnings=(*warnings, note, *found.warnings))
@@ -384,7 +386,7 @@ def _limit(film: Film, options: SpindownOptions) -> None:
 def film_recording(
     film: Film, options: SpindownOptions, progress: Progress | None = None, *, free: bool = False
 ) -> tuple[Recording, Tracked]:
-    """Track one body in a film, on a hub or `free` to move across the picture, and make a recording of it."""
+    """Track one body in a film, about a hub or `free` to move across the picture, and make a recording."""
     tracked = (track_free_body if free else track_body)(film, _levelled(film, options.hub), progress)
     return _recording_of(film, options, tracked), tracked
 
@@ -395,9 +397,9 @@ def point_recording(
     progress: Progress | None = None,
     seen: Foreground | None = None,
 ) -> tuple[Recording, TrackedPoint]:
-    """Follow a point of a film about its pivot, selected by the options or found, and make a recording of it.
+    """Follow a point of a film, selected by the options or found, about its pivot, and make a recording.
 
-    `seen` is what differs from the background of the film, if it is known.
+    `seen` is the foreground of the film, if available.
     """
     point, hub = (_levelled(film, place) for place in (options.point, options.hub))
     tracked = follow_point(film, point, hub, progress, seen)
@@ -414,9 +416,9 @@ def points_recording(
     options: SpindownOptions,
     progress: Progress | None = None,
 ) -> Recording:
-    """Follow several points of a film, each about its own pivot, and make one recording of them.
+    """Follow several points of a film, each about its own pivot, and make one recording.
 
-    The body of the recording turns with the first point that has a pivot; without one, the recording holds paths alone.
+    The body of the recording turns with the first point that has a pivot; without a pivot, it contains only paths.
     """
     hub = _levelled(film, options.hub)
     found = [follow_path(film, _levelled(film, start), hub, progress) for start in starts]
@@ -445,10 +447,10 @@ def links_recording(
     options: SpindownOptions,
     progress: Progress | None = None,
 ) -> Recording:
-    """Follow the joint of two links and a point of the second one; make a recording of both bodies.
+    """Follow the joint of two links and a point of the second link, and make a recording of both bodies.
 
     The casing is the first link, the rotor the second one. Both angles are relative to the ground, counter-clockwise
-    from the right of the picture; their difference is that of the links to each other.
+    from the right of the picture; their difference is the angle between the links.
     """
     if len(starts) != 2:
         what = f"--links needs two points, and {len(starts)} are given."
@@ -470,7 +472,7 @@ def links_recording(
     beside = OFF_AXIS / float(np.median(np.hypot(*(joint.place - joint.hub).T)))
     text = (
         "The casing is the first link, about the pivot; the rotor is the second one, about the joint. Their angles are "
-        "relative to the ground; the angle of the links to each other is rotor minus casing. The points may be "
+        "relative to the ground; the angle between the links is rotor minus casing. The points may be "
         f"{1e3 * beside:.2g} mrad off the axes of the links: an error of "
         "the zero of the first angle."
     )
@@ -494,7 +496,7 @@ def _recording_of(
         if isinstance(tracked, TrackedPoint):
             body = replace(body, harmonic_sigma=tracked.error_by_place(film.info.width))
         bodies["casing"] = body
-        # a body that enters or leaves the picture is not lost in the frames before and after
+        # frames before a body enters the picture, or after it leaves, are not lost frames
         shown = fresh_frames(film)
         count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))
         unsure = track_doubts("body", body, count, "the picture of the body (.png)")
@@ -527,7 +529,7 @@ def _recording_of(
         width=columns,
         height=rows,
         capture_fps=fps,
-        # streams without a container and folders of pictures state no rate
+        # streams without a container, and folders of pictures, do not state a rate
         container_fps=film.info.container_fps if math.isfinite(film.info.container_fps) else fps,
         frames_declared=film.info.frames_declared,
         frames_decoded=len(film),
@@ -570,7 +572,7 @@ def _body_of(time: Floats, angle: Floats, sigma: Floats) -> BodyTrack:
 
 
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
-    """Make a case of one body of a recording, by default the one with most samples, in the role of the casing."""
+    """Make a case of one body of a recording, by default the body with most samples, as the casing."""
     if name is not None and name not in recording.bodies:
         what = f"{recording.source} does not contain the {name}."
         raise DatasetError(what, f"It contains: {', '.join(recording.bodies)}.")
@@ -682,7 +684,7 @@ def _analysed(
             if isinstance(body[1], TrackedPoint)
             else _with_view_errors(motion, series, recording, body[1])
         )
-    # the uncertainty that all angles share, for example that of the distance of the hub, scales the range as well
+    # an uncertainty that all angles share, for example of the distance of the hub, also scales the range
     usual = min(float(np.median(series.sigma)), white_noise(series.angle, series.time))
     if motion.turns * TURN < _LEAST_RANGE * usual:
         what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
@@ -745,7 +747,7 @@ def _analysed(
         laws = oscillator_laws(study.data[0]) if motion.period is not None else None
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case; an oscillation has no solution without a
-            # restoring torque, and while one law is missing the next one imitates it
+            # restoring torque, and other laws imitate a missing one
             if drives:
                 base = _first_order_fit(study.data, [i.name for i in drives])
             elif laws is None:
@@ -775,7 +777,7 @@ def _analysed(
                 warnings.append(f"The search stopped: {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
             if laws is not None:
-                # the last fit that does not contradict amplitude and phase
+                # the last fit that is consistent with amplitude and phase
                 found_laws = [laws.with_fit(step.fit) for step in reversed(history)]
                 laws, disagreement = next((f for f in found_laws if not f[1]), found_laws[-1])
                 warnings += [disagreement] if disagreement else []
@@ -814,14 +816,14 @@ def _analysed(
 
 
 def drives_of(case: Case) -> tuple[Input, ...]:
-    """Return the recorded inputs that drive the body: all but temperatures, on which laws may depend."""
+    """Return the recorded inputs that drive the body: all except temperatures, on which laws may only depend."""
     return tuple(i for i in case.inputs if i.unit != "K")
 
 
 def _first_order_fit(data: Sequence[CaseData], drives: Sequence[str]) -> Fit:
-    """Return the fit of a driven body of the first order: viscous friction, and a torque in proportion to each drive.
+    """Return the first-order fit of a driven body: viscous friction, and a torque in proportion to each drive.
 
-    A dead time of a drive is part of it if there is evidence for it: without it, laws of friction would imitate it.
+    A dead time of a drive is added if there is evidence for it, because laws of friction would imitate it.
     """
     from fitting._errors import FittingError
     from fitting.dynamics._model import Model
@@ -841,7 +843,7 @@ def _first_order_fit(data: Sequence[CaseData], drives: Sequence[str]) -> Fit:
 
 
 def _supported(base: Fit, history: Sequence[Step], verdict: str) -> Fit:
-    """Return the fit whose laws the answer states: the last one, or the first where no effect is established."""
+    """Return the fit whose laws the answer states: the last fit, or the first if no effect is established."""
     return base if verdict in {"undecided", "unexplained"} else history[-1].fit
 
 
@@ -854,7 +856,7 @@ def _drive(read: Source) -> Drive | None:
         inputs = tuple(
             replace(i, value=i.value[np.clip(rows, 0, None)])
             for i in table.drivers
-            if UNITS.get(clean(i.unit), Unit("1")).si != "K"  # a temperature drives nothing
+            if UNITS.get(clean(i.unit), Unit("1")).si != "K"  # a temperature is not a drive
         )
     pulses = table is not None and table.counted
     return drive_of(series, read.case.quantity, inputs, pulses=pulses)
@@ -890,7 +892,9 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         )
 
 
-_TURNS_WITH_HARMONICS = 2.0  # turns from which on harmonics of the angle are distinguishable from the motion
+_TURNS_WITH_HARMONICS = (
+    2.0  # smallest number of turns in which harmonics of the angle are distinguishable from the motion
+)
 
 
 def _with_view_errors(
@@ -898,10 +902,10 @@ def _with_view_errors(
 ) -> BodyMotion:
     """Add the difference between the inner and the outer half of the ring to the uncertainties.
 
-    Perspective, a displaced hub and objects fixed in the image affect both halves differently; these errors are
-    systematic. In less than two turns the error by a displaced hub, `hub_leverage` times the difference that it causes,
-    is not distinguishable from the motion; in more it is a harmonic of the angle, which `motion_of` fits. All but times
-    scale with the distance of a hub outside the picture.
+    Perspective, a displaced hub and objects fixed in the image affect the halves differently; these errors are
+    systematic. In less than two turns the error due to a displaced hub, `hub_leverage` times the difference of the
+    halves, is not distinguishable from the motion. In more turns it is a harmonic of the angle, which `motion_of` fits.
+    All values except times scale with the distance of a hub outside the picture.
     """
     leverage = max(0.5, tracked.hub_leverage) if motion.turns < _TURNS_WITH_HARMONICS else 0.5
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))

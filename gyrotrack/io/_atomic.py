@@ -1,9 +1,9 @@
-"""Output that survives a kill or a full disk: atomic writing of files, locks, and checkpoints of long runs.
+"""Output that is safe against kills and full disks: atomic writing of files, locks, and checkpoints of long runs.
 
-Files are written and locked as `fitting._files` describes, which both packages use.
+`fitting._files`, which both packages use, describes how files are written and locked.
 
-Files that this package makes beside an output are opened without following links, and have a header: a file without
-it belongs to somebody else, and is left alone.
+Auxiliary files next to an output are opened without following links and have a header. A file without this header was
+not made by this package and is not changed.
 
 A checkpoint is a file from which a killed run resumes, an append-only log::
 
@@ -12,8 +12,8 @@ A checkpoint is a file from which a killed run resumes, an append-only log::
     content         length of the manifest (4 bytes), manifest, arrays
 
 The manifest is JSON: the metadata of the record ("facts"), and name, type and shape of its arrays, whose bytes follow
-in that order. The first record identifies the run. A truncated record fails its checksum and is dropped with all that
-follow. HDF5 is not used because a kill can make an HDF5 file unreadable.
+in this order. The first record identifies the run. A truncated record has a wrong checksum; it is dropped with all
+later records. HDF5 is not used because a kill can make an HDF5 file unreadable.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def locked(path: Path, timeout: float | None = None) -> Iterator[Path]:
 
 
 def remove_remains(folder: Path) -> None:
-    """Remove what a killed program has left of the files that it was writing into a folder."""
+    """Remove the unfinished files that a killed program has left in a folder."""
     for own in folder.glob(".*.lock"):
         with suppress(OSError, OutputError):
             with open_side_file(own) as stream:
@@ -67,8 +67,8 @@ def refuse_special(path: Path, error: type[GyrotrackError] = DatasetError) -> No
 def refuse_existing(path: Path, *, force: bool, reads: Iterable[Path | None] = ()) -> None:
     """Raise `OutputError` if `path` is not a regular file, has no folder, or exists and `force` is not set.
 
-    The output of a command that was killed before its end may be replaced. With `force` too, none of the files that the
-    command `reads` is replaced, under whatever name.
+    The output of a command that was killed before its end may be replaced. Files that the command `reads` are never
+    replaced, even with `force` or under another name.
     """
     refuse_special(path, OutputError)
     if not path.parent.is_dir():
@@ -121,7 +121,7 @@ _MARKED = {"command": "outputs"}
 
 
 def mark_new(path: Path, content: Path) -> None:
-    """Mark `path`, which does not exist yet, as an output of the running command that `content` will be or is."""
+    """Mark `path`, which does not exist yet, as an output of the running command; `content` is or will be this file."""
     held = marks()
     if held is None:
         return
@@ -135,7 +135,7 @@ def mark_new(path: Path, content: Path) -> None:
 
 
 def is_left(path: Path) -> bool:
-    """Whether `path` is an output, unchanged since, of a command that was killed before its end."""
+    """Return whether `path` is an unchanged output of a command that was killed before its end."""
     held = marks()
     if held is not None and path.absolute() in held:
         return False
@@ -163,13 +163,13 @@ def _mark_path(path: Path) -> Path:
 
 
 def _identity(path: Path, status: os.stat_result) -> dict[str, Any]:
-    """Return what distinguishes a file from any other that may have its name later."""
+    """Return the properties that distinguish a file from a later file of the same name."""
     return {"name": path.name, "ino": status.st_ino, "size": status.st_size, "mtime_ns": status.st_mtime_ns}
 
 
 @contextmanager
 def new_file(path: Path, *, force: bool = False) -> Iterator[BinaryIO]:
-    """Yield a binary stream, and move its content to `path` when the context ends without an error, as `new_path`."""
+    """Yield a binary stream, and move its content to `path` when the context ends without an error (see `new_path`)."""
     with new_path(path, force=force) as part, part.open("r+b") as stream:
         yield stream
 
@@ -216,8 +216,8 @@ class CheckpointFile:
     """The checkpoint of one run, in the folder of its output, locked against a second writer while it is open.
 
     `facts` identify the run: film, settings, version. With `resume` an existing checkpoint of equal facts is continued;
-    otherwise a new one is started, and `other` says whether one of another run was replaced. An OutputError is raised
-    if another program writes the same output for longer than `wait` [s], or the write fails.
+    otherwise a new one is started, and `other` states whether the checkpoint of another run was replaced. An
+    OutputError is raised if another program writes the same output for longer than `wait` [s], or the write fails.
     """
 
     def __init__(
@@ -266,7 +266,7 @@ class CheckpointFile:
         self._ends.append(self._stream.tell())
 
     def records(self) -> Iterator[Record]:
-        """Read the records one after the other."""
+        """Yield the records in order."""
         for index in range(len(self)):
             yield self.record(index)
 
@@ -298,7 +298,7 @@ class CheckpointFile:
         self._ends = [self._stream.tell()]
 
     def _restore(self) -> bool:
-        """Find the complete records of an earlier run; False if there are none, or they are of another run."""
+        """Find the complete records of an earlier run; False if there are none, or if they are of another run."""
         ends: list[int] = []
         first: Record | None = None
         self._stream.seek(len(_LINE))
@@ -340,7 +340,7 @@ _CORRUPT = (ValueError, LookupError, TypeError, AttributeError, OverflowError, R
 
 
 def _unpacked(content: bytes) -> Record:
-    """Return the record in a content; one of `_CORRUPT` is raised if it has another form."""
+    """Return the record in a content; raise one of `_CORRUPT` if the content is malformed."""
     (size,) = _SIZE.unpack_from(content)
     manifest = json.loads(content[_SIZE.size : _SIZE.size + size])
     if not isinstance(manifest["facts"], dict):

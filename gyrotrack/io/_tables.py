@@ -1,4 +1,4 @@
-"""Writing of tables and attributes of the schema, and the reader (`fitting._dataset`) with this package's errors."""
+"""Writing of tables and attributes of the schema, and a reader (`fitting._dataset`) with this package's errors."""
 
 from __future__ import annotations
 
@@ -116,5 +116,5 @@ def to_json(value: Any) -> str:
 
 
 def valid(text: str) -> str:
-    """Return a text as HDF5 can store it: names of files may contain bytes that are not UTF-8."""
+    """Return a text that HDF5 can store, because names of files may contain bytes that are not UTF-8."""
     return text.encode("utf-8", "replace").decode().replace("\0", "?")

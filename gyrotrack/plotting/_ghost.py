@@ -1,9 +1,9 @@
-"""The marker where a model says that it should be, drawn beside the real one: the ghost.
+"""The ghost: the outline of a marker at the angle predicted by a model, drawn together with the real marker.
 
 A fit gives the difference between the measured and the modelled angle at the time of each frame, with its own clock and
-zero of the angle (`fitting.inference._angle_residuals`). The outline of the marker, its two corners near the hub and
-the two behind them, is turned about the hub by minus this difference, times a factor where it would be too small to be
-seen; the factor is stated in every picture.
+zero of the angle (`fitting.inference._angle_residuals`). The outline of the marker consists of its two corners near the
+hub and two outer corners. It is turned about the hub by minus this difference, multiplied by a factor if the difference
+is too small to be visible; every picture states the factor.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-# length of an outline over the distance of its corners near the hub
+# length of an outline divided by the distance of its near corners
 _LENGTH = 1.3
-# a difference of fewer pixels at the marker is magnified, to about as many as the second number
+# a difference below the first number is magnified to about the second number [px at the marker]
 _SMALL, _SEEN = 8.0, 16.0
-# largest angle that a magnified difference is drawn as [rad]
+# largest angle of a magnified difference [rad]
 _LARGEST = 0.6
 _STEPS = (1, 2, 5)
 _REAL = (255, 255, 255)
@@ -50,7 +50,7 @@ _REAL = (255, 255, 255)
 
 @dataclass(frozen=True)
 class Ghost:
-    """A body in the n frames of a clip that lie within the fitted run, with the outlines of its markers.
+    """A body in the n frames of a clip that are within the fitted run, with the outlines of its markers.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Ghost:
     frame : ndarray of int, shape (n,)
         Numbers of the frames.
     time : ndarray, shape (n,)
-        Their times on the clock of the case [s].
+        Times of the frames on the clock of the case [s].
     models : tuple of str
         Names of the models.
     difference, sigma : ndarray, shape (models, n)
@@ -69,7 +69,7 @@ class Ghost:
     hub : ndarray, shape (n, 2)
         Centre of rotation [px].
     sense : {1, -1}
-        Angle in the picture, counter-clockwise, over the angle of the body.
+        Ratio of the counter-clockwise angle in the picture to the angle of the body.
     """
 
     clip: str
@@ -104,14 +104,14 @@ class Ghost:
 
     @cached_property
     def radius(self) -> float:
-        """Median distance of the outlines from the hub [px]; NaN without any."""
+        """Median distance of the outlines from the hub [px]; NaN without outlines."""
         places = [np.linalg.norm(o.mean(axis=1) - self.hub, axis=1) for o in self.outlines.values()]
         known = np.concatenate([p[np.isfinite(p)] for p in places]) if places else np.zeros(0)
         return float(np.median(known)) if len(known) else float("nan")
 
     @cached_property
     def factor(self) -> int:
-        """Factor, 1, 2, 5, 10 ..., with which the largest difference of any model is visible."""
+        """Factor (1, 2, 5, 10 ...) that makes the largest difference of any model visible."""
         largest = float(np.abs(self.difference).max(initial=0.0))
         if not largest > 0 or not np.isfinite(self.radius) or largest * self.radius >= _SMALL:
             return 1
@@ -131,7 +131,7 @@ class Ghost:
         picture : ndarray, shape (height, width, 3), optional
             The frame of the film (RGB).
         frame : int
-            Place of the frame among those of this ghost.
+            Index of the frame among those of this ghost.
         model : int
             Index of the model.
         """
@@ -157,7 +157,7 @@ class Ghost:
         )
 
     def turned(self, marker: str, model: int, factor: int = 1) -> Array:
-        """Return the outlines of a marker where a model says that they are, (n, 4, 2) [px].
+        """Return the outlines of a marker at the angles predicted by a model, (n, 4, 2) [px].
 
         Parameters
         ----------
@@ -235,9 +235,9 @@ def _filled(centre: Array) -> Array:
 
 
 def _outlines(r: Recording, others: Set[str]) -> dict[str, Array]:
-    """Return the outlines of the markers of a body, or of a body without markers a pointer from its hub.
+    """Return the outlines of the markers of a body; for a body without markers, a pointer from its hub.
 
-    They are those that do not belong to `others`, the other bodies of the case.
+    Markers of `others`, the other bodies of the case, are omitted.
     """
     markers = [m for m in r.markers.values() if m.body not in others]
     found = {m.name: outline(m, _filled(r.centre), r.sense) for m in markers}
@@ -255,9 +255,9 @@ def _outlines(r: Recording, others: Set[str]) -> dict[str, Array]:
 
 
 def outline(marker: MarkerTrack, hub: Array, sense: int) -> Array:
-    """Return the outline of a marker in each frame, (n, 4, 2) [px]: near corners as found, and two behind them.
+    """Return the outline of a marker in each frame, (n, 4, 2) [px]: near corners as found, and two outer corners.
 
-    Where the corners were not found but the angle was, they are those of the median marker at this angle.
+    In frames with an angle but without corners, the corners are those of the median marker at this angle.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def ghost_document(ghost: Ghost, model: int = 0, *, factor: int | None = None) -
     model : int
         Index of the model.
     factor : int, optional
-        Factor of the difference; by default that with which it is visible.
+        Factor of the difference; by default the factor that makes it visible.
 
     Returns
     -------
@@ -355,9 +355,9 @@ class Animation:
 
 # frames of an animated picture, their duration [ms], and the size of one panel [px]
 _FRAMES, _DURATION, _PANEL = 24, 160, 240
-# a stretch is shown with this share of its length before and after it
+# margin before and after a stretch of time, as a share of its length
 _AROUND = 0.15
-# half the side of a panel over the radius of the marker
+# half the side of a panel divided by the radius of the marker
 _VIEW = 1.7
 _TOP, _FOOT = 40, 24
 _QUALITY = 35
@@ -366,7 +366,7 @@ _QUALITY = 35
 def animation(ghost: Ghost, film: Film, start: float, stop: float) -> Animation | None:
     """Return the ghosts of all models side by side around a stretch of time; None if no frame can be decoded.
 
-    The picture turns with the model, so that its ghost stands still and the real marker moves away from it.
+    The picture turns with the model, so the ghost of the model is stationary and the real marker moves relative to it.
 
     Parameters
     ----------
@@ -408,8 +408,8 @@ def animation(ghost: Ghost, film: Film, start: float, stop: float) -> Animation 
         out.getvalue(),
         jpeg(np.ascontiguousarray(still), width, 85),
         _finding(part),
-        f"{len(pictures)} frames, turned with the model. White: the marker in the film. Coloured: where the model says "
-        "that it should be."
+        f"{len(pictures)} frames, turned with the model. White: the marker in the film. Coloured: where the model "
+        "predicts it."
         + (f" The differences are drawn {factor} times as large as they are." if factor > 1 else ""),
         width,
         height,
@@ -446,7 +446,7 @@ def _angle(value: float) -> str:
 
 
 def _panels(ghost: Ghost, i: int, picture: Picture, factor: int) -> Image:
-    """Return one frame, turned with each model, with the outlines and what is shown."""
+    """Return one frame, turned with each model, with the outlines and a legend."""
     from PIL import Image, ImageDraw
 
     count = len(ghost.models)
@@ -536,7 +536,7 @@ def stretches(
     folders: Sequence[Path],
     index: int = 0,
 ) -> list[Stretch]:
-    """Return the run of the casing, or of the single body, and the stretches of time that a film shows.
+    """Return the run of the casing (or single body), and the intervals with a lack of fit, that a film shows.
 
     Parameters
     ----------
@@ -590,7 +590,7 @@ def write_ghost_film(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Write the ghosts in slow motion around stretches of time: consecutive frames, at 25 frames per second.
+    """Write a film of the ghosts in slow motion around stretches of time: consecutive frames, at 25 per second.
 
     For a long stretch, the frames around the largest difference are shown. A name that ends in ``.webp`` gets the
     animated picture of the first stretch.
@@ -644,7 +644,7 @@ def write_ghost_film(
 
 
 def _around_worst(ghost: Ghost, start: float, stop: float) -> Ghost:
-    """Return consecutive frames of a stretch, of a long one those around the largest difference of the first model."""
+    """Return consecutive frames of a stretch; if it is long, those around the largest difference of the first model."""
     around = _AROUND * (stop - start)
     part = ghost.inside(start - around, stop + around)
     if len(part.time) <= _LONGEST:

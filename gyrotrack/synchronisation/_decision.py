@@ -1,12 +1,12 @@
 """Starts of the clips on the clock of the casing camera: search, joint solution, ambiguity; and the resulting case.
 
-Each clip is characterised by speed, acceleration and jerk at its middle, from a cubic with harmonics, and so is the
-record of the casing around every time. A start is possible if both agree within their uncertainties and that of the
-clock rate r, which scales them by r, r^2 and r^3.
+Each clip is characterised by speed, acceleration and jerk at its middle, from a cubic with harmonics; the record of the
+casing is characterised in the same way around every time. A start is possible if the values of clip and record agree
+within their uncertainties and the uncertainty of the clock rate r, which scales the three values by r, r^2 and r^3.
 
-Clips of one camera have a common clock rate, and a common direction if the camera was not moved in between. Both are
-assumed only if the data confirm them. A common rate must not increase chi2 significantly. A common direction determines
-the start modulo whole turns of the casing; it is assumed if the directions agree with a probability by chance of less
+Clips of one camera have a common clock rate, and a common direction if the camera was not moved in between. A common
+rate is assumed if it does not increase chi2 by more than errors of tracking explain. A common direction determines the
+start modulo whole turns of the casing; it is assumed if the probability that the directions agree by chance is less
 than 0.001.
 """
 
@@ -54,38 +54,37 @@ RATE_SIGMA = 1e-3
 """Prior standard deviation of the clock rate [1]. Chosen: a smaller value biases the rate of a camera with a wrong
 nominal rate, a larger one leaves a constant speed undetermined."""
 ONE_CLOCK = 2e-4
-"""Difference of the rates of clips from which they cannot be those of one camera [1]. Chosen: a crystal changes by 1e-6
-in a run, slow errors of tracking imitate some 1e-5; a larger value joins two cameras."""
+"""Smallest difference of the rates of clips that proves two cameras [1]. Chosen: a crystal changes by 1e-6 in a run,
+and slow errors of tracking imitate some 1e-5; a larger value joins two cameras."""
 UNLIKELY = 1e-4
-"""Probability of a larger difference of rates by white errors, below which they differ [1]. Chosen: a larger value
-separates clips of one camera, a smaller one joins two."""
+"""Probability of a larger difference of rates due to white errors, below which the rates differ [1]. Chosen: a larger
+value separates clips of one camera, a smaller one joins two."""
 MAX_LENGTH = 3.0
 """Largest length of the part of a clip that is compared in the search [s]. Chosen: a cubic describes the motion over
 it; a longer part needs a higher degree, a shorter one is noisy."""
 GRID = 0.1
-"""Largest step of the survey of the casing's record [s]. Chosen: a larger step passes over starts, a smaller one costs
+"""Largest step of the survey of the casing's record [s]. Chosen: a larger step omits starts, a smaller one costs
 time."""
 FINE_GRID = 0.005
 """Step of the interpolated search for starts [s]. Chosen: a larger step leaves the range of the refinement, a smaller
 one costs time."""
 MIN_DISTANCE = 0.3
-"""Smallest distance of two candidates [s]. Chosen: a smaller value refines one start twice, a larger one omits a
+"""Smallest time between two candidates [s]. Chosen: a smaller value refines one start twice, a larger one omits a
 start."""
 MAX_CANDIDATES = 5
 """Largest number of starts of a clip that are refined [1]. Chosen: time; fewer may omit the true start."""
 THRESHOLD = 100.0
-"""Largest chi2 of a candidate above the smallest one [1]. Chosen: a smaller value omits true starts, a larger one costs
-time."""
+"""Largest excess of chi2 of a candidate [1]. Chosen: a smaller value omits true starts, a larger one costs time."""
 MODEL_ERROR = np.array([0.02, 0.02, 0.05])
-"""Standard deviations of speed, acceleration and jerk by the error of the cubic [rad/s, rad/s2, rad/s3]. Chosen:
+"""Standard deviations of speed, acceleration and jerk due to the error of the cubic [rad/s, rad/s2, rad/s3]. Chosen:
 smaller values reject true starts, larger ones accept many."""
 INTERVALS = (2, 4, 8, 16, 32)
-"""Numbers of intervals of the spline that are tried [1]. Chosen: by factors of two; more cost time, fewer smooth the
+"""Numbers of intervals of the spline that are tried [1]. Chosen: factors of two; more cost time, fewer smooth the
 motion."""
 BIC_BLOCKS = 30
-"""Blocks whose means count as independent [1]. Chosen: fewer leave no selection, more are correlated."""
+"""Number of blocks whose means are taken as independent [1]. Chosen: fewer leave no selection, more are correlated."""
 PARAMETERS = 16
-"""Number of parameters in addition to one per interval [1]. Derived: 5 of the ends of the spline, 8 harmonics, start,
+"""Number of parameters in addition to one per interval [1]. Derived: 5 for the ends of the spline, 8 harmonics, start,
 rate and direction."""
 ROUNDS = 2
 """Passes of noise and rejection [iterations]. Chosen: fewer keep outliers, more cost time."""
@@ -103,11 +102,11 @@ joins rivals."""
 EXCLUDED = 25.0
 """Increase of chi2 above which an alternative start is excluded [1]. Derived: five standard deviations."""
 MAX_START_SIGMA = 1e-3
-"""Largest uncertainty of a start that is not ambiguous [s]. Chosen: a smaller value doubts clips of even speed, a
-larger one accepts an uncertain start."""
+"""Largest uncertainty of a start that is not ambiguous [s]. Chosen: a smaller value rejects clips of nearly constant
+speed, a larger one accepts an uncertain start."""
 MAX_CHANCE = 1e-3
-"""Largest probability that directions agree by chance [1]. Chosen: a larger value assumes a common direction wrongly, a
-smaller one does not use it."""
+"""Largest probability that directions agree by chance [1]. Chosen: a larger value wrongly assumes a common direction, a
+smaller one does not use a true one."""
 AGREE = 4.0
 """Largest difference of equal directions, or rates, in standard deviations [1]. Chosen: a smaller value separates equal
 ones, a larger one joins different ones."""
@@ -155,7 +154,7 @@ def motion(curve: Curve, moment: float) -> Motion | None:
 
 @dataclass(frozen=True)
 class Survey:
-    """Motion of the casing at times throughout its record, each from 2 `half` seconds."""
+    """Motion of the casing at times throughout its record, each fitted to an interval of 2 `half` seconds."""
 
     half: float
     moments: Floats
@@ -275,7 +274,7 @@ def _distinct(pair: Pair, starts: list[Start], rate_limit: float = RATE_LIMIT) -
 def _refine(pair: Pair, start: Start, rate_limit: float) -> Solution | None:
     try:
         solution = solve([pair], [start], rate_sigma=RATE_SIGMA)
-    except (np.linalg.LinAlgError, ValueError):  # outside of the record, or the casing is at rest
+    except (np.linalg.LinAlgError, ValueError):  # outside the record, or the casing is at rest
         return None
     start, known = solution.starts[0], np.isfinite(solution.covariance).all()
     return solution if known and abs(start.eps) < rate_limit and _is_covered(pair, start) else None
@@ -291,9 +290,9 @@ def _is_covered(pair: Pair, start: Start) -> bool:
 def _calibrated(pair: Pair, start: Start) -> tuple[Pair, int]:
     """Exclude outliers, calibrate the sigmas of both cameras, and select the number of spline intervals.
 
-    The noise is estimated with the most flexible spline. The number of intervals is twice that with the smallest
-    Bayesian information criterion of block means, which unlike single frames are nearly independent; the factor avoids
-    a bias of the start by a spline that is too stiff.
+    The noise is estimated with the most flexible spline. The number of intervals is twice the number with the smallest
+    Bayesian information criterion. This criterion uses means of blocks, which are nearly independent, unlike single
+    frames. The factor of two avoids a bias of the start due to a spline that is too stiff.
     """
     pair, rejected = _with_calibrated_noise(replace(pair, intervals=2 * INTERVALS[-1]), start)
 
@@ -308,7 +307,7 @@ def _calibrated(pair: Pair, start: Start) -> tuple[Pair, int]:
 
 
 def _with_slow_noise(pair: Pair, start: Start) -> Pair:
-    """Increase the sigmas to those of slow errors of tracking, which averages do not reduce."""
+    """Increase the sigmas for slow errors of tracking, which averages do not reduce."""
     left, casing = _residuals(pair, start), casing_around(pair, start)
     record = pair.casing.between(*window(*start.casing_times(pair.clip.time[[0, -1]])))
     moment = start.casing_times(pair.clip.time)
@@ -402,7 +401,7 @@ def match_clips(
     cameras: Sequence[object],
     progress: Callable[[int, int | None], None] | None = None,
 ) -> list[Match]:
-    """Determine start, rate and direction of every clip by the casing's angle; equal `cameras` are one camera."""
+    """Determine start, rate and direction of every clip from the casing's angle; equal `cameras` are one camera."""
     surveys = {half: survey(casing, half) for half in {half_length(clip) for clip in clips}}
     prepared = []
     for clip, name in zip(clips, names, strict=True):
@@ -420,9 +419,9 @@ def match_clips(
 def _match_camera(prepared: list[Prepared]) -> list[Match]:
     """Match the clips of one camera.
 
-    They have one clock rate. Where separate rates describe them better, by less than clocks of two cameras differ, the
-    difference is an error of tracking: chi2 of the common rate over its degrees of freedom then increases all variances
-    (R. T. Birge, Phys. Rev. 40, 207 (1932)).
+    The clips have one clock rate. If separate rates fit better, but differ by less than the clocks of two cameras, the
+    difference is an error of tracking: all variances are then multiplied by the increase of chi2 due to the common
+    rate, per degree of freedom (R. T. Birge, Phys. Rev. 40, 207 (1932)).
     """
     pairs = [p.pair for p in prepared]
     common, excess = len(prepared) > 1, 0.0
@@ -473,7 +472,7 @@ def _solve(
 
 
 def _are_two_clocks(free: Solution) -> bool:
-    """Return whether separate rates of clips differ by more than those of one clock and their uncertainties allow."""
+    """Return whether separate rates of clips differ by more than one clock and their uncertainties allow."""
     rate = np.array([s.eps for s in free.starts])
     sigma = np.array([free.sigma(k)[1] for k in range(len(rate))])
     best = int(np.argmin(sigma))
@@ -501,7 +500,7 @@ def _rivals(fits: list[Solution], best: Solution, clip: int) -> list[Rival]:
 def _common_direction(
     pairs: Sequence[Pair], best: Solution, *, common_rate: bool
 ) -> tuple[list[int | None], Solution]:
-    """Return the whole turns between the directions of the clips, None where unknown, and the solution with them.
+    """Return the whole turns between the directions of clips, None where unknown, and the solution with these turns.
 
     The clip with the best known direction is the reference; the others are added in order of increasing uncertainty.
     """
@@ -536,7 +535,7 @@ def _difference(solution: Solution, k: int, reference: int) -> tuple[float, floa
 
 
 def _next_turns(pair: Pair, best: Solution, locked: Solution, k: int) -> list[Rival]:
-    """Return the starts one turn earlier and later, with their chi2 in the fit without common direction."""
+    """Return the starts one turn earlier and later, with their chi2 in the fit without a common direction."""
     middle = locked.starts[k].offset + pair.clip.time.mean()
     window = pair.casing.between(middle - 0.5, middle + 0.5)
     speed = abs(np.polyfit(window.time - middle, window.angle, 1)[0])
@@ -573,9 +572,9 @@ def synchronise(
 ) -> Synchronised:
     """Synchronise the rotor clips of one experiment with the casing camera.
 
-    The names, for messages, begin with that of the casing; moments of inertia are in kg m2; `progress` is called with
-    (clips done, clips in total). A SyncError says that a clip does not belong to this run, is given twice, or does not
-    show both bodies; a UsageError that a moment of inertia is not positive, or there is no clip.
+    The names, for messages, begin with that of the casing. Moments of inertia are in kg m2. `progress` is called with
+    (clips done, clips in total). A SyncError is raised if a clip does not belong to this run, is given twice, or does
+    not show both bodies; a UsageError if a moment of inertia is not positive or no clip is given.
     """
     if not (I_rotor > 0 and I_casing > 0):
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
@@ -663,8 +662,8 @@ def _placement(name: str, match: Match) -> Placement:
 
 
 FASTER = 1.02
-"""Speed of the rotor in a later clip over that in an earlier one from which a start may be wrong [1]. Chosen: a smaller
-value warns of noise, a larger one overlooks exchanged clips."""
+"""Ratio of the rotor's speed in a later clip to that in an earlier clip above which a start may be wrong [1]. Chosen: a
+smaller value warns of noise, a larger one overlooks exchanged clips."""
 
 
 def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:

@@ -1,8 +1,8 @@
 """Acquisition of the scene: centre of rotation, disc and markers.
 
-Only the names of the colours are known beforehand. First, blobs that change from frame to frame are collected for each
-colour, and the common centre of their circles is found; then the disc at that point; then, in rings unrolled about it,
-each marker with its radii, width and measured shade (`find_markers`).
+Only the names of the colours are known beforehand. First, blobs that change between frames are collected for each
+colour, and the common centre of their circles is found. Then the disc at this centre is found. Last, each marker is
+found in rings about the centre, with its radii, width and measured shade (`find_markers`).
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ Floats = npt.NDArray[np.float64]
 Strips = npt.NDArray[np.float32]
 
 REACH = 1.2
-"""Half width of the region cut out about a marker [rad]. Chosen: it exceeds `WIDEST`; a smaller value cuts off blurred
-markers, a larger one includes their neighbours."""
+"""Half width of the region about a marker that is used [rad]. Chosen: larger than `WIDEST`; a smaller value cuts off
+blurred markers, a larger one includes their neighbours."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Extent:
     inner: float  # inner and outer radius [px]
     outer: float
     half_width: float  # half width at half maximum [rad]
-    lean: int  # displacement of its middle from the middle of the patch, in columns
+    lean: int  # displacement of the middle of the region from the middle of the patch [columns]
     foot: float = 0.0  # half width at a tenth of the maximum [rad]
 
     def core(self, columns: int, step: float) -> npt.NDArray[np.bool_]:
@@ -60,7 +60,7 @@ def aligned(
 ) -> Floats:
     """Return the trimmed mean (middle quarter, robust against a hand) of the strips about a marker: (rows, columns).
 
-    It extends by `reach` columns to both sides of the marker, by default by the angle `REACH`.
+    The mean extends by `reach` columns to both sides of the marker, by default by the angle `REACH`.
     """
     rows, columns = score.shape[1:]
     reach = _reach(columns) if reach is None else reach
@@ -78,7 +78,7 @@ def _reach(columns: int) -> int:
 
 
 def extent_of(patch: Floats, ring: Ring) -> Extent | None:
-    """Measure where a patch exceeds half of its maximum; None where its score is not positive."""
+    """Measure the region in which a patch exceeds half of its maximum; None if its score is not positive."""
     middle = patch.shape[1] // 2
     near = max(int(0.05 / ring.step), 1)
     along = patch[:, middle - near : middle + near + 1].mean(axis=1)
@@ -101,7 +101,7 @@ def extent_of(patch: Floats, ring: Ring) -> Extent | None:
 
 
 def half_maximum(curve: Floats, start: int, part: float = 0.5) -> tuple[float, float]:
-    """Return where a curve falls to half (or another part) of its maximum near `start`, on both sides of it."""
+    """Return where a curve falls to half (or another `part`) of its maximum, on both sides of `start`."""
     half = part * float(curve[max(start - 1, 0) : start + 2].max())
     return start - _fall(curve[start::-1], half), start + _fall(curve[start:], half)
 
@@ -128,7 +128,7 @@ median shows the marker itself; a smaller value discards the background of slow 
 
 @dataclass(frozen=True)
 class SampledMarker:
-    """One marker in the samples: the marker, its angle in each sample [rad], and in which samples it is distinct."""
+    """One marker in the samples: the marker, its angle in each sample [rad], and a mask of distinct samples."""
 
     marker: Marker
     angle: Floats
@@ -151,7 +151,7 @@ class Rings:
         """Median of each sample along each row, (2, n, rows, 1)."""
         return np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
 
-    # not cached: two of them, beside those of rings without a marker, would be the largest arrays of a command
+    # not cached, because this array and that of rings without a marker would be the largest arrays of a command
     @property
     def foreground(self) -> Strips:
         """Difference of each sample from `background`."""
@@ -166,9 +166,9 @@ class Rings:
 def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
     """Find a coloured marker in rings about the centre.
 
-    The background is the median over the samples at every pixel. If the marker is at one angle in more than
-    `LONGEST_DWELL` of the samples, it is the median along each row; so it is where the patch has not the size of a
-    marker, for example the residue of a marker at rest that a codec leaves.
+    The background is the median over the samples at every pixel. The background is the median along each row in two
+    cases: the marker is at one angle in more than `LONGEST_DWELL` of the samples, or the patch does not have the size
+    of a marker, for example if a codec leaves a residue of a marker at rest.
     """
     seen = _locate(rings.foreground, rings.ring, wanted)
     if seen is None or seen.marker.dwell > LONGEST_DWELL or not is_marker_sized(seen.marker):
@@ -185,8 +185,8 @@ loses markers that are often occluded."""
 def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
     """Find the patch of a colour in each sample.
 
-    The difference from a background that is not grey has another hue than the marker. The patch is found by the hue of
-    the profile and measured in its own one; it is also found by its own hue where this does not lead to another patch.
+    If the background is not grey, the difference from it has another hue than the marker. The patch is found with the
+    hue of the profile and measured with its own hue; it is also found with its own hue if this selects the same patch.
     """
     score = _scores(difference, chroma_direction(wanted.colour, wanted.hue))
     own = score
@@ -234,15 +234,15 @@ def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
 
 
 _TYPICAL = 0.6
-"""Quantile of the largest scores of the samples that is typical of the marker [1]. Chosen: it is occluded in less than
-half of them, and a hand is brighter in less than a third."""
+"""Quantile of the largest scores of the samples that is typical of the marker [1]. Chosen: the marker is occluded in
+less than half of the samples, and a hand is brighter in less than a third."""
 _CLEARLY = 0.5
-"""Smallest largest score of a sample, relative to the typical one, with a clear marker [1]. Chosen: a smaller value
-accepts residues of the codec, a larger one loses shaded markers."""
+"""Smallest value, for a clear marker, of the largest score of a sample relative to the typical score [1]. Chosen: a
+smaller value accepts residues of the codec, a larger one loses shaded markers."""
 
 
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return the column with the largest score in each sample, and whether that score is typical."""
+    """Return the column with the largest score in each sample, and whether this score is typical."""
     mean = boxed(profile, half)
     column = np.argmax(mean, axis=1)
     peak = mean[np.arange(len(mean)), column]
@@ -250,7 +250,7 @@ def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.N
 
 
 def _dwell(angle: Floats, reach: float) -> float:
-    """Return the largest share of the angles within `reach` of one of them."""
+    """Return the largest share of the angles that are within `reach` of one angle."""
     apart = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None, :]))))
     return float((apart < reach).mean(axis=0).max())
 
@@ -267,8 +267,8 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
 
 
 _LEAST_KNOWN = 8
-"""Smallest number of samples with the angle of the body for a white marker [samples]. Chosen: fewer leave other objects
-in their mean, more lose the marker in short films."""
+"""Smallest number of samples with the angle of the body in the search for a white marker [samples]. Chosen: with fewer
+the mean contains other objects, with more the marker is lost in short films."""
 
 
 def find_white(
@@ -279,9 +279,9 @@ def find_white(
     others: list[SampledMarker],
     least: float = LEAST_CONTRAST,
 ) -> Marker | None:
-    """Find a white marker by the coloured markers of the same body, `others`, in the samples `frames`.
+    """Find a white marker with the coloured markers of the same body, `others`, in the samples `frames`.
 
-    Frames less their median are rotated back by the angle of the body: their median has no table, lamps or bar.
+    Frames minus their median are rotated back by the angle of the body; their median contains no table, lamps or bar.
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)
@@ -299,7 +299,7 @@ def find_white(
 
 
 def _body_angles(others: list[SampledMarker], count: int) -> Floats:
-    """Combine observations into the angle of the body in each of the first samples; NaN where none is distinct."""
+    """Combine observations into the angle of the body in each of the first samples; NaN without a distinct marker."""
     total = np.zeros(count, dtype=np.complex128)
     for seen in others:
         total += np.where(seen.clear[:count], np.exp(1j * (seen.angle[:count] - seen.marker.mount)), 0.0)
@@ -313,11 +313,11 @@ def _blank(turned: Floats, ring: Ring, marker: Marker) -> None:
 
 
 _WIDER = 2.5
-"""Largest half width of a white marker over that of the other markers [1]. Chosen: a smaller value refuses white
+"""Largest half width of a white marker, relative to the other markers [1]. Chosen: a smaller value refuses white
 markers of another shape, a larger one accepts reflections."""
 _WIDER_BY = 0.05
-"""Half width by which a white marker may exceed that limit, `_WIDER` [rad]. Chosen: for narrow markers; a smaller value
-refuses blurred ones, a larger one accepts reflections."""
+"""Half width by which a white marker may exceed the limit `_WIDER` [rad]. Chosen: for narrow markers; a smaller value
+refuses blurred markers, a larger one accepts reflections."""
 
 
 def _brightest_place(
@@ -417,14 +417,14 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
 
 
 LEAST_COVERED = 4.0
-"""Smallest angle that the samples of a body's markers cover for its centre to be measured [rad]. Chosen: a smaller
-value takes the radius of an arc for an offset, a larger one needs more samples."""
+"""Smallest angle covered by the samples of a body's markers for which its centre is measured [rad]. Chosen: with a
+smaller value the radius of an arc is mistaken for an offset, a larger one needs more samples."""
 LEAST_TURNED = 0.5
-"""Smallest angle that the samples of a marker cover to decide which markers turn with it [rad]. Chosen: a smaller value
-compares markers at rest, a larger one compares none in slow films."""
+"""Smallest angle covered by the samples of a marker for deciding which markers turn with it [rad]. Chosen: a smaller
+value compares markers at rest, a larger one compares none in slow films."""
 LEAST_OFFSET = 1.0
 """Offset of the orbits from the hub below which rings about the hub are used [px]. Chosen: half a chroma sample; a
-smaller value follows noise, a larger one cuts the windows off centre."""
+smaller value follows noise, with a larger one the windows are off centre."""
 
 
 def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float] | None:
@@ -507,11 +507,11 @@ LEAST_TOGETHER = 0.75
 """Smallest share of the samples in which two markers of one body have the same angular distance [1]. Chosen: a smaller
 value joins two bodies, a larger one separates markers that are often occluded."""
 _LEAST_COMMON = 8
-"""Smallest number of samples that show both markers [samples]. Chosen: a smaller value compares chance, a larger one
-compares fewer markers."""
+"""Smallest number of samples that show both markers [samples]. Chosen: with a smaller value markers agree by chance,
+with a larger one fewer markers are compared."""
 _NEAR = 0.2
-"""Largest difference of angular distances that count as equal [rad]. Chosen: a smaller value separates blurred markers,
-a larger one joins bodies of similar speed."""
+"""Largest difference of equal angular distances [rad]. Chosen: a smaller value separates blurred markers, a larger one
+joins bodies of similar speed."""
 
 
 def share_together(a: SampledMarker, b: SampledMarker) -> float:
@@ -525,11 +525,10 @@ def share_together(a: SampledMarker, b: SampledMarker) -> float:
 
 
 def _on_other_body(found: dict[str, SampledMarker], where: str) -> list[str]:
-    """Return the markers of one body that turn with those of the other one; a TrackingError if this is undecided.
+    """Return the markers of one body that turn with those of the other body; a TrackingError if this is ambiguous.
 
-    Where the colours of a film are not those of the profile, a marker of the rotor may have the colour that is nearest
-    to that of the casing. If two markers turn together, the one with fewer co-rotating markers of its
-    body is wrong.
+    If the colours of a film are not those of the profile, the colour of a rotor marker may be nearest to that of the
+    casing. If two markers turn together, the one with fewer co-rotating markers of its body is wrong.
     """
     turning = [one for one in found.values() if covered_angle(one.angle[one.clear]) > LEAST_TURNED]
 
@@ -573,12 +572,12 @@ def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
 
 
 _OF_MODE = 0.15
-"""Largest distance of angles from their mode that enter the mean [rad]. Chosen: a smaller value averages few, a larger
-one includes outliers."""
+"""Largest distance from the mode of the angles that are averaged [rad]. Chosen: a smaller value averages few angles, a
+larger one includes outliers."""
 
 
 def _circular_mode(angle: Floats) -> float:
-    """Return the mean of the angles within `_OF_MODE` of the angle that has most neighbours."""
+    """Return the mean of the angles within `_OF_MODE` of the angle with most neighbours."""
     turn = np.exp(1j * angle)
     near = np.abs(np.angle(turn[:, None] / turn[None, :])) < _OF_MODE
     best = int(np.argmax(near.sum(axis=0)))

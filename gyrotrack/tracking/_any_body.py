@@ -1,7 +1,7 @@
 """Tracking of one rotating body in any film, by its markers or by its texture.
 
-The moving part of the picture is found and candidates for the hub are proposed. For each of them the ring about it is
-tracked through some hundred frames; the candidate that explains the change of brightness best is refined. See
+The moving part of the picture is found, and candidates for the hub are proposed. The ring about each candidate is
+tracked through some hundred frames, and the candidate that best explains the change of brightness is refined. See
 `_registration` for the measurement of the angle.
 """
 
@@ -83,29 +83,28 @@ Progress = Callable[[int, int | None], None]
 _TRIAL = 300
 """Frames on which a candidate for the hub is evaluated [frames]. Chosen: fewer show little motion, more cost time."""
 _EXCERPT = 300
-"""Frames that `read_excerpt` reads [frames]. Chosen: as many as `_TRIAL`; more cost time, fewer show little motion."""
+"""Frames that `read_excerpt` reads [frames]. Chosen: equal to `_TRIAL`; more cost time, fewer show little motion."""
 _LEARNT = 300
-"""Frames from which the template is learnt [frames]. Chosen: fewer give a noisier template, more cost time and
+"""Frames from which the template is estimated [frames]. Chosen: fewer give a noisier template, more cost time and
 memory."""
 _HUB_FRAMES = 100
 """Frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: fewer give an uncertain hub,
 more cost time."""
 _PATH_SETTLED = 0.02
-"""Step that ends the iterations for the displacement of a frame of a body far from its hub [px]. Chosen: a larger value
-stops early, a smaller one costs time."""
+"""Step that ends the iterations for the displacement of a body far from its hub, in one frame [px]. Chosen: a larger
+value stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
 """Number of iterations for the hub of a body far from it [iterations]. Chosen: fewer stop before distance and template
 agree, more cost time."""
 _FEWEST_STEPS = 4.0
 """Effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns [1]. Chosen: a
-smaller value takes a cut for a rotation, a larger one refuses short motions."""
+smaller value mistakes a cut for a rotation, a larger one refuses short motions."""
 _DISPLACED = 0.05
-"""Distance of a better hub from the given one, from which the given one is doubted [radii]. Chosen: a smaller value
-doubts accurate hubs, a larger one accepts biased angles."""
+"""Smallest distance of a better hub from the given hub that triggers a warning [radii]. Chosen: a smaller value warns
+of accurate hubs, a larger one accepts biased angles."""
 _PATH_ERROR = 0.1
-"""Error of a displacement that depends on the position, by background and interpolation [px]. Measured: drawn films:
-0.06 px."""
-# what a film may be measured with in which no hub is found
+"""Error of a displacement by position, due to background and interpolation [px]. Measured: drawn films: 0.06 px."""
+# options for a film in which no hub is found
 _GIVE_HUB = "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y."
 _COARSE = 48.0
 """Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
@@ -117,77 +116,79 @@ _EXPLAINED = 0.4
 """Smallest share of the change of brightness that the rotation explains [1]. Chosen: a smaller value accepts other
 motions, a larger one refuses uneven light."""
 _OUTSIDE = 0.85
-"""Smallest explained share for a hub that is not given and outside the picture, or of whose ring little is inside [1].
-Chosen: rotation resembles translation there; a smaller value accepts it, a larger one refuses pendulums."""
+"""Smallest explained share for a hub that is not given, if the hub or most of its ring is outside the picture [1].
+Chosen: rotation about such a hub resembles translation; a smaller value accepts translation, a larger one refuses
+pendulums."""
 _SHOWN = 0.33
-"""Share of a ring inside the picture up to which `_OUTSIDE` applies [1]. Chosen: a body in a corner shows less; a
-larger value refuses cut discs, a smaller one accepts translation."""
+"""Largest share of a ring inside the picture for which `_OUTSIDE` applies [1]. Chosen: of a body in a corner a smaller
+share is visible; a larger value refuses cut discs, a smaller one accepts translation."""
 _WHOLE = 0.9
-"""Share of the picture that moves, from which the camera may turn about a hub outside the picture [1]. Chosen: a
+"""Smallest moving share of the picture for which the camera may turn about a hub outside the picture [1]. Chosen: a
 smaller value refuses bodies that fill the picture, a larger one accepts moving cameras."""
 _UNDETERMINED = 0.25
-"""Error of the angles due to the hub over their standard deviation, from which they are refused [1]. Chosen: too small
-a distance of the hub enlarges all angles; at this limit amplitude and period of a pendulum do not determine each
+"""Largest error of the angles due to the hub, relative to their standard deviation, that is accepted [1]. Chosen: too
+small a distance of the hub enlarges all angles; at this limit amplitude and period of a pendulum do not determine each
 other."""
 _AS_MUCH = 1.1
-"""Unexplained share with another hub over that with the best one, up to which both are reported [1]. Chosen: a smaller
-value hides rivals, a larger one reports worse hubs."""
+"""Largest ratio of the unexplained share with another hub to that with the best hub, for which both are reported [1].
+Chosen: a smaller value hides rivals, a larger one reports worse hubs."""
 _OTHER_RANGE = 0.05
-"""Relative difference of the ranges of the angles about two hubs, from which both are reported [1]. Chosen: a smaller
-value reports equal answers, a larger one hides different ones."""
+"""Smallest relative difference of the ranges of the angles about two hubs for which both are reported [1]. Chosen: a
+smaller value reports equal answers, a larger one hides different answers."""
 _AS_GOOD = 0.8
-"""Explained share of a second body, relative to the best candidate, from which the film is ambiguous [1]. Chosen: a
-smaller value refuses films with shadows, a larger one may choose the wrong body."""
+"""Smallest explained share of a second body, relative to the best candidate, that makes the film ambiguous [1]. Chosen:
+a smaller value refuses films with shadows, a larger one may choose the wrong body."""
 _GIVEN_IS_NEAR = 0.8
-"""Explained share about a given hub below which the hubs that are proposed near it are tried, too [1]. Chosen: a local
-search reaches the true hub from a near one; a smaller value misses a far one, a larger one costs time."""
+"""Explained share about a given hub below which proposed hubs near it are also tried [1]. Chosen: a local search finds
+only a true hub that is near; a smaller value misses a more distant one, a larger one costs time."""
 _HOPELESS = 0.3
-"""Explained share, relative to the best candidate or to what is needed, below which a candidate is not refined [1].
+"""Explained share, relative to the best candidate or to the required share, below which a candidate is not refined [1].
 Chosen: refinement is the slowest step; a smaller value costs time, a larger one may omit the true hub."""
 _HOPEFUL = 0.5
-"""Share of what is to be explained, below which no candidate is refined [1]. Chosen: a smaller value costs time on
-films that are refused, a larger one refuses films that a refinement explains."""
+"""Fraction of the required share below which no candidate is refined [1]. Chosen: a smaller value costs time for films
+that are refused, a larger one refuses films that a refinement would explain."""
 _CLEAR = 0.6
-"""Explained share from which a candidate is refined at once [1]. Chosen: a smaller value refines more candidates, a
-larger one tries all of them roughly first."""
+"""Smallest explained share for which a candidate is refined immediately [1]. Chosen: with a smaller value more
+candidates are refined, with a larger one all candidates are first refined cheaply."""
 _FEW_FRAMES = 12
 """Frames of the cheap refinement of a candidate [frames]. Chosen: fewer decide by noise, more cost time."""
 _FEW_STEPS = 3
 """Iterations of the cheap refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
 _PROMISING = 0.85
-"""Share of what is to be explained that the cheap refinement reaches [1]. Chosen: few frames are explained better than
-many; a smaller value refines more candidates, a larger one may omit the true hub."""
+"""Fraction of the required share that the cheap refinement must reach [1]. Chosen: few frames are explained better than
+many; with a smaller value more candidates are refined, a larger one may omit the true hub."""
 _SCREEN_SIZE = 320
 """Smallest length of the longer side of a reduced frame [px]. Chosen: time; a smaller value loses the marks of small
 bodies."""
 _SCREEN_AREA = 1000
-"""Moving area of the reduced frame from which a film is screened in it [px2]. Chosen: a smaller value refuses small
-bodies, a larger one screens fewer films."""
+"""Smallest moving area of the reduced frames for which they are used for screening [px2]. Chosen: a smaller value
+refuses small bodies, with a larger one fewer films are screened."""
 _SCREENED = 0.75
-"""Factor on the share that a candidate explains in reduced frames [1]. Chosen: they lose detail; a larger value refuses
-films that the full frames explain, a smaller one costs time."""
+"""Factor of the required share in reduced frames [1]. Chosen: reduced frames lose detail; a larger value refuses films
+that the full frames explain, a smaller one costs time."""
 _STEPS = 6
 """Iterations of the refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
 _FRAMES = 60
 """Frames for the refinement of a candidate [frames]. Chosen: fewer give an uncertain hub, more cost time."""
 _TILTED = 0.35
-"""Tilt of the axis from which the result states it [rad]. Chosen: cos 0.35 = 0.94; a smaller value states noise, a
+"""Smallest tilt of the axis that the result states [rad]. Chosen: cos 0.35 = 0.94; a smaller value reports noise, a
 larger one hides a tilt."""
 _ELSEWHERE = 0.2
-"""Moving area outside the best ring over that within it, from which a second body is searched for [1]. Chosen: a
-smaller value costs time on shadows, a larger one overlooks a second body."""
+"""Smallest ratio of the moving area outside the best ring to that within it for which a second body is searched [1].
+Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
 _COUPLED = 0.55
-"""Moving area outside the best ring over that within it, from which a second body may act on the first [1]. Measured:
-real single bodies: up to 0.47; drawn double pendulums of which one link is tracked: 0.64 to 2.1."""
+"""Smallest ratio of the moving area outside the best ring to that within it for which a second body may act on the
+first [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with one link tracked."""
 _STRETCH_SPAN = 3.0
-"""Range of the angle from which the ellipse due to a tilted camera is fitted [rad]. Chosen: about half a turn; a
-smaller value leaves it undetermined, a larger one leaves it uncorrected."""
+"""Smallest range of the angle for which the ellipse due to a tilted camera is fitted [rad]. Chosen: about half a turn;
+with a smaller value the ellipse is undetermined, with a larger one it is not corrected."""
 _STATIC_SPAN = 1.0
-"""Range of the angle from which a fixed picture is always part of the model [rad]. Chosen: a smaller value confuses it
-with the body, a larger one leaves glare in the template."""
+"""Smallest range of the angle for which a fixed picture is always part of the model [rad]. Chosen: a smaller value
+confuses the fixed picture with the body, a larger one leaves glare in the template."""
 _CLEARLY_BETTER = 0.02
-"""Share by which a fixed picture explains more for smaller ranges [1]. Chosen: a pendulum before a wall needs it; a
-smaller value adds it by noise, a larger one omits it."""
+"""Smallest increase of the explained share for which a fixed picture is part of the model at smaller ranges [1].
+Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it due to noise, a larger one
+not."""
 
 
 class NothingMovesError(RefusedFilmError):
@@ -214,7 +215,7 @@ class _Trial:
 def track_body(
     film: Film, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> Tracked:
-    """Track the rotating body in a film about `hub` [px], if known; a TrackingError unless just one body turns."""
+    """Track the rotating body in a film about `hub` [px], if known; a TrackingError unless exactly one body turns."""
     usable = fresh_frames(film)
     if len(usable) < FEWEST_FRAMES:
         raise TrackingError(
@@ -229,7 +230,7 @@ def track_body(
     if shake is not None:
         film.stabilise(shake)
         still, margin = film.some(chosen), shake.margin(sample[0].shape)
-        # where this fails, or the picture is not calmer, the supposed background is the body, before a blank wall
+        # if this fails, or the picture is not calmer, the body before a blank wall was mistaken for the background
         with suppress(NothingMovesError):
             if calmer(sample, still, margin):
                 return _with_shake(
@@ -259,7 +260,7 @@ def _track_stabilised(
     shake: Shake,
     margin: int,
 ) -> Tracked:
-    """Track the body after the motion of the camera is compensated; a camera that shows no body is said to move."""
+    """Track the body after the motion of the camera is compensated; without a body the error names the camera."""
     try:
         return _track(film, usable, sample, hub, progress, margin=margin)
     except RefusedFilmError as error:
@@ -279,7 +280,7 @@ def _track_stabilised(
 def read_excerpt(
     path: Path, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> tuple[Film, Tracked] | None:
-    """Track a body by its texture through the first frames of a film; None if no body is found. `hub`: (x, y) [px]."""
+    """Track a body by its texture through the first frames of a film, about `hub` [px]; None if no body is found."""
     film = Film(path, most=_EXCERPT)
     for track in (track_body, track_free_body):
         with suppress(TrackingError):
@@ -288,7 +289,7 @@ def read_excerpt(
 
 
 def _with_shake(found: Tracked, shake: Shake) -> Tracked:
-    """Add the uncertainty of the compensation: s / r for a displacement, and that of the roll."""
+    """Add the uncertainty of the compensation: s / r for a displacement s at the radius r, and that of the roll."""
     share = math.hypot(shake.shift_sigma / (0.5 * (found.ring.inner + found.ring.outer)), shake.roll_sigma)
     text = (
         f"The camera moves by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad rms; {shake.features} "
@@ -307,7 +308,7 @@ def _track(
     progress: Progress | None,
     margin: int = 0,
 ) -> Tracked:
-    """Track the body in a film of a camera at rest; a margin [px] is excluded at every edge."""
+    """Track the body in a film by a static camera; a margin [px] is excluded at every edge."""
     motion = Motion.of(sample, margin)
     moving = float(motion.moving.mean())
     if moving < 2e-4:
@@ -315,7 +316,7 @@ def _track(
         raise NothingMovesError(
             f"Nothing moves in {film.path.name}: the brightness of {1e6 * moving:.0f} of a million pixels changes by "
             f"more than 4 standard deviations of the noise ({motion.noise:.1f} grey levels), by at most {largest:.1f}.",
-            "Check that it is the right film, and the light; a body that turns by more than a turn during an exposure "
+            "Check the film and the illumination; a body that turns by more than one turn during an exposure "
             "shows no motion.",
             kind="no motion",
             evidence={"moving": moving, "noise": motion.noise, "largest": largest},
@@ -333,7 +334,7 @@ def _track(
     loose = None
     if small is None or may_be_loose(small.frames, small.motion):
         loose = track_by_features(film, usable, motion, progress)
-    # a body without an axle, for example a suspended table, does not turn about a given place on it
+    # a body without an axle, for example a suspended table, does not turn about a given point of the body
     if loose is not None and (hub is None or math.dist(hub, loose.ring.hub) < loose.ring.outer):
         return loose
     if seen_whole:
@@ -371,7 +372,7 @@ def _track(
             what, "Give the centre of rotation of a body that fills the picture with --hub X,Y."
         )
     moved, allowed = 0.0, math.inf
-    if hub is None:  # about a given hub that is wrong, the displacement is that of the hub
+    if hub is None:  # if a given hub is wrong, the displacement is the error of the hub
         moved, allowed = drift(best.ring, block, best.angle, motion.area, separate=best.separate)
         if moved > REFUSED * allowed:
             _refuse_loose(film.path.name, block, best, moved, allowed)
@@ -403,7 +404,7 @@ def _track(
     second = second_rotation(
         block, motion, best.ring.hub, best.angle, stretch=best.ring.stretch, separate=best.separate
     )
-    if second is not None:  # neither is the body of the film
+    if second is not None:  # it is unclear which body is to be measured
         doubts.append(second.warning(best.angle))
     if hub is None and moved > allowed and not tracked.ambiguous:
         doubts.append(_loose_doubt(moved, allowed))
@@ -412,7 +413,7 @@ def _track(
     whole = hub is None and tracked.ring.span >= TURN and tracked.correlated > float(np.median(tracked.sigma))
     if whole and (apart := halves_differ(tracked.angle, tracked.correlated)) is not None:
         doubts.append(
-            "The inner and the outer half of the body do not turn alike: their difference causes an error of "
+            "The inner and the outer half of the body do not turn in the same way: their difference causes an error of "
             f"{100 * apart:.2g} % of the standard deviation of the angle. Two bodies may move, or the hub may be "
             "wrong: look at the picture of the body (.png)."
         )
@@ -435,7 +436,7 @@ def _track(
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Candidates that are refined; without any, the best of all, and the share that it must explain."""
+    """Candidates to be refined; if there are none, the best of all, and the share that it must explain."""
 
     kept: Sequence[_Trial]
     best: _Trial | None
@@ -447,7 +448,7 @@ def _candidates(
 ) -> _Candidates:
     """Propose hubs unless it is given, track about each, and keep the candidates that may explain enough.
 
-    They must reach `share` of what a candidate must explain before its refinement, which is the slowest step.
+    Before the refinement, which is the slowest step, a candidate must reach the fraction `share` of the required share.
     """
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
@@ -476,7 +477,7 @@ def _candidates(
 
 @dataclass(frozen=True)
 class _Reduced:
-    """The frames of a film with the means of squares of `factor` px as pixels, in which it is screened."""
+    """The reduced frames for screening a film: each pixel is the mean of a square of `factor` px."""
 
     factor: int
     frames: StoredPictures
@@ -491,7 +492,7 @@ class _Reduced:
         motion: Motion,
         margin: int,
     ) -> _Reduced | None:
-        """Reduce the frames of a film; None for small pictures, and where what moves is small."""
+        """Reduce the frames of a film; None for a small picture or a small moving area."""
         factor = max(motion.mean.shape) // _SCREEN_SIZE
         if factor < 2 or np.count_nonzero(motion.moving) < _SCREEN_AREA * factor**2:
             return None
@@ -502,12 +503,12 @@ class _Reduced:
         return cls(factor, small, Motion.of(few, -(-margin // factor)))
 
     def reduced(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Return where a place (x, y) of the film is in the reduced frames."""
+        """Return the position of a point (x, y) of the film in the reduced frames."""
         x, y = ((v + 0.5) / self.factor - 0.5 for v in place)
         return x, y
 
     def seen(self, trial: _Trial | None) -> _Trial | None:
-        """Return a candidate with its ring in the film."""
+        """Return a candidate with its ring in the full frames."""
         if trial is None:
             return None
         ring = trial.ring
@@ -520,7 +521,7 @@ class _Reduced:
 
 
 def _off_picture(ring: Ring, motion: Motion, given: tuple[float, float] | None) -> bool:
-    """Return whether a hub that was found is outside the picture, or most of its ring is."""
+    """Return whether a hub that was found, or most of its ring, is outside the picture."""
     height, width = motion.mean.shape
     inside = 0 <= ring.hub[0] < width and 0 <= ring.hub[1] < height
     return given is None and not (inside and float(ring.inside(motion.area).mean()) > _SHOWN)
@@ -536,7 +537,7 @@ def _refuse(
     hint: str,
     needed: float,
 ) -> NoReturn:
-    """Raise a RefusedFilmError that names why no rotation explains a film."""
+    """Raise a RefusedFilmError with the reason why no rotation explains a film."""
     some = tuple(block[k] for k in np.linspace(0, len(block) - 1, 4).astype(int))
     refuse_two_motions(film.path.name, pairs, some)
     if best is not None and best.ring.span >= TURN:
@@ -581,7 +582,7 @@ def _loose_doubt(moved: float, allowed: float) -> str:
 
 
 def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float, allowed: float) -> NoReturn:
-    """Raise a RefusedFilmError for a body whose hub moves by more than that of a body on an axle [px]."""
+    """Raise a RefusedFilmError for a body whose hub moves by more than `allowed` for a body on an axle [px]."""
     raise RefusedFilmError(
         f"No body in {name} turns about a fixed axis: the hub of the best candidate, at "
         f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "
@@ -595,7 +596,7 @@ def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float
 
 
 def _refuse_fallen(film: Film, usable: npt.NDArray[np.int64], best: _Trial, share: float) -> NoReturn:
-    """Raise a RefusedFilmError for a rotation that explains a `share` of the whole film only."""
+    """Raise a RefusedFilmError for a rotation that explains only a small `share` of the whole film."""
     raise RefusedFilmError(
         f"No body in {film.path.name} turns about one fixed axis throughout: rotation about ({best.ring.hub[0]:.0f}, "
         f"{best.ring.hub[1]:.0f}) px explains {100 * best.score:.0f} % of the change of brightness in the frames in "
@@ -629,8 +630,8 @@ def refuse_link(name: str, block: StoredPictures, motion: Motion, best: _Trial) 
 def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]], chosen: int) -> str | None:
     """Return a warning if rotation about another hub explains the film as well as the chosen one, with both answers.
 
-    `found` has the hub [px], the outer radius of the ring [px], the angles [rad] and the explained share of each
-    candidate. Another hub counts if what it leaves unexplained is at most `_AS_MUCH` times as large, and if the range
+    `found` contains the hub [px], the outer radius of the ring [px], the angles [rad] and the explained share of each
+    candidate. Another hub is reported if its unexplained share is at most `_AS_MUCH` times as large, and if the range
     of the angle differs by more than `_OTHER_RANGE`.
     """
     (x, y), outer, angle, score = found[chosen]
@@ -652,9 +653,9 @@ def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]],
 
 
 def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: Motion) -> str | None:
-    """Return a warning if rotation about another place near the given hub explains the film much better."""
+    """Return a warning if rotation about another point near the given hub explains the film much better."""
     starts = [trial]
-    if given.score < _GIVEN_IS_NEAR:  # perhaps too far from it for a local search
+    if given.score < _GIVEN_IS_NEAR:  # the true hub may be too far for a local search
         near = [
             p
             for p in propose_hubs(block, motion)
@@ -674,7 +675,7 @@ def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: M
 
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
-    """Return a body outside of the ring of the best one that is explained as well; None if there is none."""
+    """Return a body outside the best ring that a rotation explains as well; None if there is none."""
     if elsewhere(motion.moving, best.ring) < _ELSEWHERE:
         return None
     rest = replace(motion, moving=_outside(motion.moving, best.ring))
@@ -694,7 +695,7 @@ def _outside(moving: Bools, ring: Ring) -> Bools:
 
 
 def elsewhere(moving: Bools, ring: Ring) -> float:
-    """Return the number of pixels that change outside of a ring over that of the others."""
+    """Return the ratio of the numbers of changing pixels outside and inside a ring."""
     outside = int(np.count_nonzero(_outside(moving, ring)))
     return outside / max(int(np.count_nonzero(moving)) - outside, 1)
 
@@ -749,14 +750,14 @@ def _distinct(trials: Sequence[_Trial]) -> list[_Trial]:
 
 
 _LEAST_BEND = 3.0
-"""Smallest change of the step from frame to frame that counts as a jump [columns]. Chosen: a smaller value counts noise
-of slow bodies, a larger one hides jumps."""
+"""Smallest change of the step from frame to frame that is a jump [columns]. Chosen: a smaller value takes noise of slow
+bodies for jumps, a larger one hides jumps."""
 
 
 def _steadiness(trial: _Trial) -> float:
     """Return the share of the frames without a jump: the step changes by no more than its typical size.
 
-    For a body of equal parts, for example spokes with a shadow at rest, angles that repeatedly jump back by one part
+    For a body with equal parts, for example spokes with a static shadow, angles that repeatedly jump back by one part
     explain the film at least as well.
     """
     step = np.diff(trial.angle)
@@ -800,7 +801,7 @@ def _quickly_refined(trial: _Trial, block: StoredPictures, area: Area, *, keep: 
 def _search(
     ring: Ring, angle: Floats, few: StoredPictures, area: Area, *, separate: bool, keep: bool, steps: int
 ) -> tuple[Ring, Floats, float]:
-    """Refine hub and stretch of a ring on few frames; returns it, their angles, and the explained share."""
+    """Refine hub and stretch of a ring on few frames; return ring, angles, and explained share."""
 
     def tried(place: Floats, angle: Floats) -> tuple[float, Floats]:
         there = _placed(ring, place)
@@ -829,7 +830,7 @@ def _search(
         change: Floats = np.zeros(4)
         change[free] = ring_step(_placed(ring, place), few, angles, free, area, separate=separate)
         factor, before, start = 1.0, best, place
-        while True:  # lengthen the step while it improves the fit: the template adapts to the new place
+        while True:  # lengthen the step while this improves the fit: the template adapts to the new hub
             value, there = tried(start + factor * change, angles)
             if value > best:
                 best, place, angles, factor = value, start + factor * change, there, 1.7 * factor
@@ -907,7 +908,7 @@ def _measure(
     motion: Motion,
     progress: Progress | None,
 ) -> Tracked:
-    """Track the body through the whole film, learn its template, and register every frame."""
+    """Track the body through the whole film, estimate its template, and register every frame."""
     coarse = best.ring
     area = motion.area
     allowed = coarse.inside(area)
@@ -994,7 +995,7 @@ def _measure(
     _refuse_translation(film.path.name, pictures, motion, whole)
     if (
         best.way != "given"
-    ):  # what seems an axle in the frames of the search may move in other parts of the film
+    ):  # a hub that is fixed in the frames of the search may move in other parts of the film
         moved, limit = drift(ring, pictures, angle[chosen], area, separate=separate)
         if moved > REFUSED * limit:
             _refuse_loose(film.path.name, pictures, whole, moved, limit)
@@ -1053,7 +1054,7 @@ def _hub_motion(polars: StoredPictures, angle: Floats, template: Template) -> fl
 
 @dataclass(frozen=True)
 class _BodyPath:
-    """The path of a body far from its hub, by displacements that are fitted frame by frame.
+    """The path of a body far from its hub, from displacements that are fitted frame by frame.
 
     If the hub is displaced by (-b, c), towards and across the middle of the path, the distance of the body from it is
     r + b (1 - cos theta) + c sin theta.
@@ -1084,7 +1085,8 @@ class _BodyPath:
         rows = np.stack([1.0 - np.cos(theta), np.sin(theta), np.ones_like(theta)], axis=1)
         found, *_ = np.linalg.lstsq(rows, np.abs(away), rcond=None)
         rest = np.abs(away) - rows @ found
-        # an unsteady camera: n (1 - q) / (1 + q) of n residuals with the correlation q of neighbours are independent
+        # for an unsteady camera: n residuals with the correlation q of neighbours are equivalent to n (1 - q) / (1 + q)
+        # independent ones
         alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
         variance = float(np.var(rest)) * (1.0 + alike) / (1.0 - alike)
         error = math.sqrt(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * variance)
@@ -1095,16 +1097,17 @@ class _BodyPath:
 def _at_distance_of_path(
     ring: Ring, pictures: Sequence[Plane], angle: Floats, area: Area, *, separate: bool
 ) -> tuple[Ring, Floats, float]:
-    """Return ring and angles with the hub at the distance by the curvature of the path, and its relative uncertainty.
+    """Return ring and angles with the hub at the distance from the curvature of the path, and its uncertainty.
 
-    The displacements of a body far from its hub are precise, and its rotation, from which the distance is estimated
-    first, is not; the ball of a pendulum need not turn with its thread either. The hub is moved if the path differs by
-    more than three standard uncertainties. The uncertainty is infinite for a straight path.
+    If a body is far from its hub, its displacements are precise, but its rotation, from which the distance is first
+    estimated, is not; moreover, the ball of a pendulum need not turn with its thread. The hub is moved if the path
+    contradicts it by more than three standard uncertainties. The uncertainty is relative; for a straight path it is
+    infinite.
     """
     plain, moved = True, False
     for _ in range(_PATH_ROUNDS):
         shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
-        # with the same variance for all samples first: those of a template about a wrong hub hide its radial blur
+        # first with the same variance for all samples: variances of a template about a wrong hub hide its radial blur
         template = learn(shown, angle, ring.inside(area), ring, separate=separate, plain=plain)
         path = _BodyPath.of(pictures, angle, template)
         wrong, sigma = path.bend / path.radius, path.bend_sigma / path.radius
@@ -1155,8 +1158,8 @@ def _finish(
         warnings.append(
             f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees against the line of sight (the "
             f"orbits are ellipses with the ratio {math.cos(tilt[0]):.2f} of their axes, the short one at "
-            f"{math.degrees(tilt[1]):.0f} degrees): the angles are those in the plane of the body. Which side of it is "
-            "nearer is not visible; the sense of rotation is that seen."
+            f"{math.degrees(tilt[1]):.0f} degrees): the angles are those in the plane of the body. The film does "
+            "not show which side of the body is nearer; the sense of rotation is that seen."
         )
     repeated = int(film.selected.sum()) - len(usable)
     if repeated:
@@ -1193,8 +1196,8 @@ def _finish(
     elif (apart := apart_beyond_harmonics(angle[kept], halves[:, kept], usable[kept], typical)) is not None:
         correlated = max(correlated, apart)
         warnings.append(
-            "The inner and the outer half of the body do not turn alike: beyond harmonics of the angle, they differ "
-            f"by {2e3 * apart:.2g} mrad rms. Two bodies may turn. The uncertainty contains "
+            "The inner and the outer half of the body do not turn in the same way: beyond harmonics of the angle, they "
+            f"differ by {2e3 * apart:.2g} mrad rms. Two bodies may turn. The uncertainty contains "
             f"{1e3 * apart:.2g} mrad for this."
         )
     elif correlated > typical:
@@ -1207,7 +1210,7 @@ def _finish(
         angle=angle[kept],
         sigma=np.hypot(scale * inflated[kept], correlated),
         ring=ring,
-        template=replace(template, _phases=[], _shifts=[]),  # without what was computed for registration
+        template=replace(template, _phases=[], _shifts=[]),  # without cached results of registration
         hub_path=np.array([p.shift for p in poses])[kept],
         explained=best.score,
         way=best.way,

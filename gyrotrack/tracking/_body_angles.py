@@ -66,8 +66,8 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _CORNER = 0.7
-"""Half width of a marker without motion blur, relative to its blurred half width [1]. Chosen: only for whether a marker
-is inside the picture; a larger value drops frames near the border."""
+"""Half width of a marker without motion blur, relative to its blurred half width [1]. Chosen: used only to decide
+whether a marker is inside the picture; a larger value rejects frames near the border."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class BodyView:
 
     @property
     def coloured(self) -> tuple[str, ...]:
-        """The markers measured in the chroma planes, like the disc; luma may be displaced by half a px."""
+        """The markers measured in the chroma planes, like the disc; luma may be displaced from chroma by half a px."""
         return tuple(p.name for p in self.markers if p.colour != "white")
 
     def place(self, name: str, centre: Floats) -> Floats:
@@ -101,7 +101,7 @@ class BodyView:
     def flattening(self, centre: Floats) -> Flattening:
         """Fit tilt and offsets to the orbits of the markers.
 
-        One offset for the coloured ones if each of them covers only a part of its orbit.
+        The coloured markers share one offset if each of them covers only a part of its orbit.
         """
         orbits = self._orbits(centre)
         found = fit_flattening(orbits)
@@ -111,11 +111,11 @@ class BodyView:
         return replace(common, offset=found.offset | common.offset) if common.offset else found
 
     def reference(self, flat: Flattening) -> list[str]:
-        """Return the markers whose offset is known, without white ones if there are others (see `coloured`)."""
+        """Return the markers with a known offset: the coloured ones (see `coloured`), or all if there are none."""
         return [name for name in self.coloured if name in flat.offset] or list(flat.offset)
 
     def with_arcs(self, flat: Flattening, centre: Floats) -> Flattening:
-        """Add the offsets of the markers that cover only an arc; expected is the mean of those of the others."""
+        """Add the offsets of markers that cover only an arc; the mean offset of the other markers is expected."""
         absent = [name for name in self.observations if name not in flat.offset]
         if not absent:
             return flat
@@ -179,18 +179,18 @@ films of many kinds."""
 
 
 _BETTER = 4.0
-"""Reduction of the mean square of the radii from which a path of the hub is preferred, in standard errors [1]. Chosen:
-a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
+"""Smallest reduction of the mean squared residual of the radii for which another path of the hub is preferred, in
+standard errors [1]. Chosen: a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
 _TOGETHER = 16
-"""Frames over which the errors of radii count as correlated [frames]. Chosen: twice `HOLE`; a smaller value overstates
-the significance, a larger one leaves few groups."""
+"""Number of frames over which the errors of radii are taken as correlated [frames]. Chosen: twice `HOLE`; a smaller
+value overstates the significance, a larger one leaves few groups."""
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
-    """Select the path of the hub about which the radii of the markers vary least; the first one unless it is worse.
+    """Select the path of the hub about which the radii of the markers vary least; the first unless it is worse.
 
-    An error n of the centre changes the radius of a marker at the angle of the unit vector r by -n . r. The errors of
-    the radii are independent of those of the disc.
+    An error n of the centre changes the radius of a marker in the direction of the unit vector r by -n . r. Errors of
+    the radii are independent of errors of the disc.
     """
     best = paths[0]
     flat = _flattening(best, views) if len(paths) > 1 else {}
@@ -203,23 +203,24 @@ def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> Centre
 
 
 LEAST_ARC = 1.0
-"""Smallest angle of the casing from which the axis of the rotor is determined relative to the disc [rad]. Chosen: a
-smaller value takes drift for an offset, a larger one ignores short films."""
+"""Smallest rotation of the casing for which the offset of the disc from the rotor's axis is determined [rad]. Chosen: a
+smaller value mistakes drift for an offset, a larger one ignores short films."""
 SIGNIFICANT = 3.0
-"""Offset of the disc from which it is corrected, in errors of a harmonic of the radii [1]. Chosen: three standard
-deviations; a smaller value corrects noise, a larger one leaves offsets."""
+"""Smallest offset of the disc that is corrected, in standard errors of a harmonic of the radii [1]. Chosen: three
+standard deviations; a smaller value corrects noise, a larger one leaves offsets."""
 _CLIP = 4.0
-"""Residual of a radius from which it is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects
+"""Smallest residual of a radius that is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects
 good radii, a larger one keeps partly occluded markers."""
 
 
 def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
-    """Correct the path of a disc that is fixed to the casing beside the axis of the rotor.
+    """Correct the path of a disc that is fixed to the casing at an offset from the axis of the rotor.
 
-    The disc then circles the axis by the angle c of the casing. Its offset d, constant on the casing, changes a radius
-    of the rotor's markers at the angle a by -d . r(a - c), with r the unit vector, and displaces it by |d| sin(a - c)
-    at most. The markers of the casing are displaced equally in all frames. d is fitted to the radii beside the offset
-    and the flattening of each orbit, and is subtracted if the radii then vary less.
+    The disc then moves on a circle about the axis, at the angle c of the casing. Its offset d is constant in the frame
+    of the casing. With the unit vector r, d changes the radius of a rotor marker at the angle a by -d . r(a - c), and
+    displaces the marker tangentially by at most |d| sin(a - c). The markers of the casing are displaced equally in all
+    frames. d is fitted to the radii together with the offset and the flattening of each orbit, and subtracted if this
+    reduces their scatter.
     """
     if "casing" not in views or "rotor" not in views:
         return path
@@ -276,8 +277,8 @@ def _squares(path: CentrePath, views: dict[str, BodyView], flat: dict[str, Flatt
 
 
 _MOST_CHANGE = 50.0
-"""Upper limit of a squared residual over its typical value [1]. Chosen: a marker that is mistaken for another one is an
-outlier; a larger value lets it decide, a smaller one hides a shake."""
+"""Upper limit of the ratio of a squared residual to its typical value [1]. Chosen: a marker that is mistaken for
+another one is an outlier; with a larger value it dominates the mean, a smaller one hides camera shake."""
 
 
 def _is_better(before: Floats, after: Floats) -> bool:
@@ -286,7 +287,7 @@ def _is_better(before: Floats, after: Floats) -> bool:
     for one, other in zip(before, after, strict=True):
         use = np.isfinite(one) & np.isfinite(other)
         size = max(float(np.median(other[use])), 1e-4) if use.any() else 1.0
-        # outliers, as of a marker that is mistaken for another one, are limited
+        # limit outliers, for example of a marker that is mistaken for another one
         change = np.clip(one / size, 0.0, _MOST_CHANGE) - np.clip(other / size, 0.0, _MOST_CHANGE)
         groups = np.nan_to_num(np.where(use, change, 0.0))[: len(use) // _TOGETHER * _TOGETHER]
         gain.append(groups.reshape(-1, _TOGETHER).mean(axis=1))
@@ -310,7 +311,7 @@ def correct_view(
 
 
 def _flattening(centre: CentrePath, views: dict[str, BodyView]) -> dict[str, Flattening]:
-    """Fit the flattening of each body's orbits; a body that covers an arc gets that of one with full orbits."""
+    """Fit the flattening of each body's orbits; a body with arcs gets the flattening of a body with full orbits."""
     flat = {name: body_view.flattening(centre.centre) for name, body_view in views.items()}
     known = [name for name in views if flat[name].offset]
     if not known:
@@ -346,9 +347,9 @@ LEAST_PLACES = 14
 def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
     """Return the error by place of the radii of a body in one component of one harmonic [px].
 
-    Orders that neither an offset nor a tilt causes show it, on the mean over the markers, which shadows displace
-    equally at each place. They and the typical error are estimates of one variance. A marker that is seen at a few
-    places only, in step with the frames, shows nothing.
+    Orders that neither an offset nor a tilt causes determine it. The mean over the markers is used, because a shadow
+    displaces all of them equally at each place. This estimate and the typical error are estimates of one variance. A
+    marker that is seen at only a few places, in step with the frames, contains no information.
     """
     usual = usual_error_of_harmonic(body_view)
     found = []
@@ -364,10 +365,10 @@ def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening
 
 
 def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView], error: float) -> complex:
-    """Return p + i q of all bodies: they are seen by one camera, and the ellipses of their orbits are equal.
+    """Return the common p + i q of all bodies: one camera sees them, so the ellipses of their orbits are equal.
 
-    The component across the tilt is an error. That along it cannot be negative: it is the posterior mean for a normally
-    distributed `error` and a uniform prior from 0.
+    The component across the tilt is an error. The component along the tilt cannot be negative: it is the posterior mean
+    for a normally distributed `error` and a uniform prior from 0.
     """
     total, number = 0j, 0
     for name, one in flat.items():
@@ -383,8 +384,9 @@ def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView], error:
 def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: dict[str, BodyView]) -> float:
     """Return the azimuth of the tilt [rad], y up.
 
-    Both the ellipse of an orbit (p + i q = `tilt`, with its `error`) and the offset of an orbit below the hub show it.
-    The angles are doubled because the ellipse does not show the sense; each has the weight 1 / variance.
+    Two quantities determine it: the ellipse of an orbit (p + i q = `tilt`, with its `error`), and the offset of an
+    orbit below the hub. The angles are doubled because the ellipse does not determine the sense of the tilt; each angle
+    has the weight 1 / variance.
     """
     total = -tilt * abs(tilt) / error**2
     for name, one in flat.items():
@@ -402,14 +404,14 @@ LUMA_SHIFT = 0.5
 chroma samples differ by half a luma pixel."""
 DEPTH = 0.5
 """Standard deviation of the depth of the rotor's markers below the disc, in radii of their orbit [1]. Chosen: the rotor
-may be at any depth; a smaller value biases the offset to 0, a larger one lets arcs decide."""
+may be at any depth; a smaller value biases the offset to 0, a larger one leaves the offset to arcs."""
 
 
 def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float:
-    """Return the uncertainty of the offset of the casing's orbit [px]; a height h at a tilt t moves it by h sin t.
+    """Return the uncertainty of the offset of the casing's orbit [px]; a height h and a tilt t cause an offset h sin t.
 
-    A small tilt is badly determined by the ellipses of the orbits. An offset e of the orbit of the rotor (`body_view`)
-    by its depth indicates a tilt of e / depth.
+    The ellipses of the orbits determine a small tilt poorly. If the offset e of the orbit of the rotor (`body_view`) is
+    due to the depth of the rotor, the tilt is e / depth.
     """
     offset = float(np.hypot(*flat.shift(body_view.reference(flat))))
     tilt = max(flat.tilt, offset / (DEPTH * body_view.radius))
@@ -417,12 +419,12 @@ def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float
 
 
 def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
-    """Return the typical error by place of the mean of some markers [px]; that of illumination is common to them."""
+    """Return the typical error by place of the mean of some markers [px]; they share the part of illumination."""
     return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
 
 
 def usual_error_of_harmonic(body_view: BodyView, markers: int = 1) -> float:
-    """Return the part of the typical error by place in one component of one harmonic, of equal ones [px]."""
+    """Return the typical error by place in one component of one harmonic [px], if all components are equal."""
     return usual_error_by_place(body_view, markers) / math.sqrt(len(PLACE_ORDERS))
 
 
@@ -439,14 +441,14 @@ def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> f
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the axis of a fast body by angles less that by radii, (2,) [px], y up, shrunk by their errors by place."""
+    """Return the axis of a fast body from angles minus that from radii, (2,) [px], y up, shrunk for errors by place."""
     off = _axis_by_angles(body_view, flat, body)
     known = max(len(body_view.reference(flat)), 1)
     return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, known))
 
 
 def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the mean of the axes of the markers by angles less those by radii, (2,) [px], y up; 0 if none is known."""
+    """Return the mean over the markers of the axis from angles minus that from radii, (2,) [px], y up; 0 if unknown."""
     off = [body.axis_off[m] * body_view.radius for m in body_view.reference(flat) if m in body.axis_off]
     return np.mean([(z.real, z.imag) for z in off], axis=0) if off else np.zeros(2)
 
@@ -458,11 +460,12 @@ def separate_perspective(
 
     Perspective enlarges the near half of a circle about e: its radius varies once per turn, as for a circle about a +
     e, with a proportional to the square of the radius, while its angles are those about e. The markers of the rotor
-    turn fast, so that their angles determine e, and their radii a.
+    turn fast, so their angles determine e, and their radii determine a.
 
     The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
-    and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or that of the
-    rotor, if the disc is above both; each within `_height_error`. All measurements have errors by place.
+    and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or the offset of
+    the rotor, if the disc is above both bodies. Both have the uncertainty `_height_error`. All measurements have errors
+    by place.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -504,7 +507,7 @@ distance of 70 cm."""
 
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
-    """Return the uncertainty of a body's markers along their orbit due to the offsets, (n,) in px."""
+    """Return the uncertainty of the positions of a body's markers along the orbit due to the offsets, (n,) in px."""
     own = [np.nan_to_num(flat.tangential_sigma(name, c.angle)) for name, c in candidates.items()]
     return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
 
@@ -518,8 +521,8 @@ def _tilt_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Flo
 Integers = npt.NDArray[np.int64]
 
 _FAR = 0.05
-"""Smallest range of a moving centre, relative to the radius of the orbit, for which it is followed [1]. Chosen: a
-smaller value follows noise, a larger one keeps the mean of a hub that moves."""
+"""Smallest range of the centre, relative to the radius of the orbit, for which its motion is followed [1]. Chosen: a
+smaller value follows noise, a larger one uses the mean position of a moving hub."""
 
 
 @dataclass(frozen=True)
@@ -535,7 +538,7 @@ class TrackedBodies:
 
 
 def join_bodies(seen: FilmObservations, scene: Scene, profile: Profile, fps: float) -> TrackedBodies:
-    """Find the centre's path, and join the markers of each body about it; repeated frames have no angle."""
+    """Find the path of the centre, and combine the markers of each body about it; repeated frames have no angle."""
     if seen.times.again is None:
         return _join_fresh(seen, scene, profile, fps)
     fresh, count = np.flatnonzero(~seen.times.again), len(seen.times.again)
@@ -563,14 +566,14 @@ def _join_fresh(seen: FilmObservations, scene: Scene, profile: Profile, fps: flo
 
 
 def _time_base(times: FrameTimes) -> TimeBase | None:
-    """Return the times of all frames, also of missing ones; None if they are counted."""
+    """Return the times of all frames, also of missing ones; None if frames are counted."""
     if times.place is None:
         return None
     return TimeBase(np.interp(np.arange(times.number[-1] + 1), times.number, times.place), times.sigma)
 
 
 def trusted_times(seen: FilmObservations, scene: Scene) -> FrameTimes:
-    """Return the times of a film, smoothed unless the body that turns most follows the jitter of the stamps."""
+    """Return the times of a film, smoothed unless the body that turns most shows that their jitter is real."""
     times = seen.times
     if times.place is None or times.smooth is None or not seen.bodies:
         return times
@@ -616,9 +619,9 @@ def _join_even(
 
 
 def _unalias(bodies: dict[str, BodyAngles], given: int | None) -> list[str]:
-    """Let a rotor that seems to speed up turn as the rotation that slows down, for nothing drives it.
+    """Replace a rotation of the rotor that speeds up by its alias that slows down, because nothing drives the rotor.
 
-    Not where the casing or the profile determines the sense. Returns a warning if the markers show both rotations.
+    A rotation whose sense the casing or the profile determines is kept. Return a warning if both are possible.
     """
     casing = net_turn(bodies["casing"].angle) if "casing" in bodies else 0.0
     if given is not None or "rotor" not in bodies or abs(casing) > SENSE_TURN:
@@ -636,7 +639,7 @@ def _unalias(bodies: dict[str, BodyAngles], given: int | None) -> list[str]:
 
 
 def _undecided(bodies: dict[str, BodyAngles]) -> list[str]:
-    """Return a warning for each body that seems to speed up and would slow down with a turn per frame less."""
+    """Return a warning for each body that speeds up, but would slow down with one turn per frame less."""
     found = []
     for name, body in bodies.items():
         frame = np.flatnonzero(np.isfinite(body.angle))
@@ -654,10 +657,10 @@ def _followed(
     fps: float,
     time_base: TimeBase | None,
 ) -> tuple[dict[str, BodyAngles], list[str]]:
-    """Join the markers of each body; the casing twice, since the markers of the rotor pass beneath its own.
+    """Combine the markers of each body; the casing twice, because the markers of the rotor pass beneath its marker.
 
-    A body that turns too little for its errors by place to be measured gets typical ones and those of the other body,
-    in px: illumination and encoder are the same, but not the surroundings of the markers.
+    If a body turns too little to measure its errors by place, it gets typical errors combined with those of the other
+    body, in px: illumination and encoder are the same, but the surroundings of the markers are not.
     """
     candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
 
@@ -733,8 +736,8 @@ def _followed(
 
 
 MANY_TURNS = 10.0
-"""Turns from which errors of the markers that repeat with the turn average out [turns]. Chosen: fewer let markers with
-harmonics set the zero of a template, more ignore the markers."""
+"""Smallest number of turns over which errors of the markers that repeat in each turn average out [turns]. Chosen: fewer
+let markers with harmonics set the zero of a template, more ignore the markers."""
 
 
 def by_texture(
@@ -751,14 +754,15 @@ def by_texture(
 ) -> BodyAngles:
     """Return a body with the angles of its texture if their averages are better than those of its markers.
 
-    The zeros of the templates follow from the markers (`template_zeros`), which err beside those of `others`, bodies of
-    the angles (n,) [rad]; of a body that turns a few times, they have one zero. Errors that repeat with the angle are
-    learnt and the uncertainty is calibrated as for a marker (`join`). Errors by place that the zones share are at least
-    those of `error_of_ring`, with `usual` [px] and the mean `radius` of the markers [px], if they cannot be learnt: an
-    encoder keeps a body at rest fixed in the picture, in all zones.
+    The zeros of the templates follow from the markers (`template_zeros`). A marker that passes a marker of another body
+    has an error; `others` are the angles of these bodies, (n,) [rad] each. If the body makes only a few turns, all
+    templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
+    marker (`join`). If errors by place that the zones share cannot be estimated, they are at least `error_of_ring`, for
+    `usual` [px] and the mean `radius` of the markers [px]: in a compressed film a body at rest has one error in all
+    zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
-    # an error that repeats with the turn does not change the zeros of batches
+    # an error that repeats in each turn does not change the zeros of batches
     off = wrapped(body.angle - angle)
     if np.isfinite(off).sum() < LEAST_OBSERVATIONS:
         return body
@@ -792,7 +796,7 @@ def by_texture(
         coarse,
         {"texture": Candidate(mount=0.0, **columns)},
         fps,
-        # views differ from batch to batch, and those with large errors count
+        # own views differ between batches: the rms includes batches with large errors
         floor=max(
             float(np.sqrt(np.mean(texture.slow[good] ** 2))) if own.any() else median_of(texture.slow[good]),
             error_of_ring(texture, usual) / radius,
@@ -816,28 +820,28 @@ def by_texture(
 
 
 RING_ERROR = 0.055
-"""Error by place of a slow ring about its own view, rms [px]. Measured: means over 16 frames of eleven films by two
-other renderers err by 0.01 to 0.11 px at the radius of the markers, 0.054 px rms. A ring whose view is not known has
-the error of a marker: an encoder keeps a body at rest fixed in the picture."""
+"""Error by place of a slow ring measured about its own view, rms [px]. Measured: in eleven films by two other
+renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers, 0.054 px rms. A ring whose
+view is unknown has the error of a marker, because an encoder repeats pictures of a slow body."""
 LEAST_PERIODIC = 0.3e-3
-"""Standard deviation of the amplitudes of an error once and twice per turn of a slow casing, beside a centre and a
-flattening [rad]. Measured: in the slow frames of five rendered films, the amplitudes exceeded the rest by 0.2 to 0.4
-mrad; a smaller value sells shading as an unbalance, a larger one hides an unbalance."""
+"""Standard deviation of the amplitudes of an error once and twice per turn of a slow casing, in addition to the errors
+of centre and flattening [rad]. Measured: in the slow frames of five rendered films, the amplitudes exceeded these
+errors by 0.2 to 0.4 mrad; a smaller value reports shading as an unbalance, a larger one hides an unbalance."""
 LEVEL = 0.005
-"""Largest flattening with which a ring shows its view, that of a tilt of 0.14 rad [1]. Measured: in rendered films of a
-near camera with a tilt of 0.15 rad, a flattening of 0.0056, its angles have z of 0.75 to 1.2 over more than 0.6 turns,
-but of 1.1 to 1.6 over half a turn; with 0.08 rad, 0.9 to 1.1."""
+"""Largest flattening for which a ring determines its own view; it corresponds to a tilt of 0.14 rad [1]. Measured: in
+rendered films of a near camera with a tilt of 0.15 rad (flattening 0.0056), the rms error of the angles is 0.75 to 1.2
+standard uncertainties over more than 0.6 turns, but 1.1 to 1.6 over half a turn; with 0.08 rad, 0.9 to 1.1."""
 _ALMOST_ALL = 0.95
-"""Share of the frames of a ring that must be measured about its own view [1]. Chosen: the rest has the angles of the
-markers; a smaller value joins different errors, a larger one fails for a few disturbed frames."""
+"""Smallest share of the frames of a ring that must be measured about its own view [1]. Chosen: the other frames have
+the angles of the markers; a smaller value mixes different errors, a larger one fails for a few disturbed frames."""
 
 
 def periodic_error(texture: TextureObservations, centre: Floats, flattening: float, learnt: Mask) -> float:
     """Return the largest standard deviation of the amplitudes of an error once and twice per turn [rad].
 
-    The errors of the frames `learnt` (n,) are known and removed from all frames. What remains of the errors of the
-    `centre` (n,) [px] and of the `flattening` is due to the difference of the responses of their templates. Shading
-    differs as well with motion blur; it causes at least `LEAST_PERIODIC`.
+    The errors of the frames `learnt` (n,) are known and removed from all frames. The remaining errors of the `centre`
+    (n,) [px] and of the `flattening` are due to the difference of the responses of the templates. Shading also changes
+    with motion blur; it causes at least `LEAST_PERIODIC`.
     """
     squares = np.zeros(len(centre))
     for moments, error in ((texture.first, np.hypot(centre, CENTRE_ERROR)), (texture.second, flattening)):
@@ -850,17 +854,18 @@ def periodic_error(texture: TextureObservations, centre: Floats, flattening: flo
 
 
 def error_of_ring(ring: TextureObservations, usual: float) -> float:
-    """Return the error by place of a ring [px]: `RING_ERROR` about its own view, `usual` [px] about another one."""
+    """Return the error by place of a ring [px]: `RING_ERROR` about its own view, otherwise `usual` [px]."""
     known = np.isfinite(ring.angle)
     own = known & (ring.own_view > 0.0)
     return RING_ERROR if own.sum() > _ALMOST_ALL * known.sum() else usual
 
 
 def _best_ring(body: BodyObservations, flattening: float) -> TextureObservations | None:
-    """Return the ring about its own view, if the body is slow in the whole film, or else about that of the markers.
+    """Return the ring about its own view if the body is always slow, otherwise about the view of the markers.
 
-    Errors that repeat with the turn are learnt from the fast frames of a film; they must be those of all frames. The
-    markers of all bodies determine an oblique view, of a large `flattening`, better than one ring: it has perspective.
+    Errors that repeat in each turn are estimated from the fast frames of a film, and must be valid for all frames. The
+    markers of all bodies determine an oblique view, with a large `flattening`, better than one ring, because of
+    perspective.
     """
     if body.texture is None or body.aligned is None:
         return body.texture
@@ -885,10 +890,10 @@ keeps angles with slow errors, a larger one accepts much noise."""
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
     """Return whether the averages of new angles over `_AVERAGED` have a smaller error than those of the markers.
 
-    Both differ by the white errors of both and by what does not average: a marker has an error beside the marker of
-    another body, and where such passages are in step with the frames, the error is slow. With the variance V of the
-    differences of the averages of m frames, the excess V - (sigma_1^2 + sigma_2^2) / m is attributed to the marker, as
-    a ring averages over its circumference.
+    The two angles differ by their white errors and by an error that does not average out: a marker that passes the
+    marker of another body has an error, and this error is slow where the passages are in step with the frames. With the
+    variance V of the differences of the averages of m frames, the excess V - (sigma_1^2 + sigma_2^2) / m is attributed
+    to the marker, because a ring averages over its circumference.
     """
     both = np.flatnonzero(np.isfinite(found.angle) & np.isfinite(body.angle))
     if not len(both):
@@ -936,8 +941,8 @@ _REST = 0.05
 """Largest range of the angle of a body at rest [rad]. Chosen: a smaller value calls noise a motion, a larger one hides
 a slow body."""
 _TURNS = 1.0
-"""Smallest range of the angle of the other body that turns [rad]. Chosen: a smaller value omits a body beside one that
-hardly turns, a larger one keeps angles of the background."""
+"""Smallest range of the angle of the other body for which that body is rotating [rad]. Chosen: a smaller value omits a
+body although the other one hardly turns, a larger one keeps angles of the background."""
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
@@ -949,7 +954,7 @@ def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
 
 _LEAST_SHARE = 0.05
 """Smallest share of frames with an angle of a body that is reported [1]. Chosen: a smaller value reports other objects,
-a larger one omits bodies of which little is seen."""
+a larger one omits bodies that are rarely visible."""
 _LEAST_SEEN = 3
 """Smallest number of frames with an angle of a body that is reported [frames]. Chosen: fewer do not show a motion, more
 omit bodies in short films."""

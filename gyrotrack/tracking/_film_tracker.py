@@ -1,8 +1,8 @@
-"""The tracker of a film: every frame is unrolled, every batch of frames is measured, body by body.
+"""The tracker of a film: every frame is sampled along rings, and every batch of frames is measured, body by body.
 
-A body is tracked coarsely by all its markers together, then each marker is measured. Its angle is predicted, and only
-the neighbourhood of each predicted marker is searched. If the uncertainty of the prediction is too large, or the
-markers are not found there, the whole rings are searched.
+A body is tracked coarsely by all its markers together, then each marker is measured. The angle of the body is
+predicted, and only the neighbourhood of each predicted marker is searched. If the uncertainty of the prediction is too
+large, or the markers are not found there, the whole rings are searched.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 LEAST_SCORE = 0.4
-"""Smallest score of an angle at which the body counts as seen, relative to the height of one marker [1]. Chosen: a
-smaller value follows noise, a larger one loses shaded markers."""
+"""Smallest score of an angle at which the body is visible, relative to the height of one marker [1]. Chosen: a smaller
+value follows noise, a larger one loses shaded markers."""
 MARGIN = 0.05
-"""Largest distance of a marker from its prediction [rad]. Chosen: a smaller value falls back to whole rings more often,
-a larger one unrolls more samples."""
+"""Largest distance of a marker from its prediction [rad]. Chosen: with a smaller value whole rings are searched more
+often, a larger one needs more samples."""
 CHECK_EVERY = 2
 """Distance of the frames that are used to check the prediction [frames]. Chosen: a larger value notices a loss later, a
 smaller one costs time."""
 COVERAGE_FACTOR = 3.0
-"""Factor on the standard uncertainty of a prediction, which must be within the margin [1]. Chosen: three standard
-deviations; a smaller value cuts markers off, a larger one searches whole rings."""
+"""Factor of the standard uncertainty of a prediction; the product must be less than `MARGIN` [1]. Chosen: three
+standard deviations; a smaller value cuts markers off, a larger one searches whole rings."""
 
 
 class BodyTracker:
@@ -89,11 +89,11 @@ class BodyTracker:
 
     @property
     def maps(self) -> list[AngleMap]:
-        """Learnt maps of the illumination on the ring of each marker, and of the occlusion."""
+        """Maps of the illumination on the ring of each marker, and of the occlusion, estimated from this film."""
         return [*(tracker.light for tracker in self.markers.values()), self._cover.map]
 
     def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
-        """Track through frames `advance` (n,) camera periods apart; store the markers' windows from `place` on."""
+        """Track through frames `advance` (n,) camera periods apart; store the windows of markers from `place` on."""
         number = self._frame + np.cumsum(advance)
         found = self._predicted(frames, place, number)
         if found is None:
@@ -138,7 +138,7 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
-        """Refine coarse angles (n,) by the coloured markers, weighted by height^8 for occlusions; also where seen."""
+        """Refine coarse angles (n,) by the coloured markers, weighted by height^8 for occlusions; add a frame mask."""
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
@@ -151,9 +151,9 @@ class BodyTracker:
     def measure_batch(
         self, count: int, casing: Floats | None, *, again: bool
     ) -> tuple[Floats, dict[str, MarkerObservations]]:
-        """Measure `count` frames of the batch; `casing` is the angle as seen of the body that occludes markers [rad].
+        """Measure `count` frames of the batch; `casing` is the apparent angle of the body that occludes markers [rad].
 
-        Frames that are measured `again` do not enter the map of the occlusion a second time. Returned are the unwrapped
+        Frames that are measured `again` are not added to the map of the occlusion a second time. Return the unwrapped
         coarse angles (count,) [rad], NaN where the body is lost, and the observations.
         """
         coarse = self._coarse[:count].copy()
@@ -203,7 +203,7 @@ class BodyTracker:
         return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
     def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
-        """Find the body again from `begin` on, and track it backwards; else extrapolate, which keeps the turns."""
+        """Find the body again after `begin` and track it backwards; otherwise extrapolate, which keeps the turns."""
         old = self._motion
         place = np.cumsum(np.append(0.0, advance[begin:-1]))
         lock = find_lock(score[begin:], LEAST_SCORE, old.step if old else 0.0, place)
@@ -244,15 +244,15 @@ Progress = Callable[[int, int | None], None]
 RINGS = ("texture", "aligned")  # observations of a ring (see `TextureTracker.measure`)
 
 BATCH = 512
-"""Frames that are measured together [frames]. Chosen: fewer give noisy templates, more let templates age and take more
+"""Frames that are measured together [frames]. Chosen: fewer give noisy templates, more give outdated ones and take
 memory."""
 HOLD = 64
-"""Frames in memory at a time, in which a body that is not found at its prediction is searched [frames]. Chosen: fewer
-prevent a lock, more take memory."""
+"""Frames that are held in memory, in which a body that is not found at its prediction is searched [frames]. Chosen:
+fewer may not suffice to find it again, more take memory."""
 HELD_BYTES = 24_000_000
 """Size of the frames that are held [bytes]. Chosen: memory; a smaller value holds fewer frames of large pictures."""
 SLOW = 3.0 * LEAST_SCATTER
-"""Smallest step of the fastest body for which equal frames count as repeated [rad]. Derived: three times the lower
+"""Smallest step of the fastest body for which equal frames are repeated frames [rad]. Derived: three times the lower
 limit of the scatter of a coarse angle."""
 _MOVE = 0.6
 """Distance of the disc from the centre of the rings beyond which the rings are moved [px]. Chosen: a smaller value
@@ -266,7 +266,7 @@ class BodyObservations:
     coarse: Floats
     markers: dict[str, MarkerObservations]
     texture: TextureObservations | None = None
-    aligned: TextureObservations | None = None  # of a slow body, about the view that its ring shows
+    aligned: TextureObservations | None = None  # of a slow body, about the view determined by its ring
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyObservations:
         """Place the frames at `index` of `count` frames; the others are NaN or False."""
@@ -295,7 +295,7 @@ class FilmObservations:
 
 
 class FilmTracker:
-    """Tracker of all bodies in a film; it depends on the scene alone, and copies of it track parts in parallel."""
+    """Tracker of all bodies in a film; it depends on the scene alone, so copies can track parts in parallel."""
 
     def __init__(self, scene: Scene, samples: Samples) -> None:
         keep_out = 1.25 * scene.disc.radius + 1.0 if scene.disc else 0.0
@@ -332,7 +332,7 @@ class FilmTracker:
 
     @property
     def maps(self) -> list[AngleMap]:
-        """Learnt maps of illumination and occlusion, which are common to the whole film."""
+        """The maps of illumination and occlusion, which are common to the whole film."""
         return [angle_map for body in self.bodies.values() for angle_map in body.maps]
 
     @property
@@ -344,9 +344,9 @@ class FilmTracker:
         """Hold the next frame of the film until enough of them are held.
 
         `step` is the time from the previous frame in periods of the camera. A frame that repeats the previous one shows
-        the same moment; its step is added to that of the next frame, because it replaces a missing frame, unless
-        repeated frames are regular in a film that is not timed by its stamps (`stamped`). Frames are not compared while
-        hardly anything turns.
+        the same moment. It replaces a missing frame, so its step is added to that of the next frame. Exception:
+        repeated frames are regular in a film that is not timed by its timestamps (`stamped`). Frames are not compared
+        while hardly anything turns.
         """
         again = self.repeats is not None and self.repeats.same(frame)
         again = again and max(body.step for body in self.bodies.values()) > SLOW
@@ -361,7 +361,7 @@ class FilmTracker:
         advance = np.array(self.steps)
         if self.filled == 0 and self.disc is not None:
             self.disc.centre_on(self.centre, self.held[0])
-            if self._new:  # the hub may have moved since the samples of the scene
+            if self._new:  # the hub may have moved after the samples of the scene
                 self.disc.take(self.held, 0)
                 self._move(self.disc.centres(len(self.held)))
         self._new = False
@@ -376,7 +376,7 @@ class FilmTracker:
         self.steps.clear()
 
     def learn_batch(self) -> None:
-        """Learn templates, illumination and occlusion from the stored frames, which remain to be measured."""
+        """Estimate templates, illumination and occlusion from the stored frames, which are measured later."""
         self._fresh, self._again = False, True
         casing: Floats | None = None
         for name, body in self.bodies.items():
@@ -427,7 +427,7 @@ class FilmTracker:
 
 
 def _by_markers(coarse: Floats, markers: dict[str, MarkerObservations], body: BodyTracker) -> Floats:
-    """Return the angle of a body (n,) as seen, the mean over its unoccluded markers, or the coarse angle."""
+    """Return the apparent angle of a body (n,): the mean over its unoccluded markers, or the coarse angle."""
     off = [
         np.where(
             seen.open & np.isfinite(seen.angle), seen.angle - coarse - body.markers[m].marker.mount, np.nan

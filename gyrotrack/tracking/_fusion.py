@@ -4,19 +4,20 @@ The coarse angle of the body gives the number of turns; the fine angle of each m
 markers are combined with their mount angles, weighted by the inverse variance of their scatter about the smooth motion;
 outliers are rejected.
 
-Systematic errors repeatable with angle are removed first. Reflections of lamps in the metal displace a marker equally
-whenever it passes the same place, and so do the edge of the bar and its shadow whenever it passes the bar. Such errors
+Systematic errors repeatable with angle are removed first. Reflections of lamps in the metal displace a marker in the
+same way at each passage of a place; the edge and the shadow of the bar do so at each passage of the bar. Such errors
 are functions of an angle. They are estimated from the residuals of the marker about the smooth motion of its body, as a
 smooth closed curve c that minimises
 
     sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
 
-with B linear hat functions on equally spaced knots, s the scatter, D2 cyclic second differences.
+where B are linear hat functions on equally spaced knots, s is the scatter, and D2 are cyclic second differences.
 
 Real motion of a body must not be removed. An unbalance or a tilted table changes the motion once or twice per turn of
 the body, equally for all its markers. This is negligible for a fast body: an amplitude A of its acceleration is an
-amplitude A / omega^2 of its angle. If there are fast frames, the curves are learnt from these and used for all frames;
-otherwise the common harmonics of orders 1 and 2 in the angle of the body are not removed (`without_common_motion`).
+amplitude A / omega^2 of its angle. If there are fast frames, the curves are estimated from these and used for all
+frames; otherwise the common harmonics of orders 1 and 2 in the angle of the body are not removed
+(`without_common_motion`).
 """
 
 from __future__ import annotations
@@ -56,15 +57,15 @@ TURN = 2.0 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
 ALL = slice(None)
 FAST = 70.0
-"""Angular rate from which real motion is not confused with errors by place [rad/s]. Derived: an amplitude of the
-acceleration of 10 rad/s2, a large unbalance, is 10 / 70^2 = 2 mrad there."""
+"""Smallest angular rate at which real motion is not confused with errors by place [rad/s]. Derived: a large unbalance,
+an acceleration of amplitude 10 rad/s2, causes an amplitude of 10 / 70^2 = 2 mrad."""
 _LEFT = 0.2
-"""Smallest share of the scatter of a marker that it does not share with the others [1]. Chosen: a smaller value gives a
-marker too much weight, a larger one keeps the error of the times."""
+"""Smallest share of the scatter of a marker that is independent of the other markers [1]. Chosen: a smaller value gives
+a marker too much weight, a larger one keeps the error of the times."""
 
 
 class Residuals:
-    """Residuals of the markers about the coarse path of their body (n,) [rad], NaN where lost, and their errors."""
+    """Residuals of markers about the coarse path of their body (n,) [rad], NaN where lost, and their errors."""
 
     def __init__(
         self, coarse: Floats, candidates: dict[str, Candidate], fps: float, time_base: TimeBase | None = None
@@ -110,11 +111,11 @@ class Residuals:
         return wrapped(off)
 
     def bias(self, name: str, part: slice = ALL) -> Floats:
-        """Return the learnt repeatable error of a marker in each frame [rad]."""
+        """Return the estimated repeatable error of a marker in each frame [rad]."""
         return np.asarray(self.by_place[name][part] + self.by_neighbour[name][part])
 
     def sigma(self, name: str, part: slice = ALL) -> Floats:
-        """Return the uncertainty of each observation: scatter of open or partly occluded ones, times `weak`."""
+        """Return the uncertainty of each observation: scatter of open or partly occluded observations, times `weak`."""
         clear, partly = self.scatter[name]
         return np.asarray(np.where(self.candidates[name].open[part], clear, partly) * self.weak[name][part])
 
@@ -147,7 +148,7 @@ class Residuals:
         return fitted, leverage
 
     def replace_mounts(self, smooth: Floats) -> None:
-        """Update the mount angles of the markers; that of the first one is fixed."""
+        """Update the mount angles of the markers; the first is fixed."""
         shift = {name: self._median_off(name, smooth) for name in self.candidates}
         zero = next(iter(shift.values()))
         for name in self.candidates:
@@ -186,8 +187,8 @@ class Residuals:
     def measure_scatter(self, smooth: Floats, leverage: Floats) -> None:
         """Measure the scatter again about a curve that is smooth over whole turns.
 
-        It contains errors that repeat with the turn, except for those that the learnt curves have removed from the
-        angles. It is limited to 2.5 times the scatter about the short curve, since a larger one is due to real motion.
+        The scatter then contains errors that repeat in each turn, except those removed by the curves. It is limited to
+        2.5 times the scatter about the short curve, because a larger scatter is due to real motion.
         """
         for name, c in self.candidates.items():
             off = self._standardised(name, smooth, leverage)
@@ -240,18 +241,18 @@ def _weight(sigma: Floats) -> Floats:
 
 
 KNOTS = 72
-"""Knots of a closed curve [1]. Chosen: every 5 degrees; fewer smooth the edge of the bar, more are noisy."""
+"""Number of knots of a closed curve [1]. Chosen: every 5 degrees; fewer smooth the edge of the bar, more are noisy."""
 _BEND = 4e-3
 """Standard deviation of the second differences of a closed curve [rad]. Chosen: a smaller value smooths the edge of the
 bar, a larger one fits noise."""
 _SIZE = 3e-2
-"""Standard deviation of a closed curve [rad]. Chosen: a smaller value leaves large errors, a larger one lets unseen
-angles take any value."""
+"""Standard deviation of a closed curve [rad]. Chosen: a smaller value leaves large errors, with a larger one the curve
+is arbitrary at unseen angles."""
 
 
 @dataclass(frozen=True)
 class ClosedCurve:
-    """A fitted closed curve: values at the knots (KNOTS,) [rad], their covariance, its `size` as observed [rad]."""
+    """A fitted closed curve: values at the knots (KNOTS,) [rad], their covariance, and the observed `size` [rad]."""
 
     values: Floats
     covariance: Floats
@@ -297,7 +298,7 @@ def _precision(size: float) -> Floats:
 
 
 def _between_knots(angle: Floats) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Floats]:
-    """Return the knots to both sides of angles, and the weight of the second one."""
+    """Return the knots on both sides of angles, and the weight of the second knot."""
     place = np.mod(angle, TURN) * KNOTS / TURN
     low = np.floor(place)
     return low.astype(np.int64) % KNOTS, (low.astype(np.int64) + 1) % KNOTS, place - low
@@ -320,7 +321,7 @@ def without_common_motion(curves: dict[str, Floats], mounts: dict[str, float]) -
 
 
 def once_a_turn(curve: Floats) -> complex:
-    """Return the displacement of the axis that a curve corresponds to, (x + i y) over the radius.
+    """Return the displacement of the axis that corresponds to a curve, (x + i y) / radius.
 
     About an axis at 0, a marker at v = e + r (cos a, sin a), y up, has the angle a + (e_y cos a - e_x sin a) / r.
     """
@@ -329,17 +330,17 @@ def once_a_turn(curve: Floats) -> complex:
 
 
 LEAST_TURNING = 0.5
-"""Smallest share of frames within whole turns for which errors by place are known [1]. Chosen: a smaller value states
-errors of few turns, a larger one states none for short films."""
+"""Smallest share of frames within whole turns for which errors by place are known [1]. Chosen: a smaller value gives
+errors from few turns, a larger one gives none for short films."""
 MOST_FRAMES = 2000
-"""Number of frames from which errors of the view are learnt [frames]. Chosen: time; fewer leave them noisier."""
+"""Number of frames from which errors of the view are estimated [frames]. Chosen: time; fewer are noisier."""
 LEAST_FAST = 0.2
-"""Smallest share of fast frames for which curves are learnt from these alone [1]. Chosen: a smaller value learns from
-few frames, a larger one from slow frames, in which motion resembles errors."""
+"""Smallest share of fast frames for which curves are estimated from these alone [1]. Chosen: a smaller value uses few
+frames, a larger one uses slow frames, in which motion resembles errors."""
 
 
 def learn_places(state: Residuals, smooth: Floats) -> None:
-    """Learn the error of each marker as a function of its place in the picture (see the module docstring)."""
+    """Estimate the error of each marker as a function of its place in the picture (see the module docstring)."""
     fast = state.turning & state.fast
     geometry_only = fast.sum() > LEAST_FAST * state.turning.sum()
     when = fast if geometry_only else state.turning
@@ -365,13 +366,13 @@ def learn_places(state: Residuals, smooth: Floats) -> None:
 def learn_neighbours(
     state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool, last: bool
 ) -> None:
-    """Learn the error of each marker as a function of its angle to the other body (see the module docstring).
+    """Estimate the error of each marker as a function of its angle to the other body (see the module docstring).
 
-    Markers below the other body have errors where they are partly occluded, and where its shadow and its blurred edge
-    reach. Markers above it (`above`) have errors wherever its markers pass next to them. Such errors of unoccluded
-    markers are learnt where the bodies pass each other too fast for a real motion. If they pass nearly in step with the
-    frames, the error may vary as slowly as a motion: the part that a local polynomial (`window`: half width and degree)
-    fits is treated as motion and not removed from markers above.
+    Markers below the other body have errors where they are partly occluded, in its shadow, and at its blurred edge.
+    Markers above it (`above`) have errors where its markers pass next to them. Errors of unoccluded markers are
+    estimated where the bodies pass each other too fast for a real motion. If they pass nearly in step with the frames,
+    the error may vary as slowly as a motion: the part that a local polynomial (`window`: half width and degree) fits is
+    treated as motion and not removed from markers above.
     """
     with np.errstate(invalid="ignore"):
         passing = state.turning & (state.speed(other - state.path) > FAST)
@@ -400,7 +401,7 @@ def learn_neighbours(
 def _shown_share(curve: ClosedCurve, angle: Floats, use: npt.NDArray[np.bool_]) -> float:
     """Return the share of a curve's mean square at some angles that its own uncertainty does not explain, 0 to 1.
 
-    Times this share (James-Stein), a curve that is hardly significant adds less error than it removes.
+    Multiplied by this factor (James-Stein), a curve that is hardly significant adds less error than it removes.
     """
     if not use.any():
         return 0.0
@@ -413,20 +414,20 @@ VIEW_ORDERS = range(1, 3)
 """Orders of the harmonics of errors of the view [periods per turn]. Derived: an offset of the axis causes order 1, a
 tilt of the camera order 2."""
 _VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Standard deviations of errors of the view that are tried, in typical ones [1]. Chosen: by factors of two; finer steps
+"""Trial standard deviations of errors of the view, relative to the typical one [1]. Chosen: factors of two; finer steps
 cost time, a smaller range limits the errors."""
 
 
 def learn_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> Floats | None:
-    """Learn errors of the view from the disagreement of markers; return their uncertainty in the body's angle, (n,).
+    """Estimate errors of the view from differences between markers; return the angle's uncertainty, (n,).
 
     Within less than two turns errors by place look like motion, but motion is common to all markers of a body in each
     frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The coefficients of
-    the harmonics `VIEW_ORDERS` of each marker's angle have a part common to all markers and one of its own. They are
-    fitted with the mount angles to the residuals less their mean in each frame. Errors by place of standard deviation
-    `floor` [rad] count once per `CELL`. The standard deviations of both parts are the most likely of a few multiples of
-    a harmonic's share in `floor`; to these are added the covariances of the offsets, (2, 2) [rad^2], of markers that
-    cover only an `arc`. None if there is only one marker, or if errors by place are learnt from whole turns.
+    the harmonics `VIEW_ORDERS` of each marker's angle have a common part and a separate part. They are fitted, together
+    with the mount angles, to the residuals minus their mean in each frame. Errors by place of standard deviation
+    `floor` [rad] are independent once per `CELL`. The standard deviations of both parts are the most likely of a few
+    multiples of a harmonic's share in `floor`. For markers that cover only an arc, the covariances of the offsets,
+    `arcs` (2, 2) [rad^2], are added. None for a single marker, or if errors by place are estimated from whole turns.
     """
     names, n = list(state.candidates), len(state.path)
     known = np.isfinite(state.path)
@@ -503,14 +504,14 @@ def places_passed(state: Residuals) -> float:
 
 
 PLACE_ORDERS = range(1, 7)
-"""Orders of the harmonics of errors by place [periods per turn]. Chosen: they count as equally large; more orders
-shorten the correlation length `CELL`, fewer lengthen it."""
+"""Orders of the harmonics of errors by place [periods per turn]. Chosen: all have equal variances; more orders shorten
+the correlation length `CELL`, fewer lengthen it."""
 
 
 def variance_left(angle: Floats, orders: range, frames: int | None = None) -> float:
-    """Return the share of the variance of an error by angle that is left without its mean over the film.
+    """Return the share of the variance of an error by angle that remains without its mean over the film.
 
-    The zero of an angle is arbitrary: an error that hardly changes along a short arc does not count. The harmonics of
+    The zero of an angle is arbitrary, so an error that hardly changes along a short arc has no effect. The harmonics of
     the error, of the given orders, have random phases, constant over `frames` frames, by default all.
     """
     pieces = np.array_split(angle, max(round(len(angle) / (frames or len(angle))), 1))
@@ -520,11 +521,11 @@ def variance_left(angle: Floats, orders: range, frames: int | None = None) -> fl
 
 
 def place_error(state: Residuals) -> float:
-    """Return the rms of the learnt errors by place of the marker for which it is smallest [rad].
+    """Return the rms of the estimated errors by place of the marker for which it is smallest [rad].
 
     Faint or blurred markers have larger errors for other reasons. A marker next to a bar that hardly moves has larger
-    errors at some places only; therefore a robust standard deviation is used if it is smaller. The noise in the learnt
-    errors is subtracted. NaN if no error could be learnt, or if the markers are seen at a few angles only.
+    errors at some places only; therefore a robust standard deviation is used if it is smaller. The noise of the
+    estimated errors is subtracted. NaN if no error could be estimated, or if the markers are seen at only a few angles.
     """
     if state.turning.mean() < LEAST_TURNING:
         return float("nan")
@@ -551,8 +552,8 @@ def _curve(
 
 
 MOST_TURNS = 30.0
-"""Turns from which the uncertainty of the curves is neglected [turns]. Chosen: it decreases with the number of turns;
-fewer understate the uncertainty, more cost time."""
+"""Number of turns above which the uncertainty of the curves is neglected [turns]. Chosen: it decreases with this
+number; fewer understate the uncertainty, more cost time."""
 
 
 def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
@@ -560,8 +561,8 @@ def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
 
     Within a few turns, a motion and a curve over the angle can hardly be distinguished, least of all at the ends of the
     film. Motion (cubic B-splines with `motion` >= 4 parameters) and curves are one linear model r = a x + e with the
-    covariance C of x, given that the curves have the size that is observed. The angle, less the curves b x, has the
-    error e - b dx, and a residual from the motion is e - a dx; cov(e, dx) = C a var(e).
+    covariance C of x, given that the curves have the size that is observed. The angle minus the curves b x has the
+    error e - b dx, and the residual from the motion is e - a dx; cov(e, dx) = C a var(e).
     """
     names, n = list(state.candidates), len(state.path)
     if not state.turning.any() or np.nanmax(state.path) - np.nanmin(state.path) > MOST_TURNS * TURN:
@@ -587,7 +588,7 @@ def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
     curves[:, :motion] = 0.0
     if state.common_kept:
         curves[:, motion:] = curves[:, motion:] @ _without_common(state.mounts)
-    for _ in range(2):  # the zero of the angle is arbitrary; frames that are known well determine it
+    for _ in range(2):  # the zero of the angle is arbitrary; well-known frames determine it
         variance = noise + np.einsum("ni,ni->n", curves @ covariance - 2.0 * both, curves)
         curves -= np.average(curves, axis=0, weights=1.0 / np.maximum(variance, 0.1 * noise))
     variance = noise + np.einsum("ni,ni->n", curves @ covariance - 2.0 * both, curves)
@@ -617,7 +618,7 @@ ROUNDS = 5
 
 @dataclass(frozen=True)
 class MarkerAngles:
-    """One marker: wrapped angle as seen, its uncertainty, its mount angle [rad]; NaN where not used."""
+    """One marker: wrapped apparent angle, its uncertainty, mount angle [rad]; NaN where not used."""
 
     angle: Floats
     sigma: Floats
@@ -626,10 +627,10 @@ class MarkerAngles:
 
 @dataclass(frozen=True)
 class BodyAngles:
-    """A body: unwrapped angle as seen, uncertainty [rad], number of markers; NaN where none.
+    """A body: unwrapped apparent angle, uncertainty [rad], number of markers; NaN without markers.
 
     `place_error` is the size of the errors by place that were removed [rad] (see `place_error`). `axis_off` is the
-    displacement of the axis from the assumed one for each marker of a fast body, (x + i y) over its radius, y up.
+    displacement of the axis from the assumed axis for each marker of a fast body, (x + i y) / radius, y up.
     """
 
     angle: Floats
@@ -679,13 +680,12 @@ def join(
     above: bool = False,
     time_base: TimeBase | None = None,
 ) -> BodyAngles:
-    """Join the markers of one body; its zero is the angle of the first one.
+    """Combine the markers of one body; its zero is the angle of the first marker.
 
-    `coarse` (n,) is its unwrapped coarse angle as seen [rad], NaN where it was lost; `other` that of the body that
-    occludes the markers at times, or passes beneath them (`above`). `floor`, `axis` and `orbit` are uncertainties [rad]
-    that are not visible as scatter outside whole turns: errors by place, as far as they are not observed, the
-    displacement of the axis, and that of the orbits about it, which markers determine together (`arcs`: see
-    `learn_view`).
+    `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost; `other` is that of the body
+    that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are uncertainties
+    [rad] that do not appear as scatter outside whole turns: unobserved errors by place, the displacement of the axis,
+    and the displacement of the orbits about it, which the markers determine together (`arcs`: see `learn_view`).
     """
     state, arcs = Residuals(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
@@ -708,19 +708,19 @@ def join(
 
 
 WEAKEST_BODY = 10.0
-"""Uncertainty of a frame, relative to the median of its neighbours, from which it has no angle [1]. Chosen: it shows a
-small part of one marker and has 1/100 of the information; errors of the edge that hides the marker are not normally
+"""Smallest uncertainty, relative to the median of its neighbours, of a frame without an angle [1]. Chosen: such a frame
+shows a small part of one marker and has 1/100 of the information; errors at the occluding edge are not normally
 distributed; a larger value admits these, a smaller one omits angles."""
 _NEIGHBOURS = 101
-"""Frames of the running median of the uncertainty [frames]. Chosen: fewer follow a hand, more ignore a change of the
+"""Width of the running median of the uncertainty [frames]. Chosen: fewer follow a hand, more ignore a change of
 light."""
 UNCONFIRMED = 0.9
-"""Leverage of a frame in the short curve from which no other frame confirms its angle, and one marker is not enough
-[1]. Chosen: a smaller value omits frames beside gaps, a larger one admits wrong matches."""
+"""Smallest leverage in the short curve of a frame whose angle no other frame confirms, so one marker is not enough [1].
+Chosen: a smaller value omits frames next to gaps, a larger one admits wrong matches."""
 
 
 def _mostly_hidden(sigma: Floats) -> npt.NDArray[np.bool_]:
-    """Return the frames whose uncertainty exceeds that of their neighbours by `WEAKEST_BODY`."""
+    """Return the frames whose uncertainty exceeds that of their neighbours by the factor `WEAKEST_BODY`."""
     reach = min(_NEIGHBOURS // 2, len(sigma))
     # reflected at the ends, where a hand may hide the markers
     usual = median_smooth(np.pad(sigma, reach, mode="symmetric"), _NEIGHBOURS)[reach : reach + len(sigma)]
@@ -745,7 +745,7 @@ def _result(
     off = np.where(state.turning, np.nan, residual - smooth)
     absorbed = float(np.nansum(np.where(count > 0, np.minimum(leverage, 1.0), 0.0)))
     floor *= share_of_floor(off, sigma, floor, places_passed(state) - absorbed)
-    # encoders keep a marker that hardly moves fixed in the picture: it errs as if it moved from one place to the next
+    # encoders keep a marker that hardly moves fixed in the picture: its error behaves as if it moved between two places
     least = variance_left(np.linspace(0.0, CELL, KNOTS), PLACE_ORDERS)
     floor *= float(np.sqrt(max(variance_left(state.path, PLACE_ORDERS), least)))
     unlearnt = np.where(state.turning, 0.0, np.hypot(floor, axis))
@@ -754,7 +754,7 @@ def _result(
     def calibrated(residual: Floats, sigma: Floats, markers: int) -> Floats:
         """Scale uncertainties to the residuals about the smooth motion.
 
-        The smooth motion absorbs a part of correlated errors: its leverage times their correlation factor.
+        The smooth motion absorbs a part of correlated errors, given by its leverage times their correlation factor.
         """
         beside = np.hypot(unlearnt, from_time)
         off = np.where(state.turning, (residual - smooth) / np.hypot(sigma, beside), np.nan)

@@ -1,13 +1,13 @@
 """The path of the centre of rotation.
 
-The noise of a compressed film is correlated between frames, so that the best predictor of the next frame is not the
-true path. The path of a disc is therefore modelled as a slow curve (local parabolas, their width chosen by
-cross-validation on points at least `HOLE` frames away) plus significant spectral lines of the residuals: a precession
-or a wobble at the frequency of the casing.
+The noise of a compressed film is correlated between frames, so the best predictor of the next frame is not the true
+path. Therefore the path of a disc is modelled as a slow curve plus significant spectral lines of the residuals (a
+precession, or a wobble at the frequency of the casing). The slow curve consists of local parabolas, whose width is
+chosen by cross-validation on points at least `HOLE` frames away.
 
 An error n of the centre changes the radius of a marker by -n . r, with r the unit vector towards the marker. Video
-encoders keep a slowly moving disc fixed in the picture; its image then does not show the motion of the centre, but the
-radii of all markers over some dozen frames do (`refine_centre`).
+encoders keep a slowly moving disc fixed in the picture. The image of the disc then does not show the motion of the
+centre, but the radii of all markers over some dozen frames do (`refine_centre`).
 
 Without a disc, the position of a marker is c(t) + rho A (cos theta, sin theta) (see `_orbit`). Each observation
 constrains c(t) along its radius; over half a turn both coordinates are determined. c(t) is piecewise linear with about
@@ -42,7 +42,7 @@ class DiscWindow:
         self.half = int(np.ceil((1.5 * disc.radius + 6.0) / 2.0))
         side = 2 * self.half + 1
         self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
-        self._used = False  # whether it contains frames
+        self._used = False  # whether the window contains frames
         self._corner = (0, 0)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -62,7 +62,7 @@ class DiscWindow:
         self._corner = (x, y)
 
     def take(self, frames: list[Frame], place: int) -> None:
-        """Store the windows of some frames, from `place` of the batch on."""
+        """Store the windows of some frames at the index `place` of the batch and after it."""
         self._used = True
         x, y = self._corner
         side = 2 * self.half + 1
@@ -83,33 +83,33 @@ class DiscWindow:
 Complexes = npt.NDArray[np.complex128]
 
 HOLE = 8
-"""Correlation length of the errors of a compressed film [frames]. Chosen: a smaller value takes correlated errors for a
-path, a larger one smooths a fast path."""
+"""Correlation length of the errors of a compressed film [frames]. Chosen: a smaller value mistakes correlated errors
+for a path, a larger one smooths a fast path."""
 _HALVES = (24, 48, 96, 192)
-"""Half widths of the local parabolas of a path that cross-validation compares [frames]. Chosen: by factors of two; a
+"""Half widths of the local parabolas of a path that cross-validation compares [frames]. Chosen: factors of two; a
 shorter one follows noise, a longer one smooths a precession."""
 _SHORT_HALVES = (2, 6, 12, 0)
-"""Half widths for a hub that moves fast, as in a hand-held film; 0 for one that moves from frame to frame [frames].
-Chosen: by factors of two; see `marked_paths`."""
+"""Half widths for a hub that moves fast, as in a hand-held film; 0 for a hub that moves between neighbouring frames
+[frames]. Chosen: about factors of two; see `marked_paths`."""
 _ALTERNATIVES = 48
-"""Frames from which the radii of the markers select a path of `_SHORT_HALVES` [frames]. Chosen: fewer select by noise,
-more smooth the hub of a short film."""
+"""Smallest number of frames for which the radii of the markers select a path of `_SHORT_HALVES` [frames]. Chosen: with
+fewer the selection is random, with more the path of the hub is smoothed in a short film."""
 _PARTIAL_STEP = 6.0
-"""Displacement of a partly covered disc over the typical one from frame to frame [1]. Chosen: a smaller value discards
-good views, a larger one keeps displaced ones."""
+"""Smallest step of a partly covered disc, relative to the typical step from frame to frame [1]. Chosen: a smaller value
+discards good views, a larger one keeps displaced views."""
 _LINE_POWER = 7.0
-"""Power of a line over the floor of its spectrum [1]. Derived: the power of noise is exponentially distributed; it
-exceeds 7 in exp(-7) = 0.1 %."""
+"""Smallest power of a line, relative to the floor of the spectrum [1]. Derived: the power of noise is exponentially
+distributed and exceeds 7 with a probability of exp(-7) = 0.1 %."""
 _PIECES = 64
-"""Windows that are transformed together [1]. Chosen: memory; fewer cost time."""
+"""Number of windows that are transformed together [1]. Chosen: memory; fewer cost time."""
 LEAST_SIGMA = 0.05
 """Lower limit of the uncertainty of the centre [px]. Chosen: encoders keep a slowly moving disc fixed in the picture; a
-smaller value understates that error."""
+smaller value understates the resulting error."""
 
 
 @dataclass(frozen=True)
 class CentrePath:
-    """The centre in each frame (n, 2) [px], its uncertainty per axis (n,) [px], frames of smoothing."""
+    """The centre in each frame (n, 2) [px], its uncertainty per axis (n,) [px], and the frames of smoothing."""
 
     centre: Floats
     sigma: Floats
@@ -134,8 +134,8 @@ def smooth_path(measured: Floats) -> CentrePath:
 def marked_paths(measured: Floats) -> list[CentrePath]:
     """Return the path of a disc by `smooth_path`, and paths that follow it over windows of a few frames.
 
-    The errors of a compressed film are correlated, so that the measured path alone does not determine which of them is
-    right: a hand-held camera moves the disc as fast as the errors do. The radii of the markers determine it.
+    The errors of a compressed film are correlated, so the measured path alone does not determine which of these paths
+    is right: a hand-held camera moves the disc as fast as the errors do. The radii of the markers select the path.
     """
     z, known = _without_gaps(measured)
     paths = [smooth_path(measured)]
@@ -145,7 +145,7 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
             paths.append(_bridged(z, known, EXPECTED_ERROR, 0))
             continue
         path = _fitted(z, weight, half)
-        # a parabola over a short window absorbs a part of the noise, the inverse of the number of points in it
+        # a parabola over a short window absorbs a part of the noise, about 1 / (number of points in the window)
         sigma = _path_sigma((z - path)[known], half) / float(np.sqrt(1.0 - 1.0 / (1.1 * half)))
         paths.append(_bridged(path, known, sigma, half))
     return paths
@@ -157,7 +157,7 @@ value warns of wobbling hubs, a larger one overlooks a hand-held camera."""
 
 
 def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
-    """Return a warning if the measured disc (n, 2) [px] moves fast and no background shows how the camera moves."""
+    """Return a warning if the measured disc (n, 2) [px] moves fast and no background shows the camera's motion."""
     limit, known = _SHAKES * EXPECTED_ERROR, np.isfinite(measured).all(axis=1) & np.isfinite(centre.sigma)
     if known.sum() < 2:
         return None
@@ -165,14 +165,14 @@ def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
     if centre.reach in _SHORT_HALVES and steps > limit:
         return (
             f"The disc of the hub moves by {steps:.2g} px rms from frame to frame, suggesting camera shake; it is "
-            f"followed with an uncertainty of {np.median(centre.sigma[known]):.2g} px, which those of the angles "
-            "contain."
+            f"followed with an uncertainty of {np.median(centre.sigma[known]):.2g} px, which is part of the "
+            "uncertainties of the angles."
         )
     rest = _robust_rms((measured - centre.centre)[known])
     if rest > limit:
         return (
             f"The disc of the hub is {rest:.2g} px rms away from its smoothed path, suggesting camera shake, and no "
-            "background shows its motion; the uncertainties of the angles contain this."
+            "background shows its motion; the uncertainties of the angles include this."
         )
     return None
 
@@ -185,8 +185,8 @@ def _robust_rms(steps: Floats) -> float:
 def _bridged(path: Complexes, known: npt.NDArray[np.bool_], sigma: float, half: int) -> CentrePath:
     """Return a path that is linear in the gaps and constant before the first and after the last known point.
 
-    A parabola is not extrapolated: its error there is many times that of the points. The uncertainty in a gap contains
-    the rms change of the path over the time to the nearest known point; beyond `half` frames it is NaN.
+    A parabola is not extrapolated, because its error would be many times the error of the points. The uncertainty in a
+    gap includes the rms change of the path over the time to the nearest known point; beyond `half` frames it is NaN.
     """
     index = np.arange(len(path))
     place = index[known]
@@ -203,7 +203,7 @@ def _bridged(path: Complexes, known: npt.NDArray[np.bool_], sigma: float, half: 
 
 
 def _without_gaps(measured: Floats) -> tuple[Complexes, npt.NDArray[np.bool_]]:
-    """Return a path x + i y, linear in the gaps, and where it is known."""
+    """Return a path x + i y, linear in the gaps, and a mask of the known points."""
     known = _without_partial_views(measured, np.asarray(np.isfinite(measured).all(axis=1)))
     index = np.arange(len(measured))
     if not known.any():
@@ -213,7 +213,7 @@ def _without_gaps(measured: Floats) -> tuple[Complexes, npt.NDArray[np.bool_]]:
 
 
 def _without_partial_views(measured: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return the known points without those beside a gap that are displaced, where the disc is covered in part."""
+    """Return the known points without displaced points next to a gap, where the disc is partly covered."""
     step = np.hypot(*np.diff(measured, axis=0).T)  # from each point to the next one
     if known.all() or not np.isfinite(step).any():
         return known
@@ -246,12 +246,12 @@ def _fitted(z: Complexes, weight: Floats, half: int, hole: int = -1) -> Complexe
 
 
 _TRIMMED = 0.95
-"""Share of the smallest errors that enter the mean [1]. Chosen: a smaller value ignores fast parts of the path, a
-larger one is dominated by outliers."""
+"""Share of the errors, the smallest ones, that the mean includes [1]. Chosen: a smaller value ignores fast parts of the
+path, a larger one is dominated by outliers."""
 
 
 def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
-    """Return the trimmed mean square error of the prediction of points from others at least `HOLE` frames away."""
+    """Return the trimmed mean square error of predicting points from points at least `HOLE` frames away."""
     error = np.abs(z - _fitted(z, weight, half, HOLE)) ** 2
     inner = slice(half // 2, len(z) - half // 2)
     core = np.sort(error[inner][weight[inner] > 0])
@@ -259,7 +259,7 @@ def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
 
 
 _FEWEST_OF_LINES = 96
-"""Smallest number of frames whose spectrum shows lines [frames]. Chosen: fewer give an uncertain floor, more smooth the
+"""Smallest number of frames for a spectrum with lines [frames]. Chosen: fewer give an uncertain floor, more smooth the
 precession of short films."""
 
 
@@ -304,10 +304,9 @@ def _floor(power: Floats) -> Floats:
 
 
 _MOST_LAGS = 48
-"""Largest lag of the correlation of the residuals [frames]. Chosen: more sum noise, fewer cut a slow correlation
-off."""
+"""Largest lag of the correlation of the residuals [frames]. Chosen: more sum noise, fewer cut slow correlations."""
 _CORRELATED = 0.1
-"""Smallest correlation that enters the sum [1]. Chosen: a smaller value sums noise, a larger one understates the
+"""Smallest correlation that the sum includes [1]. Chosen: a smaller value sums noise, a larger one understates the
 uncertainty."""
 
 
@@ -327,7 +326,7 @@ centre; one turn has a reserve."""
 _MOST_KNOTS = 400
 """Largest number of knots [1]. Chosen: time; fewer smooth the path of a long film."""
 _RIDGE = 1e-9
-"""Ridge of the normal equations [1]. Derived: rounding; it keeps undetermined knots at their place."""
+"""Ridge of the normal equations [1]. Derived: rounding; the ridge prevents changes of undetermined knots."""
 
 
 _FEWEST_PLACES = 12
@@ -338,10 +337,10 @@ short films."""
 def wandering_centre(
     place: Floats, weight: npt.NDArray[np.bool_], start: Floats, *, still: bool = False, rounds: int = 12
 ) -> CentrePath:
-    """Find the path of the centre of an orbit from the `place` (n, 2) [px] of the marker and a start value.
+    """Find the path of the centre of an orbit from the `place` (n, 2) [px] of the marker and an initial value.
 
     Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots, rho, p, q for given
-    theta; outliers beyond 4 median absolute deviations are left out; `weight` (n,) marks trusted observations, `still`
+    theta. Outliers beyond 4 median absolute deviations are excluded. `weight` (n,) marks trusted observations, `still`
     a centre at rest. The flattening is free here so that it does not bias the path; `fit_flattening` fits it again,
     with the tilt.
     """
@@ -356,12 +355,13 @@ def wandering_centre(
         solution, error = _robust(place, path, use, knots)
         for part, ends, share in _spans(n, knots):
             path[part] += _between(solution[: 2 * knots].reshape(knots, 2), ends, share)
-    # The scatter of the radius is an upper limit of the error of the centre; tangentially that changes the angle.
+    # The scatter of the radius is an upper limit of the error of the centre, whose tangential component changes the
+    # angle.
     return CentrePath(path, np.full(n, max(error, 1e-3)), n // max(knots - 1, 1))
 
 
 def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
-    """Return the number of knots at a distance of about one turn; 1 for fewer than three."""
+    """Return the number of knots for a spacing of about one turn; 1 if it would be less than three."""
     theta = np.unwrap(np.arctan2(-v[use, 1], v[use, 0]))
     turns = float(np.abs(np.diff(theta)).sum()) / (2.0 * np.pi)
     knots = int(np.clip(turns / _TURNS_PER_KNOT, 1, _MOST_KNOTS))
@@ -399,7 +399,7 @@ def _robust(place: Floats, path: Floats, use: npt.NDArray[np.bool_], knots: int)
             kept = rows[keep[part]]
             normal[np.ix_(at, at)] += kept.T @ kept
             right[at] += kept.T @ (away[part] - typical)[keep[part]]
-        normal += _RIDGE * np.eye(len(right))  # undetermined knots keep their place
+        normal += _RIDGE * np.eye(len(right))  # undetermined knots do not change
         size = np.sqrt(normal.diagonal())
         solution = np.linalg.solve(normal / np.outer(size, size), right / size) / size
         left = away - typical
@@ -431,7 +431,7 @@ def _rows(
 
 _REFINED_HALF = 18
 """Half width of the window in which the error of the centre is assumed to be constant [frames]. Chosen: some dozen
-frames determine it; a smaller value is noisy, a larger one smooths a wobble."""
+frames determine this error; a smaller value is noisy, a larger one smooths a wobble."""
 EXPECTED_ERROR = 0.1
 """Standard deviation of the prior of the error of the centre [px]. Measured: centre of a red disc in rendered clips
 (H.264, crf 20): 0.09 to 0.10 px per axis."""
@@ -439,22 +439,22 @@ EXPECTED_ERROR = 0.1
 
 @dataclass(frozen=True)
 class Radii:
-    """One marker: its angle as seen in each frame, (n,) [rad], and the residual of its radius [px], NaN if not used."""
+    """One marker: its apparent angle in each frame, (n,) [rad], and the residual of its radius [px], NaN if unused."""
 
     direction: Floats
     excess: Floats
 
 
 _FEWEST_RADII = 20
-"""Smallest number of radii of a marker from which their scatter is known [1]. Chosen: fewer give a scatter by chance,
-more ignore markers in short films."""
+"""Smallest number of radii of a marker that determine their scatter [1]. Chosen: fewer give an uncertain scatter, more
+ignore markers in short films."""
 LEAST_RADIUS_SCATTER = 0.02
 """Lower limit of the scatter of the radii of a marker [px]. Chosen: a smaller value gives drawn films too much weight,
 a larger one ignores precise radii."""
 
 
 def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
-    """Correct the path of a centre by the radii of the markers about it.
+    """Correct the path of a centre by the radii of markers about it.
 
     In a window about each frame, n minimises sum w (excess + n . r)^2 / s^2 + |n|^2 / `EXPECTED_ERROR`^2, with s the
     scatter of a marker's radius and w a parabolic weight over the window. The uncertainty is that of this fit.

@@ -1,8 +1,8 @@
 """Candidates for the hub of a rotating body, from the film alone.
 
-Three independent methods for different kinds of bodies: the point of convergence of the gradients of the mean picture
-(a body that turns many times is blurred into circles); the fixed point of the similarity between two frames (features
-of a textured body); the centre of the orbit of a compact spot. Registration selects the right one.
+Three independent methods suit different kinds of bodies: the point of convergence of the gradients of the mean picture
+(a body that turns many times is blurred into circles); the fixed point of the similarity transformation between two
+frames (features of a textured body); the centre of the orbit of a compact spot. Registration selects one.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _PAIRS = 40
-"""Pairs of frames of each lag [1]. Chosen: fewer give an uncertain hub, more cost time."""
+"""Number of pairs of frames for each lag [1]. Chosen: fewer give an uncertain hub, more cost time."""
 _LAGS = (1, 4, 16)
-"""Distances of the frames of a pair [frames]. Chosen: for fast and slow bodies; longer ones lose features, shorter ones
-show no rotation."""
+"""Distances of the frames of a pair [frames]. Chosen: for fast and slow bodies; over longer distances features are
+lost, shorter ones show no rotation."""
 _FIRST = 5
-"""Distance of the pairs that show whether the others are needed [pairs]. Chosen: a larger value decides by few pairs, a
-smaller one costs time."""
+"""Spacing of the pairs that decide whether the other pairs are needed [pairs]. Chosen: with a larger value few pairs
+decide, a smaller one costs time."""
 _NO_COMMON_HUB = 0.8
-"""Residual of the displacements from those about one hub over the displacements (medians), beyond which pairs have no
-common hub [1]. Measured: bodies whose features show their hub: 0.07 to 0.5; without any rotation it is 1."""
+"""Median residual of the displacements about one hub, relative to their median, beyond which pairs have no common hub
+[1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
 _FEWEST_PAIRS = 4
-"""Smallest number of pairs with a rotation that a hub needs [pairs]. Chosen: fewer agree by chance, more omit the
-hub."""
+"""Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: fewer agree by chance, more lose
+hubs."""
 _FEATURES = 400
 """Largest number of features of a frame [features]. Chosen: more cost time, fewer leave few on the body."""
 _STRAY = 8.0
-"""Residual from the similarity at which a feature is discarded [px]. Chosen: a smaller value discards features of a
+"""Largest residual from the similarity of a feature that is used [px]. Chosen: a smaller value discards features of a
 soft body, a larger one keeps features of the background."""
 _NEAR = 640.0
-"""Width of the picture over the largest residual of an inlier [1]. Chosen: 2 px in 1280 px; a larger value rejects
-blurred features, a smaller one joins two motions."""
+"""Ratio of the width of the picture to the largest residual of an inlier [1]. Chosen: 2 px in 1280 px; a larger value
+rejects blurred features, a smaller one joins two motions."""
 _FEWEST = 12
-"""Smallest number of features that a similarity needs [features]. Chosen: fewer agree by chance, more omit small
+"""Smallest number of features that determine a similarity [features]. Chosen: fewer agree by chance, more omit small
 bodies."""
 _UNIFORM = 1.5
-"""Largest variation of a bar at the side of a picture [grey levels]. Chosen: a smaller value keeps bars that were
-encoded, a larger one cuts off a blank wall."""
+"""Largest variation of a bar at the side of a picture [grey levels]. Chosen: a smaller value keeps bars with coding
+noise, a larger one cuts off a blank wall."""
 FARTHEST = 6.0
 """Largest distance of the hub [picture sizes]. Chosen: the curvature is not measurable beyond it; a larger value
 accepts translation, a smaller one refuses long pendulums."""
@@ -65,13 +65,13 @@ class Motion:
     deviation: Picture
     noise: float  # standard deviation where nothing moves
     moving: npt.NDArray[np.bool_]  # shape (height, width); where the brightness changes by more than noise
-    # the part (left, top, right, bottom) of the frame that the picture fills, without uniform bars at its sides
+    # the part (left, top, right, bottom) of the frame that contains the picture, without uniform bars at the sides
     area: tuple[int, int, int, int]
 
     @classmethod
     def of(cls, frames: Sequence[Plane], margin: int = 0) -> Motion:
-        """Compare frames from the whole film; at every edge `margin` px are excluded."""
-        # sums of integers are exact, and small beside those in double precision
+        """Compare frames from the whole film; `margin` px are excluded at every edge."""
+        # sums of integers are exact and take little memory
         total = np.zeros(frames[0].shape, np.uint32)
         square = np.zeros(frames[0].shape, np.uint32)
         for frame in frames:
@@ -96,7 +96,7 @@ class Motion:
 
 
 def _without_bars(mean: Picture, deviation: Picture) -> tuple[int, int]:
-    """Return the first and the last-plus-one column of a picture without constant uniform bars."""
+    """Return the first column, and the last column plus one, of a picture without constant uniform bars."""
     uniform = (mean.std(axis=0) < _UNIFORM) & (deviation.mean(axis=0) < _UNIFORM)
     ends = []
     for flat, level in ((uniform, mean.mean(axis=0)), (uniform[::-1], mean.mean(axis=0)[::-1])):
@@ -106,7 +106,7 @@ def _without_bars(mean: Picture, deviation: Picture) -> tuple[int, int]:
 
 
 def spatial_noise(frames: Sequence[Plane]) -> float:
-    """Return the noise of single frames by the difference of two Laplacians (Immerkaer 1996)."""
+    """Return the noise of single frames from the difference of two Laplacians (Immerkaer 1996)."""
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     found = [
         cv2.norm(cv2.filter2D(f, cv2.CV_32F, kernel), cv2.NORM_L1) / f.size
@@ -121,13 +121,13 @@ class Proposal:
 
     hub: tuple[float, float]
     way: str
-    stretch: tuple[float, float] = (0.0, 0.0)  # of the circles by a tilted axis (see `Ring`)
+    stretch: tuple[float, float] = (0.0, 0.0)  # of the circles due to a tilted axis (see `Ring`)
 
 
 def ring_for(
     hub: tuple[float, float], motion: Motion, finest: float, stretch: tuple[float, float] = (0.0, 0.0)
 ) -> Ring | None:
-    """Return the ring about a hub in which the picture moves; an arc if the hub is outside the picture."""
+    """Return the ring of the moving part of the picture about a hub; an arc if the hub is outside the picture."""
     height, width = motion.mean.shape
     distance = distance_from(hub, motion.moving.shape, stretch)
     bins = distance.astype(np.int32)
@@ -159,7 +159,7 @@ def ring_for(
 def distance_from(
     place: tuple[float, float], shape: tuple[int, ...], stretch: tuple[float, float] = (0.0, 0.0)
 ) -> Picture:
-    """Return the radius [px] of the circle about a place (x, y) to which every pixel of a picture belongs.
+    """Return, for every pixel of a picture, the radius [px] of the circle about a place (x, y) through this pixel.
 
     With a `stretch` (see `Ring`) the circles are seen as ellipses.
     """
@@ -175,17 +175,17 @@ def distance_from(
 
 
 _ROUND = 0.95
-"""Ratio of the axes of a moving area from which it may be a circle [1]. Chosen: a smaller value leaves tilts
-uncorrected, a larger one tries tilts of circles."""
+"""Smallest ratio of the axes of a moving area that is taken for a circle [1]. Chosen: a smaller value leaves tilts
+uncorrected, a larger one tries tilts for circles."""
 _FLATTEST = 0.25
-"""Ratio of the axes down to which a tilt is tried [1]. Derived: the cosine of a tilt of 75.5 degrees."""
+"""Smallest ratio of the axes for which a tilt is tried [1]. Derived: the cosine of a tilt of 75.5 degrees."""
 
 
 def tilted_outline(motion: Motion, hub: tuple[float, float] | None = None) -> Proposal | None:
-    """Return hub and stretch of the largest part of the picture that moves, as the ellipse with its second moments.
+    """Return hub and stretch of the largest moving part of the picture, from the ellipse with its second moments.
 
     A body that turns at least half a turn about a tilted axis sweeps an ellipse. None for a circle or a flat area. A
-    `hub` that is given takes the place of the centroid.
+    given `hub` replaces the centroid.
     """
     closed = cv2.morphologyEx(motion.moving.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     _, label, stats, middle = cv2.connectedComponentsWithStats(closed)
@@ -283,12 +283,12 @@ def fit_circle(x: Floats, y: Floats) -> tuple[float, float] | None:
 def similarity_hubs(
     frames: Sequence[Plane], motion: Motion
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return the fixed point (x, y) [px] of the similarities between frames a few steps apart, from features that move.
+    """Return the fixed point (x, y) [px] of similarities between frames a few steps apart, from moving features.
 
     A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b are suitable for a body around its
-    hub (first result). For a small body far from it (second), for example the ball of a pendulum, the displacement
-    d = (1 - a)(h - c), c its centroid, is precise and the rotation is not: errors of a bias the hub towards the body.
-    There h is fitted to a = 1 - d / (h - c).
+    hub (first result). For a small body far from the hub (second result), for example the ball of a pendulum, the
+    displacement d = (1 - a)(h - c) of the centroid c is precise, but the rotation is not: its errors bias the hub
+    towards the body. In this case h is fitted to a = 1 - d / (h - c).
     """
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:
@@ -314,14 +314,14 @@ def similarity_hubs(
 
 @dataclass(frozen=True)
 class _CommonHub:
-    """The hub that the similarities of pairs of frames have in common, x + i y [px]."""
+    """The hub, x + i y [px], common to the similarities of all pairs of frames."""
 
     hub: complex
-    # of each pair: 1 - a, the displacement of its features, and their centroid [px]
+    # for each pair: 1 - a, displacement and centroid of the features [px]
     left: npt.NDArray[np.complex128]
     shift: npt.NDArray[np.complex128]
     centroid: npt.NDArray[np.complex128]
-    unexplained: float  # median residual of the displacements over their median
+    unexplained: float  # ratio of the median residual of the displacements to their median
 
     @classmethod
     def of(cls, found: Iterable[tuple[complex, complex, complex] | None]) -> _CommonHub | None:
@@ -374,7 +374,7 @@ def distant_hub(
 
 
 def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, complex, complex] | None:
-    """Return a, b of z -> a z + b, |a| = 1, between the moving features of two frames, and their centroid, or None."""
+    """Return a, b of z -> a z + b, |a| = 1, between the moving features of two frames, and the centroid, or None."""
     points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
     if points is None or len(points) < 6:
         return None
@@ -407,10 +407,10 @@ def follow_features(
 ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.int64]] | None:
     """Track the features of a body by optical flow from frame to frame.
 
-    None with too few inliers, or as soon as the angles range over `widest` [rad].
+    Return None if there are too few inliers, or if the range of the angles exceeds `widest` [rad].
 
-    Returned are a, b (n,) of z -> a z + b, |a| = 1, from the first frame to each, and the frame in which the tracked
-    features were selected: new features inherit the error of the previous ones.
+    Otherwise return a, b (n,) of z -> a z + b, |a| = 1, from the first frame to each frame, and the frame in which the
+    tracked features were selected: new features inherit the error of the previous features.
     """
     smooth = cv2.blur(motion.deviation, (5, 5))
     strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))
@@ -451,7 +451,9 @@ def follow_features(
             return None
         z0, z1 = (points[use, 0] @ np.array([1, 1j]) for points in (start, now))
         weight = np.ones(len(z0))
-        for _ in range(8):  # Tukey's weights reject features biased by background in their window
+        for _ in range(
+            8
+        ):  # Tukey's weights reject features that are biased by the background in their windows
             middle_0, middle_1 = np.average(z0, weights=weight), np.average(z1, weights=weight)
             a = complex(np.vdot((z0 - middle_0) * weight, z1 - middle_1))
             a /= max(abs(a), 1e-12)
@@ -480,7 +482,7 @@ def follow_features(
 
 
 def still_point(turn: npt.NDArray[np.complex128], moved: npt.NDArray[np.complex128]) -> tuple[float, float]:
-    """Return the point of the body, by its position in the first frame, that moves least."""
+    """Return the position in the first frame of the point of the body that moves least."""
     left = turn - turn.mean()
     right = -(moved - moved.mean())
     place = complex(np.vdot(left, right) / max(float(np.sum(np.abs(left) ** 2)), 1e-12))

@@ -643,7 +643,7 @@ def _about_tilted_axis(
     text = (
         f"The axis of rotation is tilted by {tilt:.1f} +- {math.degrees(orbit.tilt_u):.1g} degrees against the line of "
         f"sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are those in the plane of "
-        "the body. Which side of it is nearer is not visible; the sense of rotation is that seen."
+        "the body. The film does not show which side is nearer; the sense of rotation is that seen."
     )
     warnings = [text]
     ambiguous = False

@@ -1,4 +1,4 @@
-"""The marker profile of a scene: names, colours and bodies of the markers, and the mark of the centre.
+"""The marker profile of a scene: names, colours and bodies of the markers, and the mark at the centre.
 
 A profile names colours; sizes, radii and exact shades of the markers are measured in the clip. The default is the
 gyroscope of the paper. A profile is a TOML file::
@@ -41,7 +41,7 @@ from gyrotrack._toml import check, read_document
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Run OpenCV in the calling thread only within the block."""
+    """Run OpenCV only in the calling thread within the block."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -63,8 +63,8 @@ _HUE_DEGREES: dict[str, float] = {
     "blue": 333.0,
     "magenta": 52.0,
 }
-"""Directions of the names of the colours in the chroma plane (U, V) [degrees]. Derived: red, yellow, cyan and magenta
-of ITU-R BT.601, orange between red and yellow; green is 4 degrees nearer to yellow, blue 18 degrees nearer to cyan."""
+"""Directions of the named colours in the chroma plane (U, V) [degrees]. Derived: red, yellow, cyan and magenta of ITU-R
+BT.601, orange between red and yellow; green is 4 degrees nearer to yellow, blue 18 degrees nearer to cyan."""
 
 
 def chroma_direction(colour: str, hue: float | None = None) -> tuple[float, float]:
@@ -98,7 +98,7 @@ _LEAST_CHROMA = 14.0
 """Smallest length of the chroma vector of a colour with a hue [grey levels]. Chosen: a smaller value names the tint of
 a lamp, a larger one calls faint colours white."""
 _BRIGHT = 110.0
-"""Luma from which a patch without a hue is white [grey levels]. Chosen: a smaller value calls metal white, a larger one
+"""Smallest luma of a white patch without a hue [grey levels]. Chosen: a smaller value calls metal white, a larger one
 calls shaded paper dark."""
 _LEAST_AREA = 3
 """Smallest area of a patch of colour [pixels]. Chosen: a smaller value finds noise, a larger one loses small
@@ -123,8 +123,8 @@ class Blob:
     x: float
     y: float
     area: int  # pixels above the threshold
-    weight: float  # sum of their scores
-    # area over that of the smallest circle with the same extent: 1 for a disc, less for rectangles and arcs
+    weight: float  # sum of the scores of these pixels
+    # ratio of the area to that of the smallest circle with the same extent: 1 for a disc, less for rectangles and arcs
     fill: float
 
 
@@ -176,10 +176,10 @@ class MarkerProfile(BaseModel):
 
 
 class Profile(BaseModel):
-    """A scene: its markers, and what marks the centre.
+    """A scene: the markers, and the mark at the centre.
 
-    `centre` is the colour of a disc at the centre (or the word ``"circle"``, a red one), or ``"orbit"`` where
-    nothing marks it. With `hub`, (x, y) in px, the centre is given.
+    `centre` is the colour of a disc at the centre (or the word ``"circle"``, a red one), or ``"orbit"`` if the centre
+    has no mark. `hub`, (x, y) in px, is a given centre.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -242,12 +242,12 @@ PAPER = Profile(
 
 
 def load(path: Path) -> Profile:
-    """Read a profile from a TOML file; a ProfileError names every key that is wrong, with its line."""
+    """Read a profile from a TOML file; a ProfileError names every wrong key with its line."""
     return read_document(path, Profile, what="profile", error=ProfileError)
 
 
 def parse(data: dict[str, Any], where: str) -> Profile:
-    """Check a profile's content; `where` names its origin in messages."""
+    """Check the content of a profile; `where` names its origin in messages."""
     return check(data, Profile, what="profile", where=where, error=ProfileError)
 
 

@@ -50,10 +50,10 @@ Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
 BINS = 120
-"""Bins of the histogram of the hue [1]. Chosen: 3 degrees; fewer join similar colours, more have noisy heights."""
+"""Bins of the histogram of the hue [1]. Chosen: 3 degrees each; fewer join similar colours, more have noisy heights."""
 APART = np.deg2rad(24.0)
-"""Smallest difference between two hues that count as different [rad]. Chosen: a smaller value divides one marker in
-two, a larger one joins orange and red."""
+"""Smallest difference between two different hues [rad]. Chosen: a smaller value divides one marker, a larger one joins
+orange and red."""
 SECTOR = np.deg2rad(45.0)
 """Half width of the sector of a hue [rad]. Derived: a name of a colour covers 45 degrees on either side, see
 `_profile`."""
@@ -92,7 +92,7 @@ class MovingColour:
 def moving_colour(samples: Samples) -> MovingColour:
     """Find the moving colours of sample frames.
 
-    At a place that a marker covers in most samples the others have the opposite change, of less saturation: excluded.
+    Where a marker covers a place in most samples, the others have the opposite change, of less saturation: excluded.
     """
     chroma = samples.chroma
     still = np.median(chroma, axis=1).astype(np.float32)
@@ -136,20 +136,19 @@ def apart(a: float, b: float) -> float:
 
 
 TRIALS = 1500
-"""Random triples of points for a centre [1]. Chosen: more than for a known profile, as most points may be outliers;
-fewer may miss the centre."""
+"""Number of random triples of points for a centre [1]. Chosen: more than for a known profile, because most points may
+be outliers; fewer may not find the centre."""
 _AMBIGUOUS = 0.35
-"""Smallest contrast times share of samples of a second patch of a hue, relative to the first one [1]. Chosen: a smaller
-value doubts reflections, a larger one confuses two marks of one colour."""
+"""Smallest product of contrast and share of samples for which a second patch of a hue is a rival, relative to the first
+patch [1]. Chosen: with a smaller value reflections are rivals, with a larger one two marks may be confused."""
 _SAME_HUE = 18.0
-"""Largest difference of equal hues [degrees]. Chosen: below `APART`; a smaller value separates shades of one paper, a
-larger one joins colours."""
+"""Largest difference of two equal hues [degrees]. Chosen: below `APART`; a smaller value separates shades of one paper,
+a larger one joins colours."""
 _DISC_HUES = range(0, 360, 30)
-"""Hues with which a disc is searched for [degrees]. Chosen: a finer step costs time, a coarser one loses contrast; the
-hue is then measured."""
+"""Trial hues in the search for a disc [degrees]. Chosen: a finer step costs time, a coarser one loses contrast."""
 _LEAST_DISC = 14.0
-"""Smallest chroma of a disc [grey levels]. Chosen: metal reflects the colour of its surroundings faintly; a larger
-value loses faint discs."""
+"""Smallest chroma of a disc [grey levels]. Chosen: metal reflects the colour of its surroundings faintly, with a
+smaller chroma; a larger value loses faint discs."""
 _OFF_CENTRE = 0.3
 """Largest distance of a disc from the centre of the orbits, relative to the smallest radius [1]. Chosen: a smaller
 value loses discs under an oblique view, a larger one accepts a marker."""
@@ -168,8 +167,8 @@ def find_orbit(
 _LEAST_SCORE = 4.0
 """Smallest score of a blob [grey levels]. Chosen: a smaller value accepts noise, a larger one loses faint markers."""
 _OF_PEAK = 0.4
-"""Smallest score of a blob over the typical 90th percentile of its colour [1]. Chosen: a smaller value joins blobs with
-their surroundings, a larger one divides them."""
+"""Smallest score of a blob, relative to the typical 90th percentile of its colour [1]. Chosen: a smaller value joins
+blobs with their surroundings, a larger one divides them."""
 
 
 def _blobs(moving: MovingColour, hue: float) -> list[list[Blob]]:
@@ -213,7 +212,7 @@ class Candidate:
 
     hue: float  # in degrees
     sampled: SampledMarker
-    ambiguous: bool = False  # there is another patch of the same hue, and the two may be confused
+    ambiguous: bool = False  # whether another patch of the same hue may be confused with this one
 
     @property
     def colour(self) -> Hue:
@@ -281,8 +280,8 @@ _MOVED = 0.25
 """Largest deviation of a group at rest from its mean angle [rad]. Chosen: a smaller value reports noise as a rotation,
 a larger one hides an oscillation."""
 _FEWEST = 8
-"""Smallest number of observations from which a rotation is tested [1]. Chosen: fewer are in phase by chance, more
-reject occluded markers."""
+"""Smallest number of observations for a test of rotation [1]. Chosen: fewer are in phase by chance, more reject
+occluded markers."""
 
 
 @dataclass(frozen=True)
@@ -302,7 +301,7 @@ class Group:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether it is stationary throughout the film."""
+        """Whether the group is stationary throughout the film."""
         if abs(self.rotation.step) > _REST_STEP:
             return False
         seen = self.members[0].sampled
@@ -311,7 +310,7 @@ class Group:
 
     @property
     def weight(self) -> float:
-        """Sum of contrast times share of distinct samples over its markers."""
+        """Sum over the markers of contrast times share of distinct samples."""
         return sum(c.contrast * float(c.sampled.clear.mean()) for c in self.members)
 
 
@@ -321,7 +320,7 @@ changes of the speed, a larger one accepts random angles."""
 
 
 def rotation(angle: Floats, use: Mask) -> SteadyRotation:
-    """Find the step for which most angles of consecutive frames, (n,) in rad, are in phase."""
+    """Find the step for which most angles of consecutive frames, (n,) [rad], are in phase."""
     frame = np.flatnonzero(use)
     if len(frame) < _FEWEST:
         return SteadyRotation(0.0, 0.0)
@@ -356,18 +355,18 @@ class ProposedMarker:
 
     profile: MarkerProfile  # entry in the profile, and the marker in the film
     marker: Marker
-    angle: npt.NDArray[np.float64]  # its angle in each sample [rad], and whether it is distinct
+    angle: npt.NDArray[np.float64]  # angle in each sample [rad], and whether the marker is distinct in it
     clear: npt.NDArray[np.bool_]
     step: float  # rotation of its body from frame to frame [rad]
 
     @property
     def seen(self) -> float:
-        """Share of the samples in which it is distinct."""
+        """Share of the samples in which the marker is distinct."""
         return float(self.clear.mean())
 
 
 def resting_casing(resting_groups: list[Group], groups: list[Group], circle: Circle | None) -> Group | None:
-    """Return the marker on a casing that is at rest in the whole film; it has the colour of the disc."""
+    """Return the marker, with the colour of the disc, on a casing that is at rest in the whole film."""
     if circle is None or len(groups) != 1:
         return None
     colour = nearest_colour(circle.hue)
@@ -379,7 +378,7 @@ def resting_casing(resting_groups: list[Group], groups: list[Group], circle: Cir
 def name_bodies(
     groups: list[Group], resting: Group | None, circle: Circle | None
 ) -> tuple[dict[Body, Group], list[str]]:
-    """Name the bodies; the rotor is the one that turns faster."""
+    """Name the bodies; the faster one is the rotor."""
     notes = []
     if len(groups) > 2:
         colours = ", ".join(c.colour for g in groups[2:] for c in g.members)
@@ -414,7 +413,7 @@ def name_bodies(
 
 
 def name_markers(bodies: dict[Body, Group], notes: list[str]) -> list[ProposedMarker]:
-    """Name the markers; of several markers of one colour on a body only the strongest is used."""
+    """Name the markers; only the strongest of several markers of one colour on a body is used."""
     found: list[ProposedMarker] = []
     taken: set[str] = set()
     for body, group in bodies.items():
@@ -455,11 +454,11 @@ def left_out(candidate: Candidate) -> str:
 
 
 _FAINT = 0.3
-"""Contrast of a white patch from which it is reported, relative to the smallest contrast of a marker [1]. Chosen: a
+"""Smallest contrast of a white patch that is reported, relative to the smallest contrast of a marker [1]. Chosen: a
 smaller value reports noise, a larger one leaves a faint marker unexplained."""
 SPREAD = 24
-"""Frames from the whole film in addition to its first ones [frames]. Chosen: fewer may miss bodies at rest at the
-start, more cost time."""
+"""Frames from the whole film in addition to the first frames [frames]. Chosen: fewer may overlook bodies that are at
+rest at the start, more cost time."""
 
 
 @dataclass(frozen=True)
@@ -477,9 +476,9 @@ class Proposal:
     disc : Disc or None
         Disc at the centre.
     notes : tuple of str
-        Uncertain assignments, and omitted patches.
+        Notes on uncertain assignments and omitted patches.
     sound : bool
-        `extract` finds every marker with this profile.
+        Whether `extract` finds every marker with this profile.
     samples : Samples
         The frames that were used.
     """
@@ -497,7 +496,7 @@ class Proposal:
 def propose(
     video: Path, *, capture_fps: float | None = None, hub: tuple[float, float] | None = None
 ) -> Proposal:
-    """Find the markers of a film: their colours and bodies, and what marks the centre.
+    """Find the markers of a film: their colours and bodies, and the mark at the centre.
 
     Parameters
     ----------
@@ -506,7 +505,7 @@ def propose(
     capture_fps : float, optional
         Rate at which the camera captured [1/s], if the film does not state it.
     hub : tuple of float, optional
-        Centre of rotation (x, y) [px], if it is not to be determined by the markers.
+        Centre of rotation (x, y) [px]; by default determined from the markers.
 
     Raises
     ------
@@ -562,7 +561,7 @@ def propose(
 
 
 def _samples(video: Path) -> Samples:
-    """Decode the first frames, and others equally spaced over the film."""
+    """Decode the first frames, and other frames equally spaced over the film."""
     first = take_samples(video)
     stamps = read_raw_stamps(video)
     chosen = np.linspace(first.head, len(stamps) - 1, SPREAD).astype(int) if len(stamps) > first.head else ()
@@ -573,11 +572,11 @@ def _samples(video: Path) -> Samples:
 
 
 _THINNER = 0.4
-"""Smallest size of a white marker over that of the others of its body [1]. Chosen: the inverse of `_THICKER`; a smaller
-value accepts reflections, a larger one refuses other shapes."""
+"""Smallest size of a white marker, relative to the other markers of its body [1]. Chosen: the inverse of `_THICKER`; a
+smaller value accepts reflections, a larger one refuses other shapes."""
 _THICKER = 2.5
-"""Largest size of a white marker over that of the others of its body [1]. Chosen: a smaller value refuses other shapes,
-a larger one accepts reflections."""
+"""Largest size of a white marker, relative to the other markers of its body [1]. Chosen: a smaller value refuses other
+shapes, a larger one accepts reflections."""
 
 
 def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | Marker | None:
@@ -598,7 +597,7 @@ def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedM
         if alike and least < LEAST_CONTRAST:
             return marker
         if alike:
-            first = others[0]  # the white marker itself is found in the median of the frames only
+            first = others[0]  # the white marker itself is found only in the median of the frames
             angle, step = first.angle + marker.mount, group.rotation.step
             return ProposedMarker(proposed, marker, angle, first.clear, step)
     return None

@@ -4,11 +4,11 @@ A ring about the hub is unwrapped into a polar picture I_t(r, phi) for each fram
 
     I_t(r, phi) = L(r, phi) + (1 + g_t) B(r, phi - theta_t) + o_t + displacement of the hub + noise,
 
-with B the rotating picture of the body, L the part that is fixed in the image (glare, background, superimposed text),
-g_t and o_t changes of illumination. B, L, the angles and the noise variances of every pixel of the body and of the
-image are estimated alternately. Pixels are weighted by the inverse of these variances, so that parts that do not turn
-with the body have little weight. The angle is fitted by Gauss-Newton steps; its uncertainty is the Cramer-Rao bound of
-the learnt picture, scaled by the measured scatter of the angles.
+where B is the rotating picture of the body, L the part that is fixed in the image (glare, background, superimposed
+text), and g_t and o_t are changes of illumination. B, L, the angles and the noise variances of every pixel of the body
+and of the image are estimated alternately. Pixels are weighted by the inverse of these variances, so parts that do not
+turn with the body have little weight. The angle is fitted by Gauss-Newton steps; its uncertainty is the Cramer-Rao
+bound for the template, scaled by the measured scatter of the angles.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ Area = tuple[int, int, int, int]
 TURN = 2 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
 _PHASES = 8
-"""Copies of the template shifted by fractions of a column [1]. Chosen: linear steps within 1/16 of a column; fewer need
-more iterations, more take memory."""
+"""Number of copies of the template, shifted by fractions of a column [1]. Chosen: a linear step is then at most 1/16 of
+a column; fewer need more iterations, more take memory."""
 _ITERATIONS = 6
 """Largest number of Gauss-Newton steps of a frame [iterations]. Chosen: fewer stop early, more cost time."""
 _ROUNDS = 2
-"""Alternations of body and fixed picture [iterations]. Chosen: fewer leave a part of one in the other, more cost
-time."""
+"""Alternating estimates of body and fixed picture [iterations]. Chosen: fewer leave parts of one in the other, more
+cost time."""
 _CLOSE = 1e-3
 """Gauss-Newton step that ends the registration of a frame [columns]. Chosen: a larger value stops early, a smaller one
 costs time."""
@@ -53,11 +53,11 @@ class Ring:
     outer: float
     rows: int  # samples in radius and in angle
     columns: int
-    # first angle and length of the arc [rad]; the span is 2 pi for a whole ring. Angles grow from x to y
+    # first angle and length of the arc [rad]; the span is 2 pi for a whole ring. Angles increase from x to y
     start: float = 0.0
     span: float = TURN
-    # (p, q) of the ellipse as which the ring is seen by a tilted camera or with pixels that are not square: a
-    # point (x, y) of the body is at ((1 + p) x + q y, q x + (1 - p) y)
+    # (p, q) of the ellipse in the image, due to a tilted camera or pixels that are not square: a point (x, y) of the
+    # body is at ((1 + p) x + q y, q x + (1 - p) y)
     stretch: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
@@ -72,14 +72,14 @@ class Ring:
         span: float = TURN,
         stretch: tuple[float, float] = (0.0, 0.0),
     ) -> Ring:
-        """Sample a ring once a pixel, or in coarser steps so that a radius has at most `finest` of them."""
+        """Sample a ring once per pixel, or in coarser steps so that a radius has at most `finest` samples."""
         step = max(1.0, outer / finest) if span >= TURN else max(1.0, (outer - inner) / finest)
         rows = max(4, round((outer - inner) / step))
         columns = cv2.getOptimalDFTSize(max(64, round(outer * span / step)))
         return cls(hub, inner, outer, rows, columns, start, span, stretch)
 
     def trimmed(self, share: Floats, *, finest: float) -> Ring:
-        """Return the rows with at least 0.3 of the `share` of the best row, and at most `finest` samples a radius."""
+        """Keep rows whose `share` is at least 0.3 of the best row's, with at most `finest` samples per radius."""
         good = np.flatnonzero(np.convolve(share, np.ones(3) / 3, mode="same") > 0.3 * share.max())
         if len(good) < 4:
             return self
@@ -92,7 +92,7 @@ class Ring:
 
     @property
     def tilt(self) -> tuple[float, float] | None:
-        """Tilt of the axis by the stretch, direction of the short axis (counter-clockwise) [rad]; None for an arc."""
+        """Tilt of the axis from the stretch, direction of the short axis (counter-clockwise) [rad]; None for an arc."""
         size = math.hypot(*self.stretch)
         if self.span < TURN or size >= 1.0:
             return None
@@ -121,7 +121,7 @@ class Ring:
         return ((self.outer - self.inner) / self.rows * self.radius * self.step)[:, None]
 
     def grid(self, shift: Sequence[float] = (0.0, 0.0)) -> tuple[Picture, Picture]:
-        """Return the places (x, y) of the samples [px] for a hub displaced by `shift`."""
+        """Return the positions (x, y) of the samples [px] for a hub displaced by `shift`."""
         cos, sin, (p, q) = np.cos(self.angle), np.sin(self.angle), self.stretch
         x = self.hub[0] + shift[0] + self.radius[:, None] * ((1 + p) * cos + q * sin)
         y = self.hub[1] + shift[1] + self.radius[:, None] * (q * cos + (1 - p) * sin)
@@ -163,7 +163,7 @@ def _rotated(spectrum: npt.NDArray[Any], size: int, columns: float) -> Picture:
 
 
 def _phase(size: int, columns: float) -> npt.NDArray[np.complex64]:
-    """Return the factors of a spectrum by which `size` columns are rotated by a number of columns."""
+    """Return the factors of a spectrum that rotate `size` columns by a number of columns."""
     return np.asarray(np.exp(-2j * np.pi * np.fft.rfftfreq(size) * columns), dtype=np.complex64)
 
 
@@ -179,14 +179,14 @@ def _slope(picture: Picture) -> Picture:
 
 @dataclass(frozen=True)
 class Template:
-    """The learnt picture of a body, and the fixed part of the image."""
+    """The estimated picture of a body, and the fixed part of the image."""
 
-    ring: Ring  # ring in which it was learnt
+    ring: Ring  # ring in which the template was estimated
     body: Picture  # B and L, in grey levels, (rows, columns)
     fixed: Picture
     body_variance: Picture  # variances of a sample of the body and of the image, (rows, columns)
     fixed_variance: Picture
-    noise: float  # variance of the noise that both share
+    noise: float  # variance of the noise that is common to both
     allowed: Bools  # samples within the picture, (rows, columns)
     rows: slice = field(default_factory=lambda: ALL)  # rows of the ring that are used
     # standard deviation of the hub's displacement from frame to frame [px]; 0 for a fixed hub
@@ -226,7 +226,7 @@ class Template:
         return used
 
     def halves(self) -> tuple[Template, Template]:
-        """Return the same template with the inner and with the outer half of the ring alone, of equal information."""
+        """Return this template for the inner and for the outer half of the ring, of equal information."""
         known = np.cumsum(self.information())
         row = int(np.clip(np.searchsorted(known, 0.5 * known[-1]), 1, len(known) - 1))
         return replace(self, rows=slice(0, row)), replace(self, rows=slice(row, None))
@@ -237,17 +237,17 @@ class Pose:
     """The registration of one frame."""
 
     angle: float  # theta [rad], in the picture from x to y
-    formal: float  # its uncertainty [rad] for independent noise of the learnt variances
+    formal: float  # uncertainty of the angle [rad] for independent noise with the estimated variances
     shift: tuple[float, float]  # displacement of the hub (x, y) [px]
-    shift_sigma: float  # its formal uncertainty [px]; infinite if the shift was not fitted
+    shift_sigma: float  # formal uncertainty of the displacement [px]; infinite if it was not fitted
     gain: float  # relative change of contrast
     misfit: float  # weighted mean square residual; 1 for a typical frame
 
 
 def register(polar: Picture, template: Template, start: float, *, move: bool = False) -> Pose:
-    """Find the angle of a body in a polar picture by Gauss-Newton steps from a start value [rad].
+    """Find the angle of a body in a polar picture by Gauss-Newton steps from an initial value [rad].
 
-    The start must be accurate to the width of the details. With `move` the displacement of the hub is fitted as well.
+    The initial value must be accurate to the width of the details. With `move` the hub's displacement is fitted.
     """
     ring = template.ring
     rows = template.rows
@@ -265,7 +265,7 @@ def register(polar: Picture, template: Template, start: float, *, move: bool = F
         seen = np.roll(held, -whole, axis=1)
         variance = body_variance + np.roll(fixed_variance, -whole, axis=1) - template.noise
         weight = area * np.roll(usable, -whole, axis=1) / np.maximum(variance, template.noise)
-        if not float(weight.sum()) > 0:  # all of the ring is outside the picture
+        if not float(weight.sum()) > 0:  # the whole ring is outside the picture
             return Pose(start, float("inf"), (0.0, 0.0), float("inf"), 0.0, float("inf"))
         level = float(np.sum(weight * body) / np.sum(weight))
         columns = [-slope, np.ones_like(body), body - level]
@@ -314,15 +314,15 @@ def learn(
 
     The `polars` are read several times; `allowed` are samples within the picture. `separate`: the motion is large
     enough (a turn and more) to distinguish the fixed picture from the body's. `counted` are weights of the frames.
-    `plain`: the same variance for all samples; while angles or hub are inaccurate, the variances are largest at the
-    details.
+    `plain`: the same variance for all samples, because variances are too large at details while angles or hub are
+    wrong.
     """
     counted = np.ones(len(polars)) if counted is None else counted
     turns = np.asarray(angles, dtype=np.float64) / ring.step
     usable = allowed.astype(np.float32)
     complete = bool(allowed.all())
     mean = np.zeros(usable.shape, dtype=np.float32)
-    # sums over the frames of their spectra, and of the phase factors, both turned back by their angles
+    # sums over the frames of the spectra and of the phase factors, turned back by the angles
     turned_back = np.zeros((usable.shape[0], ring.columns // 2 + 1), dtype=np.complex64)
     phases = np.zeros(ring.columns // 2 + 1, dtype=np.complex64)
     for polar, turn, count in zip(polars, turns, counted, strict=True):  # one by one, to limit memory
@@ -341,7 +341,7 @@ def learn(
             body = _mean_body(polars, turns, counted, fixed, usable)
         spectrum = np.fft.rfft(body, axis=1)
         if separate:
-            # the sum over the frames of what the body adds to the picture: that of its spectrum times the phase factors
+            # the sum over the frames of the contribution of the body: spectrum times the sum of the phase factors
             added = np.fft.irfft(spectrum * np.conj(phases), ring.columns, axis=1)
             fixed = np.asarray(mean - added / np.float32(counted.sum()), dtype=np.float32)
             fixed -= fixed.mean(axis=1, keepdims=True)
@@ -374,7 +374,7 @@ def learn(
 def _mean_body(
     polars: Sequence[Picture], turns: Floats, counted: Floats, fixed: Picture, usable: Picture
 ) -> Picture:
-    """Return the mean picture of a body; a ring that is partly outside the picture shows some of it in each frame."""
+    """Return the mean picture of a body; a ring partly outside the picture shows a part of the body per frame."""
     total, number = np.zeros_like(fixed), np.full_like(fixed, 1e-6)
     for polar, turn, count in zip(polars, turns, counted, strict=True):
         whole, part = _split(turn)
@@ -393,11 +393,11 @@ def _split(turned: float) -> tuple[int, float]:
 
 
 def _band(size: int, band: str) -> npt.NDArray[np.float32]:
-    """Return the weights of the orders of a polar picture with `size` columns, up to the last one that counts.
+    """Return the weights of the orders of a polar picture with `size` columns, up to the last order that is used.
 
-    `band` selects which details count, by their order k (cycles per turn): "low", "middle" or "high". High orders make
-    the maximum of a correlation narrow; low ones avoid secondary maxima for periodic details, for example spokes; the
-    middle ones are insensitive to a small displacement of the hub.
+    `band` selects details by their order k (cycles per turn): "low", "middle" or "high". High orders make the maximum
+    of a correlation narrow. Low orders avoid secondary maxima for periodic details, for example spokes. Middle orders
+    are insensitive to a small displacement of the hub.
     """
     k = np.fft.rfftfreq(size)
     order = k * size
@@ -417,22 +417,22 @@ def _energy(spectrum: npt.NDArray[np.complex64], factor: npt.NDArray[np.float32]
 
 
 _STEADY = 2
-"""Number of steps from which a change of the step is judged [steps]. Chosen: fewer judge a noisy step, more follow the
-next spoke at the start."""
+"""Number of steps after which changes of the step are tested [steps]. Chosen: fewer test a noisy step, with more the
+next spoke may be followed at the start."""
 _JUMP = 1.5
-"""Change of the step over the step beyond which it needs a higher correlation [1]. Chosen: equal parts of a body, for
-example spokes, are equally probable places for each of them; a smaller value refuses reversals, a larger one follows
-the next spoke."""
+"""Relative change of the step beyond which a higher correlation is required [1]. Chosen: equal parts of a body, for
+example spokes, are indistinguishable by correlation; a smaller value refuses reversals, with a larger one the next
+spoke may be followed."""
 _LEAST_JUMP = 6.0
-"""Smallest change of the step beyond which it needs a higher correlation [columns]. Chosen: a smaller value refuses
-changes of slow bodies, a larger one follows the next spoke."""
+"""Change of the step beyond which a higher correlation is required [columns]. Chosen: a smaller value refuses changes
+of slow bodies, with a larger one the next spoke may be followed."""
 _UNLIKELY = 0.3
-"""Part of the maximum by which a change of the step raises the correlation at least [1]. Chosen: a smaller value
-follows the next spoke, a larger one refuses true jumps."""
+"""Required increase of the correlation for a change of the step, relative to the maximum [1]. Chosen: with a smaller
+value the next spoke may be followed, a larger one refuses true jumps."""
 
 
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
-    """Track a body by correlation, weighted and less `fixed`, with the mean of the earlier frames, (n,) [rad]."""
+    """Track a body by weighted correlation, without `fixed`, with the mean of earlier frames, (n,) [rad]."""
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)
@@ -481,12 +481,12 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
 
 
 _RETURNS = 2.0
-"""Deviation of one angle from the line through its neighbours, over the typical step, from which the body leaves its
-motion in this frame alone [1]. Chosen: a smaller value tests frames of impacts, a larger one keeps slips of many equal
+"""Smallest deviation of one angle from the line through its neighbours, relative to the typical step, that is tested
+for a slip [1]. Chosen: a smaller value tests frames of impacts, a larger one keeps slips if there are many equal
 parts."""
 _AS_WELL = 1.2
-"""Misfit at the expected angle over that at the measured one, up to which the expected one is taken [1]. Chosen: equal
-parts fit alike within noise; a smaller value keeps slips, a larger one removes true jumps."""
+"""Largest ratio of the misfit at the expected angle to that at the measured angle for which the expected angle is used
+[1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one removes true jumps."""
 
 
 def without_slips(
@@ -494,8 +494,8 @@ def without_slips(
 ) -> Floats:
     """Return the angles (n,) [rad] without slips by one of several equal parts, for example a spoke, in single frames.
 
-    In such a frame the angle leaves the motion and returns. It is replaced if the picture fits as well at the angle
-    that the neighbours predict. `at` (n,) are the numbers of the frames.
+    In such a frame the angle deviates from the motion, and returns in the next frame. It is replaced if the picture
+    fits as well at the angle predicted by the neighbours. `at` (n,) are the numbers of the frames.
     """
     angle = angle.copy()
     if len(angle) < 4:
@@ -503,11 +503,11 @@ def without_slips(
     typical = float(np.median(np.abs(np.diff(angle))))
     limit = max(_RETURNS * typical, _LEAST_JUMP * template.ring.step)
     off = np.abs([_off_line(angle, at, k) for k in range(len(angle))])
-    # the largest deviation first, which is that of the frame itself, and the ends, which have one neighbour, last
+    # the largest deviation first, because it belongs to the slip itself; the ends, which have one neighbour, last
     inner = 1 + np.argsort(-off[1:-1])
     for k in (k for k in [*inner.tolist(), 0, len(angle) - 1] if off[k] > limit):
         expected = angle[k] - _off_line(angle, at, k)
-        if abs(expected - angle[k]) < limit:  # its neighbour was wrong
+        if abs(expected - angle[k]) < limit:  # the neighbour was wrong
             continue
         there, here = (register(polars[k], template, a) for a in (expected, angle[k]))
         if there.misfit <= _AS_WELL * here.misfit and abs(there.angle - expected) < 0.5 * limit:
@@ -516,27 +516,27 @@ def without_slips(
 
 
 def _off_line(angle: Floats, at: npt.NDArray[np.int64], k: int) -> float:
-    """Return the deviation of an angle from the line through its neighbours, at the ends through the next two."""
+    """Return the deviation of an angle from the line through its neighbours (at the ends, the next two angles)."""
     last = len(angle) - 1
     a, b = (k - 1, k + 1) if 0 < k < last else (1, 2) if k == 0 else (last - 2, last - 1)
     return float(angle[k] - angle[a] - (angle[b] - angle[a]) * (at[k] - at[a]) / (at[b] - at[a]))
 
 
 _COMPARED = 100
-"""Largest number of frames from which a template is learnt for a comparison, and that are compared [frames]. Chosen:
-time; fewer decide by noise."""
+"""Largest number of frames for estimating a template for a comparison, and for comparing it [frames]. Chosen: time;
+fewer decide by noise."""
 
 
 def every(count: int) -> int:
-    """Return the distance of equally spaced frames, at most `_COMPARED` of a number of frames."""
+    """Return the spacing that selects at most `_COMPARED` of `count` frames."""
     return max(1, -(-count // _COMPARED))
 
 
 def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> tuple[float, Floats]:
-    """Return the share of the change of brightness, beyond noise, that the rotation explains, in all and in each row.
+    """Return the share of the change of brightness, beyond noise, that the rotation explains, in total and per row.
 
     Frames are compared at the shortest lag at which the change is at least half of its maximum, so that slow changes of
-    the scene do not count as motion. The shares are at most 1, and 0 where the change does not exceed the noise.
+    the scene are not taken for motion. The shares are at most 1, and 0 if the change does not exceed the noise.
     """
     usable = (template.allowed * template.ring.area).astype(np.float32)
     lags = [lag for lag in (1, 2, 4, 8, 16, 32) if lag < len(polars) // 2]
@@ -555,7 +555,7 @@ def explained(polars: Sequence[Picture], angles: Floats, template: Template) -> 
         squares += seen**2
         rest += (usable * (seen - np.fft.irfft(turning, size, axis=1)) ** 2).sum(axis=1)
     total = (usable * squares).sum(axis=1, dtype=np.float64)
-    # the learnt noise contains slow changes of the illumination, which are absent at a short lag
+    # the estimated noise contains slow changes of the illumination, which are absent at a short lag
     still = squares[usable > 0] / np.float32(len(pairs))
     least = min(template.noise, 0.5 * float(np.quantile(still, 0.2))) if still.size else template.noise
     noise = 2 * least * len(pairs) * usable.sum(axis=1)

@@ -24,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Disc:
-    """The coloured disc at the centre: (x, y) and radius in px, and its chroma against its surroundings."""
+    """The coloured disc at the centre: (x, y) and radius in px, and its chroma relative to the surroundings."""
 
     centre: tuple[float, float]
     radius: float
@@ -45,7 +45,7 @@ class Marker:
     contrast: tuple[float, float]
     foot: float  # half width at a tenth of the maximum [rad]
     mount: float = 0.0  # angle relative to the zero of the body, as seen (counter-clockwise) [rad]
-    dwell: float = 0.0  # largest share of the samples in which it covers one angle: near 1 for a body at rest
+    dwell: float = 0.0  # largest share of the samples with the marker at one angle: near 1 for a body at rest
 
     @property
     def radius(self) -> float:
@@ -60,10 +60,10 @@ class Scene:
     centre: tuple[float, float]  # centre of rotation (x, y) [px] at the time of acquisition
     disc: Disc | None  # the disc at the centre; None where the centre is taken from the orbit
     markers: tuple[Marker, ...]
-    missing: tuple[str, ...] = ()  # names of those that were not
+    missing: tuple[str, ...] = ()  # names of markers that were not found
     warnings: tuple[str, ...] = ()  # for the user
-    # offset of the centre of each body's orbits from `centre`, (x, y) in px, y downwards, if it is
-    # significant: for a tilted camera a body below the plane of the hub circles another point of the picture
+    # offset of the centre of each body's orbits from `centre`, (x, y) in px, y downwards, if it is significant: in the
+    # image of a tilted camera, a body below the plane of the hub moves about another point
     offsets: dict[str, tuple[float, float]] = field(default_factory=dict)
     # the body of each marker of the profile, also of those that were not found
     body_of: dict[str, str] = field(default_factory=dict)
@@ -87,8 +87,8 @@ class Scene:
 HEAD = 48
 """Number of consecutive first frames [frames]. Derived: at 0.2 rad per frame they cover 9.6 rad, more than a turn."""
 KEYS = 20
-"""Number of key frames from which the rest of a film is sampled by these alone [frames]. Chosen: key frames are decoded
-fastest; fewer give a poor background."""
+"""Smallest number of key frames for which the rest of a film is sampled by key frames alone [frames]. Chosen: key
+frames are decoded fastest; fewer give a poor background."""
 LATER = 32
 """Number of samples from the rest of a film with fewer key frames [frames]. Chosen: more cost time, fewer give a poor
 background."""
@@ -98,12 +98,12 @@ DECODED = 240
 FEWEST = 8
 """Smallest number of frames of a film [frames]. Chosen: fewer do not show a motion, more refuse excerpts."""
 _BLOB_WIDTH = 400
-"""Width of the chroma plane from which blobs are searched at half size [px]. Chosen: time; a smaller value loses small
-markers."""
+"""Smallest width of the chroma plane for which blobs are searched at half size [px]. Chosen: time; a smaller value
+loses small markers."""
 
 
 _BLOCK = 8
-"""Frames in a temporary file [frames]. Chosen: memory; more occupy more pages, fewer open more files."""
+"""Number of frames in a temporary file [frames]. Chosen: memory; more occupy more pages, fewer open more files."""
 
 
 class FrameStore:
@@ -128,7 +128,7 @@ class FrameStore:
 
 
 def in_turn(frames: Sequence[Frame]) -> Iterator[Frame]:
-    """Yield stored frames; their memory is released after every few of them."""
+    """Yield stored frames; the memory of frames already read is released at intervals."""
     for count, frame in enumerate(frames, start=1):
         yield frame
         if count % _BLOCK == 0 or count == len(frames):
@@ -167,9 +167,9 @@ class Samples:
 
     @cached_property
     def spread(self) -> tuple[int, ...]:
-        """Indices of the frames from which the scene is learnt: all later ones, and a dozen of the head.
+        """Indices of the frames from which the scene is determined: all later frames, and a dozen of the head.
 
-        An object that is visible at the beginning only, for example the hand that starts the rotor, is in the minority.
+        An object that is visible only at first, for example the hand that starts the rotor, is then in few frames.
         """
         keys = range(self.head, len(self.frames))
         most = max(12, 48 - len(keys)) if len(keys) < 12 else 12
@@ -216,7 +216,7 @@ def take_samples(path: Path, threads: int = 1) -> Samples:
 
 
 def _later(path: Path, head: int, pixels: int, threads: int) -> list[Frame]:
-    """Decode frames spread over the film after the head: key frames, or, if these are few, frames between them.
+    """Decode frames spread over the film after the head: key frames, or frames between them if key frames are few.
 
     A frame is decoded from the previous key frame. If this takes too long, frames closer to the key frames are used.
     """

@@ -1,11 +1,10 @@
 """The time base of a film: when each frame was captured.
 
-The timestamps of a film in real time are those of the camera; those of a film in slow motion are for playback and may
-have been changed by an editor. Equally spaced timestamps are equivalent to counting frames, which is used then.
+The timestamps of a film in real time are those of the camera. The timestamps of a film in slow motion are for playback,
+and may have been changed by an editor. If timestamps are equally spaced, frames are counted, which is equivalent.
 
-A film of a constant rate is timed by counting: the time of a frame is its index divided by the capture rate.
-Slow-motion films are stored at a lower rate than they were captured with, so a container's rate below 100 fps is never
-taken for the capture rate by itself.
+In a film with a constant rate, the time of a frame is its index divided by the capture rate. Slow-motion films are
+stored at a lower rate than their capture rate, so a container's rate below 100 fps is never taken as the capture rate.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from gyrotrack._smoothing import local_fit
 from gyrotrack.video._container import ClipInfo
 
 SLOWEST_PLAIN_RATE = 100.0
-"""Container rate below which a film may be in slow motion, and needs the capture rate [1/s]. Chosen: slow motion is
-stored at 24 to 60 fps; a smaller value takes playback for real time, a larger one requires the rate needlessly."""
+"""Container rate below which a film may be in slow motion and the capture rate must be given [1/s]. Chosen: slow motion
+is stored at 24 to 60 fps; a smaller value takes playback for real time, a larger one requires the rate needlessly."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class CaptureRate:
 
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Return the requested rate [1/s], else the profile's, the camera's tag's, or the container's from 100 fps."""
+    """Return the requested rate [1/s], or that of the profile, of the camera's tag, or of a container from 100 fps."""
     for fps, source in (
         (requested, "--capture-fps"),
         (profile, "profile"),
@@ -52,8 +51,8 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
 
 
 _SAME_RATE = 1.0e-3
-"""Largest relative difference of two rates that count as equal [1]. Chosen: a smaller value warns of rounded rates, a
-larger one hides a wrong rate."""
+"""Largest relative difference of two equal rates [1]. Chosen: a smaller value warns of rounded rates, a larger one
+hides a wrong rate."""
 
 
 def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
@@ -69,18 +68,18 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
 
 
 COARSEST_TICK = 1e-3
-"""Largest unit of timestamps that measure time [s]. Chosen: a container with a larger unit counts frames; a smaller
-value discards stamps in whole ms."""
+"""Largest unit of timestamps that measure time [s]. Chosen: for a larger unit frames are counted; a smaller value
+discards timestamps in whole ms."""
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
-    """Return the numbers of a film's frames by their timestamps (n,) [s], NaN where missing, without missing frames.
+    """Return the numbers of a film's frames from their timestamps (n,) [s] (NaN where missing); gaps skip numbers.
 
-    `tick` is the unit of the timestamps in s; 1 ms at most counts. The period is the median spacing. A step counts as a
-    gap only beyond 1.5 periods and 1.1 ticks more than one, because stamps in whole ticks jitter by one: in Matroska (1
-    ms) a single missing frame cannot be detected above 900 frames/s. Films whose stamps are otherwise not equally
-    spaced (one step in ten is not a whole number of periods), or that do not increase (one step in a hundred; AVI knows
-    only when a frame is decoded, not when it is shown), are numbered without gaps.
+    `tick` is the unit of the timestamps in s, at most 1 ms is used. The period is the median spacing. A step is a gap
+    only if it exceeds 1.5 periods, and one period by 1.1 ticks, because timestamps in whole ticks jitter by one tick:
+    in Matroska (1 ms) a single missing frame cannot be detected above 900 frames/s. Frames are numbered without gaps in
+    two cases: the timestamps are otherwise not equally spaced (one step in ten is not a whole number of periods), or
+    they do not increase (one step in a hundred; AVI stores the order of decoding, not of display).
     """
     plain = np.arange(len(pts), dtype=np.int64)
     step = np.diff(pts)
@@ -96,14 +95,14 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
 
 
 def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
-    """Return whether more than one step between timestamps in ten is not a whole number of periods."""
+    """Return whether more than one in ten steps between timestamps is not a whole number of periods."""
     period = float(np.median(step))
     off = np.abs(step / period - np.rint(step / period)) * period
     return bool((off > np.maximum(0.2 * period, 1.1 * min(tick, COARSEST_TICK))).mean() > 0.1)
 
 
 def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
-    """Return a warning about missing frames from the numbers of the others."""
+    """Return a warning about missing frames, from the numbers of the other frames."""
     advance = np.diff(number)
     gaps = np.flatnonzero(advance > 1)
     warnings = (
@@ -133,34 +132,35 @@ Mask = npt.NDArray[np.bool_]
 
 SOURCES = ("auto", "stamps", "frames")
 LIVE = 0.05
-"""Largest relative difference of the stamps' rate from the capture rate in a film that was not slowed down [1]. Chosen:
-a smaller value discards stamps of a camera with a varying rate, a larger one uses those of an edited film."""
+"""Largest relative difference between the rate of the timestamps and the capture rate in a film that was not slowed
+down [1]. Chosen: a smaller value discards timestamps of a camera with a varying rate, a larger one uses those of an
+edited film."""
 EVEN = 5e-3
-"""Largest residual of equally spaced stamps about a line, if their tick is finer [periods]. Chosen: a smaller value
+"""Largest residual of equally spaced timestamps about a line, if their tick is finer [periods]. Chosen: a smaller value
 takes jitter for a varying rate, a larger one counts frames of such a camera."""
 _ROUNDED = 0.75
-"""Largest residual of rounded stamps [ticks]. Derived: half a tick, and a margin of a quarter."""
+"""Largest residual of rounded timestamps [ticks]. Derived: half a tick, plus a margin of a quarter."""
 _ODD = 0.01
-"""Largest share of stamps that are wrong [1]. Chosen: a smaller value discards stamps for single faults, a larger one
-uses damaged ones."""
+"""Largest share of wrong timestamps [1]. Chosen: a smaller value discards timestamps because of single errors, a larger
+one uses damaged timestamps."""
 _HALF = 20
-"""Stamps on either side of a local fit [frames]. Chosen: fewer leave jitter, more smooth a change of the rate."""
+"""Timestamps on either side of a local fit [frames]. Chosen: fewer leave jitter, more smooth a change of the rate."""
 
 
 @dataclass(frozen=True)
 class FrameTimes:
     """Times of the frames of a film."""
 
-    number: Integers  # shape (n,); numbers of the frames, those of missing frames left out
-    # shape (n,); times of the frames times the capture rate, where they are from the stamps; None: the numbers are
-    # the places
+    number: Integers  # shape (n,); numbers of the frames; numbers of missing frames are skipped
+    # shape (n,); times of the frames multiplied by the capture rate, if they are from the timestamps; None if the
+    # places are the numbers
     place: Floats | None = None
-    # standard deviation of a place, from the tick of the stamps; independent from frame to frame
+    # standard deviation of a place, due to the tick of the timestamps; independent between frames
     sigma: float = 0.0
-    # shape (n,); the places without jitter beyond rounding, in case it is not that of the camera
+    # shape (n,); the places without jitter beyond rounding, for jitter that is not due to the camera
     smooth: Floats | None = None
     warnings: tuple[str, ...] = ()  # for the user
-    again: Mask | None = None  # shape (n,); frames that repeat the one before them; None if there are none
+    again: Mask | None = None  # shape (n,); frames that repeat the previous frame; None if there are none
 
     def even(self) -> FrameTimes:
         """Return the smoothed times, with a warning."""
@@ -173,12 +173,12 @@ class FrameTimes:
         return replace(self, place=self.smooth, sigma=0.0, smooth=None, warnings=warnings)
 
     def at(self, index: Integers) -> FrameTimes:
-        """Return the times of some frames, none of which repeats another."""
+        """Return the times of some frames, without repeated frames."""
         some = (None if a is None else a[index] for a in (self.place, self.smooth))
         return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.warnings)
 
     def seconds(self, fps: float) -> Floats:
-        """Return the times in s at a capture rate, (n,); an inserted frame is between its neighbours."""
+        """Return the times [s] at a capture rate, (n,); an inserted frame is between its neighbours."""
         time = np.asarray((self.number if self.place is None else self.place) / fps)
         if self.again is not None and self.place is None:
             same = self.again & (np.diff(self.number, prepend=-1) == 0)
@@ -188,7 +188,7 @@ class FrameTimes:
 
     @property
     def places(self) -> Floats:
-        """When the frames were taken, in periods of the capture rate, (n,)."""
+        """Times of the frames in periods of the capture rate, (n,)."""
         return self.number.astype(np.float64) if self.place is None else self.place
 
 
@@ -196,7 +196,7 @@ class FrameTimes:
 class Timing:
     """Source of the times of a film."""
 
-    source: str  # timestamps, counted frames, or a choice by film ("auto")
+    source: str  # timestamps ("stamps"), counted frames ("frames"), or a choice for each film ("auto")
     fps: float  # the capture rate in frames/s
 
     def __post_init__(self) -> None:
@@ -205,7 +205,7 @@ class Timing:
             raise UsageError(what, "Omit it for the default.")
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
-        """Return when frames with timestamps `pts` (n,) of the unit `tick` [s] were taken; an error if unavailable."""
+        """Return the times of frames with timestamps `pts` (n,) in the unit `tick` [s]; an error if unavailable."""
         grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:
@@ -220,7 +220,7 @@ class Timing:
         return FrameTimes(number, warnings=(*warnings, *gap_warnings(number)))
 
     def _live(self, pts: Floats) -> bool:
-        """Return whether the film was not slowed down: its stamps come at about the capture rate."""
+        """Return whether the film was not slowed down: the rate of its timestamps is about the capture rate."""
         step = np.diff(pts)
         return any(abs(self.fps * float(period) - 1.0) < LIVE for period in (np.median(step), step.mean()))
 
@@ -253,7 +253,7 @@ class Timing:
 
 
 def uneven(number: Integers, pts: Floats, tick: float) -> bool:
-    """Return whether more than one timestamp in a hundred lies off the line through them over the frames' numbers."""
+    """Return whether more than one in a hundred timestamps deviates from a line over the frames' numbers."""
     off = pts - np.polyval(np.polyfit(number, pts, 1), number)
     return bool((np.abs(off) > max(_ROUNDED * tick, EVEN * float(np.median(np.diff(pts))))).mean() > _ODD)
 
@@ -263,7 +263,7 @@ def _growing(step: Floats) -> bool:
 
 
 def _real_tick(pts: Floats, tick: float) -> float:
-    """Return the unit of timestamps: 1 ms in a finer container too, if they were copied from a coarse one."""
+    """Return the unit of timestamps: 1 ms also in a finer container, if they were copied from a coarse one."""
     whole = (pts - pts[0]) / COARSEST_TICK
     copied = tick < COARSEST_TICK and bool(
         (np.abs(whole - np.rint(whole)) <= 0.51 * tick / COARSEST_TICK).all()
@@ -272,7 +272,7 @@ def _real_tick(pts: Floats, tick: float) -> float:
 
 
 def _smoothed(number: Integers, place: Floats) -> tuple[Floats, float]:
-    """Return local parabolas through places, and the share that each place has in its own."""
+    """Return local parabolas through places, and the weight of each place in its own parabola."""
     line = np.polyval(np.polyfit(number, place, 1), number)
     value, weight = np.zeros((2, int(number[-1]) + 1))
     value[number], weight[number] = place - line, 1.0
@@ -285,9 +285,10 @@ def _smoothed(number: Integers, place: Floats) -> tuple[Floats, float]:
 def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Floats, float]:
     """Return places with the rounding of stamps to whole ticks reduced by smoothing, and their standard deviation.
 
-    A place rounded to a tick d is off by d / sqrt(12). A parabola through its neighbours keeps the share of its own
-    leverage of that variance; scatter beyond rounding is an error of the parabola. If that is larger, or a place would
-    be changed by more than rounding, the places are not changed.
+    A place rounded to a tick d has the standard deviation d / sqrt(12). After smoothing by a parabola through its
+    neighbours, the variance is multiplied by the leverage of the place; scatter beyond rounding is an error of the
+    parabola. If this error is larger than the rounding error, or a place would change by more than rounding, nothing
+    changes.
     """
     rounding = tick**2 / 12.0
     smooth, share = _smoothed(number, place)
@@ -299,7 +300,7 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
 
 
 def _without_jitter(number: Integers, place: Floats) -> Floats:
-    """Return places of a rate that varies slowly; of a constant one, if the variation is not significant."""
+    """Return places for a rate that varies slowly, or for a constant rate if the variation is not significant."""
     smooth, share = _smoothed(number, place)
     line = np.asarray(np.polyval(np.polyfit(number, place, 1), number), dtype=np.float64)
     noise = float(np.std(place - smooth)) * np.sqrt(share)

@@ -1,7 +1,7 @@
 """Worker processes on this machine, and workers of a Dask cluster.
 
 A worker process reads one JSON array of arguments per line and answers with one JSON object per line. It ends when its
-input ends, also if its parent is killed. The answers of a cluster are JSON bytes, so that results are never unpickled.
+input ends, even if its parent is killed. The answers of a cluster are JSON bytes, so that results are never unpickled.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ WORKER = "gyrotrack.apps.cli._batch"
 
 Answer = dict[str, Any]
 
-_WATCH = 0.5  # time between two looks at the sign of a batch [s]
+_WATCH = 0.5  # time between two checks of the sign of a batch [s]
 _GRACE = 5.0  # time for a worker to remove unfinished outputs before it is killed [s]
 _MAX_ANSWER = 2**26  # bytes
 
@@ -39,7 +39,7 @@ class Child:
 
     @property
     def pid(self) -> int | None:
-        """Process number, None without a process."""
+        """Process number; None without a process."""
         return self._process.pid if self._process is not None else None
 
     def run(self, words: Sequence[str], timeout: float | None = None) -> Answer:
@@ -98,7 +98,7 @@ class Child:
 def run_once(words: Sequence[str], timeout: float | None = None, sign: str | None = None) -> bytes:
     """Run one command in a separate process and return its answer as JSON; runs on workers of a cluster.
 
-    The command ends when the file `sign` is removed: a cluster does not end what it has begun.
+    The command ends when the file `sign` is removed, because a cluster does not end running commands.
     """
     if sign is not None and not Path(sign).exists():
         return json.dumps(failure("cancelled", "The batch has ended.", "")).encode()
@@ -146,7 +146,7 @@ def end_process(process: subprocess.Popen[str]) -> None:
 
 
 def _answer_of(process: subprocess.Popen[str], words: Sequence[str]) -> str:
-    """Return the line that the process answers, or "" if it has ended."""
+    """Return the answer line of the process, or "" if the process has ended."""
     assert process.stdin is not None  # noqa: S101
     assert process.stdout is not None  # noqa: S101
     try:
@@ -158,7 +158,7 @@ def _answer_of(process: subprocess.Popen[str], words: Sequence[str]) -> str:
 
 
 def checked(text: str | bytes) -> Answer:
-    """Parse an answer and check its form; an invalid one becomes an error document."""
+    """Parse an answer and check its form; an invalid answer becomes an error document."""
     try:
         answer = json.loads(text) if len(text) <= _MAX_ANSWER else None
     except (ValueError, RecursionError):
@@ -200,7 +200,7 @@ class LocalWorkers:
         self._pool = ThreadPoolExecutor(count, thread_name_prefix="batch")
 
     def submit(self, words: Sequence[str], timeout: float | None) -> Future[Answer]:
-        """Begin a command; if no thread can be started, run it now."""
+        """Begin a command; if no thread can be started, run the command immediately."""
         try:
             return self._pool.submit(self._run, list(words), timeout)
         except RuntimeError:
@@ -218,7 +218,7 @@ class LocalWorkers:
     def close(self) -> None:
         """End the processes; their outputs are complete or absent."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-        for child in self._children:  # all at once, because each may need time to clean up
+        for child in self._children:  # simultaneously, because each may need time to clean up
             with suppress(OSError, ProcessLookupError):
                 if child.pid is not None:
                     os.kill(child.pid, signal.SIGTERM)
@@ -236,7 +236,7 @@ class Certificates:
     key: Path | None = None
 
     def security(self, address: str) -> Any:
-        """Return distributed's `Security` for a tls:// address, else None; certificates must be given for it alone."""
+        """Return distributed's `Security` for a tls:// address, else None; other addresses have no certificates."""
         named = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
         if not address.startswith("tls://"):
             if any(named.values()):
@@ -298,7 +298,7 @@ class ClusterWorkers:
                 answer.set_result(checked(raw if isinstance(raw, bytes) else b""))
             except (
                 BaseException
-            ) as error:  # a lost scheduler cancels, which is not an Exception in all versions
+            ) as error:  # a lost scheduler raises a cancellation, which is not an Exception in all versions
                 answer.set_result(_lost(error))
 
         self._pending.add(answer)
@@ -313,7 +313,7 @@ class ClusterWorkers:
         """End all commands, wait until they have removed their unfinished outputs, and disconnect."""
         self._sign.unlink(missing_ok=True)
         wait(set(self._pending), timeout=2 * _GRACE)
-        with suppress(Exception):  # of a scheduler that is lost
+        with suppress(Exception):  # the scheduler may be lost
             self._executor.shutdown(wait=False)
             self._client.close(timeout=_GRACE)
 

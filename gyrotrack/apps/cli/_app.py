@@ -1,7 +1,7 @@
 """The program `gyrotrack`: its commands, and error handling.
 
-A new command is one line in `COMMANDS` and a function ``<name>_command(...) -> int | None`` in a module of this folder:
-it parses, calls one library function, prints through `_output.Output`, and returns the exit code (None is 0).
+A new command is one line in `COMMANDS` and a function ``<name>_command(...) -> int | None`` in a module of this folder.
+The function parses, calls one library function, prints through `_output.Output`, and returns the exit code (None is 0).
 """
 
 from __future__ import annotations
@@ -108,13 +108,13 @@ def root(
 def main(last: list[Callable[[], None]]) -> None:
     """Run the program on the command line's arguments and exit with its code.
 
-    What is put into `last` runs when the process ends, after everything else.
+    Functions in `last` are called when the process ends, after everything else.
     """
     with suppress(OSError):
-        while os.open(os.devnull, os.O_RDWR) <= _STDERR:  # no file gets the number of a stream that is closed
+        while os.open(os.devnull, os.O_RDWR) <= _STDERR:  # no file may get the number of a closed stream
             pass
     if sys.stderr is None:
-        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - open as long as the process
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - open until the process ends
     prepare_process()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
@@ -122,7 +122,7 @@ def main(last: list[Callable[[], None]]) -> None:
     code, marks = FAULT, ExitStack()
 
     def end() -> None:
-        """Remove the marks of the outputs, with which the command could run again after a kill, and end at once."""
+        """Remove the marks of the outputs, which are needed only after a kill, and end immediately."""
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError, AttributeError):
                 stream.flush()
@@ -141,11 +141,11 @@ _STDERR = 2
 def prepare_process() -> None:
     """Configure this process and its child processes: threads, search path, home, SIGTERM."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # many small matrices: threads do not pay off
+        os.environ.setdefault(name, "1")  # many small matrices: threads do not save time
     # no process imports modules from the working folder, whose content is not trusted
     os.environ["PYTHONSAFEPATH"] = "1"
     root = Path(__file__).parents[3]
-    if root.name not in {"site-packages", "dist-packages"}:  # child processes must find a source checkout
+    if root.name not in {"site-packages", "dist-packages"}:  # child processes must find the source checkout
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
     if os.path.expanduser("~").startswith("~"):  # noqa: PTH111 - Path.home() raises: no $HOME and an unknown user
         os.environ["HOME"] = "/nonexistent"  # as usual for users without a home; libraries need a value
@@ -156,7 +156,7 @@ _TERMINATED: list[int] = []
 
 
 def catch_sigterm() -> None:
-    """Handle SIGTERM and a closed terminal like Ctrl-C: unfinished outputs are removed; the exit code is 143 or 129."""
+    """Handle SIGTERM and a closed terminal like Ctrl-C: remove unfinished outputs; the exit code is 143 or 129."""
 
     def end(number: int, frame: FrameType | None) -> None:
         _TERMINATED.append(number)
@@ -167,7 +167,7 @@ def catch_sigterm() -> None:
         else:
             raise KeyboardInterrupt
 
-    with suppress(ValueError):  # outside the main thread there are no signals
+    with suppress(ValueError):  # signals can be handled only in the main thread
         signal.signal(signal.SIGTERM, end)
         hangup = getattr(signal, "SIGHUP", None)
         if hangup is not None and signal.getsignal(hangup) == signal.SIG_DFL:  # `nohup` ignores it
@@ -175,8 +175,8 @@ def catch_sigterm() -> None:
 
 
 def _interrupted(*, as_json: bool) -> int:
-    """Report an interrupt and return the exit code: 130 for Ctrl-C, 128 and the number of another signal."""
-    with suppress(OSError):  # a closed terminal cannot be written
+    """Report an interrupt and return the exit code: 130 for Ctrl-C, 128 plus the number of another signal."""
+    with suppress(OSError):  # a closed terminal cannot be written to
         report_error("interrupted", "Interrupted.", "", as_json=as_json)
     return 128 + _TERMINATED[0] if _TERMINATED else INTERRUPTED
 
@@ -258,7 +258,7 @@ def _report(error: Exception, *, as_json: bool) -> int:
     if (refused := _refused_file(error)) is not None:
         report_error("file", refused, "Check the name, its folder and the permissions.", as_json=as_json)
         return FAULT
-    if type(error).__name__ == "LinAlgError":  # of numpy, which is imported only where it is needed
+    if type(error).__name__ == "LinAlgError":  # an error of numpy, which is imported only where needed
         what = f"The numbers cannot be computed with: {str(error).rstrip('.').lower()}."
         report_error(
             "numerical",
@@ -277,7 +277,7 @@ def _report(error: Exception, *, as_json: bool) -> int:
 
 def _refused_file(error: Exception) -> str | None:
     """Return the reason why the system refuses a file, as a sentence; None for another error."""
-    # of pathlib before Python 3.13
+    # an error of pathlib before Python 3.13
     if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):
         return f"{str(error)[:_LONGEST_NAME].rstrip('.')}."
     if not isinstance(error, OSError) or not error.strerror:
@@ -352,7 +352,7 @@ def _options(args: list[str]) -> list[str]:
 
 
 def _without(word: str, args: list[str]) -> tuple[list[str], bool]:
-    """Remove an option of the program, which may be anywhere before ``--``; return whether it was given."""
+    """Remove an option of the program, which may be anywhere before ``--``; also return whether it was given."""
     head = _options(args)
     return [a for a in head if a != word] + args[len(head) :], word in head
 

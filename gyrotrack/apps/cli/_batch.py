@@ -197,18 +197,18 @@ def config_command(
     *,
     everything: Annotated[bool, option("--all", "Also show options at their defaults.")] = False,
     tracking: Annotated[
-        bool, option("--tracking", "Show the numbers by which films are tracked instead.")
+        bool, option("--tracking", "Show the numbers of tracking instead of the options.")
     ] = False,
     fitting: Annotated[
-        bool, option("--fitting", "Show the numbers by which fits and diagnoses decide instead.")
+        bool, option("--fitting", "Show the numbers of fits and diagnoses instead of the options.")
     ] = False,
     as_json: shared.Json = False,
 ) -> None:
     """Show the settings in use and the origin of each: a file or the default.
 
     An option on the command line overrides the file, the file overrides the default. The file is the first of:
-    --config, $GYROTRACK_CONFIG, gyrotrack.toml in this folder, your own. A gyrotrack.toml in this folder may not set
-    addresses, ports, certificates, --force or paths outside of the folder.
+    --config, $GYROTRACK_CONFIG, gyrotrack.toml in this folder, the settings file of the user. A gyrotrack.toml in this
+    folder may not set addresses, ports, certificates, --force or paths outside of the folder.
 
     --tracking shows every number of tracking, video and synchronisation with its unit, meaning and origin: derived,
     measured, a source, or chosen. --fitting shows those of fits, noise estimates, searches and verdicts. They are part

@@ -48,7 +48,7 @@ def certify_command(
         int | None,
         option(
             "-n --recordings N",
-            "Simulated recordings without the named effect; the same number has it, and a quarter has each rival. "
+            "Simulated recordings without the named effect; as many with it, a quarter as many with each rival. "
             "By default 200, or 20 with --film.",
             min=1,
         ),

@@ -41,7 +41,7 @@ def import_command(
     inertia: shared.BodyInertia = None,
     output: shared.OptionalOutputFile = None,
     dry_run: Annotated[
-        bool, option("--dry-run", "Show what each column is taken for, and a plot; write nothing.")
+        bool, option("--dry-run", "Show the meaning of each column and a plot; write nothing.")
     ] = False,
     columns: shared.Columns = None,
     marker: shared.Marker = None,
@@ -86,12 +86,12 @@ def import_command(
     """Make a case from measured angles, angular rates, pulses or tracked points.
 
     The format is recognised by content: {formats}. Times are in s, all on one clock; angles in rad, wrapped or
-    unwrapped; other units are converted if the header contains them, as in `angle [deg]`. Without a sigma column
-    the noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a
-    brake or rest at the end are detected, reported and excluded; without --inertia its torques are per unit of
-    inertia. Two lines for each file say what each column was taken for and why, and what was left out; for a column
-    in doubt the option is named. Every repair is reported with its line. With --input nothing is cut from the
-    record: the input describes the drive.
+    unwrapped; other units are converted if the header contains them, for example `angle [deg]`. Without a sigma column
+    the noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
+    rest at the end are detected, reported and excluded; without --inertia its torques are per unit of inertia. Two
+    lines for each file state the meaning of each column with the reason, and the unused columns; for a column in doubt
+    the option is named. Every repair is reported with its line. With --input nothing is cut: the input describes the
+    drive.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -107,7 +107,7 @@ def import_command(
     out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     shared.check_pulses(pulses_per_turn)
     if output is None and not dry_run:
-        raise UsageError("There is no output.", "Give -o FILE.h5, or --dry-run to look at the tables only.")
+        raise UsageError("There is no output.", "Give -o FILE.h5, or --dry-run to check the tables only.")
     rotor = rotor or []
     if output is not None and not dry_run:
         refuse_existing(output, force=force, reads=[casing, *rotor, body])
@@ -173,7 +173,7 @@ import_command.__doc__ = (import_command.__doc__ or "").replace("{formats}", "; 
 
 
 def _proposals(readings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a sentence for each column that may be an input of the motion and is not recorded."""
+    """Return a sentence for each column that may be an input of the motion but is not recorded."""
     from gyrotrack.io.readers._motion_table import BY_NAME
 
     return [
@@ -187,7 +187,7 @@ def _proposals(readings: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _proposed_name(column: str) -> str:
-    """Return a name for an input in laws, from the header of its column in quotes."""
+    """Return the name of an input in laws, from the quoted header of its column."""
     words = re.findall(r"[A-Za-z]+", column.lower())
     return next((w for w in words if w not in {"command", "commanded", "measured", "motor"}), "u")
 
@@ -196,7 +196,7 @@ _MOST_PLOTTED = 200  # points of the plot of a body
 
 
 def _reading_table(reading: Mapping[str, Any]) -> Any:
-    """Return what each column of a file was taken for, as a table."""
+    """Return the meaning of each column of a file, as a table."""
     from rich.table import Table as Grid
 
     grid = Grid(title=f"{reading['file']}: {reading['format']}, {reading['rows']} rows", box=None)
@@ -289,7 +289,7 @@ def export_command(
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Export the data as CSV, Parquet, netCDF, JSON, or text or project of OSP Tracker, by the suffix of the output.
+    """Export the data as CSV, Parquet, netCDF, JSON, or OSP Tracker text or project, by the suffix of the output.
 
     Example: gyrotrack export case1.h5 -o case1.csv
     """
@@ -406,7 +406,7 @@ def _inertia(summary: dict[str, Any]) -> str:
     return ", ".join(f"{names[b]} {rounded(*inertia, 'kg m2')}" for b, inertia in stated.items())
 
 
-# bodies with a moment of inertia of their own, by the number of bodies as it is stored
+# bodies with a separate moment of inertia, by the stored number of bodies
 _STORED = {"one": ("casing",), "two": ("rotor", "casing")}
 
 

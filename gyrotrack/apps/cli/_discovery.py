@@ -40,7 +40,7 @@ def laws_command(
         option("--save-law NAME FILE", "Save a law under a name in a TOML file of effects."),
     ] = None,
     law: Annotated[
-        int | None, option("--law N", "Number in the table of the law for --save-law; 1 if not given.", min=1)
+        int | None, option("--law N", "Number of the law for --save-law in the table; by default 1.", min=1)
     ] = None,
     picture: shared.Picture = None,
     effects: shared.EffectsFile = None,
@@ -50,7 +50,7 @@ def laws_command(
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> int:
-    """Find the law of an unmodelled torque: on what it depends, and which formulas describe it.
+    """Find the law of an unmodelled torque: its variables, and formulas that describe it.
 
     Several cases are searched jointly. Formulas are generated from a grammar, fitted, and ranked; the result is the set
     of all formulas that the data cannot distinguish. An effect of the library that explains the data is listed first.
@@ -220,7 +220,7 @@ def plan_command(
     """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
     A description of recordings is a TOML file; see the guide "Plan an experiment". With --friction the command also
-    shows which friction laws of a contact the recording separates, and which ones reversals or a slow ramp would.
+    shows which friction laws of a contact the recording separates, and which reversals or a slow ramp would separate.
 
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """

@@ -202,7 +202,7 @@ def budget_command(
 ) -> None:
     """Uncertainty budget of every parameter: contributions, type A or B, sensitivity, share (GUM).
 
-    Inertias contribute where the case has their uncertainties (`--inertia-rotor "5.54e-5 +- 0.06e-5"`).
+    Inertias contribute if the case contains their uncertainties, for example `--inertia-rotor "5.54e-5 +- 0.06e-5"`.
 
     Example: gyrotrack budget case1.h5
     """

@@ -31,8 +31,8 @@ def report_command(
         Path | None,
         option(
             "--overlay OUT.mp4",
-            "Also write a film in slow motion of each lack of fit, with the marker where the model says that it should "
-            "be; .webp: an animated picture of the whole run.",
+            "Also write a film in slow motion of each lack of fit, with the marker at the angle predicted by the "
+            "model; .webp: an animated picture of the whole run.",
         ),
     ] = None,
     appendix: Annotated[
@@ -139,7 +139,7 @@ def figures_command(
 
 
 def _wanted(formats: list[str] | None, output: Path, *, force: bool) -> list[str]:
-    """Return the requested formats; raise an error if one is unknown or the folder cannot be used."""
+    """Return the requested formats; raise an error if a format is unknown or the folder cannot be used."""
     from gyrotrack.apps.report._paper import FORMATS, MAIN
     from gyrotrack.io._atomic import is_left
 
@@ -204,7 +204,7 @@ def view_command(
         else:
             out.show(f"open: {url}", "end: Ctrl-C, or the button Quit")
         sys.stdout.flush()
-        displays = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")  # no browser in a terminal
+        displays = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")  # a terminal has no browser
         if browser and not window and (displays or sys.platform in {"darwin", "win32"}):
             import webbrowser
 

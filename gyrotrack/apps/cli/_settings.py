@@ -9,9 +9,9 @@
     [sync]
     inertia_rotor = "5.54e-5 +- 0.06e-5"
 
-The sections are the commands and the keys their options, written with ``_`` for ``-``.
+Each section is a command. Its keys are the options of this command, written with ``_`` for ``-``.
 
-A file given by the user (``--config``, ``$GYROTRACK_CONFIG``) and the user's own file may set every option. A
+A file given by the user (``--config``, ``$GYROTRACK_CONFIG``) and the settings file of the user may set every option. A
 ``gyrotrack.toml`` found in the working folder comes with the data and may be hostile: it may set only the options in
 `FOUND`, and paths only within its own folder.
 
@@ -62,8 +62,8 @@ _PATHS = (
     "prior_rotor report run_times"
 )
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# options that only the user may set: they replace or delete results, name files among other words, or set addresses,
-# certificates, ports, processes
+# options that only the user may set: they replace or delete results, contain file names within longer values, or set
+# addresses, certificates, ports or the number of processes
 REFUSED = frozenset(
     "answer browser delete force input name note part port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
 )
@@ -79,7 +79,10 @@ class Settings:
 
 
 def find(named: Path | None = None) -> tuple[Path | None, bool]:
-    """Return the file given, $GYROTRACK_CONFIG, ./gyrotrack.toml or the user's own; the third one is not trusted."""
+    """Return the settings file (given, $GYROTRACK_CONFIG, ./gyrotrack.toml or the user's), and whether it is trusted.
+
+    Only ./gyrotrack.toml is not trusted.
+    """
     chosen = named or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     if chosen == Path(NONE):
         return None, True
@@ -95,20 +98,20 @@ def find(named: Path | None = None) -> tuple[Path | None, bool]:
 
 
 def user_file() -> Path | None:
-    """Return the path of the user's own settings; None for a user without a home."""
+    """Return the path of the user's settings file; None for a user without a home folder."""
     from platformdirs import user_config_path
 
     try:
         path = user_config_path("gyrotrack", appauthor=False, roaming=True) / NAME
     except (RuntimeError, KeyError):
         return None
-    return path if path.is_absolute() else None  # an unexpanded "~" would be a folder of the data
+    return path if path.is_absolute() else None  # an unexpanded "~" would be relative to the working folder
 
 
 def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True) -> Settings:
     """Read a settings file and check it against the options of all commands; an error names every line and key.
 
-    A file that was found in the working folder, and not given by the user (`trusted`), may set fewer options.
+    A file that is not `trusted` was found in the working folder and may set fewer options.
     """
     if path is None:
         return Settings()
@@ -285,7 +288,7 @@ CaseFiles = Annotated[
 
 Films = Annotated[
     list[Path] | None,
-    option("--films DIR", "Folder of the films; by default the folders of the case and this one."),
+    option("--films DIR", "Folder of the films; by default the folder of the case and the current folder."),
 ]
 
 InertiaRotor = Annotated[
@@ -345,7 +348,7 @@ PlaneTilt = Annotated[
     str | None,
     option(
         "--tilt ANGLE[,DIRECTION]",
-        "Correct a film for the tilt of the axis of rotation against the line of sight [degrees]; DIRECTION is that of "
+        "Correct a film for the tilt of the axis of rotation against the line of sight [degrees]; DIRECTION is along "
         "the short axis of the ellipse, counter-clockwise from the right (90 by default).",
     ),
 ]
@@ -370,8 +373,8 @@ Columns = Annotated[
     list[str] | None,
     option(
         "--column QUANTITY=COLUMN",
-        "Meaning of a column of a table, by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, "
-        "revolutions=3; of one of two bodies only: casing.revolutions=5.",
+        "Quantity in a column of a table, given by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, "
+        "revolutions=3; for only one of two bodies: casing.revolutions=5.",
     ),
 ]
 Inputs = Annotated[
@@ -387,14 +390,14 @@ PulsesPerTurn = Annotated[
     float | None,
     option(
         "--pulses-per-turn N",
-        "The file has times of pulses [s], intervals between them, counts or a pulsed signal, N per turn.",
+        "The file contains times of pulses [s], intervals, counts or a pulsed signal, with N pulses per turn.",
     ),
 ]
 _MOST_PULSES = 1e6
 
 
 def check_pulses(number: float | None) -> None:
-    """Raise an error if a number of pulses per turn is given and is none."""
+    """Raise an error if a number of pulses per turn is given and is outside the permitted range."""
     if number is not None and not 1 / _MOST_PULSES <= number <= _MOST_PULSES:
         what = f"--pulses-per-turn {number:g} is not between {1 / _MOST_PULSES:g} and {_MOST_PULSES:g}."
         raise UsageError(what, "Give the number of marks or magnets that pass the sensor in one turn.")
@@ -406,7 +409,7 @@ Centre = Annotated[
 Picture = Annotated[Path | None, option("--picture FILE", "Draw the result: .png, .svg or .pdf.")]
 Marker = Annotated[
     str | None,
-    option("--marker NAME", "Point to follow, or particle, test, signal or table to use, by its name."),
+    option("--marker NAME", "Name of the point to follow, or of the particle, test, signal or table to use."),
 ]
 Likelihood = Annotated[float, option("--likelihood P", "Minimum likelihood of the points that are used.")]
 StartTime = Annotated[float | None, option("--from T", "Exclude samples before this time [s].")]
@@ -424,7 +427,7 @@ PriorRotor = Annotated[
     Path | None,
     option(
         "--prior-rotor STUDY",
-        "Prior from a study of the rotor alone; its parameters are matched by their laws.",
+        "Prior from a study of the rotor alone; its laws are matched with those of the rotor.",
     ),
 ]
 LedgerFile = Annotated[
@@ -464,7 +467,7 @@ RotorKind = Annotated[
 
 
 def own_effects(path: Path | None, *, friction: bool = False) -> list[Effect]:
-    """Read user-defined effects, if a file is given; with `friction` add the laws that a search leaves out."""
+    """Read user-defined effects, if a file is given; with `friction` add the laws that a search omits by default."""
     if friction:
         from fitting.effects._library import FRICTION, find
 
@@ -479,7 +482,7 @@ def own_effects(path: Path | None, *, friction: bool = False) -> list[Effect]:
 
 
 def reading_lines(readings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return two lines for each table: what each column was taken for and why, and what was left out."""
+    """Return two lines for each table: the quantity in each column with the reason, and the unused columns."""
     from gyrotrack.io.readers._reading import reading_of
 
     return [line for document in readings for line in reading_of(document).lines()]

@@ -44,8 +44,8 @@ def profile_command(
     """Find the markers of a film and write a profile that `extract --profile` reads.
 
     Finds coloured regions that rotate about a common centre and groups them by body; the faster body is the rotor.
-    Uncertain results are reported. The profile is a text file and can be edited. Where no markers or those of one body
-    are found, the texture of a rotating body is shown as an alternative interpretation, which `spindown` measures.
+    Uncertain results are reported. The profile is a text file and can be edited. If no markers or only those of one
+    body are found, the texture of a rotating body is shown as an alternative interpretation, which `spindown` measures.
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
@@ -247,7 +247,8 @@ def extract_command(
     resume: Annotated[
         bool,
         option(
-            "--resume", "Use what an interrupted run has tracked, and a complete output; also with --force."
+            "--resume",
+            "Use the frames tracked by an interrupted run, or a complete output, even with --force.",
         ),
     ] = False,
     force: shared.Force = False,
@@ -561,7 +562,7 @@ def spindown_command(
         bool,
         option(
             "--keep-all",
-            "Keep the start of the record, also if the body is driven there, rest at its end, and outliers.",
+            "Keep the whole record, including a driven start, rest at the end, and outliers.",
         ),
     ] = False,
     label: Annotated[str, option("--label L", "Name of the case; by default that of the file.")] = "",

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 _SMALL_P = 0.01
 # animated pictures of a case
 _MAX_GHOSTS = 4
-# sizes of the overview figures [inch]: two stacked, one as high as both
+# sizes of the overview figures [inch]: two stacked figures, and one with the height of both
 _WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
     "adequate": ("good", "✓", "Consistent with noise"),
@@ -75,7 +75,7 @@ _FINAL = {
 
 @dataclass(frozen=True)
 class Section:
-    """The figures of one case, with a heading if there are several; `details` are drawn for a PDF only."""
+    """The figures of one case, with a heading if there are several cases; `details` are drawn only for a PDF."""
 
     heading: str
     surface: str
@@ -122,7 +122,7 @@ def report_parts(
     static: bool,
     certificate: Certificate | None = None,
 ) -> dict[str, Any]:
-    """Return the content of a report with lines of `provenance`; `static`: also the charts that scripts draw."""
+    """Return the content of a report with lines of `provenance`; `static`: also figures for interactive charts."""
     by_label = {case.label: case for case in recordings}
     plausibility = tables.plausibility_rows(view.final)
     unphysical = sorted({p.effect for p in plausibility if p.is_unphysical})
@@ -197,7 +197,7 @@ def _section(
 
 
 def _torque_of_the_angle(view: StudyView, v: CaseView) -> list[Chart]:
-    """Return the chart of the unmodelled torque in the angle of a case, if one repeats with the turn."""
+    """Return the chart of the unmodelled torque against the angle of a case, if a torque repeats in each turn."""
     if not any(f.kind == "ripple" for f in v.failures):
         return []
     fits = (view.base, view.final) if view.improved else (view.base,)
@@ -256,7 +256,7 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
 
 
 def _facts(view: StudyView) -> list[tuple[str, str]]:
-    """Return why an answer is undecided, location and size of unmodelled torques, and significance of the result."""
+    """Return the reason for "undecided", location and size of unmodelled torques, and significance of the result."""
     reason = [("Why", typeset(view.sentence))] if view.verdict == "undecided" else []
     rows = [*reason, *_where(view)]
     best = next((c for c in view.candidates if c.significant), None)
@@ -279,7 +279,7 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
 
 
 def _where(view: StudyView) -> list[tuple[str, str]]:
-    """Return what is shaded in the charts: each unmodelled torque, and where else the speed is outside of its band."""
+    """Return the shaded intervals: each unmodelled torque, and other intervals with the speed outside its band."""
     named = len(view.cases) > 1
     rows = []
     failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
@@ -298,7 +298,7 @@ def _where(view: StudyView) -> list[tuple[str, str]]:
 
 
 def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str, str]]:
-    """Return the strengths of the laws of a single body and what they mean, and its speed in the unit of the file."""
+    """Return the strengths of the laws of a single body with their meaning, and its speed in the unit of the file."""
     rows = [
         (
             view.name(law.parameter).words,  # a symbol comes first: k and K differ
@@ -350,7 +350,7 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
-# symbol of the moment of inertia of each body, and of the torque of a joint, with their meanings
+# symbols of the moments of inertia of the bodies and of the torque of a joint, with their meanings
 _OF_PART = {
     "rotor": ("I_r", "moment of inertia of the rotor"),
     "casing": ("I_c", "moment of inertia of the casing"),
@@ -407,9 +407,9 @@ def _added(view: StudyView) -> list[Added]:
 
 
 def pdf(parts: Mapping[str, Any], *, appendix: bool = False) -> bytes:
-    """Return the report, a result of `report_parts`, as PDF of four pages, and all tables in an `appendix`.
+    """Return a report (from `report_parts`) as a PDF of four pages, with all tables in an `appendix` if requested.
 
-    Text is data for Typst and never parsed as markup.
+    Typst receives text as data and never parses it as markup.
     """
     try:
         import typst
@@ -447,7 +447,7 @@ def pdf(parts: Mapping[str, Any], *, appendix: bool = False) -> bytes:
 
 
 class _Images:
-    """Writes pictures to files, and replaces them in the document by their names."""
+    """Writes pictures to files, and replaces them in the document by the names of the files."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -552,7 +552,7 @@ def write_overlay(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of the ghosts of the base and the final model around every lack of fit of a study.
+    """Write a film of the ghosts of base and final model around every lack of fit of a study.
 
     Parameters
     ----------
@@ -584,7 +584,7 @@ _HEAD = 200  # bytes
 
 
 def is_report(path: Path) -> bool:
-    """Whether a file is a report of this program, or does not exist: a report may then get its name."""
+    """Return whether a file is a report of this program, or does not exist: a report may then have its name."""
     try:
         with open_side_file(path) as stream:
             return _GENERATOR in stream.read(_HEAD)

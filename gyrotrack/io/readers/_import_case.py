@@ -50,10 +50,10 @@ _MIN_SAMPLES = 3  # smallest number of samples between two gaps; shorter pieces 
 def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     """Unwrap angles, and return the times of gaps in which the number of turns is uncertain.
 
-    The speed is the running median of the wrapped differences of neighbours, which must be less than half a turn apart.
-    Its integral predicts every sample, also across gaps, and the whole turns are chosen for the smallest difference
-    from the prediction. A gap of length T is uncertain if the speed changes across it so much that the prediction may
-    be wrong by 1 rad: |change| T / 8 > 1.
+    The speed is the running median of the wrapped differences of neighbouring samples, which must differ by less than
+    half a turn. The integral of the speed predicts every sample, also across gaps; the number of whole turns is that
+    with the smallest difference from the prediction. A gap of length T is uncertain if the speed changes across it by
+    so much that the prediction may be wrong by 1 rad: |change| T / 8 > 1.
     """
     step = np.diff(time)
     turned = np.angle(np.exp(1j * np.diff(angle)))
@@ -67,14 +67,14 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
-_JUMP = 20.0  # change of the angle [changes before, after and usual] above which it is not a motion
+_JUMP = 20.0  # change of the angle above which it is not a motion [changes before, after and usual]
 _CLEAR_JUMP, _UNSTEADY = (
     3.0,
     40.0,
-)  # the same for one that does not continue the motion [changes, noise]
-# change of a wrapped angle whose sense is in doubt [rad], and largest share of them in either sense
+)  # the same for a change that does not continue the motion [changes, noise]
+# change of a wrapped angle whose sense is in doubt [rad], and largest share of such changes in either sense
 _HALF_TURN, _MOST_HALF_TURNS = 0.8 * np.pi, 0.01
-_MOST_SLIPPED = 3.5  # turns of a slip; a step of many turns is an overflow
+_MOST_SLIPPED = 3.5  # largest slip [turns]; a step of more turns is an overflow
 _SLIP = 0.05  # deviation of a step from a whole number of turns that counts as a slip [turns]
 # times above this limit [s] (three years) are seconds since 1970, not since the start of a record
 _DATES = 1e8
@@ -96,7 +96,7 @@ def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
 
 
 def _refuse_half_turns(table: MotionTable) -> None:
-    """Refuse a wrapped angle whose changes between two samples pass through half a turn: their sense is unknown."""
+    """Refuse a wrapped angle that changes by about half a turn between samples, in an unknown sense."""
     interval = np.diff(table.time)
     turned = np.angle(np.exp(1j * np.diff(table.value)))[interval < 1.5 * np.median(interval)]
     share = min(float((sign * turned > _HALF_TURN).mean()) for sign in (1, -1))
@@ -110,11 +110,12 @@ def _refuse_half_turns(table: MotionTable) -> None:
 def _refuse_jumps(table: MotionTable) -> None:
     """Refuse an angle that changes between two samples by far more than before, after, and usually.
 
-    A jump is `_JUMP` times as large as other changes, or clearly larger and no continuation of the motion beyond noise.
+    A jump is `_JUMP` times as large as other changes, or clearly larger than they are and, beyond noise, not a
+    continuation of the motion.
     """
     if wraps_at_no_turn(table.value):
         raise DatasetError(
-            f"{table.path}: the angle jumps again and again by its whole range of {np.ptp(table.value):.5g} rad, which "
+            f"{table.path}: the angle jumps repeatedly by its whole range of {np.ptp(table.value):.5g} rad, which "
             "is not a whole turn.",
             "State the unit of the angle; counts of an encoder are read with --pulses-per-turn N, which continues a "
             "counter that overflows.",
@@ -128,7 +129,7 @@ def _refuse_jumps(table: MotionTable) -> None:
     step = np.abs(step)
     usual = max(float(np.quantile(step, 0.99)), resolution(table.value))
     beside = np.maximum(np.append(step[1:], 0.0), np.insert(step[:-1], 0, 0.0))
-    # whole turns more or less than the motion are a slip, which the fit finds and corrects
+    # a deviation of whole turns from the motion is a slip, which the fit finds and corrects
     turns = off / TURN
     slipped = (np.rint(turns) > 0) & (turns < _MOST_SLIPPED) & (np.abs(turns - np.rint(turns)) < _SLIP)
     far = step > _JUMP * np.maximum(beside, usual)
@@ -138,18 +139,17 @@ def _refuse_jumps(table: MotionTable) -> None:
         first = jumps[0]
         raise DatasetError(
             f"{table.path}, line {table.line[first + 1]}: the angle jumps by "
-            f"{table.value[first + 1] - table.value[first]:.5g} rad at {table.time[first + 1]:.6g} s, which no motion "
-            f"does ({len(jumps)} such jump{'s' * (len(jumps) > 1)}).",
+            f"{table.value[first + 1] - table.value[first]:.5g} rad at {table.time[first + 1]:.6g} s, too far for a "
+            f"motion ({len(jumps)} such jump{'s' * (len(jumps) > 1)}).",
             "Counts of an encoder are read with --pulses-per-turn N, which continues a counter that overflows; else "
             "use a part of the record with --from and --to.",
         )
 
 
 def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece]:
-    """Split a table at its gaps, and compute angles, speeds and uncertainties of each piece, with `notes`.
+    """Split a table at its gaps; compute angles, speeds and uncertainties of each piece, and add to `notes`.
 
-    Without a sigma in the table, it is estimated from the scatter, at least the quantisation step of the file /
-    sqrt(12).
+    A missing sigma is estimated from the scatter; it is at least the quantisation step of the file / sqrt(12).
     """
     cuts = [slice(0, len(table.time))] if table.counted else pieces(table.time)
     short = [cut for cut in cuts if cut.stop - cut.start < _MIN_SAMPLES]
@@ -340,7 +340,7 @@ def case_of_body(
     limits = limits or Limits()
     driven = any(i.unit != "K" for i in table.inputs)
     if driven:
-        # an input describes drive and brake; a temperature does not
+        # an input describes drive and brake, so nothing is excluded; a temperature does not
         limits = replace(limits, keep_all=True)
     read = limited(_from_origin([table])[0], limits)
     notes: list[str] = []
@@ -349,7 +349,7 @@ def case_of_body(
     notes = [*read.notes, *notes]
     parts = pieces_of(read, value, notes)
     sense = 1
-    # the sign of an input belongs to that of the motion
+    # with an input no sign is reversed, because the signs of input and motion belong together
     if not driven and not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
         sense = -1
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
@@ -373,7 +373,7 @@ def case_of_body(
 
 
 def _modes_of(tables: list[MotionTable], series: Series) -> tuple[ErrorMode, ...]:
-    """Return the error modes of several tables as those of their common series: each is zero at the others' times."""
+    """Return the error modes of several tables as modes of their common series: each is zero in the other tables."""
     found = []
     for k, table in enumerate(tables):
         own = np.searchsorted(table.time, series.time).clip(max=len(table.time) - 1)
@@ -385,7 +385,7 @@ def _modes_of(tables: list[MotionTable], series: Series) -> tuple[ErrorMode, ...
 
 
 def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:
-    """Return tables whose times are dates (seconds since 1970) with times from the first second of the first one."""
+    """Return tables with dates (seconds since 1970) converted to times from the first second of the first table."""
     first = min(float(table.time[0]) for table in tables)
     if first < _DATES:
         return tables

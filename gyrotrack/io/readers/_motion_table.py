@@ -1,8 +1,8 @@
 """Samples of one motion from the columns of a table.
 
 Times are sorted, repeated times averaged, and rows without a value excluded; every repair is reported with its line. A
-clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps; where it
-contains no uncertainty, that of its samples is estimated from their scatter.
+clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps. If it
+contains no uncertainty, the uncertainty of the samples is estimated from their scatter.
 """
 
 from __future__ import annotations
@@ -44,14 +44,15 @@ from gyrotrack.io.readers._reading import Reading, Taken
 
 _GAP = 20.0
 _BLOCK = 15  # samples of a local polynomial: the fewest that leave degree 9 five degrees of freedom
-_DEGREES = (3, 5, 7, 9)  # the last one shows only whether the one before it is sufficient
-# variance over that of the next degree from which on the motion is not described: a random walk has 1.36, white noise 1
+_DEGREES = (3, 5, 7, 9)  # the last degree only shows whether the previous one is sufficient
+# smallest ratio of the variance to that of the next degree for which the degree is not sufficient: a random walk has
+# 1.36, white noise 1
 _INSUFFICIENT = 1.6
-_NEIGHBOURS = 41  # blocks of a running median: its own standard error is 8 %
+_NEIGHBOURS = 41  # blocks of a running median, whose standard error is 8 %
 _FLOOR = 1e-6
-_MOST_REPEATED = 0.7  # largest share of rows with the time of the row before
+_MOST_REPEATED = 0.7  # largest share of rows with the time of the previous row
 _SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change between neighbours]
-# share, and number, of the changes between neighbours that are not usual; the greater applies
+# largest share, and number, of unusual changes between neighbours; the greater applies
 _RARE = (0.01, 4.0)
 # symbols of quantities, which imply SI units
 _SYMBOLS = {"t", "omega", "w", "ω", "angle", "psi", "phi", "theta", "ψ", "φ", "θ"}
@@ -105,10 +106,10 @@ class MotionTable:
     least_sigma: float = 0.0  # lower bound of an estimated uncertainty, from the resolution of the file
     # whether the samples are pulses: angles are unwrapped and gaps do not interrupt them
     counted: bool = False
-    doubts: tuple[str, ...] = ()  # why the values may be wrong by more than their uncertainty
+    doubts: tuple[str, ...] = ()  # reasons why the values may be wrong by more than their uncertainty
     drivers: tuple[Driver, ...] = ()
-    inputs: tuple[Input, ...] = ()  # those that the user records, with their own times
-    reading: Reading | None = None  # what each column was taken for
+    inputs: tuple[Input, ...] = ()  # inputs that the user records, with their own times
+    reading: Reading | None = None  # the meaning of each column
     modes: tuple[ErrorMode, ...] = ()  # errors that samples share, in the unit of `value`
 
     def only(self, keep: npt.NDArray[np.bool_] | Integers, *notes: str) -> MotionTable:
@@ -129,7 +130,7 @@ _LISTED = 8  # names in a message
 
 
 def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) -> str:
-    """Return the only name of a list, or the one that contains the option `marker`."""
+    """Return the only name of a list, or the one matching the option `marker`."""
     named = [n for n in names if options.marker and options.marker.casefold() in n.casefold()]
     chosen = named if len(named) == 1 else names
     if len(chosen) != 1:
@@ -142,7 +143,7 @@ def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) 
 
 COORDINATES = ("x", "y")
 _TURNS = {"rev", "revs", "turn", "turns", "revolution", "revolutions", "cycles"}
-_STEADY = 100.0  # ratio of squared mean and variance of a speed from which on it is constant
+_STEADY = 100.0  # smallest ratio of squared mean to variance of a constant speed
 
 _LAST_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
@@ -183,13 +184,13 @@ class Columns:
     """The columns of a table by quantity."""
 
     place: dict[str, int]  # column of each quantity
-    unit: dict[str, str]  # its unit; "" if none is stated
+    unit: dict[str, str]  # unit of the column; "" if none is stated
     why: dict[str, str]  # the reason of the choice
     axes: list[int]  # all columns of the chosen quantity, if these are the axes of a sensor
     drivers: list[int]  # measured causes of the motion
 
     def taken(self, raw: RawTable, *roles: str) -> tuple[Taken, ...]:
-        """Return what the columns of some quantities were taken for."""
+        """Return the meaning of the columns of some quantities."""
         found = []
         for role in (r for r in roles if r in self.place):
             unit, why = self.unit[role], self.why[role]
@@ -209,7 +210,7 @@ def column_name(raw: RawTable, index: int) -> str:
 
 
 def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
-    """Return the column of each quantity, its unit, and the reason; two of one meaning are an error."""
+    """Return column, unit and reason of each quantity; two columns of one meaning are an error."""
     found: dict[str, list[int]] = {}
     units: dict[int, str] = {}
     why: dict[int, str] = {}
@@ -314,7 +315,7 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
     first, *copies = (raw.numeric(i) for i in places) if len(set(names)) == 1 else (None,)
     if first is not None and all(c is not None and np.array_equal(c, first, equal_nan=True) for c in copies):
         return places[0]
-    # beside the axes of a sensor, its magnitude contains no sense of rotation
+    # unlike the axes of a sensor, the magnitude does not contain the sense of rotation
     axes = [
         i for i in places if not set(_words(raw.names[i])) & {"absolute", "abs", "magnitude", "norm", "total"}
     ]
@@ -339,9 +340,8 @@ def _stem_without_axis(name: str) -> str:
 def _along_rotation(values: Floats) -> tuple[Floats, Floats]:
     """Return angular velocities (n, axes) along the direction in which they vary most, and this direction.
 
-    An axis of rotation that is inclined to the axes of a sensor by an angle a gives each of them a part cos a of the
-    speed. A constant error of an axis does not turn the direction of the variation; a constant speed has none, and its
-    direction is that of the mean.
+    A sensor axis at an angle a to the axis of rotation measures the part cos a of the speed. A constant error of a
+    sensor axis does not change the direction of the variation. A constant speed has the direction of the mean.
     """
     known = values[np.isfinite(values).all(axis=1)]
     mean = known.mean(axis=0)
@@ -354,7 +354,7 @@ def _along_rotation(values: Floats) -> tuple[Floats, Floats]:
 def times_of(
     raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
 ) -> Floats:
-    """Return the times of a table [s]: the time column, or frame numbers, or those of the rows, divided by the rate."""
+    """Return the times of a table [s]: the time column, or the numbers of frames or rows divided by the rate."""
     if "t" in columns:
         time = raw.numbers(columns["t"], "t", times=True)
         return time * scale_of(raw, "t", units["t"]) + options.start
@@ -370,7 +370,7 @@ def times_of(
 
 
 def _without_header(raw: RawTable) -> DatasetError:
-    """Return the error for columns without names, with what their numbers show."""
+    """Return the error for columns without names; its hint follows from the numbers in the columns."""
     indices = row_numbers(raw)
     what = f"{raw.header_place}: the {len(raw.names)} columns have no header"
     if indices:
@@ -391,7 +391,7 @@ def _without_header(raw: RawTable) -> DatasetError:
 
 
 def _unit_since_1970(raw: RawTable, column: int) -> str:
-    """Return the unit of times since 1970, by their size (dates from 1973 to 5138); "" for seconds or other times."""
+    """Return the unit of times since 1970 from their size (dates from 1973 to 5138); "" for seconds or other times."""
     values = raw.numeric(column)
     known = np.zeros(0) if values is None else values[np.isfinite(values)]
     size = float(np.median(np.abs(known))) if len(known) else 0.0
@@ -399,7 +399,7 @@ def _unit_since_1970(raw: RawTable, column: int) -> str:
 
 
 def frame_rate(path: Path, options: ReadOptions) -> float:
-    """Return the frame rate given by the user; a UsageError says that it is not given or not positive."""
+    """Return the frame rate given by the user; raise a UsageError if it is missing or not positive."""
     if not (options.fps and options.fps > 0):
         what = f"{path} contains frame numbers but not the capture rate."
         raise UsageError(what, "Give the rate with --casing-fps or --rotor-fps.")
@@ -418,9 +418,9 @@ def scale_of(raw: RawTable, role: str, unit: str) -> float:
 
 
 def interpret(raw: RawTable, options: ReadOptions, *, counts: bool = False) -> MotionTable:
-    """Return the angle or the angular velocity in a table; a DatasetError names column and line of what is wrong.
+    """Return the angle or the angular velocity in a table; a DatasetError names column and line of an error.
 
-    Angles that are `counts` of an encoder may grow in equal steps.
+    Angles that are `counts` of an encoder may increase in equal steps.
     """
     columns = find_columns(raw, options)
     place, units, why = columns.place, columns.unit, columns.why
@@ -509,7 +509,7 @@ BY_NAME = "by its name"
 def _recorded_inputs(
     raw: RawTable, options: ReadOptions, time: Floats
 ) -> tuple[tuple[Input, ...], list[int], tuple[Taken, ...]]:
-    """Return the inputs that the user records from a table, their columns, and what is said of them."""
+    """Return the inputs that the user records from a table, their columns, and their descriptions."""
     inputs, places, taken = [], [], []
     for option in (o for o in options.inputs if o.file is None):
         place = option.place(raw)
@@ -531,7 +531,7 @@ def _recorded_inputs(
 
 
 def _refuse_unusual(raw: RawTable, columns: Columns, made: MotionTable) -> None:
-    """Ask for a unit that nothing states if the motion would be unusual in s and rad."""
+    """Raise a DatasetError for an unstated unit if the motion would be unusual in s and rad."""
     asked = [r for r in columns.place if not columns.unit[r] and columns.why[r] != "by --column"]
     names = {r: raw.names[columns.place[r]] or str(columns.place[r] + 1) for r in asked}
     if "t" in asked and raw.numeric(columns.place["t"]) is not None:  # no time of day
@@ -563,7 +563,7 @@ def _without_motion(raw: RawTable, columns: Columns) -> DatasetError:
 
 
 def _unit_of_angle(raw: RawTable, column: int, unit: str, why: str, value: Floats) -> tuple[str, str]:
-    """Return the unit of an angle and the reason; an angle that wraps shows it, and a DatasetError says otherwise."""
+    """Return the unit of an angle and the reason; a stated unit that contradicts the wrapping is a DatasetError."""
     wraps = wrapping_unit(value)
     if not wraps:
         return unit, why
@@ -577,7 +577,7 @@ def _unit_of_angle(raw: RawTable, column: int, unit: str, why: str, value: Float
 
 
 def _compare(raw: RawTable, columns: Columns, time: Floats, angle: Floats) -> None:
-    """Compare an angle with the speed in the same table; units that contradict each other are a DatasetError."""
+    """Compare an angle with the speed in the same table; contradictory units are a DatasetError."""
     units = columns.unit
     scales = [factor(role, units[role]) if units[role] else 1.0 for role in ("angle", "omega")]
     speed = raw.numeric(columns.place["omega"])
@@ -616,10 +616,10 @@ def _ask_for_units(raw: RawTable, columns: Columns, quantity: str, options: Read
 
 
 def without_spikes(value: Floats, name: str, notes: list[str], line: Integers | None = None) -> Floats:
-    """Return values in which single samples far from both neighbours are NaN; they are added to `notes`.
+    """Return values in which single samples far from both neighbours are NaN; `notes` reports them.
 
-    A transmission error or a lost point changes one sample: the changes to it and from it have opposite signs and
-    exceed the usual changes of the record by far. Motion and rest, steps of the resolution and wrapped angles do not.
+    A transmission error or a lost point changes one sample: the changes before and after it have opposite signs and far
+    exceed the usual changes of the record. Motion and rest, steps of the resolution and wrapped angles do not.
     """
     known = np.flatnonzero(np.isfinite(value))
     if len(known) < MIN_SAMPLES:
@@ -753,7 +753,7 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
 
 
 def pieces(time: Floats) -> list[slice]:
-    """Return the pieces between gaps: intervals over 20 times the median of eleven, local because a body slows down."""
+    """Return the pieces between gaps: intervals over 20 times the local median of eleven (a body slows down)."""
     step = np.diff(time)
     if not len(step):
         return [slice(0, len(time))]
@@ -763,12 +763,12 @@ def pieces(time: Floats) -> list[slice]:
 
 
 def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
-    """Return the standard uncertainty of each of at least 8 unwrapped samples, from the residuals of local polynomials.
+    """Return the standard uncertainty of each of at least 8 unwrapped samples from residuals of local polynomials.
 
-    Polynomials are fitted to blocks of 15 samples. The variance is the running median of their residual variances over
-    41 blocks, divided by the median of chi2 / dof, which is robust against outliers and follows slow changes. The
-    degree is the lowest of 3, 5 and 7 whose variance is less than 1.6 times that of the next degree, which keeps cubics
-    for noise, white or correlated: of an oscillation with few samples a period, cubics leave a part of the motion.
+    Polynomials are fitted to blocks of 15 samples. The variance is the running median of the residual variances over 41
+    blocks, divided by the median of chi2 / dof; it is robust against outliers and follows slow changes. The degree is
+    the lowest of 3, 5 and 7 whose variance is less than 1.6 times that of the next degree. Cubics are thus used for
+    white and correlated noise; for an oscillation with few samples per period they would leave a part of the motion.
     Errors that vary more slowly than a block (centre offset, tilt) are not included. `floor` is a lower bound, in the
     unit of `value`.
     """
@@ -777,7 +777,7 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
     t, v = time[: count * size].reshape(count, size), value[: count * size].reshape(count, size)
     centre = t.mean(axis=1)
     away = (t - centre[:, None]) / np.maximum(np.ptp(t, axis=1), 1e-300)[:, None] * 2
-    # column j of Q belongs to degree j: the squares of the coefficients beyond a degree are those of its residuals
+    # column j of Q belongs to degree j: the coefficients of higher degrees give the squared residuals of a degree
     orthogonal = np.linalg.qr(legvander(away, min(_DEGREES[-1], size - 1)), mode="complete")[0]
     squares = np.einsum("kij,ki->kj", orthogonal, v - v.mean(axis=1, keepdims=True)) ** 2
     half = _NEIGHBOURS // 2
@@ -792,7 +792,7 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
     sufficient = smooth[:-1] < _INSUFFICIENT * smooth[1:]
     lowest = np.where(sufficient.any(axis=0), sufficient.argmax(axis=0), 0)
     known = smooth[lowest, np.arange(count)]
-    # values that do not change at all, of a body at rest under a coarse resolution, do not show the noise
+    # constant values of a body at rest, measured with a coarse resolution, do not show the noise
     shows = known > floor**2
     if shows.any():
         known = np.where(shows, known, np.median(known[shows]))

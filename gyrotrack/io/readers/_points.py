@@ -16,9 +16,10 @@ from gyrotrack.io.readers._reading import Taken
 
 CENTRES = ("centre", "center", "axis", "axle", "hub", "origin", "middle", "pivot")
 ORBIT = "orbit"
-# rms deviation of a path from a circle about its fitted centre, over the radius; a circle seen at 45 degrees has 0.12
+# largest rms deviation of a path from a circle about its fitted centre, relative to the radius; a circle seen at 45
+# degrees has 0.12
 _LARGEST_DEVIATION = 0.15
-# smallest distance of a centre from that of the path for a doubt, in standard uncertainties and in radii
+# smallest distance between given and fitted centre that triggers a warning, in standard uncertainties and in radii
 _SIGNIFICANT, _LEAST_OFFSET = 3.0, 0.05
 
 
@@ -28,7 +29,7 @@ class Points:
 
     path: Path  # the file
     time: Floats  # shape (n,); times [s], or frame numbers if `counted`
-    # shape (n, 2); x and y of each point; NaN in frames in which it was not tracked
+    # shape (n, 2); x and y of each point; NaN in frames without it
     places: Mapping[str, Floats]
     # shape (n,); likelihood from the other program, 0 to 1; empty if not available
     likelihood: Mapping[str, Floats]
@@ -95,10 +96,10 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
 
 
 def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str, ...]:
-    """Return the doubt about a centre that is not the centre of the path, if the path is a circle.
+    """Return a warning if the path is a circle about a centre that is not the given one.
 
-    The path of a point of a rigid body is a circle about the centre of rotation. The fitted centre has the standard
-    uncertainty of the least-squares fit, with residuals that are as independent as their correlation allows.
+    The path of a point of a rigid body is a circle about the centre of rotation. The standard uncertainty of the fitted
+    centre is that of the least-squares fit, increased for the correlation of the residuals.
     """
     known = arm[np.isfinite(arm).all(axis=1)]
     found = circle_centre(known)
@@ -144,7 +145,7 @@ def _marker_name(points: Points, options: ReadOptions, centre: str | None) -> st
         return _existing(points, options.marker)
     if options.body in points.places:
         return options.body
-    # the origin of a project is not a point of the body, even where another centre is used
+    # the origin of a project is not a point of the body, even if another centre is used
     others = [n for n in points.places if n != centre and n.casefold() not in CENTRES]
     if len(others) != 1:
         raise UsageError(f"{points.path} contains the points {_list(others)}.", "Choose one with --marker.")

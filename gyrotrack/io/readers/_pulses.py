@@ -1,20 +1,19 @@
 """Angles from pulses: times of events, sampled signals, light gates and counters of revolutions.
 
 The angle of pulse k is 2 pi k / N for N pulses per turn, corrected for the errors of the marks. Its uncertainty is
-omega times that of the time, which follows from the scatter of the times about local cubics in k and from the
-resolution of the clock, q / sqrt(12). What was subtracted for the marks is stored as an error mode.
+omega times the uncertainty of the time, which follows from the scatter of the times about local cubics in k and from
+the resolution q of the clock, q / sqrt(12). The correction for the marks is stored as an error mode.
 
-Counts that were sampled so often that some rows have the count of the row before are read at their changes, see
-`from_changes`: equal counts have a common error, which is not noise of each of them.
+If counts were sampled so often that rows repeat the previous count, only their changes are used (`from_changes`): equal
+counts have a common error, not independent noise.
 
 In a sampled signal (the voltage of a photodiode, a Hall sensor or a microphone, the brightness of a window) a pulse is
-where the signal rises through the middle between its local lowest and highest values, after it was in the lower third
-and before it is in the upper third (a Schmitt trigger: noise near the middle makes no pulses). The time of the crossing
-is interpolated linearly between two samples.
+a rise through the middle between the local lowest and highest values, from the lower third to the upper third (a
+Schmitt trigger: noise near the middle causes no pulses). The time of the crossing is interpolated linearly.
 
-A pendulum also passes a light gate again and again, but its passages are not pulses of a rotation. They are recognised
-by what no rotation does: two gates are passed in the order A, B, B, A; or passages take longer and longer relative to
-the time between them, because their duration is inversely proportional to the amplitude.
+A pendulum also passes a light gate repeatedly, but its passages are not pulses of a rotation. They are recognised by
+properties that a rotation does not have: two gates are passed in the order A, B, B, A; or passages become longer
+relative to the time between them, because their duration is inversely proportional to the amplitude.
 """
 
 from __future__ import annotations
@@ -50,11 +49,13 @@ from gyrotrack.io.readers._reading import Reading, Taken
 _CLOCKED = 0.01
 _REGULAR_EDGES = 0.3  # largest relative change (median) between intervals of pulses; noise has 0.7
 _LEVELS = 8  # least number of distinct values of a signal; states of a light gate have two
-_MOSTLY = 0.8  # share of a record with regular pulses from which no drift is looked for
-_MORE = 1.25  # number of pulses without a drift over that with it, from which the drift is removed
+_MOSTLY = 0.8  # smallest share of a record with regular pulses for which no drift is searched
+_MORE = (
+    1.25  # smallest ratio of the numbers of pulses without and with a drift for which the drift is removed
+)
 _PULSES_PER_PART = 6  # number of the longest typical periods in which the extremes are taken
 _EXTREMES = (2.0, 98.0)  # percentiles of the low and the high level
-# least amplitude of a signal relative to its typical one; below it the body is at rest or gone
+# least amplitude of a signal relative to its typical one; below it the body is at rest or absent
 _PRESENT = 0.25
 # least number of samples per pulse (in three of four neighbouring intervals); with fewer, pulses are missed
 _LEAST_SAMPLES = 4.0
@@ -64,32 +65,34 @@ _MAX_MISSED = 20
 _SMOOTHED = 5  # number of intervals of the running median
 _SWING = 0.2  # smallest relative change of the speed between turning points of a driven motion
 _MOST_RISES = 1  # a motor at the start of a record
-# quantile of the periods of a pendulum that none of the longer ones exceeds by this factor, where no passage is missing
+# quantile of the periods of a pendulum, factor by which longer periods do not exceed it unless a passage is missing,
+# and largest share that does
 _SHORT_PERIODS, _LONGER, _MOST_LOST = 0.1, 1.25, 0.3
 _SAME_SPEED = 0.3  # logarithm of the ratio of speeds before and after a time without pulses
-_LEAST_SINGLE = 0.5  # smallest share of times that are not repeated
+_LEAST_SINGLE = 0.5  # smallest share of times without repetition
 _END = 3  # number of intervals at each end that have too few neighbours on one side
 _LINE = 4  # number of intervals whose speed is continued to the ends
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-# relative scatter of the intervals up to which a single interval shows a missed or a double pulse (five of them)
+# largest relative scatter of the intervals for which a single interval shows a missed or double pulse (a fifth of a
+# deviation)
 _REGULAR = 0.13
-_SIGNIFICANT_STEP = 3.5  # smallest step of the counts in standard errors
+_SIGNIFICANT_STEP = 3.5  # smallest significant step of the counts [standard errors]
 _STRETCH = 60  # number of pulses between the knots of the spline through the counts
 _PART = 3000  # number of intervals in which steps of the counts are found together
 _OVERLAP = 300  # ... with this number before and after them
 _MAX_MARKS = 512
-# excess of the cube root of chi2, in its standard deviations, from which marks are unequal
+# smallest excess of the cube root of chi2 for unequal marks [standard deviations]
 _UNEQUAL_MARKS = 3.0
-_MOST_HARMONICS = 32  # number of periods per turn up to which the error of the marks is an error mode
+_MOST_HARMONICS = 32  # largest number of periods per turn in the error mode of the marks
 # smallest share of changes between equally spaced rows, while the body turns, in which a counter does not count, for
 # counts that are coarser than the rows; then only the changes are used
 _IDLE = 0.05
-# speed on one side of a change over that on both sides, from which on the body rests on the other side
+# smallest ratio of the speed on one side of a change to that on both sides for which the body rests on the other side
 _ONE_SIDED = 1.6
-_TURNING = 3.0  # length of a time without counts, over the one before, from which on its ends are samples
-# number of rows whose speed is continued over an interval, and largest part of a turn in it that is not in doubt
+_TURNING = 3.0  # smallest ratio of a time without counts to the previous one for which its ends are samples
+# number of rows whose speed is continued over an interval, and largest unambiguous part of a turn in it
 _ROWS_BEFORE, _PART_OF_TURN = 20, 0.4
-# scatter of the angles over their quantisation from which on it is their uncertainty
+# smallest ratio of the scatter of the angles to their quantisation for which the scatter is their uncertainty
 _BEYOND_QUANTISATION = 1.3
 _MAX_RESTARTS = 3
 # smallest share of passages in the opposite order of the gates to the previous one, for a pendulum
@@ -120,7 +123,7 @@ def signal_columns(raw: RawTable, time_column: int) -> list[int]:
 
 
 def is_regular(edges: Floats) -> bool:
-    """Return whether pulses follow each other as regularly as those of a rotation."""
+    """Return whether pulses are as regular as those of a rotation."""
     step = np.diff(edges)
     return len(step) > 2 and float(np.median(np.abs(np.diff(np.log(step))))) < _REGULAR_EDGES
 
@@ -128,7 +131,7 @@ def is_regular(edges: Floats) -> bool:
 def rising_edges(time: Floats, signal: Floats, name: str, notes: list[str]) -> tuple[Floats, Integers]:
     """Return the times at which a signal rises through its local middle, and the sample after each, both (pulses,).
 
-    Only the longest stretch with enough samples per pulse is used: beyond it, pulses are lost between samples.
+    Only the longest stretch with enough samples per pulse is used; elsewhere pulses are lost between samples.
 
     Raises
     ------
@@ -158,10 +161,10 @@ def rising_edges(time: Floats, signal: Floats, name: str, notes: list[str]) -> t
 
 
 def _without_drift(time: Floats, signal: Floats) -> Floats:
-    """Return a signal less its running mean where that reveals pulses; else as it is.
+    """Return a signal minus its running mean if this reveals pulses; otherwise the signal.
 
-    A drift larger than the amplitude hides pulses from the local extremes. The width of the mean is halved from half
-    of the record on; it must contain two typical periods, and raise the number of pulses by a quarter or more.
+    Because of a drift larger than the amplitude, local extremes do not show pulses. The width of the mean begins with
+    half of the record and is halved repeatedly; it must contain two typical periods and give a quarter more pulses.
     """
     edges, after = _local_edges(time, signal)
     best, (most, period) = signal, _regular_pulses(edges, after)
@@ -183,14 +186,14 @@ def _without_drift(time: Floats, signal: Floats) -> Floats:
 
 
 def _regular_pulses(edges: Floats, after: Integers) -> tuple[int, float]:
-    """Return the number of pulses and their typical period in samples; 0 unless they follow each other regularly."""
+    """Return the number of pulses and their typical period in samples; 0 unless they are regular."""
     if len(edges) < _NEIGHBOURS or not is_regular(edges):
         return 0, 0.0
     return len(edges), float(np.median(np.diff(after)))
 
 
 def _local_edges(time: Floats, signal: Floats) -> tuple[Floats, Integers]:
-    """Return the rising edges by the extremes of parts of a few of the longest typical periods."""
+    """Return the rising edges from the extremes of parts with a length of a few longest typical periods."""
     part = len(signal)
     while True:
         edges, after = _edges(time, signal, part)
@@ -306,7 +309,7 @@ def _times_of_intervals(raw: RawTable, interval: Floats) -> Floats:
     wrong = ~(interval > 0)
     if wrong.any():
         what = f"{raw.path}, line {raw.line[np.argmax(wrong)]}: the interval is missing or not positive."
-        raise DatasetError(what, "Give a record without it: times after it are unknown.")
+        raise DatasetError(what, "Give a record without this interval, after which times are unknown.")
     return np.cumsum(interval)
 
 
@@ -330,7 +333,7 @@ def _signals(raw: RawTable, place: int, options: ReadOptions) -> list[int]:
 def _pulses_of_signal(
     raw: RawTable, columns: list[int], time: Floats, rows: Integers, notes: list[str]
 ) -> tuple[Floats, Integers, str] | None:
-    """Return times, lines and column of the rising edges of the one signal that has regular ones; None if none has.
+    """Return times, lines and column of the rising edges of the one signal with regular edges; None without one.
 
     Raises
     ------
@@ -411,7 +414,7 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
         return Passages(raw.path, 0.5 * (begin + end), end - begin, (*raw.notes, *notes))
     both = np.concatenate([np.column_stack([b, np.full(len(b), k)]) for k, b in enumerate(blocked)])
     both = both[np.argsort(both[:, 0] + both[:, 1])]
-    # intervals of the two gates that follow each other more closely than the next passage
+    # intervals of the two gates that are closer to each other than to the next passage
     step, order = np.diff(0.5 * (both[:, 0] + both[:, 1])), np.diff(both[:, 2])
     first = np.flatnonzero((order != 0) & (step < 0.5 * np.append(step[1:], np.inf)))
     if len(first) < MIN_SAMPLES:
@@ -447,7 +450,7 @@ def refuse_passages(raw: RawTable, options: ReadOptions) -> None:
 
 
 def _slows_down(blocked: Floats) -> bool:
-    """Return whether the passages of a gate take longer and longer relative to the time between them."""
+    """Return whether the passages of a gate become longer relative to the time between them."""
     middle, duration = 0.5 * blocked.sum(axis=1), np.diff(blocked, axis=1)[:, 0]
     share = np.log(duration[1:-1] / (middle[2:] - middle[:-2]))
     part = len(share) // 4
@@ -524,15 +527,16 @@ def from_events(
 def varies_both_ways(time: Floats) -> bool:
     """Return whether the speed of pulses rises and falls repeatedly, which shows a drive.
 
-    Single intervals, in which pulses are missed or doubled, are removed by a running median; of what remains, the
-    turning points are those that are at least `_SWING` of the speed apart, beyond the scatter of the intervals.
+    A running median removes single intervals with missed or double pulses. Turning points of the result differ by at
+    least `_SWING` of the speed, in addition to the scatter of the intervals.
     """
     interval = np.diff(time)
     if len(interval) < 3 * _SMOOTHED:
         return False
     logs = -np.log(interval)
     smooth = median_filter(logs, _SMOOTHED, mode="nearest")
-    # the median of n normal values has an error of 1.25 s / sqrt(n); m such errors range over 2 sqrt(2 ln m) times that
+    # the median of n normal values has an error of 1.25 s / sqrt(n); the range of m such errors is 2 sqrt(2 ln m) times
+    # larger
     error = 1.25 * 1.483 * float(np.median(np.abs(logs - smooth))) / np.sqrt(_SMOOTHED)
     least = max(_SWING, error * (2 * np.sqrt(2 * np.log(len(logs))) + 1))
     return rises(smooth, least) >= _MOST_RISES + 1
@@ -560,7 +564,7 @@ def _with_missed_pulses(
 
 
 def _refuse_gap(raw: RawTable, step: Floats, ratio: Floats, counted: Floats, line: Integers) -> None:
-    """Refuse a long time without pulses before and after which the body turns at the same speed: it did not rest."""
+    """Refuse a long time without pulses if the speed is the same before and after: the body was not at rest."""
     inner = np.arange(_END, len(step) - _END)
     if not len(inner):
         return
@@ -577,11 +581,11 @@ def _refuse_gap(raw: RawTable, step: Floats, ratio: Floats, counted: Floats, lin
 
 
 def _steps_of_jittering_counts(time: Floats) -> Integers | None:
-    """Return the pulses missed before each pulse, -1 for a double one; None if single intervals show them.
+    """Return the number of pulses missed before each pulse, -1 for a double pulse; None if single intervals show it.
 
-    Where the times scatter by a large share of an interval, one interval does not show whether a pulse is missed. But
-    every later count is then too small by one: the counts are described by a cubic spline in time, and steps by whole
-    numbers are added or removed at irregular intervals, one at a time, as long as one is more than a half.
+    If the times scatter by a large share of an interval, one interval does not show whether a pulse is missed, but all
+    later counts are then too small by one. The counts are described by a cubic spline in time, and whole steps are
+    added or removed at irregular intervals, one at a time, until none is larger than a half.
     """
     interval = np.diff(time)
     if len(interval) < _STRETCH:
@@ -591,7 +595,7 @@ def _steps_of_jittering_counts(time: Floats) -> Integers | None:
     if spread < _REGULAR:
         return None
     steps = np.zeros(len(time), dtype=np.int64)
-    # time and memory for a part grow with the square of its length; at its ends steps are uncertain
+    # time and memory for a part increase with the square of its length; steps at its ends are uncertain
     for first in range(0, len(interval), _PART):
         begin, end = max(first - _OVERLAP, 0), min(first + _PART + _OVERLAP, len(interval))
         found = _steps_of_part(time[begin : end + 1], ratio[begin:end], spread)[first - begin :][:_PART]
@@ -600,7 +604,7 @@ def _steps_of_jittering_counts(time: Floats) -> Integers | None:
 
 
 def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
-    """Return the steps at the pulses but the first, by intervals over their local typical values and their scatter."""
+    """Return the steps at all pulses except the first, from the ratios of intervals to local typical values."""
     count, steps = np.arange(len(time), dtype=float), np.zeros(len(time), dtype=np.int64)
     x = np.linspace(0, 1, len(time))
     knots = np.arange(1, max(1, len(time) // _STRETCH)) * _STRETCH / len(time)
@@ -640,11 +644,11 @@ def _typical_interval(step: Floats) -> Floats:
 
 
 def _ratios_at_end(step: Floats) -> Floats:
-    """Return intervals over those that continue the speed of the previous ones; only the last `_END` are changed.
+    """Return the ratios of intervals to those expected from the previous speed; only the last `_END` are changed.
 
-    At the end of a motion the later intervals are unknown: an interval of twice the length is a missed pulse, or a body
-    that comes to rest. The speed 1/T of the previous intervals is continued by a line in time, v - a s, over half of T0
-    and half of the next interval T, T0 being the previous one: T (v - a (T0 + T) / 2) = 1.
+    At the end of a motion later intervals are unknown: an interval of twice the length is a missed pulse, or a body
+    that comes to rest. The speed 1/T of the previous intervals is continued by a line in time, v - a s, over half of
+    the previous interval T0 and half of the next interval T: T (v - a (T0 + T) / 2) = 1.
     """
     regular, ratio = step.copy(), np.ones(len(step))
     for k in range(max(len(step) - _END, _LINE), len(step)):
@@ -654,7 +658,7 @@ def _ratios_at_end(step: Floats) -> Floats:
         b = speed + rate * before[-1] / 2
         discriminant = b * b + 2 * rate
         if b <= 0 or discriminant <= 0:
-            break  # it comes to rest within the interval
+            break  # the body comes to rest within the interval
         expected = 2 / (b + np.sqrt(discriminant))
         ratio[k] = step[k] / expected
         regular[k] = step[k] / max(np.round(ratio[k]), 1.0)
@@ -662,10 +666,10 @@ def _ratios_at_end(step: Floats) -> Floats:
 
 
 def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return which pulses to keep: of two closer than 0.35 typical intervals, the more regular one.
+    """Return a mask of the pulses to keep: of two pulses closer than 0.35 typical intervals, the more regular one.
 
-    Without the other one, the interval that contains the short one is a whole number of typical intervals: one after a
-    double pulse, two after a pulse that is displaced by more than half an interval, which then counts as missed.
+    After the other pulse is removed, the merged interval is a whole number of typical intervals: one for a double
+    pulse, two for a pulse displaced by more than half an interval, which is then a missed pulse.
     """
     keep = np.ones(len(time), dtype=bool)
     for _ in range(20):
@@ -677,7 +681,7 @@ def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
             before = step[k - 1] if k else np.inf
             after = step[k + 1] if k + 1 < len(step) else np.inf
             if k <= last + 2 or min(before, after) + step[k] > 1.6 * usual[k]:
-                continue  # next to an excluded one, or jitter of one pulse
+                continue  # next to an excluded pulse, or jitter of one pulse
             later = _irregularity((after + step[k]) / usual[k]) < _irregularity((before + step[k]) / usual[k])
             keep[index[k + 1 if later else k]] = False
             last, dropped = k, True
@@ -687,14 +691,14 @@ def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 
 def _irregularity(ratio: float) -> float:
-    """Return the deviation of an interval from a whole number of typical ones, |ln(ratio / n)|."""
+    """Return the deviation of an interval from a whole number n of typical intervals, |ln(ratio / n)|."""
     return abs(float(np.log(ratio / max(np.round(ratio), 1.0)))) if np.isfinite(ratio) else np.inf
 
 
 def from_counts(
     raw: RawTable, time: Floats, count: Floats, line: Integers, per_turn: float, notes: list[str]
 ) -> MotionTable:
-    """Return the angle at times with known counts, with the uncertainty that results from that of the times."""
+    """Return the angle at times with known counts, with the uncertainty due to that of the times."""
     errors, modes = mark_errors(time, count, per_turn, raw, notes)
     angle = TURN * (count - errors) / per_turn
     clock = _clock_resolution(time)
@@ -715,10 +719,9 @@ def mark_errors(
 ) -> tuple[Floats, tuple[ErrorMode, ...]]:
     """Return the position error of the mark of each pulse, in pulses, and the errors that remain, as error modes.
 
-    The error of a mark is its median over all turns from positions that are interpolated between the times of mark 0
-    by a cubic spline, less their mean in each turn. It is subtracted if the marks differ significantly. An unbalance or
-    another torque of the angle displaces the pulses alike, so that the harmonics of the angle remain uncertain by as
-    much as was subtracted.
+    The error of a mark is the median over all turns of its deviation from a cubic spline between the times of mark 0,
+    minus the mean deviation of each turn. It is subtracted if the marks differ significantly. An unbalance or another
+    torque of the angle displaces the pulses in the same way, so the subtracted amount remains an uncertainty.
     """
     marks = round(per_turn)
     none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()
@@ -732,7 +735,7 @@ def mark_errors(
     off = count[inside] - CubicSpline(time[zero], count[zero])(time[inside])
     number = np.bincount(kind[inside], minlength=marks)
     of_mark = np.split(np.argsort(kind[inside], kind="stable"), np.cumsum(number)[:-1])
-    # the position of mark 0 at both ends of a turn displaces all marks of the turn alike
+    # the position of mark 0 at both ends of a turn displaces all marks of the turn by the same amount
     apart = off.copy()
     for pulses in of_mark:
         apart[pulses] -= np.median(off[pulses])
@@ -758,7 +761,7 @@ def mark_errors(
 def _mark_mode(errors: Floats, kind: Integers) -> ErrorMode:
     """Return the error mode of marks with these errors [rad]: harmonics of the angle, repeated in each turn.
 
-    The variance of a harmonic is that of the errors at it, at least that of independent errors of the marks.
+    The variance of a harmonic is that of this harmonic of the errors, at least that of independent errors of marks.
     """
     marks = len(errors)
     harmonics = np.arange(1, min(marks // 2, _MOST_HARMONICS) + 1)
@@ -798,7 +801,7 @@ def read_counter(
 ) -> MotionTable:
     """Return the angle of a body from a counter of its revolutions (or pulses), at the times of its steps.
 
-    Some loggers write the count one row late: of both interpretations, that with the more regular intervals is used.
+    Some loggers write the count one row late: the interpretation with the more regular intervals is used.
     """
     notes = list(raw.notes)
     ticks = raw.numbers(time_column, "t", times=True)
@@ -863,7 +866,7 @@ def read_counter(
 def _reading_of_counter(
     raw: RawTable, time_column: int, column: int, unit: str, scale: float, why: str, options: ReadOptions
 ) -> Reading:
-    """Return what the columns of a counter were taken for; `scale` is the factor of its times to seconds."""
+    """Return the meaning of the columns of a counter; `scale` is the factor of its times to seconds."""
     by = "the first column" if not raw.headed else "by its name"
     taken = (
         Taken(column_name(raw, time_column), "time", unit or _TICK_UNITS.get(scale, "s"), by),
@@ -874,9 +877,9 @@ def _reading_of_counter(
 
 
 def counts_coarsely(time: Floats, count: Floats) -> bool:
-    """Return whether a counter was sampled at equal intervals, so often that it does not count in some of them.
+    """Return whether a counter was sampled at equal intervals, some of which are without a new count.
 
-    Rows before the first change and after the last one, and other long times without counts, are those of a rest.
+    In rows before the first and after the last change, and in other long times without counts, the body is at rest.
     """
     rows = np.diff(np.flatnonzero(np.diff(count)))
     if not len(rows) or not is_sampled(time):
@@ -890,11 +893,11 @@ def from_changes(
 ) -> MotionTable:
     """Return the angle of a body at the changes of its counts, which were sampled at equal intervals.
 
-    Rows with the same count have the same error of up to a step of the angle and say nothing more than the first one.
-    Where the body turns by r < 1 steps between two rows, it passes the boundary of two counts at their middle with an
-    uncertainty of r / sqrt(12) steps; where r > 1, or where it passes several boundaries, as between rows with missing
-    ones in between, each row is the middle of its count with 1 / sqrt(12) steps. Where the body reverses or rests, the
-    ends of the time without counts are in the middle of its count.
+    Rows with the same count have the same error of up to a step of the angle, so later ones contain no information. If
+    the body turns by r < 1 steps between two rows, it passes the boundary of two counts at their middle with an
+    uncertainty of r / sqrt(12) steps. If r > 1, or if it passes several boundaries (as between rows with missing rows),
+    each row is at the middle of its count within 1 / sqrt(12) steps. If the body reverses or rests, the ends of the
+    time without counts are at the middle of the count.
     """
     at = np.flatnonzero(np.diff(count)) + 1
     if len(at) < MIN_SAMPLES:
@@ -933,9 +936,9 @@ def from_changes(
 
 
 def _turned_within(time: Floats, count: Floats, at: Integers) -> Floats:
-    """Return by how many counts a body turns between the rows before and after each change, (changes,).
+    """Return the number of counts by which a body turns between the rows before and after each change, (changes,).
 
-    Its speed is that of the two changes before and after; beside a rest, that of the side on which it turns.
+    Its speed is that between the changes before and after; next to a rest, that on the side on which it turns.
     """
     turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(count)))])[at]
     here = np.arange(len(at))
@@ -973,7 +976,7 @@ def _roughness(time: Floats, count: Floats) -> float:
 def clock_scale(raw: RawTable, ticks: Floats) -> float:
     """Return the factor to seconds of integer times: us for steps of at least 1000, ms for steps of more than 10.
 
-    Steps of more than five seconds in us are in doubt, and a DatasetError asks for the unit.
+    Steps of more than five seconds in us are ambiguous: a DatasetError requests the unit.
     """
     known = ticks[np.isfinite(ticks)]
     if not len(known) or (known != np.round(known)).any():
@@ -986,9 +989,9 @@ def clock_scale(raw: RawTable, ticks: Floats) -> float:
 
 
 def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:
-    """Return the column with the counts of an encoder that were sampled, by several counts a row; None without one.
+    """Return the column with sampled counts of an encoder, with several counts per row; None without such a column.
 
-    The table is read with a number of pulses per turn; without header, the second of two columns may be the counts.
+    The number of pulses per turn is given; without a header, the second of two columns may be the counts.
     """
     place = columns.get("revolutions")
     if place is None and not raw.headed and len(raw.names) == 2 and not columns.keys() - {"t"}:
@@ -1043,8 +1046,8 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
 def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
     """Return the angles at the changes of sampled counts.
 
-    None if at most 5 % of the rows repeat the count before while the body turns, if the times do not increase, or if a
-    count that restarts at each turn does not show the number of turns between two rows.
+    None if at most 5 % of the rows repeat the previous count while the body turns, if the times do not increase, or if
+    a count that restarts at each turn does not determine the number of turns between two rows.
     """
     time = angles.numbers(0, "t") * scale_of(angles, "t", angles.units[0])
     per_turn = options.pulses_per_turn or 1.0
@@ -1064,7 +1067,7 @@ def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
 
 
 def _turns_are_known(time: Floats, total: Floats, per_turn: float) -> bool:
-    """Return whether the speed of the rows before each interval is less than 0.4 turns in it."""
+    """Return whether the previous speed gives less than 0.4 turns in each interval."""
     here = np.arange(len(time) - 1)
     before = np.maximum(here - _ROWS_BEFORE, 0)
     past = np.where(here > before, time[here] - time[before], np.inf)
@@ -1107,7 +1110,7 @@ def _continued_count(count: Floats) -> tuple[Floats, int]:
 def counters_of(raw: RawTable) -> list[int]:
     """Return the counters among the columns of a table without header: integers that increase in steps of 1.
 
-    A column in which every row counts is the number of the row, unless the rows are at the irregular times of pulses.
+    A column that counts in every row contains row numbers, unless the rows are at the irregular times of pulses.
     """
     found = []
     time = raw.numeric(0)

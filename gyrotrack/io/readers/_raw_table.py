@@ -1,6 +1,6 @@
 """Tables before interpretation: named columns of numbers or text, and the limits of what is read.
 
-Units in a header, of seconds, angles and angular velocities, have factors to s, rad and rad/s.
+Units of times, angles and angular velocities in a header are converted to s, rad and rad/s by factors.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from gyrotrack._errors import DatasetError
 from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._records import Floats, Integers
 
-# limits of a table, so that no file takes more than about 1 GB of memory while it is read
+# limits of a table, so that reading a file takes at most about 1 GB of memory
 MAX_BYTES = 2**28  # of a file, and of what an archive expands to
 MAX_ROWS = 5_000_000
 MAX_COLUMNS = 5_000
 MAX_CELLS = 10_000_000  # cells of text; numbers take a tenth of their memory
 _LONGEST_NAME = 500  # characters of a header
-_LONGEST_UNIT = 30  # characters of a unit that no table of units contains
+_LONGEST_UNIT = 30  # characters of a unit that is not in the tables below
 # errors of spreadsheets
 CELL_ERRORS = ("#n/a", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!")
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", *CELL_ERRORS}
@@ -67,7 +67,7 @@ class RawTable:
     def numbers(self, index: int, name: str = "", *, times: bool = False, infinite: bool = False) -> Floats:
         """Return a column as numbers; NaN for empty cells, and a DatasetError for cells of text.
 
-        Loggers write inf after a division by zero: it is NaN without `infinite`.
+        Loggers write inf after a division by zero; it becomes NaN unless `infinite` is set.
         """
         values = self._parsed(index, name, times=times)
         return values if infinite else np.where(np.isinf(values), np.nan, values)
@@ -106,7 +106,7 @@ def refuse_size(path: Path, rows: int, columns: int) -> None:
 
 
 def refuse_long_names(path: Path, names: Sequence[str]) -> None:
-    """Raise a DatasetError for headers that are not names of columns."""
+    """Raise a DatasetError if a header is too long for the name of a column."""
     if (longest := max(map(len, names), default=0)) > _LONGEST_NAME:
         what = f"{path}: a cell of the header has {longest:,} characters; at most {_LONGEST_NAME} are read."
         raise DatasetError(what, "Check the header.")
@@ -140,7 +140,7 @@ def is_number(text: str) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the bytes of a file; a DatasetError says that it is missing, not a regular file, or too large."""
+    """Return the bytes of a file; raise a DatasetError if it is missing, not a regular file, or too large."""
     refuse_special(path)
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -192,12 +192,15 @@ _HEADER_WORDS = {
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
 
-# units that also stand alone in a header, instead of a name; shorter ones may be symbols of something else
+# units that may replace the name in a header; shorter units may be symbols of other quantities
 _NAMED_BY_UNIT = {
     unit for role in ("angle", "omega") for unit in UNITS[role] if len(unit) > 2
 } | {"ms", "us", "sec", "seconds", "milliseconds", "microseconds"}  # fmt: skip
 
-_TICKS = {"millis": "ms", "micros": "us"}  # functions of microcontrollers that give times, and their units
+_TICKS = {
+    "millis": "ms",
+    "micros": "us",
+}  # functions of microcontrollers that return times, and the units of these times
 
 _AMBIGUOUS = {"grad", "grade", "grads"}  # degrees in German, gon elsewhere
 
@@ -223,7 +226,7 @@ def is_unit(text: str) -> bool:
 
 
 def factor(role: str, unit: str) -> float | None:
-    """Return the factor of a unit to SI for a role (any if empty), with `pint` if installed; None if it is unknown."""
+    """Return the factor of a unit to SI for a role (any if empty), from `pint` if installed; None if unknown."""
     bare = clean(unit)
     if bare.casefold() in _AMBIGUOUS:
         return None
@@ -248,7 +251,7 @@ def _by_pint(role: str, unit: str) -> float | None:
 
 @cache
 def _unit_registry() -> Any:
-    """Return the units of pint, which take half a second to load."""
+    """Return the unit registry of pint, which takes half a second to load."""
     import pint
 
     return pint.UnitRegistry()

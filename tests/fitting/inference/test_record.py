@@ -280,7 +280,7 @@ def test_times_that_are_not_increasing_are_refused(what):
     time, value, sigma = arrays()
     time = time.copy()
     time[40] = time[39]
-    with pytest.raises(RecordError, match=f"times of the {what} do not grow"):
+    with pytest.raises(RecordError, match=f"times of the {what} are not strictly increasing"):
         made(**{what: (time, value, sigma) if what == "casing" else [(time, value, sigma)]})
 
 
