@@ -10,6 +10,7 @@ from linearised import covariance, gyroscope
 from scipy.stats import chi2
 
 from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError, effect_name
+from fitting import Model as Laws
 from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as module
 from fitting.discovery._lack_of_fit import HarmonicTest, PeriodogramPeak, SmoothTest
@@ -136,6 +137,64 @@ class TestTorques:
         size = of_base if from_base else of_end
         assert casing == pytest.approx(drag + 1e-6 * size * within, abs=1e-12)
         assert rotor == pytest.approx(-3e-6 * size * within, abs=1e-12)
+
+    @pytest.mark.parametrize(("name", "key", "bodies"), [(DRAG, "k", 1), (BEARING, "e", 2)])
+    def test_the_error_of_a_shape_is_what_the_best_scaled_law_leaves(self, name, key, bodies):
+        """A power 1.7 of the speed beside the square; a law of the bearing acts on both bodies."""
+        law, strength = LIBRARY[name], {DRAG: K, BEARING: 1e-11}[name]
+        freed = with_shape_parameter(law)
+        end = gyroscope((*LINEAR, name), {f"{name}.{key}": 2 * strength})
+        own = {f"{name}.{key}": 3 * strength, f"{name}.n": 1.7}
+        fit = gyroscope(Laws.of(LINEAR).with_effect(freed), own)
+        omega_r, omega_c = speeds(end)
+        speed = omega_c if name == DRAG else omega_r - omega_c
+        power, square = np.abs(speed) ** 1.7, speed**2
+        rest = power - square * (power @ square) / (square @ square)
+        left = (3 * strength) ** 2 * np.mean(rest**2)
+        torques = Torques(lawful(), end, residual=False)
+        of_unmodelled, of_law, rms = torques.shape_error(law, freed, fit)
+        assert of_unmodelled == pytest.approx(left / np.mean((2 * strength * square) ** 2), rel=1e-4)
+        assert of_law == pytest.approx(np.mean(rest**2) / np.mean(power**2), rel=1e-4)
+        assert rms == pytest.approx(math.sqrt(left), rel=1e-4)
+        # no more than all of it
+        tiny = gyroscope((*LINEAR, name), {f"{name}.{key}": 1e-3 * strength})
+        assert Torques(lawful(), tiny, residual=False).shape_error(law, freed, fit)[0] == 1.0
+
+    def test_the_rms_of_an_error_of_a_shape_is_the_mean_of_the_cases(self):
+        law = LIBRARY[DRAG]
+        freed = with_shape_parameter(law)
+        values = {f"{DRAG}.k": K, f"{DRAG}.n": 1.7}
+
+        def found(cases):
+            end = lawful(DRAG, drag=K, cases=cases)
+            fit = gyroscope(Laws.of(LINEAR).with_effect(freed), values, cases=cases)
+            return Torques(lawful(cases=cases), end, residual=False).shape_error(law, freed, fit)
+
+        assert found(("a", "b")) == pytest.approx(found(("a",)), rel=1e-6)
+
+    def test_a_slow_residual_takes_the_place_of_the_curves_of_its_case(self, monkeypatch):
+        base, end = lawful(), lawful(DRAG, drag=K)
+        time = np.array([2.0, 20.0])
+        curves = [ResidualTorque("case", "casing", time, 1e-6 * np.ones(2), time, time, time)]
+        monkeypatch.setattr(module, "residual_torques", lambda fit: curves)
+        monkeypatch.setattr(module, "_slow_residual", lambda fit, case: (time, 5e-6 * np.ones(2)))
+        (((rotor, casing), _),) = Torques(base, end, residual=True).unmodelled
+        assert casing == pytest.approx(5e-6 - K * speeds(end)[1] ** 2, abs=1e-12)
+        assert rotor == pytest.approx(np.zeros(2000), abs=1e-14)
+
+    def test_of_the_base_alone_its_own_curves_are_all(self, monkeypatch):
+        base = lawful()
+        time = np.array([2.0, 20.0])
+        asked = []
+
+        def curves(fit):
+            asked.append(fit)
+            return [ResidualTorque("case", "casing", time, 1e-6 * np.ones(2), time, time, time)]
+
+        monkeypatch.setattr(module, "residual_torques", curves)
+        (((_, casing), _),) = Torques(base, base, residual=True).unmodelled
+        assert casing == pytest.approx(1e-6 * np.ones(2000))
+        assert asked == [base]
 
     def test_amplitudes_of_laws_of_an_angle(self):
         found = module._amplitudes(lawful(UNBALANCE, unbalance=2.0, phi=0.5), 0)
