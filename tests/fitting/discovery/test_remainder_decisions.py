@@ -196,6 +196,41 @@ class TestTorques:
         assert casing == pytest.approx(1e-6 * np.ones(2000))
         assert asked == [base]
 
+    @pytest.mark.parametrize(("of_end", "of_fit"), [(True, True), (True, False), (False, False)])
+    def test_net_torques_are_those_along_the_motion_of_the_last_fit(self, monkeypatch, of_end, of_fit):
+        """A temperature is that of the fit, and a deflection that of the motion about the equilibrium of the fit."""
+        monkeypatch.setattr(module, "Sampler", lambda mesh, t: SimpleNamespace(value=np.copy))
+        states = {"omega_r": [1.0, 2.0], "omega_c": [3.0, 4.0], "deflection": [0.1, 0.3]}
+        own = {"omega_r": [9.0, 9.0], "omega_c": [8.0, 8.0], "T": [5.0, 6.0], "deflection": [1.5, 2.5]}
+        asked = []
+
+        def rates(t, y, numbers):
+            asked.append((t, y.T.tolist(), numbers))
+            return np.array([[1.0, 10.0], [2.0, 20.0]])
+
+        def fit(columns, restoring, numbers):
+            path = SimpleNamespace(mesh=None, y=np.array(list(columns.values())).T, states=tuple(columns))
+            return SimpleNamespace(
+                predictions=[SimpleNamespace(path=path)], model=SimpleNamespace(restoring=restoring), theta=None,
+                problem=SimpleNamespace(
+                    cases=[SimpleNamespace(dynamics=SimpleNamespace(rates=rates))],
+                    layout=SimpleNamespace(numbers=lambda theta, case: numbers),
+                ),
+            )  # fmt: skip
+
+        inertia = {module.INERTIA_ROTOR: 3.0, module.INERTIA_CASING: 0.5}
+        torques = Torques.__new__(Torques)
+        torques._time = ["times"]
+        torques._end = fit(states, of_end, {"a.k": 7.0, "b.k": 8.0} | inertia)
+        rotor, casing = torques._smooth(fit(own, of_fit, {"a.k": 1.0} | inertia), 0)
+        assert (rotor.tolist(), casing.tolist()) == ([3.0, 6.0], [5.0, 10.0])
+        ((t, y, numbers),) = asked
+        assert t == "times"
+        assert y[:3] == [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]
+        assert y[3] == pytest.approx([1.9, 2.1])
+        # without a restoring torque its other parameters have no meaning beside an oscillation
+        assert numbers == {"a.k": 7.0 if of_end and not of_fit else 1.0} | inertia
+
     def test_amplitudes_of_laws_of_an_angle(self):
         found = module._amplitudes(lawful(UNBALANCE, unbalance=2.0, phi=0.5), 0)
         assert found == {(1, UNBALANCE): pytest.approx(2.0 * np.exp(0.5j))}
