@@ -268,6 +268,15 @@ class TestSets:
         assert [r.names for r in found] == [("e0",), ("e1",)]
         assert [r.weight for r in found] == pytest.approx([1.0, 1.0])
 
+    @pytest.mark.parametrize(("determinant", "count"), [(2e-6, 2), (5e-7, 0)])
+    def test_two_nearly_equal_responses_are_not_a_set(self, determinant, count):
+        """Their difference would describe what a third effect describes."""
+        base, a, b, c, *_ = self.axes.T
+        second = self.near(a, b, math.sqrt(1 - determinant))
+        columns = np.column_stack([base, a, second, self.near(b, c)])
+        found = self.found(columns, 10.0 * b, [{"lower": -np.inf}] * 2 + [{}])
+        assert [r.names for r in found] == [("e2",), ("e0", "e1")][:count]
+
     def test_each_free_parameter_costs_the_logarithm_of_the_rows(self):
         base, a, *_ = self.axes.T
         found = self.found(np.column_stack([base, a, a]), 10.0 * a, [{"free": 2}, {"free": 1}])

@@ -68,6 +68,12 @@ class TestResponses:
         found = self.made(pair, 2, effect=LIBRARY["casing.precession"])
         assert (np.linalg.norm(found.basis, axis=0) > 0.5).sum() == directions
 
+    @pytest.mark.parametrize(("square", "directions"), [(3e-7, 1), (3e-6, 2)])
+    def test_a_direction_with_a_millionth_of_the_response_is_none(self, square, directions):
+        pair = np.eye(30)[:, :2] * [5.0, 5.0 * math.sqrt(square)]
+        found = self.made(pair, 2, effect=LIBRARY["casing.precession"])
+        assert np.count_nonzero(np.linalg.norm(found.basis, axis=0)) == directions
+
     @pytest.mark.parametrize(
         ("effect", "width", "one_sided"),
         [("casing.air.quadratic", 1, True), ("external.constant", 1, False), ("casing.precession", 2, False)],
@@ -388,6 +394,12 @@ class TestCurves:
         found = module._smallest_score(null, lambda p, weights: float(p @ weights), factor, 0.03)
         assert found == pytest.approx(norm.isf(0.03 / factor) ** 2, rel=1e-6)
 
+    def test_a_large_score_may_be_needed(self):
+        null = lambda score: np.array([math.exp(-score / 300.0)])  # noqa: E731 - a heavy tail
+        null.weights = np.ones(1)
+        found = module._smallest_score(null, lambda p, weights: float(p @ weights), 1.0, 0.03)
+        assert found == pytest.approx(-300.0 * math.log(0.03), rel=1e-4)
+
     def test_the_shape_with_the_median_limit(self):
         root = np.array([1.0, 0.0, 4.0, 2.0])
         torque = np.array([3.0, 1.0, 4.0, 8.0])
@@ -693,6 +705,10 @@ class TestTorqueOfUnitStrength:
         found = bare(cases=["a", "b"])._runs(DRAG, 2.0, 4.0)
         assert found / 2 * 4.0 >= 16.0 + math.log(found / 2) > (found - 1) / 2 * 4.0 - 0.2
         assert found == 9.0
+
+    @pytest.mark.parametrize(("needed", "runs"), [(90.0, 8110.0), (101.0, math.inf)])
+    def test_more_than_ten_thousand_runs_are_not_counted(self, needed, runs):
+        assert bare(cases=["a"])._runs(DRAG, 1.0, needed) == runs
 
 
 class TestAlike:

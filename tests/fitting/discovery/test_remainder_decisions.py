@@ -16,10 +16,18 @@ from fitting.discovery import _remainder as module
 from fitting.discovery._lack_of_fit import HarmonicTest, PeriodogramPeak, SmoothTest
 from fitting.discovery._named_effect import FormTest
 from fitting.discovery._refine import with_shape_parameter
-from fitting.discovery._remainder import Torques, better_law, grade, nuisance_parameters, ranges_of
+from fitting.discovery._remainder import (
+    Torques,
+    better_law,
+    grade,
+    nuisance_parameters,
+    ranges_of,
+    smooth_law,
+)
 from fitting.discovery._residuals import ResidualTorque
 from fitting.discovery._select import Selection
 from fitting.dynamics._collocation import Sampler
+from fitting.effects._expression import Tape
 
 DRAG, BEARING = "casing.air.quadratic", "bearing.quadratic"
 UNBALANCE = "casing.unbalance"
@@ -378,6 +386,18 @@ class TestBetterLaw:
         assert self.laws(monkeypatch, DRAG, failing=("omega_r",)) == ["delta"]
 
 
+def test_a_smooth_law_is_a_cubic_spline_with_four_inner_knots():
+    law = smooth_law("bearing", "delta", (0, 2, 3), 10.0, 30.0)
+    x = np.linspace(0.0, 1.0, 7)
+    terms = [x**0, x**2, x**3, *(np.abs(x - k) ** 3 for k in (0.2, 0.4, 0.6, 0.8))]
+    names = [p.symbol for p in law.parameters]
+    assert len(names) == len(terms)
+    assert all(p.lower == -np.inf for p in law.parameters)
+    for name, term in zip(names, terms, strict=True):
+        known = {"delta": 10.0 + 20.0 * x} | {n: float(n == name) for n in names}
+        assert np.asarray(Tape([law.expression])(known)[0]) * np.ones(7) == pytest.approx(term)
+
+
 class TestComplete:
     """The grade of an effect with which the residuals are consistent with noise."""
 
@@ -556,7 +576,7 @@ class TestGrade:
             in size.remainder.sentence
         )
         # of a significant lack of fit only the unmodelled torque counts
-        if whole.endswith("quadratic"):
+        if whole.startswith("torque of"):
             size = self.graded(monkeypatch, share=share, shape=shape, end=end, misfit=True)
             assert size.explained == pytest.approx(0.75)
 
@@ -618,17 +638,19 @@ def test_the_likelihood_ratio_of_nested_fits(smaller, larger, fall, p):
     assert module._likelihood_ratio(one, other) == pytest.approx(p)
 
 
-def test_amplitudes_of_the_camera_are_those_of_least_squares():
-    """All free columns together at the pure noise; the shutter is divided by the speed.
+@pytest.mark.parametrize("held", ["", "touchpoint.constant.b1"])
+def test_amplitudes_of_the_camera_are_those_of_least_squares(held):
+    """All free columns together at the pure noise, without that of a bound; the shutter is divided by the speed.
 
     Blur has no columns: the samples are not those of a film.
     """
     rows = 3.0 * np.random.default_rng(2).standard_normal(len(gyroscope().predictions[0].rows))
-    base = gyroscope(level=1e-7, residual=[rows])
+    base = gyroscope(values={held: 0.0}, level=1e-7, residual=[rows])
     base.noise[0].tested = 3e-8
     (data,) = base.problem.data
     assert data.has_camera_prior
-    columns = np.concatenate([base.predictions[0].jacobian, data.nuisance], axis=1)
+    moving = [i for i, n in enumerate(base.problem.layout.names) if n.partition("@")[0] != held]
+    columns = np.concatenate([base.predictions[0].jacobian[:, moving], data.nuisance], axis=1)
     root = np.linalg.cholesky(covariance(base, 3e-8))
     white, size = np.linalg.solve(root, columns), np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0
