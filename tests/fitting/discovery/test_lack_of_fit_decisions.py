@@ -177,7 +177,10 @@ class TestSmooth:
 class TestPeriodogram:
     def test_chi_square_and_amplitude_are_those_of_least_squares(self, noisy):
         base, root, free, rows = noisy
-        (data,), (prediction,), (noise,) = base.problem.data, base.predictions, base.noise
+        (data,), (prediction,) = base.problem.data, base.predictions
+        # a level that a lack of fit has raised
+        (noise,) = gyroscope(level=3e-7).noise
+        noise.tested = 1e-7
         periodogram = module._Periodogram(data, prediction, noise)
         rates = np.array([6.0, 9.5])
         power, torque = periodogram(rates)
@@ -214,6 +217,18 @@ class TestPeriodogram:
         assert chi2 == pytest.approx([power])
         if power:
             assert torque == pytest.approx([math.hypot(2.0, 3.0) / own])
+
+    def test_a_cosine_and_a_sine_that_are_not_orthogonal(self):
+        found = module._Periodogram.__new__(module._Periodogram)
+        found._basis = np.eye(6)[:, :2]
+        found._residual = np.array([0.0, 0.0, 2.0, 3.0, 5.0, 0.0])
+        columns = np.zeros((6, 2))
+        columns[2:4] = [[1.0, 0.6], [0.0, 0.8]]
+        found._response_to = lambda rates: columns
+        chi2, torque = found(np.array([1.0]))
+        assert chi2 == pytest.approx([13.0])
+        # 3 / 0.8 of the sine, and 2 - 0.6 of that of the cosine
+        assert torque == pytest.approx([math.hypot(3.75, 2.0 - 0.6 * 3.75)])
 
 
 class Peak:
@@ -252,8 +267,15 @@ class TestHighestPeak:
         one, other = (
             false_alarm_probability(power / (0.7 + 0.3 * x), 4.0 / (2 * math.pi), 100.0) for x in (1.0, 4.0)
         )
-        assert found.p_value == pytest.approx(3 * (0.75 * one + 0.25 * other))
+        assert found.p_value / (3 * (0.75 * one + 0.25 * other)) == pytest.approx(1.0)
         assert (found.label, found.body) == ("run", "casing")
+
+    @pytest.mark.parametrize("at", [2.27, 2.3, 2.34])
+    def test_it_is_found_on_either_side_of_a_trial_frequency(self, monkeypatch, at):
+        def call(self, rates):
+            return 60.0 * np.exp(-(((rates - at) / 0.1) ** 2)), 3e-6 * np.ones(len(rates))
+
+        assert self.peak(monkeypatch, __call__=call).rate == pytest.approx(at, abs=0.1 / 16)
 
     @pytest.mark.parametrize("own", [1.5, 4.0, 2.34])
     def test_the_angle_of_an_oscillator_is_that_off_resonance(self, monkeypatch, own):
@@ -397,7 +419,7 @@ class TestHarmonic:
         chi2, count, shares = self.asked["tail"][order - 3]
         assert chi2 == pytest.approx(sum(self.fall(order, i, rows[i]) for i in (0, 1)))
         assert (count, shares) == (4, [0.25, 0.25])
-        assert found.p_value == pytest.approx(4 * stats.chi2.sf(chi2, 4))
+        assert found.p_value / (4 * stats.chi2.sf(chi2, 4)) == pytest.approx(1.0)
 
     def test_a_case_without_angles_is_left_out(self, monkeypatch):
         rows = [self.rows(4, i, 2.0, 0.4) for i in (0, 1)]

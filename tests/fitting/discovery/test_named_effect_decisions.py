@@ -150,7 +150,7 @@ class TestRows:
         fall = squares(free[:, held], residual) - squares(free, residual)
         names, p = module._active_bounds(self.found(*at), free, residual)
         assert names == at
-        assert p == pytest.approx(stats.chi2.sf(fall, len(at)))
+        assert p / stats.chi2.sf(fall, len(at)) == pytest.approx(1.0)
         assert module._active_bounds(self.found(), free, residual) == ((), 1.0)
 
     @pytest.mark.parametrize("at", [(), ("c.k",), ("b.n",)])
