@@ -150,12 +150,14 @@ class TestShiftedToBound:
         assert errors == pytest.approx(np.sqrt(np.diag(inner))[:6], rel=1e-4)
         assert found.noise == pytest.approx(found.inverse @ context.draws[:, :4])
 
-    @pytest.mark.parametrize("distance", [0.2, 0.7, 10.0])
-    def test_the_upper_limit_with_a_parameter_within_its_bounds(self, distance):
+    @pytest.mark.parametrize(
+        ("distance", "unit"), [(0.2, 1.0), (0.7, 1.0), (10.0, 1.0), (0.2, 50.0), (0.7, 0.02)]
+    )
+    def test_the_upper_limit_with_a_parameter_within_its_bounds(self, distance, unit):
         """Response and parameter have a cosine of 0.8: beyond the bound the parameter absorbs no more of the effect."""
-        free, response = np.array([[1.0], [0.0], [0.0]]), np.array([0.8, 0.6, 0.0])
+        free, response = np.array([[unit], [0.0], [0.0]]), np.array([0.8, 0.6, 0.0])
         data = np.array([0.1, 0.3, 0.5])
-        shifted = bounds(free, [[0.0]], [-distance], [np.inf])
+        shifted = bounds(free, [[0.0]], [-distance / unit], [np.inf])
         without = 0.3 / 0.6 + ONE_SIDED / 0.6
         found = shifted.largest_strength(response, data, without, one_sided=True)
         grid = np.linspace(0.0, without, 4001)
@@ -709,6 +711,17 @@ class TestTorqueOfUnitStrength:
     @pytest.mark.parametrize(("needed", "runs"), [(90.0, 8110.0), (101.0, math.inf)])
     def test_more_than_ten_thousand_runs_are_not_counted(self, needed, runs):
         assert bare(cases=["a"])._runs(DRAG, 1.0, needed) == runs
+
+
+def test_the_score_of_a_law_is_beside_its_smallest_threshold():
+    responses = axis(0, 1)
+    trials = [SimpleNamespace(shape={"w": x}) for x in (1.0, 2.0)]
+    search = bare(
+        effects=[DRAG], _common={DRAG.name: responses}, _trials={DRAG.name: [trials]},
+        _level=SimpleNamespace(residual=np.array([1.5, 2.0, 0.0, 0.0])),
+        _tests={DRAG.name: [SimpleNamespace(threshold=x) for x in (16.0, 9.0)]},
+    )  # fmt: skip
+    assert search.scores() == {DRAG.name: (4.0, {"w": 2.0}, 9.0)}
 
 
 class TestAlike:
