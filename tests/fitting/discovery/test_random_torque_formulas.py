@@ -224,6 +224,37 @@ def test_a_parameter_at_its_bound_is_held_beside_a_random_torque():
     assert found.deviance == pytest.approx(held, rel=1e-6)
 
 
+def test_a_parameter_at_its_bound_absorbs_no_random_torque(monkeypatch):
+    base = seen(rows_of(4e-7, 1.0), values={"casing.air.linear.b2": 0.0})
+    asked = []
+
+    def most_likely(data, prediction, columns, noise, ceiling, criteria):
+        asked.append((columns, ceiling))
+        return noise
+
+    monkeypatch.setattr(module, "_most_likely", most_likely)
+    with_random_torque(base, DEFAULT)
+    ((columns, ceiling),) = asked
+    jacobian = np.delete(
+        base.predictions[0].jacobian, base.problem.layout.index["casing.air.linear.b2"], axis=1
+    )
+    assert columns == pytest.approx(np.concatenate([jacobian, base.problem.data[0].nuisance], axis=1))
+    assert ceiling == pytest.approx(DEFAULT.random_torque * mean_torque(base, 0))
+
+
+def test_the_correlation_time_is_found_between_the_trial_times():
+    """Trial times are apart by a factor of 1.7; a time next to the one that is found is not more likely."""
+    base = seen(rows_of(2e-7, 0.38))
+    found = with_random_torque(base, DEFAULT).noise
+    ceiling = DEFAULT.random_torque * mean_torque(base, 0)
+    assert found.level < 0.9 * ceiling
+    best = deviance(base, whitened(base, found.level, found.time))
+    for factor in (0.8, 0.9, 1.1, 1.25):
+        response = whitened(base, 0.0, factor * found.time)
+        each = [deviance(base, response.at(x * found.level)) for x in (0.8, 1.0, 1.25)]
+        assert best < min(each) + 0.01
+
+
 @pytest.mark.parametrize("level", [1e-4, 1e-9])
 def test_a_level_above_the_ceiling_is_lowered_to_it(level):
     base = seen(rows_of(1e-5, 1.0), level=level)
