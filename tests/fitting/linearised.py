@@ -55,10 +55,12 @@ def gyroscope(
 ):
     """Return the linearised motion for these parameters, by key or by name, with process noise of a level [N m].
 
+    `names` are effects of the library, or a model.
     `residual` (rows,) is added to the measured rows of the last case, instead of their difference from the model.
     """
     known = VALUES | (values or {})
-    model, every = Model.of(names), [data(label, seed) for seed, label in enumerate(cases)]
+    model = names if isinstance(names, Model) else Model.of(names)
+    every = [data(label, seed) for seed, label in enumerate(cases)]
     layout = ParameterLayout.of(model, [d.record for d in every], per_case=per_case)
     theta = np.array(
         [

@@ -1,14 +1,17 @@
 """Which laws of an oscillator are fitted exactly, and which are chosen."""
 
+import math
+from itertools import combinations
 from types import SimpleNamespace
 
+import numpy as np
 import oscillators
 import pytest
 
-from fitting import EstimationError
+from fitting import Estimate, EstimationError
 from fitting._criteria import DEFAULT
 from fitting.discovery import _oscillator
-from fitting.discovery._oscillator import LawSet, OscillatorLaws, fit_oscillator
+from fitting.discovery._oscillator import LawSet, OscillatorLaws, Strength, fit_oscillator, oscillator_laws
 
 GRAVITY, SPRING, BOTH = ("casing.gravity",), ("casing.spring.linear",), ("spring", "cubic")
 DRY, WET, ALL = ("touchpoint.constant",), ("casing.air.linear",), ("touchpoint.constant", "casing.air.linear")
@@ -72,3 +75,190 @@ def test_through_many_reversals_the_chosen_set_alone_is_fitted(monkeypatch, more
     chosen, _, fitted = decide(monkeypatch, found, bic, few + more)
     assert len(fitted) == (1 if more else 2)
     assert chosen.damping == (DRY if more else WET)
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "exact", "exact_stderr", "contradicts"),
+    [
+        (1.0, 0.01, 1.19, 0.0, False),  # a fifth
+        (1.0, 0.01, 1.21, 0.0, True),
+        (1.0, 0.01, 0.81, 0.0, False),
+        (1.0, 0.01, 0.79, 0.0, True),
+        (-1.0, 0.01, -1.19, 0.0, False),
+        (0.1, 0.03, 0.34, 0.04, False),  # five times 0.03 and 0.04 in quadrature
+        (0.1, 0.03, 0.36, 0.04, True),
+        (0.1, 0.03, -0.16, 0.04, True),
+        (0.1, 0.04, 0.29, math.inf, False),  # at its bound
+        (0.1, 0.04, 0.31, math.inf, True),
+    ],
+)
+def test_strengths_that_contradict_each_other(value, stderr, exact, exact_stderr, contradicts):
+    other = Strength(exact, exact_stderr, "N m", approximate=False)
+    assert Strength(value, stderr, "N m").contradicts(other) is contradicts
+
+
+class TestExactFit:
+    """Laws by the averaged equations beside an exact fit; the data leave spring or gravity, dry or wet damping."""
+
+    LINEAR, PENDULUM = ("casing.spring.linear",), ("casing.gravity",)
+
+    def combined(self, effects, estimates, **changes):
+        laws = OscillatorLaws(
+            self.LINEAR,
+            DRY,
+            (self.LINEAR, self.PENDULUM),
+            changes.get("damping_classes", (DRY, WET)),
+            {
+                "casing.spring.linear.k": Strength(1.0, 0.01, "N m"),
+                "touchpoint.constant.b1": Strength(2.0, 0.01, "N m"),
+            },
+        )
+        fit = SimpleNamespace(
+            model=SimpleNamespace(effects=[SimpleNamespace(name=n) for n in effects]),
+            estimates={k: Estimate(x, 0.02, "N m", at_bound=False) for k, x in estimates.items()},
+        )
+        return laws, *laws.with_fit(fit)
+
+    def test_its_values_take_the_place_of_the_approximate_ones(self):
+        exact = {"casing.spring.linear.k": 1.1, "initial.omega_c": 7.0}
+        _, found, sentence = self.combined((*self.LINEAR, *DRY), exact)
+        assert sentence == ""
+        assert {k: (x.value, x.approximate) for k, x in found.parameters.items()} == {
+            "casing.spring.linear.k": (1.1, False), "touchpoint.constant.b1": (2.0, True),
+        }  # fmt: skip
+
+    @pytest.mark.parametrize(
+        ("effects", "restoring", "damping"),
+        [
+            (PENDULUM + WET, PENDULUM, WET),
+            (PENDULUM + ALL, PENDULUM, DRY),  # this damping is not left by the data
+            (LINEAR + DRY, LINEAR, DRY),
+        ],
+    )
+    def test_its_laws_are_taken_where_the_data_leave_them(self, effects, restoring, damping):
+        exact = {f"{n}.k": 1.0 for n in effects}
+        _, found, sentence = self.combined(effects, exact)
+        assert (found.restoring, found.damping, sentence) == (restoring, damping, "")
+        assert {k.rpartition(".")[0] for k in found.parameters} == {*restoring, *damping}
+
+    def test_a_contradiction_is_stated_and_changes_nothing(self):
+        other, found, sentence = self.combined((*self.LINEAR, "casing.spring.cubic"), {})
+        assert found is other
+        assert "restores by casing.spring.linear + casing.spring.cubic" in sentence
+        other, found, sentence = self.combined(self.LINEAR, {"casing.spring.linear.k": 1.3})
+        assert found is other
+        assert "The exact fit gives casing.spring.linear.k = 1.3 N m" in sentence
+
+
+class TestAveraged:
+    """All sets of three restoring and eight damping torques, with the BIC and the error of the phase of each given."""
+
+    DAMPING = ("touchpoint.constant", "casing.air.linear", "casing.air.quadratic")
+    RESTORING = (
+        ("casing.spring.linear",),
+        ("casing.gravity",),
+        ("casing.spring.linear", "casing.spring.cubic"),
+    )
+
+    def laws(self, monkeypatch, bic, wrong=(), *, general=True):
+        self.asked = []
+
+        def averaged(names, data, scales=None):
+            assert data == ["data"]
+            if len(names) == 5 and scales is None:
+                return SimpleNamespace(scales="scales") if general else None
+            assert scales == "scales"
+            self.asked.append(names)
+            error = _oscillator.LARGEST_PHASE_ERROR * (1.01 if names in wrong else 0.99)
+            return SimpleNamespace(names=names, phase_error=error)
+
+        monkeypatch.setattr(_oscillator, "Model", SimpleNamespace(of=tuple))
+        monkeypatch.setattr(_oscillator, "averaged_fit", averaged)
+        monkeypatch.setattr(_oscillator, "_information", lambda general: "shares")
+        monkeypatch.setattr(_oscillator, "_bic", lambda fitted, shares: bic.get(fitted.names, 500.0))
+        monkeypatch.setattr(_oscillator, "_strengths", lambda fitted, shares, data: {"of": fitted.names})
+        return oscillator_laws("data")
+
+    def test_every_set_is_tried(self, monkeypatch):
+        found = self.laws(monkeypatch, {})
+        subsets = [c for n in range(4) for c in combinations(self.DAMPING, n)]
+        assert sorted(self.asked) == sorted((*r, *d) for r in self.RESTORING for d in subsets)
+        assert len(found.sets) == 24
+
+    def test_the_smallest_set_within_the_width_is_chosen(self, monkeypatch):
+        spring, gravity, cubic = self.RESTORING
+        bic = {(*cubic, *DRY): 100.0, (*gravity, *ALL): 105.0, (*spring, *DRY): 109.0, spring: 111.0}
+        found = self.laws(monkeypatch, bic)
+        assert (found.restoring, found.damping, found.parameters) == (spring, DRY, {"of": (*spring, *DRY)})
+        assert (found.restoring_classes, found.damping_classes) == ((cubic, gravity, spring), (DRY, ALL))
+        assert [(s.restoring, s.damping) for s in found.sets[:4]] == [
+            (cubic, DRY), (gravity, ALL), (spring, DRY), (spring, ()),
+        ]  # fmt: skip
+
+    def test_a_set_that_loses_the_phase_is_left_out(self, monkeypatch):
+        spring, gravity, _ = self.RESTORING
+        bic = {(*spring, *DRY): 100.0, (*gravity, *DRY): 200.0}
+        found = self.laws(monkeypatch, bic, wrong=[(*spring, *DRY)])
+        assert (found.restoring, len(found.sets)) == (gravity, 23)
+        every = [(*r, *d) for r in self.RESTORING for n in range(4) for d in combinations(self.DAMPING, n)]
+        assert self.laws(monkeypatch, bic, wrong=every) is None
+        assert self.laws(monkeypatch, bic, general=False) is None
+
+
+class TestErrors:
+    """Uncertainties of two strengths from 240 residuals of amplitude and as many of phase."""
+
+    COUNT = 240
+
+    def rows(self, size):
+        random = np.random.default_rng(2)
+        design = random.standard_normal((2 * self.COUNT, 2)) * [30.0, 50.0]
+        return design, size * random.standard_normal(2 * self.COUNT)
+
+    def strengths(self, monkeypatch, size, jackknife):
+        design, rest = self.rows(size)
+        keys = ("a.k", "b.k")
+        layout = SimpleNamespace(names=("start", *keys), unit=lambda key: f"unit of {key}")
+        monkeypatch.setattr(_oscillator, "ParameterLayout", SimpleNamespace(of=lambda model, records: layout))
+        monkeypatch.setattr(_oscillator, "Model", SimpleNamespace(of=tuple))
+        monkeypatch.setattr(_oscillator, "_jackknife", lambda design, rest, scale: np.array(jackknife))
+        best = SimpleNamespace(
+            rows=[(keys, design, rest)], scales=[np.ones(2 * self.COUNT)], theta=[9.0, 2.0, -3.0]
+        )
+        found = _oscillator._strengths(best, np.array([0.5, 0.25]), SimpleNamespace(record=None))
+        assert {k: (s.value, s.unit) for k, s in found.items()} == {
+            "a.k": (2.0, "unit of a.k"),
+            "b.k": (-3.0, "unit of b.k"),
+        }
+        return [s.stderr for s in found.values()]
+
+    @pytest.mark.parametrize("size", [3.0, 0.1])
+    def test_they_are_those_of_weighted_least_squares_and_of_the_averaging(self, monkeypatch, size):
+        """Weights 1/2 and 1/4; errors that the residuals show to be larger are scaled up, and not down."""
+        design, rest = self.rows(size)
+        weight = np.repeat([0.5, 0.25], self.COUNT)
+        covariance = np.linalg.inv(design.T @ (weight[:, None] * design))
+        scale = max(float(weight @ rest**2) / (0.75 * self.COUNT - 4), 1.0)
+        expected = np.sqrt(scale * np.diag(covariance) + (5e-3 * np.array([2.0, 3.0])) ** 2)
+        assert self.strengths(monkeypatch, size, [0.0, 0.0]) == pytest.approx(expected)
+        larger = self.strengths(monkeypatch, size, [7.0, 0.0])
+        assert larger == pytest.approx([math.hypot(7.0, 0.01), expected[1]])
+
+    def test_the_jackknife_omits_twelve_parts_of_the_record_in_turn(self):
+        """With levels of amplitude and phase, in units of their scales, free."""
+        design, rest = self.rows(3.0)
+        scale = np.repeat([2.0, 5.0], self.COUNT)
+        half = np.repeat([0, 1], self.COUNT)
+        columns = np.column_stack([design, (half == 0) / 2.0, (half == 1) / 5.0])
+        part = np.arange(2 * self.COUNT) % self.COUNT // (self.COUNT // 12)
+        kept = [part != b for b in range(12)]
+        each = np.array(
+            [np.linalg.solve(columns[k].T @ columns[k], columns[k].T @ rest[k])[:2] for k in kept]
+        )
+        expected = np.sqrt(11 / 12 * ((each - each.mean(axis=0)) ** 2).sum(axis=0))
+        assert _oscillator._jackknife(design, rest, scale) == pytest.approx(expected)
+
+    def test_slow_residuals_keep_a_hundredth_of_their_information(self):
+        rest = np.concatenate([np.ones(4000), -np.ones(4000)])
+        shares = _oscillator._information(SimpleNamespace(rows=[((), None, rest)]))
+        assert shares == pytest.approx([0.02 / 1.98] * 2)

@@ -68,6 +68,12 @@ class TestResponses:
         found = self.made(pair, 2, effect=LIBRARY["casing.precession"])
         assert (np.linalg.norm(found.basis, axis=0) > 0.5).sum() == directions
 
+    @pytest.mark.parametrize(("square", "directions"), [(3e-7, 1), (3e-6, 2)])
+    def test_a_direction_with_a_millionth_of_the_response_is_none(self, square, directions):
+        pair = np.eye(30)[:, :2] * [5.0, 5.0 * math.sqrt(square)]
+        found = self.made(pair, 2, effect=LIBRARY["casing.precession"])
+        assert np.count_nonzero(np.linalg.norm(found.basis, axis=0)) == directions
+
     @pytest.mark.parametrize(
         ("effect", "width", "one_sided"),
         [("casing.air.quadratic", 1, True), ("external.constant", 1, False), ("casing.precession", 2, False)],
@@ -144,12 +150,14 @@ class TestShiftedToBound:
         assert errors == pytest.approx(np.sqrt(np.diag(inner))[:6], rel=1e-4)
         assert found.noise == pytest.approx(found.inverse @ context.draws[:, :4])
 
-    @pytest.mark.parametrize("distance", [0.2, 0.7, 10.0])
-    def test_the_upper_limit_with_a_parameter_within_its_bounds(self, distance):
+    @pytest.mark.parametrize(
+        ("distance", "unit"), [(0.2, 1.0), (0.7, 1.0), (10.0, 1.0), (0.2, 50.0), (0.7, 0.02)]
+    )
+    def test_the_upper_limit_with_a_parameter_within_its_bounds(self, distance, unit):
         """Response and parameter have a cosine of 0.8: beyond the bound the parameter absorbs no more of the effect."""
-        free, response = np.array([[1.0], [0.0], [0.0]]), np.array([0.8, 0.6, 0.0])
+        free, response = np.array([[unit], [0.0], [0.0]]), np.array([0.8, 0.6, 0.0])
         data = np.array([0.1, 0.3, 0.5])
-        shifted = bounds(free, [[0.0]], [-distance], [np.inf])
+        shifted = bounds(free, [[0.0]], [-distance / unit], [np.inf])
         without = 0.3 / 0.6 + ONE_SIDED / 0.6
         found = shifted.largest_strength(response, data, without, one_sided=True)
         grid = np.linspace(0.0, without, 4001)
@@ -388,6 +396,12 @@ class TestCurves:
         found = module._smallest_score(null, lambda p, weights: float(p @ weights), factor, 0.03)
         assert found == pytest.approx(norm.isf(0.03 / factor) ** 2, rel=1e-6)
 
+    def test_a_large_score_may_be_needed(self):
+        null = lambda score: np.array([math.exp(-score / 300.0)])  # noqa: E731 - a heavy tail
+        null.weights = np.ones(1)
+        found = module._smallest_score(null, lambda p, weights: float(p @ weights), 1.0, 0.03)
+        assert found == pytest.approx(-300.0 * math.log(0.03), rel=1e-4)
+
     def test_the_shape_with_the_median_limit(self):
         root = np.array([1.0, 0.0, 4.0, 2.0])
         torque = np.array([3.0, 1.0, 4.0, 8.0])
@@ -451,3 +465,312 @@ def test_the_power_for_an_amplitude_with_a_phase_is_that_of_a_noncentral_chi_squ
     # all cases have one strength: there is one group
     assert found.power(law, 3, np.array([4.0, 7.0]) / root) == pytest.approx(powers[[1, 3]], abs=0.07)
     assert found._tests[law.name][0].parts[0].width == 2
+
+
+STEP = LIBRARY["touchpoint.step"]
+
+
+def axis(*places, rows=4, width=1, one_sided=True):
+    """Responses along some axes of the rows, in groups of a width."""
+    basis = np.eye(rows)[:, list(places)]
+    return module._Responses(basis, np.ones(len(places) // width), width, one_sided)
+
+
+def bare(**attributes):
+    """A search whose parts are given."""
+    made = Search.__new__(Search)
+    vars(made).update({"criteria": DEFAULT} | attributes)
+    return made
+
+
+class TestThresholds:
+    def test_a_law_of_each_case_is_also_tested_with_a_common_strength(self, monkeypatch):
+        """Its p-value counts twice; BIC counts the parameters of each case."""
+        family, asked = [], []
+        monkeypatch.setattr(module, "FamilywiseNull", lambda nulls: family.extend(nulls) or "family")
+
+        def smallest(null, of, factor, significance):
+            assert (of, significance) == ("family", DEFAULT.significance)
+            asked.append((*null, factor))
+            return {1: 3.0, 2: 50.0}[null[1]] if null[2] else 3.0
+
+        monkeypatch.setattr(module, "_smallest_score", smallest)
+        fit = SimpleNamespace(
+            problem=SimpleNamespace(rows=100, data=[SimpleNamespace(record=SimpleNamespace(tracked=False))])
+        )
+        search = bare(
+            effects=[STEP, DRAG], cases=["a", "b"], fit=fit,
+            _context=SimpleNamespace(draws=np.zeros((4, 6))),
+            _stacked=lambda e: [], _of_case=lambda e, i: [], _responses=lambda e, groups, free: axis(0),
+            _nulls=lambda e, test, columns: [(e.name, columns, i) for i in (0, 1)],
+        )  # fmt: skip
+        tests = search._calibrated(np.zeros((4, 0)))
+        assert family == [(STEP.name, 2, 0), (DRAG.name, 1, 0)]
+        assert {(name, columns, factor) for name, columns, _, factor in asked} == {
+            (STEP.name, 2, 1.0), (STEP.name, 1, 2.0), (DRAG.name, 1, 1.0),
+        }  # fmt: skip
+        own, common = tests[STEP.name]
+        assert (len(own.parts), len(common.parts)) == (2, 1)
+        per_parameter = math.log(100)
+        assert own.thresholds == pytest.approx([2.0 + 2 * 2 * per_parameter, 50.0])
+        assert common.thresholds == pytest.approx([2.0 + 2 * per_parameter] * 2)
+        assert tests[DRAG.name][0].thresholds == pytest.approx([2.0 + per_parameter] * 2)
+        search.cases = ["a"]
+        assert len(search._calibrated(np.zeros((4, 0)))[STEP.name]) == 1
+
+    def test_the_scores_of_a_fit_that_fails_are_at_the_noise_of_the_recording(self, monkeypatch):
+        raised = gyroscope(level=1e-6, raised=True, residual=[np.zeros(len(gyroscope().predictions[0].rows))])
+        monkeypatch.setattr(module, "applicable_effects", lambda *_: [DRAG])
+        for wrong, place in ((True, 0), (False, -1)):
+            raised.fails = lambda criteria, wrong=wrong: wrong
+            search = Search(raised, draws=1)
+            assert search._level is search._context.levels[place]
+            assert search._tests == {}
+
+
+class TestPower:
+    """One response along the first axis, without noise: a strength k has the score k^2."""
+
+    DRAWS = 4
+
+    def power(self, strengths, held=None, thresholds=(4.0, 9.0)):
+        test = module._Test((axis(0),), np.zeros((1, self.DRAWS)), np.array(thresholds))
+        shifts = {1: np.array([1.0, 0, 0, 0]), 5: np.array([2.0, 0, 0, 0])}
+        asked = []
+
+        def with_held(parameter):
+            asked.append(parameter)
+            return {DRAG.name: [test]}
+
+        none = np.full((len(strengths), self.DRAWS), -1)
+        search = bare(
+            _common={DRAG.name: axis(0)}, _draws=self.DRAWS, _noises=[None] * len(thresholds),
+            _tests={DRAG.name: [test]}, _stacked=lambda e: [None], _whitened=lambda groups: np.eye(4)[:, :1],
+            _bounds=SimpleNamespace(
+                held=lambda raw, k: none.copy() if held is None else np.array(held), shift=shifts.get
+            ),
+            _tests_with_held=with_held,
+        )  # fmt: skip
+        return search.power(DRAG, 0, np.array(strengths)).tolist(), asked
+
+    def test_each_estimate_of_the_noise_has_its_threshold(self):
+        assert self.power([1.0, 2.5, 3.5])[0] == [0.0, 0.5, 1.0]
+
+    def test_a_parameter_at_its_bound_takes_its_shift_from_the_response(self):
+        free, first, third = [-1] * 4, [1] * 4, [5] * 4
+        found, asked = self.power([2.5, 3.5, 3.5], [free, first, third])
+        assert found == [0.5, 0.5, 0.0]
+        assert asked == [0, 2]
+
+    def test_a_parameter_that_is_rarely_at_its_bound_is_neglected(self):
+        """One of twelve data sets is less than half of those of one strength of three; two are not."""
+        free = [-1] * 4
+        assert self.power([1.0, 1.0, 3.5], [free, free, [-1, -1, -1, 5]]) == ([0.0, 0.0, 1.0], [])
+        assert self.power([1.0, 1.0, 3.5], [free, free, [-1, -1, 5, 5]]) == ([0.0, 0.0, 0.5], [2])
+
+
+class TestOneEffect:
+    """Limits of one effect whose response to a unit strength has a noncentrality of 2 and an rms torque of 5 N m."""
+
+    def limits(self, power, *, others=(), size=10.0, upper=3.0, **options):
+        asked = {}
+
+        def searched(function):
+            def powers(effect, group, strengths):
+                assert strengths == pytest.approx(module._DELTAS / 2.0)
+                return function(module._DELTAS)
+
+            return bare(power=powers)
+
+        def upper_of(effect, group, *, planned):
+            asked["planned"] = planned
+            return upper
+
+        def runs(effect, delta, needed):
+            asked["runs"] = delta, needed
+            return 7.0
+
+        def alike(effect, group, at):
+            asked["at"] = at
+            return ("other",)
+
+        responses = module._Responses(np.eye(4)[:, :1], np.array([2.0]), 1, True)
+        trial = SimpleNamespace(shape={"w": 1.0})
+        search = searched(power)
+        vars(search).update(
+            _common={DRAG.name: responses}, _unit_torques=lambda e: np.array([5.0]),
+            _trials={DRAG.name: [[trial]]},
+            _tests={DRAG.name: [SimpleNamespace(threshold=x) for x in (16.0, 9.0)]},
+            fit=SimpleNamespace(units=SimpleNamespace(of=lambda unit: unit)), _upper=upper_of, _runs=runs,
+            _indistinguishable=alike,
+        )  # fmt: skip
+        return search.limits(DRAG, size, others=[searched(o) for o in others], **options), asked
+
+    def test_limits_are_noncentralities_over_that_of_a_unit_strength(self):
+        found, asked = self.limits(lambda d: norm.cdf(d - 5.0))
+        needed = 5.0 + norm.ppf(0.9)
+        assert found.detection_limit == pytest.approx(needed / 2, rel=1e-4)
+        assert found.detection_range == pytest.approx((needed / 2 * 5.0,) * 2, rel=1e-4)
+        assert (found.stderr, found.upper_limit, found.torque) == (0.5, 1.5, 5.0)
+        # 10 N m are a strength of 2 and a noncentrality of 4
+        assert found.size == 2.0
+        assert found.power == pytest.approx(norm.cdf(-1.0), abs=0.01)
+        assert asked["runs"] == (4.0, pytest.approx(needed, rel=1e-4))
+        assert (found.runs_needed, found.indistinguishable_from) == (7.0, ("other",))
+
+    @pytest.mark.parametrize(
+        ("centre", "size", "at"),
+        [
+            (5.0, 10.0, 5.0 + norm.ppf(0.9)),
+            (5.0, 40.0, 16.0),
+            (1.0, 1.0, 3.0 + norm.ppf(0.9)),  # the score of 9 is seen with 90 % probability
+        ],
+    )
+    def test_rivals_are_those_at_the_largest_strength_in_question(self, centre, size, at):
+        _, asked = self.limits(lambda d: norm.cdf(d - centre), size=size)
+        assert asked["at"] == pytest.approx(at, rel=1e-3)
+
+    def test_the_power_is_the_mean_over_estimates_of_the_noise(self):
+        found, _ = self.limits(lambda d: norm.cdf(d - 3.0), others=[lambda d: norm.cdf(d - 6.0)])
+        expected = 0.5 * (norm.cdf(found.curve[:, 0] - 3.0) + norm.cdf(found.curve[:, 0] - 6.0))
+        assert found.curve[:, 1] == pytest.approx(expected)
+
+    def test_what_would_be_detected_is_excluded(self):
+        """A parameter at its bound makes a noncentrality of 0.83 visible with 95 % probability."""
+        found, _ = self.limits(lambda d: norm.cdf(5.0 * (d - 0.5)))
+        assert found.upper_limit == pytest.approx((0.5 + norm.ppf(0.95) / 5.0) / 2, rel=1e-3)
+        found, _ = self.limits(lambda d: norm.cdf(5.0 * (d - 0.5)), upper=math.nan)
+        assert math.isnan(found.upper_limit)
+        found, _ = self.limits(lambda d: norm.cdf(5.0 * (d - 1.5)))
+        assert found.upper_limit == 1.5
+
+    @pytest.mark.parametrize("planned", [True, False])
+    def test_limits_of_planned_recordings_are_expected_ones(self, planned):
+        _, asked = self.limits(lambda d: norm.cdf(d - 5.0), planned=planned)
+        assert asked["planned"] is planned
+
+
+class TestUpper:
+    """Two shapes along the first and the second axis; the residuals are 1.5 along the second one."""
+
+    def upper(self, responses, *, planned=False, threshold=9.0, group=1):
+        asked = []
+
+        def largest(response, data, limit, *, one_sided):
+            asked.append((response.tolist(), data.tolist(), limit, one_sided))
+            return 77.0
+
+        test = module._Test((responses,), np.zeros((2, 1)), np.array([threshold]))
+        search = bare(
+            _common={DRAG.name: responses}, _tests={DRAG.name: [test]},
+            _level=SimpleNamespace(residual=np.array([0.5, 1.5, 0.0, 0.0])),
+            _bounds=SimpleNamespace(largest_strength=largest), _stacked=lambda e: ["first", "second"],
+            _whitened=lambda groups: np.eye(4)[:, [["first", "second"].index(g) for g in groups]] * 3.0,
+        )  # fmt: skip
+        return search._upper(DRAG, group, planned=planned), asked
+
+    def test_it_is_that_of_the_shape_within_the_bounds_of_the_model(self):
+        found, ((response, data, limit, one_sided),) = self.upper(axis(0, 1))
+        assert (found, one_sided) == (77.0, True)
+        assert limit == pytest.approx(1.5 + ONE_SIDED)
+        assert (response, data) == ([0.0, 3.0, 0.0, 0.0], [0.5, 1.5, 0.0, 0.0])
+        _, ((_, _, limit, _),) = self.upper(axis(0, 1), group=0)
+        assert limit == pytest.approx(0.5 + ONE_SIDED)
+
+    def test_of_planned_recordings_the_residuals_are_zero(self):
+        _, ((_, data, limit, _),) = self.upper(axis(0, 1), planned=True, threshold=-1.0)
+        assert (data, limit) == ([0.0] * 4, pytest.approx(ONE_SIDED))
+
+    @pytest.mark.parametrize(("threshold", "significant"), [(2.2, True), (2.3, False)])
+    def test_of_a_significant_effect_there_is_none(self, threshold, significant):
+        assert math.isnan(self.upper(axis(0, 1), threshold=threshold)[0]) is significant
+
+    def test_of_an_amplitude_with_a_phase_it_has_no_bounds(self):
+        found, asked = self.upper(axis(0, 1, width=2, one_sided=False), group=0)
+        assert asked == []
+        assert ncx2(2, found**2).cdf(2.5) == pytest.approx(0.05, rel=1e-6)
+
+
+class TestTorqueOfUnitStrength:
+    def test_it_is_the_rms_over_the_cases_on_the_body_with_more_of_it(self):
+        torques = [(np.array([1.0, 3.0]), np.array([2.0, 2.0])), (np.array([5.0, 0.0]), np.zeros(2))]
+        cases = [SimpleNamespace(torque=lambda e, shape, t=t: t) for t in torques]
+        trial = SimpleNamespace(shape={})
+        search = bare(cases=cases, _trials={e.name: [[trial]] for e in (DRAG, LIBRARY["camera.clock"])})
+        assert search._unit_torques(DRAG) == pytest.approx([math.sqrt((5.0 + 12.5) / 2)])
+        assert np.isnan(search._unit_torques(LIBRARY["camera.clock"])).all()
+        search._trials["casing.unbalance"] = [[trial] * 2]
+        assert search._unit_torques(LIBRARY["casing.unbalance"]) == pytest.approx([math.sqrt(0.5)] * 2)
+
+    def test_runs_are_counted_with_those_of_the_recordings(self):
+        """Two recordings together have half of the noncentrality: eight runs, and the logarithm of four for BIC."""
+        found = bare(cases=["a", "b"])._runs(DRAG, 2.0, 4.0)
+        assert found / 2 * 4.0 >= 16.0 + math.log(found / 2) > (found - 1) / 2 * 4.0 - 0.2
+        assert found == 9.0
+
+    @pytest.mark.parametrize(("needed", "runs"), [(90.0, 8110.0), (101.0, math.inf)])
+    def test_more_than_ten_thousand_runs_are_not_counted(self, needed, runs):
+        assert bare(cases=["a"])._runs(DRAG, 1.0, needed) == runs
+
+
+def test_the_score_of_a_law_is_beside_its_smallest_threshold():
+    responses = axis(0, 1)
+    trials = [SimpleNamespace(shape={"w": x}) for x in (1.0, 2.0)]
+    search = bare(
+        effects=[DRAG], _common={DRAG.name: responses}, _trials={DRAG.name: [trials]},
+        _level=SimpleNamespace(residual=np.array([1.5, 2.0, 0.0, 0.0])),
+        _tests={DRAG.name: [SimpleNamespace(threshold=x) for x in (16.0, 9.0)]},
+    )  # fmt: skip
+    assert search.scores() == {DRAG.name: (4.0, {"w": 2.0}, 9.0)}
+
+
+class TestAlike:
+    """Whether a strength of one effect is separable from another one, with 100 rows."""
+
+    def alike(self, own, other, delta, *, free=(1, 1)):
+        effects = [SimpleNamespace(name=n, free=[None] * k) for n, k in zip("ab", free, strict=True)]
+        search = bare(
+            effects=effects, _common={"a": own, "b": other},
+            fit=SimpleNamespace(problem=SimpleNamespace(rows=100)),
+        )  # fmt: skip
+        return search._indistinguishable(effects[0], 0, delta) == ("b",)
+
+    def opposite(self, one_sided):
+        return module._Responses(-np.eye(4)[:, :1], np.ones(1), 1, one_sided)
+
+    def test_an_effect_of_either_sign_is_compared_with_both(self):
+        assert self.alike(axis(0, one_sided=False), self.opposite(True), 9.0)
+        assert self.alike(axis(0), self.opposite(False), 9.0)
+        assert not self.alike(axis(0), self.opposite(True), 9.0)
+
+    @pytest.mark.parametrize(
+        ("free", "budget"),
+        [((1, 1), 10.0), ((1, 2), 10.0 - math.log(100)), ((2, 1), 10.0 + math.log(100))],
+    )
+    def test_parameters_count_as_in_bic(self, free, budget):
+        """Responses with a cosine of 0.6, one of two shapes of the other effect: 0.64 of the score remains."""
+        basis = np.stack([np.eye(4)[2], [0.6, 0.8, 0.0, 0.0]], axis=1)
+        other = module._Responses(basis, np.ones(2), 1, True)
+        for margin, alike in ((0.99, True), (1.01, False)):
+            delta = math.sqrt(margin * budget / 0.64)
+            assert self.alike(axis(0), other, delta, free=free) is alike
+
+
+@pytest.mark.parametrize("size", [None, 0.3])
+def test_a_size_is_a_torque(size):
+    class Typical(Search):
+        typical_torque = 20.0
+
+    search = Typical.__new__(Typical)
+    assert search._size(5.0, size) == pytest.approx(0.04 if size is None else 0.06)
+    assert math.isnan(search._size(0.0, size))
+
+
+def test_a_power_that_falls_again_counts_where_it_is_reached_first():
+    delta = np.array([0.0, 1.0, 2.0, 3.0])
+    curve = np.stack([delta, [0.1, 0.95, 0.2, 0.99]], axis=1)
+    assert 0.0 < delta_of_power(curve, 0.9) < 1.0
+    falling = np.stack([delta, [0.2, 0.85, 0.5, 0.95]], axis=1)
+    # between 2 and 3 the power rises from the 0.85 that were reached before
+    share = (norm.ppf(0.9) - norm.ppf(0.85)) / (norm.ppf(0.95) - norm.ppf(0.85))
+    assert delta_of_power(falling, 0.9) == pytest.approx(2.0 + share)

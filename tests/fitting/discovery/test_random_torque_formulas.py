@@ -10,8 +10,16 @@ import pytest
 from linearised import BEGIN, SPAN, gyroscope
 from scipy.special import chdtri
 
+from fitting import LINEAR
 from fitting._criteria import DEFAULT
-from fitting.discovery._random_torque import RandomTorque, is_established, mean_torque, with_random_torque
+from fitting.discovery import _random_torque as module
+from fitting.discovery._random_torque import (
+    RandomTorque,
+    inflation,
+    is_established,
+    mean_torque,
+    with_random_torque,
+)
 from fitting.dynamics._collocation import Sampler
 from fitting.inference._noise import TorqueNoise, TorqueResponse
 
@@ -44,8 +52,8 @@ class Level:
         return replace(self, level=level, whitener=self.whitener.at(level))
 
 
-def seen(residual, level=1e-9, deviance=1e9):
-    base = gyroscope(level=level, residual=[residual])
+def seen(residual, level=1e-9, deviance=1e9, values=None):
+    base = gyroscope(values=values, level=level, residual=[residual])
     noise = tuple(Level(n.level, n.pure, 1.0, n.least, n.whitener) for n in base.noise)
     return Seen(base.problem, base.theta, base.predictions, noise, deviance)
 
@@ -56,10 +64,11 @@ def whitened(base, level, time):
     return response.whitener(TorqueNoise(level, time))
 
 
-def deviance(base, whitener):
-    """log det C and the least chi-square, by the normal equations."""
+def deviance(base, whitener, held=()):
+    """log det C and the least chi-square, by the normal equations; some parameters are held."""
     data, prediction = base.problem.data[0], base.predictions[0]
-    columns = whitener(np.concatenate([prediction.jacobian, data.nuisance], axis=1))
+    moving = [i for i, n in enumerate(base.problem.layout.names) if n.partition("@")[0] not in held]
+    columns = whitener(np.concatenate([prediction.jacobian[:, moving], data.nuisance], axis=1))
     rows = whitener(data.z - prediction.rows)
     size = np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0
@@ -198,3 +207,135 @@ def test_an_effect_must_be_significant_in_the_whole_list(monkeypatch, p, establi
     null = chdtri(1, (np.arange(2001) + 0.5) / 2001)
     screened = SimpleNamespace(columns=1, null=null, noise=(), shares=())
     assert is_established(alternative(1e-7), screened, named, 2000, DEFAULT) is established
+
+
+def test_a_parameter_at_its_bound_is_held_beside_a_random_torque():
+    drag = "casing.air.linear.b2"
+    rows = rows_of(4e-7, 1.0)
+    base = seen(rows, values={drag: 0.0})
+    # what the drag alone would describe
+    place = base.problem.layout.index[drag]
+    column = base.predictions[0].jacobian[:, place]
+    base = seen(rows + 30.0 * column / np.linalg.norm(column), values={drag: 0.0})
+    found = with_random_torque(base, DEFAULT)
+    whitener = whitened(base, found.noise.level, found.noise.time)
+    held = deviance(base, whitener, held=[drag])
+    assert held > deviance(base, whitener) + 0.1
+    assert found.deviance == pytest.approx(held, rel=1e-6)
+
+
+def test_a_parameter_at_its_bound_absorbs_no_random_torque(monkeypatch):
+    base = seen(rows_of(4e-7, 1.0), values={"casing.air.linear.b2": 0.0})
+    asked = []
+
+    def most_likely(data, prediction, columns, noise, ceiling, criteria):
+        asked.append((columns, ceiling))
+        return noise
+
+    monkeypatch.setattr(module, "_most_likely", most_likely)
+    with_random_torque(base, DEFAULT)
+    ((columns, ceiling),) = asked
+    jacobian = np.delete(
+        base.predictions[0].jacobian, base.problem.layout.index["casing.air.linear.b2"], axis=1
+    )
+    assert columns == pytest.approx(np.concatenate([jacobian, base.problem.data[0].nuisance], axis=1))
+    assert ceiling == pytest.approx(DEFAULT.random_torque * mean_torque(base, 0))
+
+
+def test_the_correlation_time_is_found_between_the_trial_times():
+    """Trial times are apart by a factor of 1.7; a time next to the one that is found is not more likely."""
+    base = seen(rows_of(2e-7, 0.38))
+    found = with_random_torque(base, DEFAULT).noise
+    ceiling = DEFAULT.random_torque * mean_torque(base, 0)
+    assert found.level < 0.9 * ceiling
+    best = deviance(base, whitened(base, found.level, found.time))
+    for factor in (0.8, 0.9, 1.1, 1.25):
+        response = whitened(base, 0.0, factor * found.time)
+        each = [deviance(base, response.at(x * found.level)) for x in (0.8, 1.0, 1.25)]
+        assert best < min(each) + 0.01
+
+
+@pytest.mark.parametrize("level", [1e-4, 1e-9])
+def test_a_level_above_the_ceiling_is_lowered_to_it(level):
+    base = seen(rows_of(1e-5, 1.0), level=level)
+    found = with_random_torque(base, DEFAULT)
+    ceiling = DEFAULT.random_torque * mean_torque(base, 0)
+    assert found.noise.level <= ceiling * (1 + 1e-9)
+    assert found.noise.pure <= found.noise.level * (1 + 1e-9)
+    assert found.noise.pure == pytest.approx(min(level, found.noise.level))
+
+
+class TestInflation:
+    """The simulated falls by a drag, beside the friction of the base."""
+
+    DRAG = "casing.air.quadratic"
+
+    def asked(self, monkeypatch, ratio, *, level=3e-7, strength=4e-8):
+        calls = []
+
+        def mean_fall(data, prediction, free, columns, noise, criteria, random):
+            calls.append((free, columns, noise))
+            return ratio
+
+        monkeypatch.setattr(module, "_mean_fall", mean_fall)
+        without = SimpleNamespace(fit=gyroscope(level=max(level, 1e-9)))
+        without.fit.noise[0].level = level
+        named = gyroscope((*LINEAR, self.DRAG), {f"{self.DRAG}.k": strength, "casing.air.linear.b2": 0.0})
+        return inflation(without, named, DEFAULT), calls, named
+
+    @pytest.mark.parametrize(("ratio", "found"), [(1.7, 1.7), (0.6, 1.0)])
+    def test_the_columns_of_the_effect_are_added_to_those_of_the_base(self, monkeypatch, ratio, found):
+        inflated, ((free, columns, noise),), named = self.asked(monkeypatch, ratio)
+        assert (inflated, noise.level) == (found, 3e-7)
+        names = [n.partition("@")[0] for n in named.problem.layout.names]
+        jacobian = named.predictions[0].jacobian
+        own = names.index(f"{self.DRAG}.k")
+        assert columns == pytest.approx(jacobian[:, [own]])
+        held = names.index("casing.air.linear.b2")
+        expected = np.concatenate(
+            [np.delete(jacobian, [own, held], axis=1), named.problem.data[0].nuisance], axis=1
+        )
+        assert free == pytest.approx(expected)
+
+    @pytest.mark.parametrize("change", [{"level": 0.0}, {"strength": 0.0}])
+    def test_without_a_random_torque_or_a_free_strength_there_is_none(self, monkeypatch, change):
+        inflated, calls, _ = self.asked(monkeypatch, 1.7, **change)
+        assert (inflated, calls) == (1.0, [])
+
+    def fall(self, monkeypatch, columns, *, time=1.0, spread=1.0, level=3e-7, free=None):
+        self.times = []
+        own = module.TorqueNoise
+        monkeypatch.setattr(module, "TorqueNoise", lambda *args: self.times.append(args[1]) or own(*args))
+        monkeypatch.setattr(module, "_RANGE", spread)
+        base = gyroscope(level=level)
+        whitener = whitened(base, level, time)
+        noise = SimpleNamespace(level=level, time=time, whitener=whitener)
+        data, prediction = base.problem.data[0], base.predictions[0]
+        free = np.concatenate([prediction.jacobian, data.nuisance], axis=1) if free is None else free
+        random = np.random.default_rng(1)
+        return module._mean_fall(data, prediction, free, columns, noise, DEFAULT, random)
+
+    @pytest.mark.parametrize("count", [1, 3])
+    def test_at_a_known_random_torque_it_is_one_for_each_column(self, monkeypatch, count):
+        """The mean of 200 chi-squares over their degrees of freedom."""
+        size = len(gyroscope().predictions[0].rows)
+        columns = np.random.default_rng(2).standard_normal((size, count))
+        found = self.fall(monkeypatch, columns)
+        assert found == pytest.approx(1.0, abs=4 * math.sqrt(2 / (200 * count)))
+
+    def test_at_an_unknown_random_torque_it_is_larger(self, monkeypatch):
+        base = gyroscope((*LINEAR, self.DRAG), {f"{self.DRAG}.k": 4e-8})
+        names = [n.partition("@")[0] for n in base.problem.layout.names]
+        column = base.predictions[0].jacobian[:, [names.index(f"{self.DRAG}.k")]]
+        known, unknown = (self.fall(monkeypatch, column, spread=x, level=1e-6) for x in (1.0, 4.0))
+        assert 0.0 < known < unknown < 4.0
+
+    @pytest.mark.parametrize("time", [0.1, 1.0, 5.0])
+    def test_trial_times_are_those_of_the_criteria(self, monkeypatch, time):
+        monkeypatch.setattr(module, "_NEAR_LEVELS", 1)
+        column = np.random.default_rng(2).standard_normal((len(gyroscope().predictions[0].rows), 1))
+        self.fall(monkeypatch, column, time=time, spread=4.0)
+        every = time * 4.0 ** np.linspace(-1.0, 1.0, 7)
+        inside = [t for t in every if 0.05 <= t <= 10.0]
+        assert self.times == pytest.approx([time, *inside])
+        assert len(inside) == (7 if time == 1.0 else 5)

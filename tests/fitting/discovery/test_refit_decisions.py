@@ -1,7 +1,7 @@
 """Which refit is kept, from which initial values it starts, and when the search for a changepoint ends."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,15 +18,20 @@ from fitting.discovery._refine import (
     has_model_noise,
     initial_values_of,
     local_changepoints,
+    refined,
     refit,
     refitted_at,
     restarted_from,
     with_common_phase,
     with_common_values,
     with_free_shape,
+    with_shape_parameter,
     with_values_per_case,
 )
 from fitting.discovery._score import Score
+from fitting.effects._effect import State
+from fitting.effects._expression import Tape
+from fitting.effects._user import resolve
 
 STEP, DRAG = LIBRARY["touchpoint.step"], LIBRARY["casing.air.quadratic"]
 PERIODIC = LIBRARY["casing.precession"]
@@ -136,6 +141,17 @@ class TestNoise:
 
 
 class TestRestart:
+    @pytest.mark.parametrize("lower", [True, False])
+    def test_a_refined_fit_may_be_at_the_lowest_noise(self, monkeypatch, lower):
+        converged, least = Found(90.0), Found(80.0)
+        monkeypatch.setattr(module, "refitted_at", lambda found, noise: converged)
+        monkeypatch.setattr(
+            module,
+            "at_lowest_noise",
+            lambda found, criteria: least if lower and found is converged else found,
+        )
+        assert refined(Found(), DEFAULT) is (least if lower else converged)
+
     def test_values_of_unknown_parameters_are_ignored(self, monkeypatch):
         monkeypatch.setattr(module, "fit", lambda model, base, *, start, noise: (start, noise))
         changed = refitted_at(Found(), "noise", {"b.k": 5.0, "c.k": 7.0})
@@ -151,7 +167,7 @@ class TestRestart:
             return Found(deviance)
 
         monkeypatch.setattr(module, "fit", fit)
-        found, other = Found(), Found(values={"b.k": 4.0})
+        found, other = Found(), Found(values={"b.k": 4.0}, noise=(noise(7.0),))
         assert (restarted_from(found, other) is found) is not taken
 
 
@@ -212,6 +228,26 @@ class TestRefit:
         model = SimpleNamespace(restoring=False, with_effect=lambda e: "with it" if e is effect else "")
         base = Found(model=model, problem=SimpleNamespace(data="data"))
         assert (refit(base, SimpleNamespace(effect=effect, score=1.0), DEFAULT) is not None) is found
+
+    @pytest.mark.parametrize(
+        ("effect", "own", "restoring", "scratch"),
+        [
+            ("casing.spring.linear", (), False, True),
+            ("casing.spring.linear", (), True, False),
+            ("casing: c*voltage", (), False, True),
+            ("casing: c*voltage", ("voltage",), False, False),
+            ("casing.air.quadratic", (), False, False),
+        ],
+    )
+    def test_what_the_base_knows_nothing_of_is_fitted_from_scratch(
+        self, monkeypatch, effect, own, restoring, scratch
+    ):
+        monkeypatch.setattr(module, "fit_from_scratch", lambda base, effect: "from scratch")
+        monkeypatch.setattr(module, "fit_together", lambda base, scored: None)
+        law = resolve(effect, {"voltage": "V"})
+        model = SimpleNamespace(restoring=restoring, effects=[SimpleNamespace(inputs=own)])
+        found = refit(Found(model=model, noise=(noise(raised=False),)), score(law), DEFAULT)
+        assert found == ("from scratch" if scratch else None)
 
     @pytest.mark.parametrize(
         ("gains", "raised", "searches"),
@@ -320,6 +356,69 @@ class TestChangepoint:
         found = local_changepoints(stepping(5.3, 5.0, fails_after=5.2), STEP)
         assert found["touchpoint.step.t0"] == pytest.approx(5.2, abs=0.02)
 
+    def test_what_is_free_or_a_nuisance_hides_no_changepoint(self):
+        """Drifts of a nuisance and of a free parameter, many times larger than the step."""
+        fit = stepping(5.3, 5.0)
+        (case,) = fit.problem.cases
+        drift = case.time / np.linalg.norm(case.time)
+        case.data.z += 400.0 * drift + 3.0 * case.time**2
+        fit.predictions[0].jacobian[:, 1] = case.time**2
+        fit.problem.projections = [
+            lambda rows: rows - np.multiply.outer(drift, drift @ rows).reshape(rows.shape)
+        ]
+        assert local_changepoints(fit, STEP)["touchpoint.step.t0"] == pytest.approx(5.3, abs=0.02)
+
+    def test_its_own_derivative_is_not_free(self):
+        """It would describe the rest of the step beyond the neighbourhood."""
+        fit = stepping(5.7, 5.0)
+        (case,) = fit.problem.cases
+        fit.predictions[0].jacobian[:, 0] = (case.time > 5.0) & (case.time <= 5.7)
+        assert local_changepoints(fit, STEP)["touchpoint.step.t0"] == pytest.approx(5.4)
+
+    def test_each_case_has_its_own(self):
+        one, two = stepping(4.7, 5.0), stepping(5.3, 5.0)
+        places = {0: {"touchpoint.step.t0": 0}, 1: {"touchpoint.step.t0": 3}}
+        both = SimpleNamespace(
+            theta=np.concatenate([one.theta, two.theta]),
+            problem=SimpleNamespace(
+                cases=[*one.problem.cases, *two.problem.cases],
+                layout=SimpleNamespace(
+                    names=tuple(range(6)), places=lambda index, keys: [places[index][k] for k in keys]
+                ),
+                projections=one.problem.projections * 2,
+            ),
+            predictions=[
+                SimpleNamespace(jacobian=np.hstack([one.predictions[0].jacobian, np.zeros((2001, 3))])),
+                SimpleNamespace(jacobian=np.hstack([np.zeros((2001, 3)), two.predictions[0].jacobian])),
+            ],
+        )
+        own = two.problem.cases[0].predict
+        two.problem.cases[0].predict = lambda theta: own(theta[3:])
+        found = local_changepoints(both, STEP)
+        assert (found[0], found[3]) == (pytest.approx(4.7, abs=0.02), pytest.approx(5.3, abs=0.02))
+
+    def test_a_distant_changepoint_is_that_of_the_noisy_case(self, monkeypatch):
+        fit = stepping(2.0, 5.0)
+        fit.noise = (noise(), noise(raised=True))
+        fit.theta = np.array([5.0, 1.5, 6.0, 2.5])
+        keys = ["touchpoint.step.t0", "touchpoint.step.k"]
+        fit.problem.layout = SimpleNamespace(
+            names=tuple("abcd"), places=lambda index, asked: [2 * index + keys.index(k) for k in asked]
+        )
+        asked = []
+        monkeypatch.setattr(module, "ScoreContext", lambda fit, draws: None)
+        monkeypatch.setattr(
+            module, "CaseColumns", lambda fit, index: SimpleNamespace(trials=lambda effect: f"of {index}")
+        )
+
+        def scored(context, effect, trials, index):
+            asked.append((trials, index))
+            return score(STEP, 99.0, (0.7,), ({"t0": 2.0},))
+
+        monkeypatch.setattr(module, "score_in_case", scored)
+        assert distant_changepoints(fit, STEP, DEFAULT) == {"a": 5.0, "b": 1.5, "c": 2.0, "d": 0.7}
+        assert asked == [("of 1", 1)]
+
     @pytest.mark.parametrize(
         ("value", "raised", "moved"),
         [
@@ -424,6 +523,7 @@ class TestFitOfBoth:
         assert {*asked["steady"]} == {"casing.precession.k", "casing.precession.phi", "casing.precession.m"}
         _, asked = self.asked(monkeypatch, scored, {"casing.precession.m": 9.0}, ["casing.precession.k"])
         assert asked["start"]["casing.precession.m"] == 9.0
+        assert (asked["start"]["a.k"], asked["start"]["casing.precession.k"]) == (1.0, 2.0)
         assert (asked["steady"], asked["share"]) == ((), ["casing.precession.k"])
 
     def test_strength_and_phase_of_each_case(self, monkeypatch):
@@ -468,6 +568,79 @@ class TestFitOfBoth:
         kept = with_values_per_case(None, score(STEP), found, common)
         assert asked == [{"touchpoint.step.k@a": 2.5, "touchpoint.step.k@b": 2.5, "rest": 3.0}]
         assert (kept is not found) is taken
+
+
+class TestShapeParameter:
+    """Laws whose exponent, or width of a step, can be a parameter."""
+
+    @pytest.mark.parametrize(
+        ("law", "lower", "upper"),
+        [
+            ("rotor.air.quadratic", 1.0, 3.0),
+            ("casing.air.laminar", 0.5, 2.5),
+            ("bearing.quadratic", 1.0, 3.0),
+            ("bearing.load", 1.0, 3.0),
+            ("touchpoint.load", 1.0, 3.0),
+            ("casing: -k*abs(omega_c)**0.5*sign(omega_c)", 0.1, 1.5),
+        ],
+    )
+    def test_at_its_exponent_a_power_is_the_law_of_the_library(self, law, lower, upper):
+        effect = resolve(law)
+        general = with_shape_parameter(effect)
+        strength, exponent = general.parameters
+        assert (exponent.lower, exponent.upper) == (lower, upper)
+        assert exponent.start == upper - 1
+        for speed in (-30.0, 2.0):
+            known = {"omega_c": speed, "omega_r": 2 * speed, "delta": -3 * speed, strength.symbol: 1.5}
+            old, new = (value_of(e, known | {"n": exponent.start}) for e in (effect, general))
+            assert new == pytest.approx(old)
+            steeper = value_of(general, known | {"n": exponent.start + 1})
+            assert abs(steeper / new) in (pytest.approx(x * abs(speed)) for x in (1, 2, 3))
+
+    def test_a_wide_step_rises_from_zero_to_its_strength(self):
+        general = with_shape_parameter(STEP)
+        width = general.parameters[-1]
+        assert (width.symbol, width.lower, width.upper) == ("w", 1e-3, 1e3)
+        assert (general.breakpoint, with_shape_parameter(general)) == ("", None)
+        known = {"omega_c": 3.0, "k": 2.0, "t0": 7.0, "w": 0.5}
+        values = [value_of(general, known | {"t": 7.0 + 0.5 * x}) for x in (-20.0, -1.0, 0.0, 1.0, 20.0)]
+        expected = [0.0, 1 / (1 + math.exp(2.0)), 0.5, 1 / (1 + math.exp(-2.0)), 1.0]
+        assert values == pytest.approx([-2.0 * x for x in expected], abs=1e-12)
+
+    @pytest.mark.parametrize(
+        "law",
+        [
+            "touchpoint.constant",
+            "bearing.power",
+            "casing.precession",
+            "casing: -k*omega_c*omega_r**2",
+            "casing: -k*omega_c**2*sign(omega_c)*t",
+            "casing: -k*omega_c**2*sin(psi_c)",
+            "casing: -k*omega_c**2*exp(-t/w)",
+        ],
+    )
+    def test_of_other_laws_there_is_none(self, law):
+        assert with_shape_parameter(resolve(law)) is None
+
+    def test_a_law_with_a_state_has_none(self):
+        warm = replace(resolve("casing: -k*omega_c**2"), state=State("T", "omega_c"))
+        assert with_shape_parameter(warm) is None
+
+    def test_a_step_with_a_second_shape_has_none(self):
+        law = "-k*heaviside(t - t0)*sign(omega_c)*exp(-t/s)"
+        (second,) = (p for p in resolve("casing: k*exp(-t/s)").parameters if p.role == "shape")
+        assert with_shape_parameter(replace(STEP, law=law, parameters=(*STEP.parameters, second))) is None
+
+    def test_the_other_effects_of_the_model_keep_their_laws(self, monkeypatch):
+        models = []
+        monkeypatch.setattr(module, "fit", lambda model, *_, **__: models.append(model) or Found(50.0))
+        monkeypatch.setattr(module, "refined", lambda found, criteria: found)
+        with_free_shape(Found(model=SimpleNamespace(effects=(STEP, DRAG))), DRAG, DEFAULT)
+        assert models[0].effects == (STEP, with_shape_parameter(DRAG))
+
+
+def value_of(effect, known):
+    return float(Tape([effect.expression])(known)[0])
 
 
 class TestFreeShape:

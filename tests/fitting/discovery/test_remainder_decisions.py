@@ -10,15 +10,24 @@ from linearised import covariance, gyroscope
 from scipy.stats import chi2
 
 from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError, effect_name
+from fitting import Model as Laws
 from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as module
 from fitting.discovery._lack_of_fit import HarmonicTest, PeriodogramPeak, SmoothTest
 from fitting.discovery._named_effect import FormTest
 from fitting.discovery._refine import with_shape_parameter
-from fitting.discovery._remainder import Torques, better_law, grade, nuisance_parameters, ranges_of
+from fitting.discovery._remainder import (
+    Torques,
+    better_law,
+    grade,
+    nuisance_parameters,
+    ranges_of,
+    smooth_law,
+)
 from fitting.discovery._residuals import ResidualTorque
 from fitting.discovery._select import Selection
 from fitting.dynamics._collocation import Sampler
+from fitting.effects._expression import Tape
 
 DRAG, BEARING = "casing.air.quadratic", "bearing.quadratic"
 UNBALANCE = "casing.unbalance"
@@ -136,6 +145,99 @@ class TestTorques:
         size = of_base if from_base else of_end
         assert casing == pytest.approx(drag + 1e-6 * size * within, abs=1e-12)
         assert rotor == pytest.approx(-3e-6 * size * within, abs=1e-12)
+
+    @pytest.mark.parametrize(("name", "key", "bodies"), [(DRAG, "k", 1), (BEARING, "e", 2)])
+    def test_the_error_of_a_shape_is_what_the_best_scaled_law_leaves(self, name, key, bodies):
+        """A power 1.7 of the speed beside the square; a law of the bearing acts on both bodies."""
+        law, strength = LIBRARY[name], {DRAG: K, BEARING: 1e-11}[name]
+        freed = with_shape_parameter(law)
+        end = gyroscope((*LINEAR, name), {f"{name}.{key}": 2 * strength})
+        own = {f"{name}.{key}": 3 * strength, f"{name}.n": 1.7}
+        fit = gyroscope(Laws.of(LINEAR).with_effect(freed), own)
+        omega_r, omega_c = speeds(end)
+        speed = omega_c if name == DRAG else omega_r - omega_c
+        power, square = np.abs(speed) ** 1.7, speed**2
+        rest = power - square * (power @ square) / (square @ square)
+        left = (3 * strength) ** 2 * np.mean(rest**2)
+        torques = Torques(lawful(), end, residual=False)
+        of_unmodelled, of_law, rms = torques.shape_error(law, freed, fit)
+        assert of_unmodelled == pytest.approx(left / np.mean((2 * strength * square) ** 2), rel=1e-4)
+        assert of_law == pytest.approx(np.mean(rest**2) / np.mean(power**2), rel=1e-4)
+        assert rms == pytest.approx(math.sqrt(left), rel=1e-4)
+        # no more than all of it
+        tiny = gyroscope((*LINEAR, name), {f"{name}.{key}": 1e-3 * strength})
+        assert Torques(lawful(), tiny, residual=False).shape_error(law, freed, fit)[0] == 1.0
+
+    def test_the_rms_of_an_error_of_a_shape_is_the_mean_of_the_cases(self):
+        law = LIBRARY[DRAG]
+        freed = with_shape_parameter(law)
+        values = {f"{DRAG}.k": K, f"{DRAG}.n": 1.7}
+
+        def found(cases):
+            end = lawful(DRAG, drag=K, cases=cases)
+            fit = gyroscope(Laws.of(LINEAR).with_effect(freed), values, cases=cases)
+            return Torques(lawful(cases=cases), end, residual=False).shape_error(law, freed, fit)
+
+        assert found(("a", "b")) == pytest.approx(found(("a",)), rel=1e-6)
+
+    def test_a_slow_residual_takes_the_place_of_the_curves_of_its_case(self, monkeypatch):
+        base, end = lawful(), lawful(DRAG, drag=K)
+        time = np.array([2.0, 20.0])
+        curves = [ResidualTorque("case", "casing", time, 1e-6 * np.ones(2), time, time, time)]
+        monkeypatch.setattr(module, "residual_torques", lambda fit: curves)
+        monkeypatch.setattr(module, "_slow_residual", lambda fit, case: (time, 5e-6 * np.ones(2)))
+        (((rotor, casing), _),) = Torques(base, end, residual=True).unmodelled
+        assert casing == pytest.approx(5e-6 - K * speeds(end)[1] ** 2, abs=1e-12)
+        assert rotor == pytest.approx(np.zeros(2000), abs=1e-14)
+
+    def test_of_the_base_alone_its_own_curves_are_all(self, monkeypatch):
+        base = lawful()
+        time = np.array([2.0, 20.0])
+        asked = []
+
+        def curves(fit):
+            asked.append(fit)
+            return [ResidualTorque("case", "casing", time, 1e-6 * np.ones(2), time, time, time)]
+
+        monkeypatch.setattr(module, "residual_torques", curves)
+        (((_, casing), _),) = Torques(base, base, residual=True).unmodelled
+        assert casing == pytest.approx(1e-6 * np.ones(2000))
+        assert asked == [base]
+
+    @pytest.mark.parametrize(("of_end", "of_fit"), [(True, True), (True, False), (False, False)])
+    def test_net_torques_are_those_along_the_motion_of_the_last_fit(self, monkeypatch, of_end, of_fit):
+        """A temperature is that of the fit, and a deflection that of the motion about the equilibrium of the fit."""
+        monkeypatch.setattr(module, "Sampler", lambda mesh, t: SimpleNamespace(value=np.copy))
+        states = {"omega_r": [1.0, 2.0], "omega_c": [3.0, 4.0], "deflection": [0.1, 0.3]}
+        own = {"omega_r": [9.0, 9.0], "omega_c": [8.0, 8.0], "T": [5.0, 6.0], "deflection": [1.5, 2.5]}
+        asked = []
+
+        def rates(t, y, numbers):
+            asked.append((t, y.T.tolist(), numbers))
+            return np.array([[1.0, 10.0], [2.0, 20.0]])
+
+        def fit(columns, restoring, numbers):
+            path = SimpleNamespace(mesh=None, y=np.array(list(columns.values())).T, states=tuple(columns))
+            return SimpleNamespace(
+                predictions=[SimpleNamespace(path=path)], model=SimpleNamespace(restoring=restoring), theta=None,
+                problem=SimpleNamespace(
+                    cases=[SimpleNamespace(dynamics=SimpleNamespace(rates=rates))],
+                    layout=SimpleNamespace(numbers=lambda theta, case: numbers),
+                ),
+            )  # fmt: skip
+
+        inertia = {module.INERTIA_ROTOR: 3.0, module.INERTIA_CASING: 0.5}
+        torques = Torques.__new__(Torques)
+        torques._time = ["times"]
+        torques._end = fit(states, of_end, {"a.k": 7.0, "b.k": 8.0} | inertia)
+        rotor, casing = torques._smooth(fit(own, of_fit, {"a.k": 1.0} | inertia), 0)
+        assert (rotor.tolist(), casing.tolist()) == ([3.0, 6.0], [5.0, 10.0])
+        ((t, y, numbers),) = asked
+        assert t == "times"
+        assert y[:3] == [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]
+        assert y[3] == pytest.approx([1.9, 2.1])
+        # without a restoring torque its other parameters have no meaning beside an oscillation
+        assert numbers == {"a.k": 7.0 if of_end and not of_fit else 1.0} | inertia
 
     def test_amplitudes_of_laws_of_an_angle(self):
         found = module._amplitudes(lawful(UNBALANCE, unbalance=2.0, phi=0.5), 0)
@@ -282,6 +384,18 @@ class TestBetterLaw:
 
     def test_a_law_whose_fit_fails_is_left_out(self, monkeypatch):
         assert self.laws(monkeypatch, DRAG, failing=("omega_r",)) == ["delta"]
+
+
+def test_a_smooth_law_is_a_cubic_spline_with_four_inner_knots():
+    law = smooth_law("bearing", "delta", (0, 2, 3), 10.0, 30.0)
+    x = np.linspace(0.0, 1.0, 7)
+    terms = [x**0, x**2, x**3, *(np.abs(x - k) ** 3 for k in (0.2, 0.4, 0.6, 0.8))]
+    names = [p.symbol for p in law.parameters]
+    assert len(names) == len(terms)
+    assert all(p.lower == -np.inf for p in law.parameters)
+    for name, term in zip(names, terms, strict=True):
+        known = {"delta": 10.0 + 20.0 * x} | {n: float(n == name) for n in names}
+        assert np.asarray(Tape([law.expression])(known)[0]) * np.ones(7) == pytest.approx(term)
 
 
 class TestComplete:
@@ -462,7 +576,7 @@ class TestGrade:
             in size.remainder.sentence
         )
         # of a significant lack of fit only the unmodelled torque counts
-        if whole.endswith("quadratic"):
+        if whole.startswith("torque of"):
             size = self.graded(monkeypatch, share=share, shape=shape, end=end, misfit=True)
             assert size.explained == pytest.approx(0.75)
 
@@ -524,17 +638,19 @@ def test_the_likelihood_ratio_of_nested_fits(smaller, larger, fall, p):
     assert module._likelihood_ratio(one, other) == pytest.approx(p)
 
 
-def test_amplitudes_of_the_camera_are_those_of_least_squares():
-    """All free columns together at the pure noise; the shutter is divided by the speed.
+@pytest.mark.parametrize("held", ["", "touchpoint.constant.b1"])
+def test_amplitudes_of_the_camera_are_those_of_least_squares(held):
+    """All free columns together at the pure noise, without that of a bound; the shutter is divided by the speed.
 
     Blur has no columns: the samples are not those of a film.
     """
     rows = 3.0 * np.random.default_rng(2).standard_normal(len(gyroscope().predictions[0].rows))
-    base = gyroscope(level=1e-7, residual=[rows])
+    base = gyroscope(values={held: 0.0}, level=1e-7, residual=[rows])
     base.noise[0].tested = 3e-8
     (data,) = base.problem.data
     assert data.has_camera_prior
-    columns = np.concatenate([base.predictions[0].jacobian, data.nuisance], axis=1)
+    moving = [i for i, n in enumerate(base.problem.layout.names) if n.partition("@")[0] != held]
+    columns = np.concatenate([base.predictions[0].jacobian[:, moving], data.nuisance], axis=1)
     root = np.linalg.cholesky(covariance(base, 3e-8))
     white, size = np.linalg.solve(root, columns), np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0

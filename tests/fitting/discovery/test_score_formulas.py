@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from linearised import BEGIN, SPAN, covariance, gyroscope, least_squares
+from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 from fitting import LIBRARY, LINEAR
@@ -27,6 +28,7 @@ from fitting.discovery._score import (
     score_of_columns,
     stacked,
 )
+from fitting.effects._user import resolve
 
 # effect, strength of the difference, shape constants
 LAWS = [
@@ -129,6 +131,62 @@ class TestColumns:
         assert steps == pytest.approx(np.full(len(steps), steps[0]))
         assert 1.5 <= steps[0] < 1.7
         assert np.abs(np.diff(phase, axis=0)).max() == pytest.approx(1.0)
+
+    def test_a_law_of_an_angle_has_columns_of_its_phases(self):
+        columns = CaseColumns(gyroscope(), 0)
+        pair = np.ones(7), np.full(7, 2.0)
+        columns.case = SimpleNamespace(unit_columns=lambda *_: pair)
+        for name, width in (("casing.unbalance", 2), ("camera.clock", 1)):
+            (trial,) = columns.trials(LIBRARY[name])
+            assert trial.columns.tolist() == [[1.0, 2.0][:width]] * 7
+            assert trial.shape == {}
+
+    def test_about_an_equilibrium_it_is_a_torque_of_the_deflection(self):
+        columns, unbalance = CaseColumns(gyroscope(), 0), LIBRARY["casing.unbalance"]
+        (plain,) = columns.trials(unbalance)
+        columns._restoring = True
+        deflection = columns._known["deflection"]
+        (about,) = columns.trials(unbalance)
+        unit = np.stack([np.sin(deflection), -np.cos(deflection)], axis=1)
+        expected = columns.torque_rows(np.zeros_like(unit), unit)
+        assert about.columns == pytest.approx(expected)
+        assert plain.columns != pytest.approx(expected)
+
+    def test_the_torques_of_a_fitted_law_are_those_of_its_phase(self):
+        columns, law = CaseColumns(gyroscope(), 0), LIBRARY["casing.precession"]
+        columns.numbers = {f"{law.name}.k": 3.0, f"{law.name}.phi": 0.4, f"{law.name}.m": 900.0}
+        shape, strengths = columns.fitted(law)
+        assert shape == {"m": 900.0}
+        assert strengths == pytest.approx([3.0 * math.cos(0.4), 3.0 * math.sin(0.4)])
+        heating = LIBRARY["bearing.heating"]
+        columns.numbers = {f"{heating.name}.{k}": x for k, x in (("k", 2.0), ("C", 5.0), ("tau_T", 7.0))}
+        shape, strengths = columns.fitted(heating)
+        assert shape == {"C": 5.0, "tau_T": 7.0}
+        assert strengths == pytest.approx([2.0, 0.0])
+
+    def test_a_choice_with_which_a_law_is_singular_is_not_tested(self):
+        columns, law = CaseColumns(gyroscope(), 0), resolve("casing: k*(omega_c - w)**0.5")
+        speed = columns.along_motion("omega_c")
+        middle = float(np.median(speed))
+        unit = columns._units(law, [{"w": middle}, {"w": speed.min() - 1.0}])
+        assert not unit[:, 0].any()
+        assert unit[:, 1] == pytest.approx(np.sqrt(speed - speed.min() + 1.0))
+
+    def test_more_choices_than_are_evaluated_at_once(self):
+        columns, law = CaseColumns(gyroscope(), 0), resolve("casing: k*omega_c**w")
+        shapes = [{"w": 1.0 + 0.01 * i} for i in range(129)]
+        unit = columns._units(law, shapes)
+        speed = columns.along_motion("omega_c")[:, None]
+        assert unit == pytest.approx(speed ** np.array([s["w"] for s in shapes]))
+
+    def test_the_typical_torque_of_a_body_alone_is_the_net_torque(self):
+        columns = CaseColumns(gyroscope(), 0)
+        columns.case = SimpleNamespace(
+            data=SimpleNamespace(record=SimpleNamespace(spun=SimpleNamespace(role="body")))
+        )
+        omega_r, omega_c = (columns.along_motion(n) for n in ("omega_r", "omega_c"))
+        net = 2e-7 * (omega_r - omega_c) - 1e-5 - 1e-6 * omega_c
+        assert columns.typical_torque == pytest.approx(net)
 
 
 def residual(rows, seed=3):
@@ -252,6 +310,66 @@ class TestScore:
         _, values = least_squares(free_columns(base), rows, covariance(base, 1e-7))
         assert ScoreContext(base, 2).base_change(added) == pytest.approx(values[: len(base.theta)], rel=1e-5)
 
+    def test_the_change_of_the_base_is_that_at_the_level_of_the_fit(self):
+        base = stood(1e-6, raised=True)
+        none = np.zeros(len(base.predictions[0].rows))
+        rows = base.problem.data[0].z - base.predictions[0].rows
+        _, values = least_squares(free_columns(base), rows, covariance(base, 1e-6))
+        assert ScoreContext(base, 2).base_change(none) == pytest.approx(values[: len(base.theta)], rel=1e-5)
+
+    def test_a_parameter_that_the_cases_share_counts_once(self):
+        key = "bearing.linear.d"
+        plain = gyroscope(cases=("a", "b"), level=1e-7, per_case=(key,))
+        rows = [residual(len(p.rows), i) for i, p in enumerate(plain.predictions)]
+        base = gyroscope(cases=("a", "b"), level=1e-7, per_case=(key,), residual=rows)
+        names = base.problem.layout.names
+        own = [i for i, n in enumerate(names) if n.startswith(key)]
+        assert len(own) == 2
+        jacobian = np.concatenate([p.jacobian for p in base.predictions])
+        common = jacobian[:, own].sum(axis=1, keepdims=True)
+        nuisance = block_diag(*(d.nuisance for d in base.problem.data))
+        columns = np.concatenate([np.delete(jacobian, own, axis=1), common, nuisance], axis=1)
+        everything = np.column_stack([columns, np.concatenate(rows)])
+        parts, determinant = [], 0.0
+        for i, part in enumerate(np.split(everything, [len(rows[0])])):
+            root = np.linalg.cholesky(covariance(base, 1e-7, i))
+            parts.append(np.linalg.solve(root, part))
+            determinant += 2 * np.log(np.diag(root)).sum()
+        white = np.concatenate(parts)
+        size = np.maximum(np.linalg.norm(white, axis=0), 1e-300)
+        found = np.linalg.lstsq(white[:, :-1] / size[:-1], white[:, -1], rcond=1e-12)[0]
+        rest = white[:, -1] - white[:, :-1] / size[:-1] @ found
+        expected = rest @ rest + determinant
+        assert ScoreContext(base, 2, shared=key).levels[0].deviance == pytest.approx(expected)
+
+    def grouped(self, groups, levels, absorbed=(), **options):
+        """`levels` are residuals and deviances; the first axis is free in each."""
+        basis = np.eye(4)[:, :1]
+        made = [module.Level(np.ones(4), basis, np.array(r, dtype=float), d) for r, d in levels]
+        context = SimpleNamespace(
+            absorbed_by_base=lambda columns: np.isin(np.arange(len(columns)), absorbed),
+            rotated=lambda rows: rows, shares=lambda direction: (), fit=SimpleNamespace(noise=()),
+            draws=np.array([[0.0], [3.0], [1.0], [0.0]]),
+        )  # fmt: skip
+        trials = [(({"w": i},), np.array(c, dtype=float)[:, None]) for i, c in enumerate(groups)]
+        return best_group(context, self.effect, trials, made, **options)
+
+    def test_a_level_that_describes_the_data_worse_is_not_a_gain(self):
+        first, second = ((0, 3, 0, 0), 0.0), ((0, 5, 0, 0), 17.0)
+        axis = (0, 2, 0, 0)
+        assert self.grouped([axis], [first, second]).score == pytest.approx(9.0)
+        assert self.grouped([axis], [first, second]).gamma == pytest.approx([1.5])
+        assert self.grouped([axis], [first, (second[0], 15.0)]).score == pytest.approx(10.0)
+        assert self.grouped([axis], [first, (second[0], 15.0)]).gamma == pytest.approx([2.5])
+
+    def test_of_groups_of_which_the_base_absorbs_one_the_other_counts(self):
+        groups, level = [(0, 1, 0, 0), (0, 0, 1, 0)], ((0, 5, 2, 0), 0.0)
+        found = self.grouped(groups, [level], absorbed=[0])
+        assert (found.score, found.absorbed, found.shape) == (pytest.approx(4.0), False, ({"w": 1},))
+        assert self.grouped(groups, [level], absorbed=[0, 1]).absorbed
+        assert not self.grouped(groups, [level]).absorbed
+        assert self.grouped(groups, [level]).null == pytest.approx([9.0])
+
     def test_rows_of_a_torque_and_effects_that_are_left_out(self):
         base = stood(1e-7)
         torque = residual(len(base.predictions[0].rows), 5)
@@ -343,6 +461,20 @@ class TestProbability:
         assert null.of_draws() == pytest.approx((np.arange(20_001)[::-1] + 0.5) / 20_001, abs=0.01)
         assert null(-3.0)[0] == pytest.approx(1.0)
 
+    @pytest.mark.parametrize(("of_median", "of_tail"), [(1, 30), (30, 1), (8, 8)])
+    def test_the_number_of_trials_is_that_of_the_middle_or_of_the_tail(self, of_median, of_tail):
+        middle = chi2(1).isf(1 - 0.5 ** (1 / of_median))
+        tail = max(chi2(1).isf(1 - 0.9 ** (1 / of_tail)), middle)
+        share = np.linspace(0.0, 1.0, 1001)
+        draws = np.interp(share, [0.0, 0.5, 0.9, 1.0], [0.0, middle, tail, 2 * tail])
+        null = NullDistribution(replace(tried(1, 1), null=draws))
+        trials = max(of_median, of_tail, math.log(0.9) / math.log1p(-chi2(1).sf(tail)))
+        assert null(12.0)[0] == pytest.approx(-np.expm1(trials * np.log1p(-chi2(1).sf(12.0))), rel=0.01)
+
+    def test_at_a_known_noise_the_score_is_not_scaled(self):
+        null = NullDistribution(tried(30, 2, scale=4.0))
+        assert null.at_one_level(14.0) == pytest.approx(-np.expm1(30 * np.log1p(-chi2(2).sf(14.0))), rel=0.01)
+
     def test_a_score_with_fewer_strengths(self):
         null = NullDistribution(tried(30, 2))
         assert null.of(12.0, 1)[0] == pytest.approx(-np.expm1(30 * np.log1p(-chi2(1).sf(12.0))), rel=0.01)
@@ -358,6 +490,14 @@ class TestProbability:
 
     def test_there_is_at_least_one_test(self):
         assert over_many_tests(0.2, np.full(11, 0.9)) == pytest.approx(0.2)
+
+    def test_independent_candidates_count_separately(self):
+        random = np.random.default_rng(4)
+        draws = random.random((5, 40_000))
+        found = FamilywiseNull([SimpleNamespace(of_draws=lambda u=u: u) for u in draws])(
+            np.array([0.01]), np.ones(1)
+        )
+        assert found == pytest.approx(-math.expm1(5 * math.log1p(-0.01)), rel=0.05)
 
     def test_equal_candidates_count_once(self):
         family = FamilywiseNull([NullDistribution(tried(1, 1))] * 3)
@@ -432,6 +572,13 @@ class TestShapes:
         )
         assert found.own_phase is own
         assert found.score == (40.0 + 2 * DEFAULT.own_phase + margin if own else 40.0)
+
+    def test_of_two_shape_constants_none_is_refined(self):
+        law = resolve("casing: k*exp(-(t/w)**n)")
+        assert sum(p.role == "shape" for p in law.parameters) == 2
+        scored = replace(tried(1, 1, draws=11), effect=law, shape=({"w": 1.0, "n": 2.0},))
+        trial = Trial({"w": 1.0, "n": 2.0}, np.ones((4, 1)))
+        assert module._shape_refined(None, scored, [[trial]], [None], DEFAULT) is scored
 
     @pytest.mark.parametrize(("share", "refined"), [(1.01, True), (0.99, False)])
     def test_shapes_of_promising_candidates_are_refined(self, monkeypatch, share, refined):

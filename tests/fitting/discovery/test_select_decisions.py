@@ -27,6 +27,8 @@ from fitting.discovery._select import (
     best,
     equivalence_classes,
     found_starts,
+    needed_drives,
+    needed_evidence,
     needs_search,
     ordered,
     rank,
@@ -36,6 +38,7 @@ from fitting.discovery._select import (
     separate_values,
 )
 from fitting.effects._library import START
+from fitting.effects._user import resolve
 
 DRAG, LAMINAR, STEP = (LIBRARY[n] for n in ("casing.air.quadratic", "casing.air.laminar", "touchpoint.step"))
 PERIODIC, SPRING = LIBRARY["casing.precession"], LIBRARY["casing.spring.linear"]
@@ -61,13 +64,29 @@ class Model:
         return replace(self, effects=tuple(e for e in self.effects if e.name != name))
 
 
-def data(*, oscillation=None, parts=("casing", "rotor"), tracked=False, is_angle=True, measured_angle=None):
+def data(
+    *,
+    oscillation=None,
+    parts=("casing", "rotor"),
+    tracked=False,
+    is_angle=True,
+    measured_angle=None,
+    inputs=(),
+    constant=(),
+):
+    """A recording; `inputs` are units by name, of which the `constant` ones do not vary."""
+    recorded = [SimpleNamespace(name=name, unit=unit) for name, unit in dict(inputs).items()]
     return SimpleNamespace(
         motion=oscillators.stub(oscillation),
         is_angle=is_angle,
         measured_angle=measured_angle,
         has_noise_of=lambda _: True,
-        record=SimpleNamespace(parts=frozenset(parts), tracked=tracked, inputs=(), driving=()),
+        record=SimpleNamespace(
+            parts=frozenset(parts),
+            tracked=tracked,
+            inputs=recorded,
+            driving=[i for i in recorded if i.name not in constant],
+        ),
     )
 
 
@@ -195,6 +214,146 @@ class TestApplicable:
         assert "my.drag" in self.names(extra=[own])
 
 
+class TestInputs:
+    """Laws of the inputs of recordings, and which of them a driven body needs."""
+
+    VOLTAGE, CURRENT = {"voltage": "V"}, {"current": "A"}
+    MOTOR = resolve("casing: c*voltage", VOLTAGE)
+
+    def names(self, *cases, effects=(), extra=()):
+        base = Found(model=Model(effects), problem=SimpleNamespace(data=list(cases)))
+        return {e.name for e in applicable_effects(base, extra)}
+
+    @pytest.mark.parametrize(
+        ("first", "second", "tested"),
+        [
+            (VOLTAGE, VOLTAGE, {"voltage"}),
+            (VOLTAGE | CURRENT, VOLTAGE, {"voltage"}),
+            (VOLTAGE, CURRENT, set()),
+            (VOLTAGE, {"voltage": "mV"}, set()),
+        ],
+    )
+    def test_an_input_of_all_recordings_is_tested(self, first, second, tested):
+        found = self.names(data(inputs=first), data(inputs=second))
+        assert {n.rpartition(".")[2] for n in found if n.startswith("rotor.input.")} == tested
+
+    @pytest.mark.parametrize(("constant", "tested"), [((), True), (("voltage",), False)])
+    def test_an_input_that_never_varies_is_not_tested(self, constant, tested):
+        assert ("casing.input.voltage" in self.names(data(inputs=self.VOLTAGE, constant=constant))) is tested
+
+    @pytest.mark.parametrize(
+        ("law", "tested"),
+        [
+            ("casing: c*voltage", {"rotor", "bearing"}),
+            ("rotor: c*voltage", {"casing", "bearing"}),
+            ("casing: c*voltage**2", {"casing", "rotor", "bearing"}),
+            ("casing: c*current", {"casing", "rotor", "bearing"}),
+        ],
+    )
+    def test_a_law_of_the_model_under_another_name_is_not_tested_again(self, law, tested):
+        both = self.VOLTAGE | self.CURRENT
+        found = self.names(data(inputs=both), effects=(resolve(law, both),))
+        assert {n.partition(".")[0] for n in found if n.endswith(".input.voltage")} == tested
+
+    def test_a_law_of_another_unit_is_another_law(self):
+        other = replace(self.MOTOR, inputs=(("voltage", "mV"),))
+        assert not module._same_law(self.MOTOR, other)
+        assert module._same_law(self.MOTOR, LIBRARY_OF_INPUTS["casing.input.voltage"])
+
+    def test_a_dead_time_needs_a_law_of_its_input(self):
+        recording = data(inputs=self.VOLTAGE | self.CURRENT)
+        found = self.names(recording, effects=(self.MOTOR,))
+        assert {n for n in found if n.endswith(".delay")} == {"input.voltage.delay"}
+        assert not {n for n in self.names(recording) if n.endswith(".delay")}
+
+    @pytest.mark.parametrize(
+        ("effects", "constant", "tested"),
+        [
+            ((), (), True),
+            (("motor",), (), False),
+            (("motor",), ("voltage",), True),
+            (("motor", "input.voltage.delay"), (), True),
+        ],
+    )
+    def test_a_torque_that_sets_in_is_tested_after_the_dead_time(self, effects, constant, tested):
+        known = LIBRARY_OF_INPUTS | {"motor": self.MOTOR}
+        recording = data(inputs=self.VOLTAGE, constant=constant)
+        found = self.names(recording, effects=tuple(known[n] for n in effects))
+        assert (STEP.name in found) is tested
+
+    def test_an_effect_that_is_not_searched_is_tested_on_request(self):
+        support = LIBRARY["rotor.support"]
+        assert support.name not in self.names(data())
+        assert support.name in self.names(data(), extra=[support])
+
+    @pytest.mark.parametrize(
+        ("errors", "needed"),
+        [
+            ({"casing": 0.98, "rotor": 1.02, "bearing": 3.0}, {"casing"}),
+            ({"casing": 1.5, "rotor": 1.02, "bearing": None}, set()),
+            ({"casing": 0.11, "rotor": 0.9, "bearing": 1.9}, {"casing", "rotor"}),
+        ],
+    )
+    def test_an_input_that_halves_the_residual_speed_drives_the_body(self, monkeypatch, errors, needed):
+        fitted = []
+
+        def from_scratch(base, effect):
+            fitted.append(effect.name)
+            error = errors[effect.joint]
+            return None if error is None else SimpleNamespace(rmse_casing=error)
+
+        monkeypatch.setattr(module, "fit_from_scratch", from_scratch)
+        base = Found()
+        object.__setattr__(base, "rmse_casing", 2.0)
+        found = needed_drives(base, [DRAG, *LIBRARY_OF_INPUTS.values()])
+        assert found == {f"{joint}.input.voltage" for joint in needed}
+        # a dead time alone is no torque
+        assert sorted(fitted) == [f"{joint}.input.voltage" for joint in ("bearing", "casing", "rotor")]
+        driven = Found(model=Model((self.MOTOR,)))
+        assert needed_drives(driven, list(LIBRARY_OF_INPUTS.values())) == set()
+
+
+LIBRARY_OF_INPUTS = {
+    n: resolve(n, {"voltage": "V"})
+    for n in ("rotor.input.voltage", "casing.input.voltage", "bearing.input.voltage", "input.voltage.delay")
+}
+
+
+class TestToRefit:
+    """Which candidates are refitted: four in any case, promising ones up to fourteen, and faults."""
+
+    def refitted(self, *candidates):
+        return module._to_refit(candidates, DEFAULT)
+
+    def test_promising_ones_are_refitted_up_to_a_limit(self):
+        count = DEFAULT.refit_most
+        assert self.refitted(*[candidate() for _ in range(count + 3)]) == [True] * count + [False] * 3
+
+    @pytest.mark.parametrize(
+        ("value", "p", "chosen"),
+        [
+            (11.0, 0.49, True),
+            (11.0, 0.51, False),
+            (9.0, 0.01, False),  # less than a tenth of the best score
+        ],
+    )
+    def test_a_promising_one_has_a_small_p_value_and_a_large_score(self, value, p, chosen):
+        first = [candidate(value=100.0) for _ in range(DEFAULT.refit_least)]
+        assert self.refitted(*first, candidate(value=value, p=p)) == [True] * 4 + [chosen]
+
+    @pytest.mark.parametrize(("p", "chosen"), [(0.01, True), (0.9, False)])
+    def test_faults_of_the_measurement_are_refitted_if_anything_is_significant(self, p, chosen):
+        first = [candidate(p=p) for _ in range(DEFAULT.refit_least)]
+        fault = candidate(LIBRARY["setup.inertia"], value=0.1, p=1.0)
+        assert self.refitted(*first, fault, candidate(value=0.1, p=1.0)) == [True] * 4 + [chosen, False]
+
+    def test_absorbed_ones_are_neither_refitted_nor_counted(self):
+        lost = [candidate(value=1e6, absorbed=True)] * 3
+        assert self.refitted(*lost, *[candidate(p=0.9)] * 5) == [False] * 3 + [True] * 4 + [False]
+        # nor is their score that of the best
+        assert self.refitted(*lost, *[candidate(value=100.0)] * 4, candidate(value=11.0))[-1]
+
+
 class TestRank:
     """The ranking of three candidates with given scores; p is 10 / score."""
 
@@ -265,6 +424,12 @@ class TestRank:
             {"camera.clock"} & set(refits)
         )
 
+    def test_of_a_driven_body_the_needed_laws_alone_are_ranked(self, monkeypatch):
+        monkeypatch.setattr(module, "needed_drives", lambda base, effects: {STEP.name})
+        found, refits = self.ranked(monkeypatch, Found(), {DRAG: 1000.0, LAMINAR: 500.0, STEP: 0.1})
+        assert [c.effect.name for c in found] == [STEP.name]
+        assert set(refits) == {STEP.name}
+
     @pytest.mark.parametrize(("value", "significant"), [(334.0, True), (333.0, False)])
     def test_a_probability_of_three_percent_is_significant(self, monkeypatch, value, significant):
         (found,), _ = self.ranked(monkeypatch, Found(), {DRAG: value})
@@ -297,6 +462,7 @@ class TestRank:
                 240,
                 ["casing.air.quadratic", "casing.air.laminar"],
             ),
+            ({DRAG: 5000.0, LAMINAR: 501.0, STEP: 499.0}, 10, ["casing.air.quadratic", "casing.air.laminar"]),
             (
                 {DRAG: 1000.0, LAMINAR: 600.0, STEP: 500.0},
                 None,
@@ -344,6 +510,9 @@ class TestRank:
         assert (found.effect, found.score, found.p_value) == (START, 12.0, p)
         assert found.delta_bic == (-14.0 if refitted else -9.0)
         assert (found.fit, found.significant) == ("refitted" if refitted else None, refitted)
+        starts.fall = -3.0
+        found = module._start_candidate(None, lambda p, weights: float(p @ weights), DEFAULT)
+        assert found.score == 0.0
 
 
 class Null:
@@ -461,6 +630,41 @@ class TestOrder:
         starts = candidate(START, start_bic, significant=significant, fit="own" if refitted else None)
         assert (self.names(candidate(DRAG, -40.0), starts)[0] == START.name) is first
 
+    @pytest.mark.parametrize(("bic", "first"), [(-43.1, DRAG.name), (-43.3, "setup.inertia")])
+    def test_a_fault_of_the_measurement_needs_more_evidence_than_physics(self, bic, first):
+        assert self.names(candidate(LIBRARY["setup.inertia"], bic), candidate(DRAG, -40.0))[0] == first
+
+    def alike(self, *pair):
+        first, second = ordered(pair, DEFAULT)
+        assert bool(first.indistinguishable_from) is bool(second.indistinguishable_from)
+        return bool(first.indistinguishable_from)
+
+    @pytest.mark.parametrize(
+        ("direction", "alike"),
+        [
+            ((1.0, 0.0), True),
+            ((-1.0, 0.0), True),  # of the other sign
+            ((math.cos(0.0140), math.sin(0.0140)), True),
+            ((math.cos(0.0142), math.sin(0.0142)), False),
+            ((0.0, 1.0), False),
+        ],
+    )
+    @pytest.mark.parametrize("fit", ["own", None])
+    def test_without_a_refit_the_directions_decide(self, direction, alike, fit):
+        scored = candidate(LAMINAR, math.nan, value=1.0, fit=None, direction=direction)
+        assert self.alike(candidate(DRAG, fit=fit), scored) is alike
+
+    @pytest.mark.parametrize(
+        ("bic", "value", "alike"),
+        [(-49.0, 90.0, True), (-90.0, 59.0, True), (-51.0, 61.0, False), (-29.0, 39.0, False)],
+    )
+    def test_with_refits_evidence_or_score_within_ten_is_alike(self, bic, value, alike):
+        direction = (0.0, 1.0)
+        other = candidate(LAMINAR, bic, value=value, direction=direction)
+        assert self.alike(candidate(DRAG, -40.0, value=50.0), other) is alike
+        weak = replace(other, significant=False)
+        assert not self.alike(candidate(DRAG, -40.0, value=50.0), weak)
+
     def test_absorbed_candidates_are_alike_to_none(self):
         pair = [candidate(DRAG), candidate(LAMINAR, absorbed=True)]
         assert not any(c.indistinguishable_from for c in ordered(pair, DEFAULT))
@@ -489,6 +693,39 @@ class TestBest:
             estimates={f"{DRAG.name}.k@a": estimate(value, stderr), f"{DRAG.name}.w": estimate(0.0, 1.0)},
         )
         assert (reason_undetermined(DRAG, fit, DEFAULT) == "") is determined
+
+    @pytest.mark.parametrize(
+        ("alike", "second", "found"),
+        [
+            ((LAMINAR.name,), 4.0, LAMINAR),
+            ((LAMINAR.name,), 2.0, DRAG),  # neither is determined
+            ((), 4.0, DRAG),
+            ((STEP.name,), 4.0, DRAG),
+        ],
+    )
+    def test_a_determined_one_of_the_class_is_preferred(self, alike, second, found):
+        fits = [
+            Found(estimates={f"{e.name}.k": estimate(sigma, 1.0)})
+            for e, sigma in ((DRAG, 2.0), (LAMINAR, second))
+        ]
+        ranked = [candidate(DRAG, fit=fits[0], alike=alike), candidate(LAMINAR, fit=fits[1])]
+        assert best(ranked).effect is found
+
+    @pytest.mark.parametrize(
+        ("effect", "tracked", "more"),
+        [
+            (PERIODIC, (True,), True),
+            (PERIODIC, (False, True), True),
+            (PERIODIC, (False,), False),
+            (DRAG, (True,), False),
+            (LIBRARY["camera.centre"], (True,), False),
+        ],
+    )
+    def test_on_film_a_periodic_law_needs_more_evidence(self, effect, tracked, more):
+        fit = Found(problem=SimpleNamespace(data=[data(tracked=t) for t in tracked]))
+        assert LIBRARY["camera.centre"].periodic
+        needed = DEFAULT.evidence_periodic if more else DEFAULT.evidence
+        assert needed_evidence(effect, fit, DEFAULT) == needed
 
 
 class TestAtNoise:
@@ -929,6 +1166,15 @@ class TestBackward:
         names = (self.FIRST, STEP.name, DRAG.name)
         found = self.dropped(monkeypatch, names, {(self.FIRST, DRAG.name): bic}, sigma=sigma)
         assert (found.change, found.fit.bic, found.candidates) == (f"+{DRAG.name}", 50.0, ("kept",))
+
+    @pytest.mark.parametrize(
+        ("errors", "essential"),
+        [((1.0, 1.0), False), ((1.0, 0.1), True), ((math.inf, 1.0), True), ((math.nan, 1.0), True)],
+    )
+    def test_a_strength_is_essential_if_that_of_one_case_is(self, errors, essential):
+        own = {f"{STEP.name}.k@{c}": estimate(1.0, u) for c, u in zip("ab", errors, strict=True)}
+        fit = Found(estimates=own | {f"{STEP.name}.t0": estimate(9.0, 0.1)})
+        assert module._is_essential(fit, STEP, DEFAULT) is essential
 
     def test_in_a_crowd_a_strong_effect_is_tried_as_well(self, monkeypatch):
         """Three were added; the newest and those of the base are never dropped."""

@@ -355,11 +355,217 @@ class TestVerdict(Answer):
         swinging = Found(problem=problem(data(oscillation=SimpleNamespace())))
         assert words not in self.answer(swinging).sentence
 
+    @pytest.mark.parametrize("other", [True, False])
+    def test_a_ranking_at_other_noise_is_not_used(self, monkeypatch, other):
+        measured = Found(wrong=True)
+        monkeypatch.setattr(module, "measured_with", lambda fit, criteria: measured if other else fit)
+        base, known, history = Found(wrong=True), [candidate()], ["step"]
+        diagnose(base, candidates=known, history=history, brief=True)
+        fit, ranked, steps = (self.arguments["select"][0][i] for i in (0, 1, 5))
+        assert fit is (measured if other else base)
+        assert (ranked, list(steps)) == (([], []) if other else (known, history))
+
+    def test_camera_effects_are_those_of_the_most_complete_fit(self):
+        final = Found()
+        self.answer(select=selection(candidate(), final=final), grade=COMPLETE)
+        assert self.arguments["nuisance_parameters"] == ((final,), {})
+        separate = SimpleNamespace(fit=Found(), parameter=SimpleNamespace(sentence="It differs."))
+        self.answer(separate_values=separate)
+        assert self.arguments["nuisance_parameters"] == ((separate.fit,), {})
+
+    def test_an_inertia_within_its_uncertainty_is_an_answer_to_random_torque_as_well(self):
+        chosen = selection(candidate("setup.inertia"))
+        found = self.answer(
+            Found(needs_random=True), select=chosen, grade=COMPLETE, inertia_within_uncertainty="within"
+        )
+        assert (found.verdict, found.sentence) == ("adequate", "within")
+
+    def test_a_hint_that_a_test_contradicts_is_unexplained(self):
+        weak = Found(estimates={f"{DRAG}.k": estimate(2e-9, 1e-9)})
+        given = {"select": selection(candidate(), named=weak), "grade": COMPLETE}
+        assert self.answer(**given).verdict == "undecided"
+        assert self.answer(**given, contradiction=SmoothTest("casing", 1e-5)).verdict == "unexplained"
+
+    @pytest.mark.parametrize("lacking", [True, False])
+    def test_without_a_restoring_torque_no_unmodelled_torque_is_shown(self, lacking):
+        given = {"residual_torques": ["curve"], "angle_harmonics": ["harmonic"]}
+        base = Found(wrong=True, lacks_restoring_torque=lacking)
+        found = self.answer(base, select=selection(final=Found(wrong=True)), brief=False, **given)
+        assert (found.torques, found.ripples) == (() if lacking else ("curve",), ("harmonic",))
+        assert self.arguments["find_failures"][0][1] == list(found.torques)
+        self.answer(base)
+        assert "find_failures" not in self.asked
+
+    def test_an_answer_that_names_nothing_has_no_form(self):
+        undetermined = Found(undetermined=(f"{DRAG}.k",))
+        found = self.answer(select=selection(candidate(), named=undetermined), grade=COMPLETE)
+        assert (found.verdict, found.form, found.explained) == ("unexplained", None, 1.0)
+
+    def test_the_next_run_separates_members_of_the_class_with_a_fit(self):
+        chosen = candidate(alike=(LAMINAR, UNBALANCE))
+        others = [candidate(LAMINAR, fit=None), candidate(UNBALANCE)]
+        self.answer(select=selection(chosen, others=others), grade=COMPLETE, brief=False)
+        assert [name for name, _, _ in self.arguments["separating_run"][0][1]] == [DRAG, UNBALANCE]
+
+    def test_errors_of_starts_are_neither_a_hint_nor_a_random_torque(self):
+        starts = candidate(effect=START, estimates={"camera.start.dt": estimate(3e-3, 1e-3, "s")})
+        given = {"grade": COMPLETE, "describes": True, "is_established": False}
+        found = self.answer(
+            select=selection(starts, named=Found(converged=False)),
+            with_random_torque=random_torque(),
+            **given,
+        )
+        assert found.verdict == "missing_effect"
+        assert "with_random_torque" not in self.asked
+
+    def test_the_noise_of_the_recording_does_not_explain_a_lack_of_fit(self):
+        wrong = selection(final=Found(wrong=True))
+        given = {"select": wrong, "describes": True}
+        found = self.answer(with_random_torque=random_torque(is_raised=False), **given)
+        assert found.verdict == "unexplained"
+
+    def test_a_random_torque_is_compared_over_the_whole_list(self):
+        chosen = selection(candidate(), named=Found(), final=Found(), others=[candidate(LAMINAR)] * 4)
+        given = {"grade": COMPLETE, "describes": True, "with_random_torque": random_torque()}
+        self.answer(select=chosen, **given)
+        _, screened, fit, tests, _ = self.arguments["is_established"][0]
+        assert (screened, fit, tests) == (chosen.chosen.screened, chosen.named, 5)
+
+    @pytest.mark.parametrize(
+        ("raised", "words"),
+        [
+            (True, "without the model the recording does not establish its level"),
+            (False, "the recording shows this level without a model"),
+        ],
+    )
+    def test_where_the_level_of_a_random_torque_comes_from(self, raised, words):
+        given = {"grade": COMPLETE, "describes": True, "is_established": False}
+        random = random_torque(is_raised=raised)
+        found = self.answer(select=selection(candidate()), with_random_torque=random, **given)
+        assert words in found.sentence
+
+    def test_a_sinusoid_is_sought_in_the_most_complete_fit(self):
+        final = Found(wrong=True)
+        lined = Found(wrong=True, problem=problem(data(lines=(1,))))
+        self.answer(lined, select=selection(final=final))
+        assert self.arguments["significant_peak"][0][0] is final
+
+    def test_bounds_are_those_of_the_fit_of_the_answer(self):
+        layout = SimpleNamespace(index={"a.g": 0}, is_physical_bound=lambda name: False)
+        cases = SimpleNamespace(data=[data()], layout=layout)
+        final = Found(problem=cases, estimates={"a.g": estimate(1.5, at_bound=True)})
+        base = replace(final, wrong=True, estimates={"a.g": estimate(2.5, at_bound=True)})
+        found = self.answer(base, select=selection(candidate(), final=final), grade=COMPLETE)
+        assert "a.g = 1.5" in found.sentence
+        found = self.answer(base, select=selection(final=replace(final, wrong=True)))
+        assert "a.g = 2.5" in found.sentence
+
     @pytest.mark.parametrize(("limit", "stated"), [(0.2, 0.2), (math.inf, None)])
     def test_the_limit_of_the_form_is_stated_where_it_is_finite(self, limit, stated):
         test = SimpleNamespace(limit=limit, is_strong=lambda _: True, any_in_time=False)
         size = replace(COMPLETE, test=test)
         assert self.answer(select=selection(candidate()), grade=size).form_limit == stated
+
+
+class TestGraded(Answer):
+    """The form after what errors of inertia and random torque leave of it."""
+
+    def graded(self, form, *, final=None, better=True, allowed=True, rival=True, **options):
+        left = None if form == "exact" else LEFT
+        self.given["grade"] = Grade(form, None if form is None else 0.97, left)
+        other = SimpleNamespace(better=better, is_allowed=lambda criteria: allowed) if rival else None
+        doubt, misfit = options.get("doubt"), options.get("misfit", False)
+        chosen = selection(candidate(), final=final)
+        return module._graded(Found(), chosen, doubt, other, DEFAULT, misfit=misfit)
+
+    @pytest.mark.parametrize(
+        ("form", "change", "found"),
+        [
+            ("exact", {}, "exact"),
+            ("approximate", {}, "exact"),
+            ("exact", {"allowed": False}, "approximate"),
+            ("exact", {"misfit": True}, "approximate"),
+            ("exact", {"doubt": SmoothTest("casing", 1e-5)}, "approximate"),
+            ("approximate", {"better": False}, "approximate"),
+            ("approximate", {"rival": False}, "approximate"),
+            (None, {}, None),
+            (None, {"allowed": False}, None),
+        ],
+    )
+    def test_an_error_of_inertia_within_its_uncertainty_is_not_a_remainder(self, form, change, found):
+        size = self.graded(form, **change)
+        assert size.form == found
+        if form == "approximate" and found == "exact":
+            assert (size.explained, size.remainder) == (1.0, None)
+
+    @pytest.mark.parametrize(
+        ("form", "noisy", "found"),
+        [
+            ("exact", True, (None, True)),
+            ("exact", False, ("exact", False)),
+            ("approximate", True, ("approximate", False)),
+        ],
+    )
+    def test_a_law_that_needs_more_noise_has_no_established_form(self, form, noisy, found):
+        size = self.graded(form, rival=False, final=Found(noisy=noisy))
+        assert (size.form, size.noisy) == found
+
+    @pytest.mark.parametrize(
+        ("form", "own", "others", "found"),
+        [
+            ("exact", (), (), ("exact", ())),
+            ("exact", (), (UNKNOWN_IN_TIME,), (None, (UNKNOWN_IN_TIME,))),
+            ("exact", (LAMINAR,), (UNKNOWN_IN_TIME,), (None, (LAMINAR, UNKNOWN_IN_TIME))),
+            # an approximate law has rivals in the library; without one, laws outside of it are compared
+            ("approximate", (LAMINAR,), (UNKNOWN_IN_TIME,), ("approximate", (LAMINAR,))),
+            ("approximate", (), (UNKNOWN_IN_TIME,), ("approximate", (UNKNOWN_IN_TIME,))),
+        ],
+    )
+    def test_a_form_that_has_rivals_is_not_established(self, form, own, others, found):
+        self.given["nonparametric_rivals"] = others
+        chosen, size = module._with_unknown_laws(
+            None, selection(candidate()), None, Grade(form, 1.0, None, own), DEFAULT
+        )
+        assert (size.form, chosen.chosen.indistinguishable_from) == found
+
+
+class TestShown(Answer):
+    """What a diagnosis shows of its curves, candidates and words."""
+
+    def test_curves_and_failures_of_one_case(self, monkeypatch):
+        drawn = {}
+        monkeypatch.setattr(
+            module, "draw_torque", lambda ax, curves, spans, unit: drawn.setdefault("torque", (curves, spans))
+        )
+        monkeypatch.setattr(
+            module, "draw_candidates", lambda ax, names, scores, **marks: drawn.setdefault("scores", scores)
+        )
+        curves = [
+            SimpleNamespace(label=label, body=body, time=label, torque=1, sigma=2)
+            for label in ("run", "other")
+            for body in ("casing", "rotor")
+        ]
+        failures = [SimpleNamespace(label=x, t_start=i, t_stop=i + 1) for i, x in enumerate(("other", "run"))]
+        record = SimpleNamespace(label="run", body="platter")
+        base = Found(problem=problem(SimpleNamespace(record=record)))
+        found = replace(
+            self.answer(),
+            fit=base,
+            torques=tuple(curves),
+            failures=tuple(failures),
+            candidates=(candidate(), candidate(LAMINAR, score=0.0)),
+        )
+        found._draw_torque(SimpleNamespace(set_title=len, legend=lambda **_: None), "run")
+        assert drawn["torque"] == ([("platter", "run", 1, 2), ("rotor", "run", 1, 2)], [(1, 2)])
+        replace(found, torques=()).plot()
+        assert drawn["scores"] == [50.0]
+
+    def test_a_long_sentence_is_cut_after_eight_lines(self):
+        line = "word " * 19 + "word"
+        words = [" ".join([line] * count) for count in (8, 9)]
+        shown = [repr(replace(self.answer(), sentence=w, candidates=())).splitlines() for w in words]
+        assert [len(lines) for lines in shown] == [9, 9]
+        assert [lines[-1] for lines in shown] == [line, "..."]
 
 
 class TestFindings(Answer):
@@ -384,6 +590,17 @@ class TestFindings(Answer):
 
     def test_another_fault_of_the_recording_is_unexplained(self):
         assert self.answer(self.of()).verdict == "unexplained"
+
+    def test_it_is_compared_with_the_least_noise_of_all_series(self):
+        """A slip of one turn in angles of 2 rad and of 4 rad: (2 pi / 2)^2 / 2, less one parameter."""
+        samples = SimpleNamespace(sigma=np.array([1.0, 2.0, 9.0]))
+        case = data(slips=[self.slip])
+        case.casing = SimpleNamespace(scale=2.0, samples=samples)
+        case.rotor = (SimpleNamespace(scale=1.0, samples=samples),)
+        slips = [SimpleNamespace(turns=1, where="the casing", time=t) for t in (1.0, 2.0)]
+        found = slipped(Found(rows=100, problem=problem(case)), slips)
+        assert found.score == pytest.approx(math.pi**2)
+        assert found.delta_bic == pytest.approx(2 * math.log(100) - math.pi**2)
 
     def test_its_score_is_the_chi_square_of_the_steps(self):
         """Of two turns, with 2 mrad of noise: (4 pi / 2e-3)^2 / 2."""
@@ -414,6 +631,22 @@ def test_size_and_significance_make_the_verdict(form, explained, remainder, sign
         module._verdict(chosen, Grade(form, explained, remainder), DEFAULT, significant=significant)
         == verdict
     )
+
+
+@pytest.mark.parametrize(
+    ("explained", "final", "significant", "verdict"),
+    [
+        (0.5, (DRAG, LAMINAR), False, "missing_effect"),
+        (0.06, (DRAG, LAMINAR), False, "missing_effect"),
+        (0.04, (DRAG, LAMINAR), False, "unexplained"),
+        (0.5, (DRAG, LAMINAR), True, "unexplained"),
+        (0.5, (DRAG,), False, "unexplained"),
+    ],
+)
+def test_a_second_effect_completes_an_answer(explained, final, significant, verdict):
+    chosen = selection(candidate(), named=Found(named(DRAG)), final=Found(named(*final)))
+    size = Grade(None, explained, LEFT)
+    assert module._verdict(chosen, size, DEFAULT, significant=significant) == verdict
 
 
 @pytest.mark.parametrize(("significant", "verdict"), [(True, "unexplained"), (False, "adequate")])
@@ -536,6 +769,50 @@ class TestWords:
         assert found.startswith(", k = ")
         assert ("statistical" in found) is (total > 1.05e-9)
         assert found.count("+-") == 1
+
+    @pytest.mark.parametrize(("total", "both"), [(1.04e-9, False), (1.06e-9, True), (1.4e-9, True)])
+    def test_the_statistical_part_is_stated_from_five_percent(self, total, both):
+        assert ("statistical part" in module._with_both(estimate(), total)) is both
+
+    @pytest.mark.parametrize(
+        ("limit", "bounds_p", "strong", "words"),
+        [
+            (0.5, 0.011, False, "only a deviation above 50 % of its torque would be detected"),
+            (0.5, 0.009, False, "the fit prefers a.k outside its bounds"),
+            (0.5, 1e-4, False, "the fit prefers a.k outside its bounds"),
+            (0.99, 1.0, False, "only a deviation above 99 % of its torque"),
+            (1.01, 1.0, False, "any law of similar size and shape would fit equally well"),
+            (math.inf, 1.0, False, "the other parameters absorb every deviation"),
+            (0.5, 1.0, True, ""),
+        ],
+    )
+    def test_why_a_form_is_not_established(self, limit, bounds_p, strong, words):
+        test = SimpleNamespace(
+            limit=limit, bounds=("a.k",), bounds_p=bounds_p, is_strong=lambda criteria: strong
+        )
+        told = module._untested(test, DEFAULT)
+        assert (words in told[0]) if words else (told == [])
+
+    @pytest.mark.parametrize(
+        ("name", "count", "p", "stated"),
+        [
+            (None, 1, 0.029, True),
+            (None, 1, 0.031, False),
+            (None, 3, 0.009, True),
+            (None, 3, 0.011, False),  # the least of three
+            (DRAG, 1, 0.029, True),
+            (UNBALANCE, 1, 0.029, False),  # a torque of the angle looks like it
+        ],
+    )
+    def test_a_significant_camera_effect_is_stated(self, name, count, p, stated):
+        found = [Nuisance("camera.centre", "run", 2e-3, 1e-5, "rad", p)] * count
+        chosen = None if name is None else candidate(name)
+        assert bool(module._nuisance(chosen, found, DEFAULT)) is stated
+
+    @pytest.mark.parametrize(("unit", "words"), [("rad", "2 mrad"), ("s", "2 ms"), ("s2", "2e+03 ms2")])
+    def test_camera_effects_are_stated_in_thousandths(self, unit, words):
+        found = [Nuisance("camera.centre", "run", 2e-3, 1e-5, unit, 1e-9)]
+        assert words in module._nuisance(None, found, DEFAULT)[0]
 
     def test_active_bounds_that_are_not_physical_are_stated(self):
         layout = SimpleNamespace(index={"a.g": 0, "a.k": 1}, is_physical_bound=lambda name: name == "a.k")
