@@ -340,7 +340,7 @@ class TestScore:
         found = np.linalg.lstsq(white[:, :-1] / size[:-1], white[:, -1], rcond=1e-12)[0]
         rest = white[:, -1] - white[:, :-1] / size[:-1] @ found
         expected = rest @ rest + determinant
-        assert ScoreContext(base, 2, shared=key).levels[0].deviance == pytest.approx(expected)
+        assert ScoreContext(base, 2, shared=(key,)).levels[0].deviance == pytest.approx(expected)
 
     def grouped(self, groups, levels, absorbed=(), **options):
         """`levels` are residuals and deviances; the first axis is free in each."""
