@@ -9,7 +9,7 @@ import pytest
 from linearised import data as gyroscope_data
 from scipy.integrate import quad
 
-from fitting import make_record
+from fitting import Input, make_record
 from fitting._criteria import DEFAULT
 from fitting.inference import _case_data as module
 from fitting.inference._angle_noise import AngleNoise
@@ -406,3 +406,76 @@ def test_error_modes_of_a_window_are_in_units_of_its_samples(kept):
     white = modes[:, 0] / sigma
     assert found.shape == (60, 1)
     assert np.abs(found[:, 0] / sigma) == pytest.approx(white / np.linalg.norm(white), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("drive", "turns_back", "steady"),
+    [(False, False, True), (False, True, True), (True, False, True), (True, True, False)],
+)
+def test_only_a_driven_body_that_reverses_has_no_harmonics(drive, turns_back, steady):
+    inputs = (Input("drive", [0.0, 4.0], [1.0, 2.0], "V", interpolation="hold"),) if drive else ()
+    data = wheel(lambda t: 30.0 * np.minimum(t, 8.0 - t if turns_back else t), inputs=inputs)
+    assert bool(len(data.casing.harmonic)) is steady
+
+
+@pytest.mark.parametrize(("rise", "driven"), [(0.9, False), (1.1, True)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_body_is_driven_that_becomes_a_tenth_faster(rise, driven, sign):
+    speed = sign * np.array([10.0, 6.0, 4.0, 4.0 + rise, 2.0])
+    record = SimpleNamespace(driving=True, spun=SimpleNamespace(state=1))
+    speeds = np.stack([9.0 * np.arange(5.0), speed], axis=1)
+    data = SimpleNamespace(record=record, initial_speeds=(np.arange(5.0), speeds))
+    assert CaseData.driven.func(data) is driven
+    assert CaseData.driven.func(SimpleNamespace(record=SimpleNamespace(driving=()))) is False
+
+
+class TestKinks:
+    """A casing in four blocks of 2 s and a window in one, whose speed jumps."""
+
+    def rows(self, monkeypatch, kinks, *, smooth=True):
+        t, w = np.linspace(0.0, 8.0, 800), np.linspace(3.0, 4.0, 100)
+        casing = compress(samples(t, 30.0 * t), degree=5, angle=30.0 * t, blocks=4)
+        window = compress(samples(w, 300.0 * w), degree=3, blocks=1)
+        first = len(casing.z)
+        count = first + len(window.z) + len(casing.harmonic)
+        motion = {
+            1: lambda time: np.cos(30.0 * time) + np.abs(time - 3.3),
+            0: lambda time: np.abs(time - 3.3),
+        }
+        monkeypatch.setattr(module, "Sampler", lambda mesh, times: times)
+        data = SimpleNamespace(
+            motion=SimpleNamespace(is_smooth=smooth),
+            record=SimpleNamespace(driving=()),
+            casing=casing,
+            rotor=(window,),
+            slices={"harmonic": slice(first + len(window.z), count)},
+            _observed=lambda times, path, state, nodes: motion[state](times),
+        )
+        path = SimpleNamespace(kinks=kinks, mesh=None)
+        found = CaseData._projected_by_samples(data, path, None, np.full(count, 7.0))
+        polynomial, harmonic = casing.at_samples(motion[1](t)[:, None])
+        exact = [polynomial[:, 0], window.at_samples(motion[0](w)[:, None])[0][:, 0], harmonic[:, 0]]
+        parts = np.split(found, [first, first + len(window.z)])
+        return [(p.reshape(n, -1), e.reshape(n, -1)) for p, e, n in zip(parts, exact, (4, 1, 4), strict=True)]
+
+    @pytest.mark.parametrize(
+        ("kinks", "smooth", "blocks", "window"),
+        [
+            ((), True, (), False),
+            ((3.3,), True, (1,), True),
+            ((5.0, 7.9), True, (2, 3), False),
+            ((), False, range(4), True),
+        ],
+    )
+    def test_blocks_with_a_kink_are_projected_by_their_samples(
+        self, monkeypatch, kinks, smooth, blocks, window
+    ):
+        (polynomial, exact), (of_window, exact_of_window), (harmonic, exact_harmonic) = self.rows(
+            monkeypatch, kinks, smooth=smooth
+        )
+        for block in range(4):
+            for found, known in ((polynomial, exact), (harmonic, exact_harmonic)):
+                expected = known[block] if block in blocks else np.full(len(known[block]), 7.0)
+                assert found[block] == pytest.approx(expected)
+        assert np.abs(exact_harmonic).max() > 1.0
+        assert of_window == pytest.approx(exact_of_window if window else np.full(of_window.shape, 7.0))

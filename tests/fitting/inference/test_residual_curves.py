@@ -7,6 +7,7 @@ import pytest
 from linearised import covariance, gyroscope
 from scipy.interpolate import BarycentricInterpolator
 
+from fitting.inference import _angle_residuals as angles
 from fitting.inference import _speed_residuals as speeds
 from fitting.inference._angle_residuals import AngleResidual, angle_residuals
 from fitting.inference._compression import compress
@@ -110,6 +111,24 @@ class TestSpeeds:
         found_rows = SpeedMap(found.problem, found.noise[0], 0).without_nuisance(rows)
         assert found_rows == pytest.approx(expected, abs=1e-6)
 
+    def test_rows_are_those_before_they_were_whitened(self, found):
+        """Here by a noise of two standard deviations in all of them."""
+        data = found.problem.data[0]
+
+        class Noisy:
+            def __getattr__(self, name):
+                return getattr(data, name)
+
+            def unwhitened(self, rows):
+                return 2.0 * data.unwhitened(rows)
+
+        problem = SimpleNamespace(data=[Noisy()], layout=found.problem.layout)
+        noisy = SimpleNamespace(**{**vars(found), "problem": problem})
+        assert spread_of_rows(noisy, 0) == pytest.approx(2.0 * spread_of_rows(found, 0))
+        for one, other in zip(speed_residuals(noisy, 0)[1], speed_residuals(found, 0)[1], strict=True):
+            assert one.value == pytest.approx(2.0 * other.value)
+            assert one.sigma == pytest.approx(2.0 * other.sigma)
+
     @pytest.mark.parametrize(("periods", "parts"), [(0.0, 2), (0.2, 2), (1.0, 8), (4.0, 32)])
     def test_an_oscillation_is_divided_into_eighths_of_a_period(self, found, periods, parts):
         data = found.problem.data[0]
@@ -128,13 +147,21 @@ class TestSpeeds:
     @pytest.mark.parametrize("is_angle", [True, False])
     def test_the_operator_of_a_curve(self, is_angle):
         """Slopes of a parabola in the middles of parts, or means of a line."""
-        t = np.linspace(1.0, 5.0, 400)
-        run = compress(Samples(t, 0 * t, np.full(400, 1e-2)), degree=4, blocks=2)
+        run = uneven()
         middles, lengths, operator = speeds._slopes(run, 4, is_angle=is_angle)
-        assert lengths == pytest.approx(np.full(8, 0.5), abs=0.01)
+        for i, (where, _) in enumerate(run.operators):
+            edges = np.linspace(run.samples.time[where][0], run.samples.time[where][-1], 5)
+            assert lengths[4 * i : 4 * i + 4] == pytest.approx(np.diff(edges))
+            assert middles[4 * i : 4 * i + 4] == pytest.approx(0.5 * (edges[1:] + edges[:-1]))
         curve = run.at_nodes(3.0 * run.node_times**2 if is_angle else 3.0 * run.node_times - 2.0)
         expected = 6.0 * middles if is_angle else 3.0 * middles - 2.0
         assert operator @ curve == pytest.approx(expected, rel=1e-9)
+
+
+def uneven():
+    """Two blocks of a run whose samples are dense at first."""
+    t = 1.0 + 4.0 * np.linspace(0.0, 1.0, 400) ** 1.7
+    return compress(Samples(t, 0 * t, np.full(400, 1e-2)), degree=4, blocks=2)
 
 
 def replace_noise(fit, **changes):
@@ -209,6 +236,12 @@ class TestAngles:
                 variance = np.diag(to_angle @ rest[own, own] @ to_angle.T)
                 assert residual.sigma[part] == pytest.approx(np.sqrt(variance), rel=1e-3)
             first += len(run.z)
+
+    def test_the_operator_returns_the_polynomial_of_each_block(self):
+        run = uneven()
+        times, operator = angles._values(run)
+        for power in range(5):
+            assert operator @ run.at_nodes(run.node_times**power) == pytest.approx(times**power)
 
     def test_it_is_measured_minus_modelled(self, found):
         """A parabola of the angle, apart from its mean, which is the zero of a run."""
