@@ -131,6 +131,35 @@ class TestPosterior:
             assert found.turn_sigma == pytest.approx(1.0, rel=0.4)
             assert found.gain == pytest.approx(30.0 + second, abs=0.2)
 
+    @pytest.mark.parametrize(("more", "taken"), [(0.5, True), (-0.5, False)])
+    def test_the_more_likely_one_of_two_kinds_needs_no_further_ratio(self, more, taken):
+        """Both act on the same row, so that together they gain nothing."""
+        one, other = np.diag([1.0, 1e-12]), np.diag([1.0, 1e-6])
+
+        def gain(covariance):
+            level = math.log(covariance[0, 0])
+            return (30.0 + more if covariance[1, 1] > 1e-7 else 30.0) - level**2
+
+        kinds = [
+            module._Kind(np.array([t]), [k], [module._Peak(1.0, 0.5, g)])
+            for t, k, g in ((0.5, one, 30.0), (8.0, other, 30.0 + more))
+        ]
+        found = module._with_periodic_part(*kinds, gain, DEFAULT.correlated_noise)
+        assert (found is not None) is taken
+        if found is not None:
+            levels = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
+            weights = np.exp(-0.5 * np.log(levels**2) ** 2)
+            both = [(a, b) for a in (0.1, 0.2, 0.4, 0.8) for b in levels]
+            of_both = np.exp([-0.5 * math.log(a**2 + b**2) ** 2 for a, b in both])
+            # five points of one kind, twenty of two kinds, with equal probabilities
+            weight = np.append(weights / 5, of_both / 20)
+            weight /= weight.sum()
+            turns = np.append(levels, [b for _, b in both])
+            mean = weight @ turns
+            assert found.turn_sigma == pytest.approx(math.sqrt(weight @ turns**2), rel=1e-3)
+            assert found.turn_sigma_u == pytest.approx(math.sqrt(weight @ (turns - mean) ** 2), rel=1e-3)
+            assert found.gain == pytest.approx(30.5)
+
     def test_the_spectrum_is_that_of_an_exponential_covariance(self):
         assert module._spectrum(np.array([0.0, 1 / (2 * np.pi * 0.3)]), 0.3) == pytest.approx([1.0, 0.5])
 

@@ -263,6 +263,12 @@ class TestProcessNoise:
         assert len(mean) <= 60
         assert (np.diff(mean) > 0).all()
 
+    def test_an_improbable_level_has_its_part_of_the_mean(self):
+        """One of 1e-10 at 1e12 adds 100; one of 1e-30 is left out, whatever it is."""
+        mean, total = process._binned(np.array([1.0, 2.0, 1e12, 1e40]), np.array([0.5, 0.5, 1e-10, 1e-30]))
+        assert mean @ total == pytest.approx(101.5)
+        assert mean.max() == pytest.approx(1e12)
+
     @pytest.mark.parametrize("columns", [2, 300])
     def test_nuisance_functions_are_marginalised_with_their_prior(self, columns):
         """Few or more than the rows, by the textbook formula of generalised least squares."""
