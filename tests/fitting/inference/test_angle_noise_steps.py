@@ -256,6 +256,20 @@ class TestWindows:
         assert found.root.shape == (10, 10)
         assert found.root @ found.inverse == pytest.approx(np.eye(10), abs=1e-8)
 
+    def test_the_gain_is_twice_the_logarithm_of_the_likelihood_ratio(self):
+        """Of the likelihood with the white noise integrated out, at its maximum over time and level."""
+        windows = self.windows(3e-3)
+        found = estimate_window_noise(windows, [np.zeros((800, 0))] * 2, 1e-6, 1.0)
+        groups = [module._WindowGroups(w, np.zeros((800, 0)), 1e-6, 1.0) for w in windows]
+        count = sum(len(g.projected) for g in groups)
+        ratios = np.median(groups[0].white) * np.geomspace(1.0, 1e4, 60)
+        best = -np.inf
+        for time in np.geomspace(0.02, 0.2, 12):
+            determinant, square = sum(np.array(g.likelihood_terms(time, ratios)) for g in groups)
+            best = max(best, float((-determinant - count * np.log(square)).max()))
+        white = count * math.log(sum(g.projected @ g.projected for g in groups))
+        assert found.gain == pytest.approx(best + white, rel=0.02)
+
     def test_white_noise_shows_no_correlated_noise(self):
         found = estimate_window_noise(self.windows(0.0), [np.zeros((800, 0))] * 2, 1e-6, 1.0)
         assert not found.is_significant

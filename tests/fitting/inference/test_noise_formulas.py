@@ -263,6 +263,46 @@ class TestProcessNoise:
         assert len(mean) <= 60
         assert (np.diff(mean) > 0).all()
 
+    def test_the_likelihood_beside_correlated_angle_noise(self):
+        """That of a normal distribution, but for the determinant of the angle noise, which all levels share."""
+        data = run(0.5)
+        mixed = np.random.default_rng(3).standard_normal((len(data.z),) * 2) / 5.0
+        stretch = process.Stretch(data, np.arange(2), np.zeros((len(data.z), 0)), 3)
+        angle = (mixed @ mixed.T)[np.ix_(stretch.rows, stretch.rows)]
+        angle = np.eye(len(stretch.projected)) + stretch._complement.T @ angle @ stretch._complement
+        r, (kernel, unit) = stretch.projected, stretch.torque_covariance(0.3)
+        found = StretchLikelihood.of([stretch], mixed @ mixed.T)(0.3, np.array([0.5, 3.0]) * unit)
+        expected = [multivariate_normal(cov=angle + s**2 * kernel).logpdf(r) for s in (0.5, 3.0)]
+        shared = 0.5 * len(r) * np.log(2 * np.pi) + 0.5 * np.linalg.slogdet(angle)[1]
+        assert found == pytest.approx(np.array(expected) + shared)
+
+    def test_the_unit_is_that_of_the_median_stretch(self):
+        parts = [
+            SimpleNamespace(stretch=SimpleNamespace(torque_covariance=lambda time, u=u: (None, u * time)))
+            for u in (1.0, 7.0, 2.0)
+        ]
+        assert StretchLikelihood(parts).unit(3.0) == 6.0
+
+    def test_shares_of_the_most_likely_process_noise_whiten_a_stretch(self):
+        data = run(0.5)
+        stretch = process.Stretch(data, np.arange(2), np.zeros((len(data.z), 0)), 3)
+        kernel, unit = stretch.torque_covariance(0.3)
+        level, r = stretch.most_likely_level([0.3]) / unit, stretch.projected
+        for share, (whitening, deviance) in zip(
+            (0.5, 1.0), stretch.whitenings_at([0.3], (0.5, 1.0)), strict=True
+        ):
+            covariance = np.eye(len(r)) + (share * level) ** 2 * kernel
+            assert whitening @ covariance @ whitening.T == pytest.approx(np.eye(len(r)), abs=1e-6)
+            expected = np.linalg.slogdet(covariance)[1] + r @ solve(covariance, r)
+            assert deviance == pytest.approx(expected, rel=1e-6)
+
+    def test_the_mean_acceleration_of_a_motion_that_speeds_up_and_slows_down(self):
+        """The mean speeds of ten parts of 2 s are 6, 8 ... 14, 14 ... 6 rad/s: 16 rad/s of change in 20 s."""
+        t = np.linspace(0.0, 20.0, 801)
+        angle = 5.0 * t + np.where(t < 10.0, 0.5 * t**2, 20.0 * t - 0.5 * t**2 - 100.0)
+        data = SimpleNamespace(samples=Samples(t, angle, np.full(801, 1e-9)), lift=np.zeros((10, 1, 1)))
+        assert mean_acceleration(data) == pytest.approx(16.0 / 20.0, rel=0.02)
+
     def test_an_improbable_level_has_its_part_of_the_mean(self):
         """One of 1e-10 at 1e12 adds 100; one of 1e-30 is left out, whatever it is."""
         mean, total = process._binned(np.array([1.0, 2.0, 1e12, 1e40]), np.array([0.5, 0.5, 1e-10, 1e-30]))
