@@ -87,7 +87,10 @@ def slipped_turns(samples: Samples, criteria: Criteria = DEFAULT) -> list[tuple[
     before = quotient[np.maximum(np.arange(len(step)) - 1, 0)]
     if not (np.abs(step - before * interval) > 0.5 * _TURN).any():
         return []
-    excess = step - running_median(quotient, _NEIGHBOURS) * interval
+    speed = running_median(quotient, _NEIGHBOURS)
+    # about an end, where the end value is repeated, the median is that value itself
+    speed[[0, -1]] = speed[[1, -2]]
+    excess = step - speed * interval
     scatter = _MAD * float(np.median(np.abs(excess)))
     allowed = criteria.slip_tolerance * _TURN
     if not criteria.slip_sigma * scatter < allowed:

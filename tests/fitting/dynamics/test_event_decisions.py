@@ -332,7 +332,8 @@ class TestBeginning:
     def test_a_first_stretch_shorter_than_a_tenth_is_determined_again(self, first, count):
         sense = -1.0 if count == 1 else 1.0
         found = pushed(3.0)._with_beginning(np.array([0.0, 0.01 * sense]), sense, self.known(first))
-        assert len(found.jumps) == count
+        reversals = [first, first + 1.0][-count:]
+        assert found.mesh.edges[sorted(found.jumps)] == pytest.approx(reversals)
         assert found.mesh.edges[0] == 0.0
         assert found.mesh.edges[-1] == pytest.approx(first + 2.0)
         assert found.sense[0] == sense
@@ -431,3 +432,197 @@ class TestKnownOscillation:
                 dynamics, numbers, np.array([0.0, -3.0, 1.0]), Mesh.uniform(0.0, 9.0, 9), guess=guess, most=9
             )
         assert asked == ([horizon] if scale is None else [pytest.approx(scale), horizon])
+
+
+class TestContinued:
+    """A known stretch from 0 to 2 s, and a motion that begins at 0.5 s in a record of 4 s."""
+
+    class Given(Segments):
+        """What is solved is the initial solution; rest and release are given."""
+
+        def _solved(self, first, pivot=None):
+            if self.numbers["fails"]:
+                raise SimulationError("no motion")
+            self.numbers["solved"].append(pivot)
+            return first
+
+        def _rests(self, path, end):
+            return self.numbers["rests"]
+
+        def _release(self, path):
+            return self.numbers["release"]
+
+    def found(
+        self, monkeypatch, *, sense=1.0, known_sense=1.0, stops=True, breaks=(), kinks=(), time=0.5, rests=True,
+        release=None, speeds=(3.0, 0.0), fails=False, dry=True,
+    ):  # fmt: skip
+        monkeypatch.setattr(module, "coarsened", lambda path: path)
+        numbers = {"rests": rests, "release": release, "fails": fails, "solved": []}
+        run = self.Given(SimpleNamespace(dry=dry), numbers, breaks)
+        edges = [0.0, *kinks, 2.0]
+        values = np.interp(edges, [0.0, 2.0], speeds)
+        known = replace(TestPaths().straight(*values, sense=known_sense, edges=edges), kinks=kinks)
+        start = np.array([7.0, 5.0])
+        path = run.continued(start, time, 4.0, sense, known, stops=stops)
+        return path, numbers["solved"]
+
+    @pytest.mark.parametrize(
+        ("given", "edges", "pivot"),
+        [
+            ({}, [0.5, 2.0], 0.5),  # until the stop of the known motion
+            ({"stops": False}, [0.5, 4.0], None),  # until the end of the record
+            ({"breaks": (1.5,), "kinks": (1.2,)}, [0.5, 1.5, 2.0], 1.5),  # a law sets in later than in the known motion
+            ({"breaks": (3.0,)}, [0.5, 2.0], 0.5),  # after the stop
+            ({"breaks": (0.3,)}, [0.5, 2.0], 0.5),  # before the beginning
+            ({"breaks": (3.0,), "kinks": (1.2,), "stops": False}, [0.5, 3.0, 4.0], None),
+            ({"sense": 0.0, "known_sense": 0.0, "stops": False, "speeds": (0.0, 0.0)}, [0.5, 4.0], None),
+            ({"speeds": (3.0, -1.0), "dry": False}, [0.5, 2.0], 0.5),  # without dry friction a reversal is no event
+        ],
+    )  # fmt: skip
+    def test_the_same_events_are_at_other_times(self, monkeypatch, given, edges, pivot):
+        path, solved = self.found(monkeypatch, **given)
+        assert path.mesh.edges == pytest.approx(edges)
+        assert path.edges[0].tolist() == [7.0, 5.0]
+        assert solved == [pivot]
+
+    @pytest.mark.parametrize(
+        "given",
+        [
+            {"sense": -1.0},
+            {"known_sense": 0.0},
+            {"sense": 0.0, "known_sense": 0.0, "stops": True, "speeds": (0.0, 0.0)},  # it starts again
+            {"sense": 0.0, "known_sense": 0.0, "stops": False, "speeds": (0.0, 0.0), "release": 3.0},
+            {"breaks": (1.0,)},  # a law sets in that did not
+            {"kinks": (1.2,)},  # one no longer sets in
+            {"time": 2.0},
+            {"rests": False},
+            {"speeds": (3.0, -1.0)},
+            {"fails": True},
+        ],
+    )
+    def test_another_sequence_of_events_is_not_continued(self, monkeypatch, given):
+        assert self.found(monkeypatch, **given)[0] is None
+
+
+class TestManyReversals:
+    """A known motion of 5 s that reverses each second."""
+
+    def found(self, monkeypatch, *, until=9.0, exact=True, kinks=(), breaks=(), known=True):
+        """Solve all stretches at once, which succeeds for a motion up to some time."""
+        solved = []
+
+        def resolved(self, path):
+            solved.append(path)
+            if path.mesh.edges[-1] > until:
+                raise SimulationError("no motion")
+            return path
+
+        edges = np.array(sorted({*range(6), *kinks}), dtype=float)
+        at = np.flatnonzero(np.isin(edges, range(1, 5)))
+        motion = replace(
+            TestPaths().straight(*np.ones(len(edges)), edges=edges),
+            kinks=(1.0, 2.0, 3.0, 4.0, *kinks), jumps={int(i): np.eye(2) for i in at}, exact=exact,
+        )  # fmt: skip
+        monkeypatch.setattr(Segments, "_resolved", resolved)
+        monkeypatch.setattr(Segments, "_valid", lambda self, pieces: pieces)
+        adapted = replace(motion, kinks=motion.breaks) if known else None
+        monkeypatch.setattr(Segments, "_with_beginning", lambda *_: adapted)
+        run = Segments(SimpleNamespace(dry=True), {}, breaks)
+        return run.oscillating(np.array([7.0, 0.2]), 1.0, motion), solved
+
+    @pytest.mark.parametrize(
+        ("until", "exact", "stretches", "tried"),
+        [
+            (5.0, True, 5, [5.0]),
+            (4.9, True, 0, [5.0, 5.0]),  # near a known solution 100 and 97 % of the reversals are tried
+            (4.9, False, 3, [5.0, 5.0, 5.0, 4.0]),  # near the measured motion 90, 70 and 40 % as well
+            (3.9, False, 2, [5.0, 5.0, 5.0, 4.0, 3.0]),
+            (2.9, False, 0, [5.0, 5.0, 5.0, 4.0, 3.0]),
+        ],
+    )
+    def test_as_many_stretches_as_can_be_solved(self, monkeypatch, until, exact, stretches, tried):
+        """The last one of an incomplete motion does not end with an event, and is left out."""
+        pieces, solved = self.found(monkeypatch, until=until, exact=exact)
+        assert [p.mesh.edges.tolist() for p in pieces] == [[i, i + 1.0] for i in range(stretches)]
+        assert [p.mesh.edges[-1] for p in solved] == tried
+        assert all(p.edges[0].tolist() == [7.0, 0.2] for p in solved)
+
+    @pytest.mark.parametrize(
+        ("kinks", "breaks", "edges"),
+        [
+            ((1.5,), (1.8,), [0.0, 1.0, 1.8, 2.0, 3.0, 4.0, 5.0]),
+            ((1.5,), (2.5,), None),  # after another reversal
+            ((1.5,), (), None),
+            ((), (1.5,), None),
+        ],
+    )
+    def test_laws_set_in_between_the_same_reversals(self, monkeypatch, kinks, breaks, edges):
+        pieces, solved = self.found(monkeypatch, kinks=kinks, breaks=breaks)
+        assert (len(pieces), len(solved)) == ((5, 1) if edges else (0, 0))
+        assert not edges or solved[0].mesh.edges == pytest.approx(edges)
+
+    def test_newton_steps_move_all_reversals_to_their_times(self, monkeypatch):
+        """From an oscillation that is 0.5 % faster: the error of a step is the square of the one before."""
+        guess = released(1.0, 10.1, 0.28)[2]
+        dynamics, numbers, _ = released(1.0, 10.0, 0.3)
+        steps, tangent = [], Dynamics.tangent
+        monkeypatch.setattr(Dynamics, "tangent", lambda self, *rest: steps.append(1) or tangent(self, *rest))
+        found = Segments(dynamics, numbers, ()).oscillating(np.array([0.0, 0.0, 1.0]), -1.0, guess)
+        times = math.pi / math.sqrt(10.0) * np.arange(1, 10)
+        assert [p.mesh.edges[-1] for p in found] == pytest.approx([*times, 9.0], abs=1e-9)
+        assert len(steps) <= 4
+
+    def test_another_beginning_is_not_known(self, monkeypatch):
+        assert self.found(monkeypatch, known=False) == ([], [])
+
+
+class TestHorizon:
+    """A stop is sought within one second of a record of 8 s, then within four times as long."""
+
+    def tried(self, monkeypatch, stops, *, rest=None, dry=True):
+        """Return the ends of the stretches that were solved, and that of the path; `stops` are where it reverses."""
+        tried = []
+
+        def rough(self, start, mesh, sense, guess):
+            tried.append(mesh.edges[-1])
+            return SimpleNamespace(mesh=mesh, refined=False)
+
+        monkeypatch.setattr(Segments, "_rough", rough)
+        monkeypatch.setattr(Segments, "_refined", lambda self, path: replace_path(path, refined=True))
+        monkeypatch.setattr(
+            Segments,
+            "_until_rest",
+            lambda self, path, part, stop: replace_path(path, mesh=Mesh.uniform(0.0, rest or stop, 4)),
+        )
+
+        def known(path):
+            shown = [s for s, when in stops if s < path.mesh.edges[-1] and path.refined >= when]
+            return shown[0] if shown else None
+
+        monkeypatch.setattr(module, "_first_crossing", known)
+        run = Segments(SimpleNamespace(dry=dry), {}, ())
+        path = run.moving(np.zeros(2), Mesh.uniform(0.0, 8.0, 16), (0.0, 8.0), 1.0, None, 1.0)
+        return tried, path.mesh.edges[-1], path.refined
+
+    @pytest.mark.parametrize(
+        ("stops", "tried", "end", "refined"),
+        [
+            ((), [1.0, 4.0, 8.0], 8.0, True),
+            (((0.5, False),), [1.0], 0.5, False),
+            (((3.2, False),), [1.0, 4.0], 3.2, False),
+            (((3.2, True),), [1.0, 4.0], 3.2, True),  # a stop that only the refined solution shows
+        ],
+    )
+    def test_the_first_stop_ends_the_search(self, monkeypatch, stops, tried, end, refined):
+        assert self.tried(monkeypatch, stops) == (tried, end, refined)
+
+    def test_a_stop_that_is_none_continues_the_search(self, monkeypatch):
+        """What looked like a reversal before 1 s is none up to there."""
+        assert self.tried(monkeypatch, ((0.9, False),), rest=1.0)[0] == [1.0, 4.0]
+
+    def test_a_reversal_without_dry_friction_does_not_end_the_search(self, monkeypatch):
+        assert self.tried(monkeypatch, ((0.5, False),), dry=False) == ([1.0, 4.0, 8.0], 8.0, True)
+
+
+def replace_path(path, **changes):
+    return SimpleNamespace(**{**vars(path), **changes})

@@ -131,6 +131,35 @@ class TestPosterior:
             assert found.turn_sigma == pytest.approx(1.0, rel=0.4)
             assert found.gain == pytest.approx(30.0 + second, abs=0.2)
 
+    @pytest.mark.parametrize(("more", "taken"), [(0.5, True), (-0.5, False)])
+    def test_the_more_likely_one_of_two_kinds_needs_no_further_ratio(self, more, taken):
+        """Both act on the same row, so that together they gain nothing."""
+        one, other = np.diag([1.0, 1e-12]), np.diag([1.0, 1e-6])
+
+        def gain(covariance):
+            level = math.log(covariance[0, 0])
+            return (30.0 + more if covariance[1, 1] > 1e-7 else 30.0) - level**2
+
+        kinds = [
+            module._Kind(np.array([t]), [k], [module._Peak(1.0, 0.5, g)])
+            for t, k, g in ((0.5, one, 30.0), (8.0, other, 30.0 + more))
+        ]
+        found = module._with_periodic_part(*kinds, gain, DEFAULT.correlated_noise)
+        assert (found is not None) is taken
+        if found is not None:
+            levels = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
+            weights = np.exp(-0.5 * np.log(levels**2) ** 2)
+            both = [(a, b) for a in (0.1, 0.2, 0.4, 0.8) for b in levels]
+            of_both = np.exp([-0.5 * math.log(a**2 + b**2) ** 2 for a, b in both])
+            # five points of one kind, twenty of two kinds, with equal probabilities
+            weight = np.append(weights / 5, of_both / 20)
+            weight /= weight.sum()
+            turns = np.append(levels, [b for _, b in both])
+            mean = weight @ turns
+            assert found.turn_sigma == pytest.approx(math.sqrt(weight @ turns**2), rel=1e-3)
+            assert found.turn_sigma_u == pytest.approx(math.sqrt(weight @ (turns - mean) ** 2), rel=1e-3)
+            assert found.gain == pytest.approx(30.5)
+
     def test_the_spectrum_is_that_of_an_exponential_covariance(self):
         assert module._spectrum(np.array([0.0, 1 / (2 * np.pi * 0.3)]), 0.3) == pytest.approx([1.0, 0.5])
 
@@ -226,6 +255,20 @@ class TestWindows:
         assert found.time == pytest.approx(0.05, rel=0.5)
         assert found.root.shape == (10, 10)
         assert found.root @ found.inverse == pytest.approx(np.eye(10), abs=1e-8)
+
+    def test_the_gain_is_twice_the_logarithm_of_the_likelihood_ratio(self):
+        """Of the likelihood with the white noise integrated out, at its maximum over time and level."""
+        windows = self.windows(3e-3)
+        found = estimate_window_noise(windows, [np.zeros((800, 0))] * 2, 1e-6, 1.0)
+        groups = [module._WindowGroups(w, np.zeros((800, 0)), 1e-6, 1.0) for w in windows]
+        count = sum(len(g.projected) for g in groups)
+        ratios = np.median(groups[0].white) * np.geomspace(1.0, 1e4, 60)
+        best = -np.inf
+        for time in np.geomspace(0.02, 0.2, 12):
+            determinant, square = sum(np.array(g.likelihood_terms(time, ratios)) for g in groups)
+            best = max(best, float((-determinant - count * np.log(square)).max()))
+        white = count * math.log(sum(g.projected @ g.projected for g in groups))
+        assert found.gain == pytest.approx(best + white, rel=0.02)
 
     def test_white_noise_shows_no_correlated_noise(self):
         found = estimate_window_noise(self.windows(0.0), [np.zeros((800, 0))] * 2, 1e-6, 1.0)

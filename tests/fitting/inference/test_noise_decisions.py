@@ -137,7 +137,7 @@ def run(n=3000, span=20.0, blocks=8, degree=6, sigma=1e-3):
 
 
 class TestStretches:
-    def divided(self, monkeypatch, blocks, consistent, rows=7):
+    def divided(self, monkeypatch, blocks, consistent, rows=7, *, angle=True):
         """Return the blocks of each stretch; `consistent` says whether two stretches are described as one."""
         made = []
 
@@ -166,7 +166,7 @@ class TestStretches:
             samples=SimpleNamespace(time=np.array([1.0, 1.0 + 2.0 * blocks])),
         )
         found, times = estimate_process_noise(
-            data, np.zeros((blocks * rows, 0)), np.zeros((0, 0)), angle=True
+            data, np.zeros((blocks * rows, 0)), np.zeros((0, 0)), angle=angle
         )
         assert times == pytest.approx([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0, 6.0])
         return [len(p.stretch.blocks) for p in found.parts], made
@@ -179,6 +179,26 @@ class TestStretches:
     def test_the_degree_of_a_long_stretch_is_eleven(self, monkeypatch):
         _, made = self.divided(monkeypatch, 60, lambda coarse, finer: len(coarse.parts) == 6)
         assert {s.degree for s in made if len(s.blocks) == 10} == {11}
+
+    def test_a_speed_has_one_degree_less_than_its_angle(self, monkeypatch):
+        _, made = self.divided(monkeypatch, 60, lambda coarse, finer: len(coarse.parts) == 6, angle=False)
+        assert {s.degree for s in made if len(s.blocks) == 10} == {10}
+
+    def test_nuisance_functions_that_leave_no_rows_are_left_out(self, monkeypatch):
+        made = []
+
+        class Stretch:
+            def __init__(self, run, part, nuisance, degree, *, angle):
+                self.projected = np.zeros(0 if nuisance.shape[1] else 5)
+                made.append((nuisance.shape[1], degree, angle))
+
+        monkeypatch.setattr(process, "Stretch", Stretch)
+        monkeypatch.setattr(process.StretchLikelihood, "of", lambda parts, _: SimpleNamespace(parts=parts))
+        monkeypatch.setattr(process, "_process_noise", lambda found, times, typical: found)
+        data = SimpleNamespace(lift=np.zeros((3, 7, 7)), samples=SimpleNamespace(time=np.array([0.0, 6.0])))
+        (part,) = estimate_process_noise(data, np.ones((21, 4)), np.zeros((0, 0)), angle=True).parts
+        assert made == [(4, 7, True), (0, 2, True)]
+        assert len(part.projected) == 5
 
     def test_a_short_record_has_stretches_of_four_blocks(self, monkeypatch):
         assert self.divided(monkeypatch, 11, lambda *_: False)[0] == [6, 5]
@@ -390,6 +410,14 @@ class TestAngleNoise:
         assert asked == [[0.25, 0.75, 2.5]]
         return found, kinds
 
+    def test_the_uncertainty_of_a_level_is_that_of_a_log_normal_one(self, monkeypatch):
+        """Two levels, a standard deviation of 0.1 below and above 2."""
+        noise, _ = self.estimated(monkeypatch, 12.0)
+        low, high = 2.0 * math.exp(-0.1), 2.0 * math.exp(0.1)
+        assert noise.sigma == pytest.approx(math.sqrt((low**2 + high**2) / 2), rel=1e-6)
+        assert noise.sigma_u == pytest.approx((high - low) / 2, rel=1e-6)
+        assert noise.time == pytest.approx(2.5 * 2.0**-2, rel=1e-6)
+
     @pytest.mark.parametrize(("gain", "found"), [(8.1, True), (7.9, False)])
     def test_correlated_noise_needs_its_likelihood_ratio(self, monkeypatch, gain, found):
         noise, kinds = self.estimated(monkeypatch, gain)
@@ -414,6 +442,40 @@ class TestAngleNoise:
         """Twice its logarithm less 8 is what angle noise needs: 12 for a gain of 12."""
         noise, _ = self.estimated(monkeypatch, 12.0, credible=False, marginal=marginal)
         assert noise.is_white is not found
+
+    @pytest.mark.parametrize(("gain", "kept"), [(11.9, False), (12.1, True)])
+    def test_a_noise_with_a_periodic_part_replaces_an_incredible_process_noise(self, monkeypatch, gain, kept):
+        """That one would gain 20; angle noise needs 8 less."""
+        both = angle.AngleNoise(sigma=1.0, turn_sigma=2.0, gain=gain)
+        noise, _ = self.estimated(
+            monkeypatch, 12.0, turns=1.0, credible=False, marginal=10.0, with_periodic=both
+        )
+        assert (noise is both) is kept
+
+    @pytest.mark.parametrize(
+        ("levels", "found"), [((1.0, 1.9), False), ((1.0, 2.1), True), ((2.1, 1.0), True)]
+    )
+    def test_process_noise_is_credible_below_the_mean_torque_in_all_stretches(
+        self, monkeypatch, levels, found
+    ):
+        """Its likelihood is compared with a gain of 12: 20 with process noise, none without."""
+        likelihood = lambda c: 0.0 if c is None else 6.0  # noqa: E731
+        stretches = [
+            SimpleNamespace(
+                projected=np.zeros(1), likelihood=likelihood, most_likely_level=lambda times, x=x: x
+            )
+            for x in levels
+        ]
+        monkeypatch.setattr(angle, "split_into_stretches", lambda run, nuisance: stretches)
+        monkeypatch.setattr(angle, "mean_acceleration", lambda run: 2.0)
+        flat = SimpleNamespace(of=lambda stretches, c: SimpleNamespace(marginal=lambda times: 5.0))
+        monkeypatch.setattr(angle, "StretchLikelihood", flat)
+        monkeypatch.setattr(angle, "_row_covariance_beyond_white", lambda run, t: 4.0 * np.eye(2))
+        t = np.linspace(0.0, 20.0, 100)
+        samples = Samples(t, 900.0 * t, np.full(100, 1e-3))
+        noise = angle.estimate_angle_noise(SimpleNamespace(samples=samples, lift=np.zeros((8, 1, 1))), None)
+        # beside a process noise the angle noise gains nothing; without it, 12 from each of two stretches
+        assert noise.gain == pytest.approx(24.0 if found else 0.0)
 
     @pytest.mark.parametrize(("turns", "periodic"), [(2.9, True), (3.1, False)])
     def test_errors_periodic_in_the_angle_are_tried_in_blocks_of_few_turns(
@@ -498,6 +560,22 @@ class TestWindowGroups:
         determinant, square = found.likelihood_terms(time, ratios)
         assert determinant == pytest.approx(logs, rel=0.01)
         assert square == pytest.approx(squares, rel=0.01)
+
+    def test_the_process_noise_of_the_casing_is_whitened(self):
+        """An acceleration of 0.5 rad/s2 over 0.1 s, beside a white noise of twice the stated uncertainty."""
+        count, level, time = 6400, 0.5, 0.1
+        t = np.linspace(0.0, 1.0, count)
+        noise = 2e-3 * np.random.default_rng(4).standard_normal(count)
+        window = SimpleNamespace(samples=Samples(t, noise, np.full(count, 1e-3)), lift=np.zeros((1, 5, 5)))
+        found = angle._WindowGroups(window, np.zeros((count, 0)), level, time)
+        grid = np.linspace(0.0, 1.0, 800)
+        since = np.maximum(t.reshape(128, 50).mean(axis=1)[:, None] - grid, 0.0) * (grid[1] - grid[0])
+        kernel = since @ (level**2 * np.exp(-np.abs(grid[:, None] - grid) / time)) @ since.T
+        expected = found._complement.T @ kernel @ found._complement / 4.0
+        whole = np.linalg.inv(found._whitening.T @ found._whitening) - np.eye(len(expected))
+        assert np.abs(expected).max() > 0.5
+        assert np.linalg.eigvalsh(whole)[-1] == pytest.approx(np.linalg.eigvalsh(expected)[-1], rel=0.15)
+        assert whole == pytest.approx(expected, abs=0.15 * np.abs(expected).max())
 
     def test_a_motion_of_the_fifth_degree_leaves_nothing(self):
         t, _ = self.groups()

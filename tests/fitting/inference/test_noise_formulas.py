@@ -57,6 +57,12 @@ class TestWhitener:
         assert WHITENER.at(0.0)(RESIDUAL) is RESIDUAL
         assert WHITENER.at(0.7).log_determinant == pytest.approx(np.linalg.slogdet(covariance(0.7))[1])
 
+    def test_white_rows_become_those_of_the_noise(self):
+        root = WHITENER.at(0.7).coloured(np.eye(ROWS))
+        assert root @ root.T == pytest.approx(covariance(0.7))
+        assert WHITENER.at(0.7)(root) == pytest.approx(np.eye(ROWS))
+        assert WHITENER.at(0.7).coloured(RESIDUAL) == pytest.approx(root @ RESIDUAL)
+
     def test_the_share_of_the_torque_is_that_of_the_variance(self):
         white = WHITENER.at(0.7)
         direction = white(FREE[:, :1])
@@ -121,6 +127,16 @@ class TestLevels:
         assert noise._peak(levels, likelihood) == pytest.approx(1.7)
         assert noise._peak(levels, -levels) == 0.0
         assert noise._peak(levels, levels) == levels[-1]
+
+    def test_slow_rows_respond_as_well(self):
+        """Three rows without a residual and six of 3e4, whose response is 1e-15 of the largest one.
+
+        D = 3 ln s^2 + 6 (ln v + 9e8 / v) with v = 1e-15 s^2 is least at v = 6e8.
+        """
+        values = np.append(np.ones(3), np.full(6, 1e-15))
+        residual = np.append(np.zeros(3), np.full(6, 3e4))
+        level, _ = remaining_level(Whitener(np.eye(9), values), residual, np.zeros((9, 0)))
+        assert 1e-15 * level**2 == pytest.approx(6e8, rel=0.05)
 
     @pytest.mark.parametrize(("level", "raised"), [(1.4, False), (1.6, True)])
     def test_half_more_than_the_lowest_level_is_raised(self, level, raised):
@@ -247,6 +263,52 @@ class TestProcessNoise:
         assert len(mean) <= 60
         assert (np.diff(mean) > 0).all()
 
+    def test_the_likelihood_beside_correlated_angle_noise(self):
+        """That of a normal distribution, but for the determinant of the angle noise, which all levels share."""
+        data = run(0.5)
+        mixed = np.random.default_rng(3).standard_normal((len(data.z),) * 2) / 5.0
+        stretch = process.Stretch(data, np.arange(2), np.zeros((len(data.z), 0)), 3)
+        angle = (mixed @ mixed.T)[np.ix_(stretch.rows, stretch.rows)]
+        angle = np.eye(len(stretch.projected)) + stretch._complement.T @ angle @ stretch._complement
+        r, (kernel, unit) = stretch.projected, stretch.torque_covariance(0.3)
+        found = StretchLikelihood.of([stretch], mixed @ mixed.T)(0.3, np.array([0.5, 3.0]) * unit)
+        expected = [multivariate_normal(cov=angle + s**2 * kernel).logpdf(r) for s in (0.5, 3.0)]
+        shared = 0.5 * len(r) * np.log(2 * np.pi) + 0.5 * np.linalg.slogdet(angle)[1]
+        assert found == pytest.approx(np.array(expected) + shared)
+
+    def test_the_unit_is_that_of_the_median_stretch(self):
+        parts = [
+            SimpleNamespace(stretch=SimpleNamespace(torque_covariance=lambda time, u=u: (None, u * time)))
+            for u in (1.0, 7.0, 2.0)
+        ]
+        assert StretchLikelihood(parts).unit(3.0) == 6.0
+
+    def test_shares_of_the_most_likely_process_noise_whiten_a_stretch(self):
+        data = run(0.5)
+        stretch = process.Stretch(data, np.arange(2), np.zeros((len(data.z), 0)), 3)
+        kernel, unit = stretch.torque_covariance(0.3)
+        level, r = stretch.most_likely_level([0.3]) / unit, stretch.projected
+        for share, (whitening, deviance) in zip(
+            (0.5, 1.0), stretch.whitenings_at([0.3], (0.5, 1.0)), strict=True
+        ):
+            covariance = np.eye(len(r)) + (share * level) ** 2 * kernel
+            assert whitening @ covariance @ whitening.T == pytest.approx(np.eye(len(r)), abs=1e-6)
+            expected = np.linalg.slogdet(covariance)[1] + r @ solve(covariance, r)
+            assert deviance == pytest.approx(expected, rel=1e-6)
+
+    def test_the_mean_acceleration_of_a_motion_that_speeds_up_and_slows_down(self):
+        """The mean speeds of ten parts of 2 s are 6, 8 ... 14, 14 ... 6 rad/s: 16 rad/s of change in 20 s."""
+        t = np.linspace(0.0, 20.0, 801)
+        angle = 5.0 * t + np.where(t < 10.0, 0.5 * t**2, 20.0 * t - 0.5 * t**2 - 100.0)
+        data = SimpleNamespace(samples=Samples(t, angle, np.full(801, 1e-9)), lift=np.zeros((10, 1, 1)))
+        assert mean_acceleration(data) == pytest.approx(16.0 / 20.0, rel=0.02)
+
+    def test_an_improbable_level_has_its_part_of_the_mean(self):
+        """One of 1e-10 at 1e12 adds 100; one of 1e-30 is left out, whatever it is."""
+        mean, total = process._binned(np.array([1.0, 2.0, 1e12, 1e40]), np.array([0.5, 0.5, 1e-10, 1e-30]))
+        assert mean @ total == pytest.approx(101.5)
+        assert mean.max() == pytest.approx(1e12)
+
     @pytest.mark.parametrize("columns", [2, 300])
     def test_nuisance_functions_are_marginalised_with_their_prior(self, columns):
         """Few or more than the rows, by the textbook formula of generalised least squares."""
@@ -279,3 +341,63 @@ class TestProcessNoise:
             for s in levels
         ]
         assert stretch.most_likely_level([0.3]) == pytest.approx(levels[int(np.argmax(likely))])
+
+
+class TestImpulses:
+    """A free body of inertia 0.5 under a torque of 1 N m in one cell of time, [0, 1], [1, 2] or [2, 3]."""
+
+    TIMES = np.array([0.25, 0.75, 1.0, 2.6])
+
+    def response(self, *, angle, moving=1.0):
+        class Motion:
+            def impulses(self, centres, direction):
+                return np.tile(direction, (len(centres), 1))
+
+            def integrated(self, times):
+                return times[:, None, None] * np.eye(2)
+
+            def fundamental(self, times):
+                return np.tile(np.eye(2), (len(times), 1, 1))
+
+            def accelerations(self, direction):
+                return direction
+
+            def moving(self, times):
+                return np.full(len(times), moving)
+
+        data = SimpleNamespace(
+            is_angle=angle,
+            casing=SimpleNamespace(node_times=self.TIMES),
+            rotor=(SimpleNamespace(node_times=self.TIMES),),
+            rows=lambda casing, rotor: np.concatenate([casing, *rotor]),
+        )
+        rows = noise._impulses(data, Motion(), np.arange(4.0), np.array([0.0, 2.0]))
+        assert not rows[len(self.TIMES) :].any()
+        return rows[: len(self.TIMES)]
+
+    @pytest.mark.parametrize("angle", [True, False])
+    def test_in_a_cell_the_torque_acts_since_its_beginning(self, angle):
+        since = np.clip(self.TIMES[:, None] - np.arange(3.0), 0.0, 1.0)
+        later = np.maximum(self.TIMES[:, None] - np.arange(1.0, 4.0), 0.0)
+        expected = 2.0 * (0.5 * since**2 + since * later if angle else since)
+        assert self.response(angle=angle) == pytest.approx(expected)
+
+    def test_a_casing_at_rest_does_not_respond_in_the_cell(self):
+        """What it does later is that of the motion."""
+        found = self.response(angle=True, moving=0.0)
+        assert found[[0, 1, 2, 3], [0, 0, 1, 2]] == pytest.approx(0.0)
+        assert found[3, 0] == pytest.approx(2.0 * 2.1)
+
+    def test_rows_of_harmonics_respond_to_both_torques_of_coupled_bodies(self):
+        """The casing takes three tenths of the rotor's torque over its inertia: of the bearing, with the other sign."""
+        coupled = SimpleNamespace(accelerations=lambda d: np.array([d[0], d[1] + 0.3 * d[0]]))
+        square, frequency = np.array([2.0, 5.0]), np.array([3.0, 7.0])
+        response = SimpleNamespace(
+            data=SimpleNamespace(
+                record=SimpleNamespace(I_casing=0.5, I_rotor=0.25), harmonic_row_responses=(square, frequency)
+            ),
+            _motion=coupled,
+        )
+        density = 2 * 0.4 / (1 + (0.4 * frequency) ** 2)
+        expected = (2.0**2 + (2.0 - 0.3 * 4.0) ** 2) * square * density
+        assert noise.TorqueResponse._harmonic_variances(response, 0.4) == pytest.approx(expected)

@@ -8,9 +8,10 @@ import pytest
 import twobody
 
 from fitting import make_record
+from fitting._criteria import DEFAULT
 from fitting.inference._case_data import CaseData
 from fitting.inference._record import Samples
-from fitting.inference._slips import slipped_turns, without_slips
+from fitting.inference._slips import Slip, as_measured, slipped_turns, without_slips
 
 TURN = 2 * math.pi
 
@@ -71,3 +72,73 @@ def test_the_corrected_record_is_the_one_without_slip():
     assert corrected.rotor_angle_noise.sigma < 1e-3
     assert "a whole turn slipped in rotor window 2" in " ".join(corrected.findings).lower()
     assert CaseData.of(plain).findings == ()
+
+
+@pytest.mark.parametrize(("count", "found"), [(32, [(16, 1)]), (31, [])])
+def test_a_local_speed_needs_31_steps(count, found):
+    assert slipped_turns(stepped(turning(5.0, count=count), 16, 1)) == found
+
+
+@pytest.mark.parametrize(("step", "found"), [(0.49, True), (-0.49, True), (0.51, False), (-0.51, False)])
+def test_a_slip_is_known_below_half_a_turn_per_sample(step, found):
+    """In turns from one sample to the next."""
+    time = np.arange(200.0)
+    samples = Samples(time, TURN * step * time, np.full(200, 1e-3))
+    assert slipped_turns(stepped(samples, 80, 2)) == ([(80, 2)] if found else [])
+
+
+@pytest.mark.parametrize("turns", [1, -1])
+@pytest.mark.parametrize("first", [1, 2, 198, 199])
+def test_a_slip_beside_the_first_or_the_last_sample_is_found(first, turns):
+    assert slipped_turns(stepped(turning(5.0, count=200), first, turns)) == [(first, turns)]
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.9, True), (-0.9, True), (1.1, False), (-1.1, False)])
+def test_a_slip_is_a_whole_turn_up_to_the_tolerance(share, found):
+    samples = turning(5.0, sigma=1e-5, count=200)
+    turns = 1 + share * DEFAULT.slip_tolerance
+    assert slipped_turns(stepped(samples, 80, turns)) == ([(80, 1)] if found else [])
+
+
+class TestRecords:
+    """A casing and two windows, of which one series or the other slipped."""
+
+    def plain(self, quantity="angle"):
+        runs = [
+            (run.time, run.value, run.sigma) for run in (turning(20.0, count=400, seed=k) for k in range(3))
+        ]
+        return make_record(casing=runs[0], rotor=runs[1:], I_rotor=1.0, I_casing=1.0, quantity=quantity)
+
+    def slipped(self, **changes):
+        plain = self.plain(**changes)
+        rotor = (plain.rotor[0], stepped(stepped(plain.rotor[1], 100, -1), 300, 2))
+        return replace(plain, casing=stepped(plain.casing, 200, 1), rotor=rotor)
+
+    def test_corrected_angles_become_the_measured_ones_again(self):
+        measured = self.slipped()
+        corrected, slips = without_slips(measured)
+        time = measured.casing.time
+        assert slips == (
+            Slip("casing", None, time[200], 1), Slip("rotor", 2, time[100], -1), Slip("rotor", 2, time[300], 2),
+        )  # fmt: skip
+        again = as_measured(corrected, slips)
+        for found, known in ((corrected, self.plain()), (again, measured)):
+            for one, other in zip((found.casing, *found.rotor), (known.casing, *known.rotor), strict=True):
+                assert one.value == pytest.approx(other.value, abs=1e-9)
+
+    def test_only_measured_angles_slip(self):
+        speeds, generated = self.slipped(quantity="omega"), replace(self.slipped(), generated=True)
+        for record in (speeds, generated):
+            assert without_slips(record) == (record, ())
+
+
+@pytest.mark.parametrize(
+    ("slip", "sentence"),
+    [
+        (Slip("casing", None, 1.0, -1), "a whole turn slipped in the casing at 1.000 s (-1)"),
+        (Slip("rotor", 2, 1.5, 1), "a whole turn slipped in rotor window 2 at 1.500 s (+1)"),
+        (Slip("rotor", 1, 1.5, -3), "3 whole turns slipped in rotor window 1 at 1.500 s (-3)"),
+    ],
+)
+def test_a_slip_says_where_and_by_how_much(slip, sentence):
+    assert slip.sentence == sentence

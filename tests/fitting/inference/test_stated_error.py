@@ -257,3 +257,34 @@ def test_harmonic_rows_are_whitened_by_it_and_the_others_are_not():
     assert np.array_equal(without.whitened(one)[where], one[where])
     responses = with_error.harmonic_row_responses[0], without.harmonic_row_responses[0]
     assert responses[0] == pytest.approx(responses[1] / scale**2)
+
+
+class TestAliases:
+    """At 100 frames per second an error of an order is constant where the body turns 100 / order times a second."""
+
+    def run(self, order):
+        t = np.arange(1600) / 100
+        angle = 2 * np.pi * (100.0 + 0.02) / order * t + 0.3
+        return angle, compress(Samples(t, angle, np.full(len(t), 1e-3)), degree=5, blocks=4)
+
+    @pytest.mark.parametrize(("order", "columns"), [(7, 2), (8, 2), (12, 2), (13, 0)])
+    @pytest.mark.parametrize(("norm", "kept"), [(0.08, False), (0.12, True), (0.9, True)])
+    def test_slow_errors_of_orders_3_to_12_are_stated(self, order, columns, norm, kept):
+        angle, run = self.run(order)
+        unit = max(
+            np.linalg.norm(rows[:6] @ f(order * angle[where]))
+            for where, rows in run.operators
+            for f in (np.cos, np.sin)
+        )
+        size = norm / unit
+        found = stated_error_rows(run, 0.0, 0.0, harmonic=size)
+        if not kept or not columns:
+            assert found.shape[1] == 0
+            return
+        expected = np.zeros_like(found @ found.T)
+        for i, (where, rows) in enumerate(run.operators):
+            waves = np.stack([np.cos(order * angle[where]), np.sin(order * angle[where])], axis=1)
+            part = size * rows[:6] @ waves
+            part = part[:, np.linalg.norm(part, axis=0) > 0.1]
+            expected[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = part @ part.T
+        assert found @ found.T == pytest.approx(expected, abs=1e-3 * norm**2)
