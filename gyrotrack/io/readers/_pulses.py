@@ -212,7 +212,6 @@ def _edges(time: Floats, signal: Floats, part: int) -> tuple[Floats, Integers]:
     state = np.zeros(len(signal), dtype=int)
     state[relative > 2 / 3] = 1
     state[relative < 1 / 3] = -1
-    state[~present] = -1
     decided = np.flatnonzero(state)
     turn = np.flatnonzero((state[decided][1:] > 0) & (state[decided][:-1] < 0))
     times, after = [], []
