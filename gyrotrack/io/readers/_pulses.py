@@ -1050,7 +1050,7 @@ def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
     count, line = np.round(angles.numbers(1) * (per_turn / TURN)), angles.line
     known = np.isfinite(time) & np.isfinite(count)
     time, count, line = time[known], count[known], line[known]
-    if (np.diff(time) <= 0).any() or not np.diff(count).any():
+    if (np.diff(time) <= 0).any():
         return None
     if np.ptp(count) < per_turn:
         total = np.unwrap(count, period=per_turn)

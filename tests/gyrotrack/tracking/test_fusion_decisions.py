@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack._smoothing import TimeBase
 from gyrotrack.tracking import _fusion as module
 from gyrotrack.tracking._fusion import KNOTS, TURN, join, place_error, wrapped
 from gyrotrack.tracking._orbit import CELL
@@ -115,9 +114,8 @@ class TestResult:
 
     def test_the_times_are_common_to_the_markers(self, monkeypatch):
         """0.3 rad a frame and 0.01 frames: of a scatter of 5 mrad 4 mrad are left, which the mean reduces."""
-        found = state(
-            rate=0.3, scatter=dict.fromkeys(BOTH, (5e-3, 5e-3)), time_base=TimeBase(np.arange(float(N)), 0.01)
-        )
+        found = state(rate=0.3, scatter=dict.fromkeys(BOTH, (5e-3, 5e-3)))
+        monkeypatch.setattr(found, "_time_base", SimpleNamespace(sigma=0.01, speed=np.gradient))
         found.turning[:] = True
         body, _ = self.result(monkeypatch, found)
         assert body.sigma == pytest.approx(np.full(N, math.hypot(4e-3 / math.sqrt(2), 3e-3)))
@@ -207,6 +205,163 @@ class TestRounds:
             found.candidates[name].angle[:] = wrapped(motion + mount)
         fitted, _ = found.smooth(12)
         assert (found.path + fitted)[20:-20] == pytest.approx(motion[20:-20], abs=2e-4)
+
+
+class TestLearning:
+    """Errors by place of 4 mrad at three periods a turn, and beside another body at two periods."""
+
+    def test_partly_occluded_observations_show_no_error_by_place(self):
+        turn = 0.3 * np.arange(N)
+        error = np.array([4e-3 * np.cos(3 * (turn + m)) for m in (0.0, 2.0)])
+        hidden = np.arange(N) % 3 == 0
+        found = state(error + 0.02 * hidden * np.sin(turn), scatter=dict.fromkeys(BOTH, (3e-4, 3e-4)))
+        for c in found.candidates.values():
+            c.open[hidden] = False
+        found.turning[:] = True
+        module.learn_places(found, np.zeros(N))
+        assert found.by_place["m1"] == pytest.approx(error[1], abs=6e-4)
+
+    @pytest.mark.parametrize(("other_rate", "fast"), [(0.38, True), (0.36, False)])
+    def test_beside_a_slow_body_only_partly_occluded_observations_are_corrected(self, other_rate, fast):
+        """80 and 60 rad/s beside 300 rad/s."""
+        turn, other = 0.3 * np.arange(N), 1.0 + other_rate * np.arange(N)
+        error = np.array([3e-3 * np.cos(2 * (turn + m - other)) for m in (0.0, 2.0)])
+        found = state(error, scatter=dict.fromkeys(BOTH, (2e-4, 2e-4)))
+        hidden = np.arange(N) % 3 == 0
+        for c in found.candidates.values():
+            c.open[hidden] = False
+        found.turning[:] = True
+        module.learn_neighbours(found, np.zeros(N), other, (30, 2), above=False, last=False)
+        learnt = found.by_neighbour["m1"]
+        assert learnt[hidden] == pytest.approx(error[1][hidden], abs=5e-4)
+        assert (np.abs(learnt[~hidden]).max() > 1e-3) is np.bool_(fast)
+
+    @pytest.mark.parametrize(("last", "share"), [(False, 1.0), (True, 0.3)])
+    def test_what_is_shown_counts_in_the_last_round(self, monkeypatch, last, share):
+        turn, other = 0.3 * np.arange(N), 1.0 + 0.38 * np.arange(N)
+        error = np.array([3e-3 * np.cos(2 * (turn + m - other)) for m in (0.0, 2.0)])
+        found = state(error, scatter=dict.fromkeys(BOTH, (2e-4, 2e-4)))
+        found.turning[:] = True
+        monkeypatch.setattr(module, "_shown_share", lambda *_: 0.3)
+        module.learn_neighbours(found, np.zeros(N), other, (30, 2), above=False, last=last)
+        assert found.by_neighbour["m1"] == pytest.approx(share * error[1], abs=4e-4)
+
+
+class TestVariances:
+    @pytest.mark.parametrize("common_kept", [True, False])
+    def test_what_markers_have_in_common_is_kept_in_the_angle(self, common_kept):
+        """Two markers, motion and two curves: e - b dx with cov(e, dx) = C a var(e), b without the common harmonics."""
+        n, motion, size = 150, 5, 2e-3
+        found = state(n=n, rate=2.5 * TURN / n, scatter=dict.fromkeys(BOTH, (1e-3, 1e-3)))
+        found.turning[:] = True
+        found.common_kept = common_kept
+        found.place_size = dict.fromkeys(BOTH, size)
+        error, left = module._variance_shares(found, motion)
+        spline = module._cubic_splines(n, motion)
+        each = []
+        for k, c in enumerate(found.candidates.values()):
+            place = np.mod(c.angle, TURN) * KNOTS / TURN
+            apart = np.abs((place[:, None] - np.arange(KNOTS) + KNOTS / 2) % KNOTS - KNOTS / 2)
+            hats = np.zeros((n, 2 * KNOTS))
+            hats[:, k * KNOTS : (k + 1) * KNOTS] = np.maximum(1 - apart, 0.0)
+            each.append(np.hstack([spline, hats]))
+        normal = sum(rows.T @ rows for rows in each) * 1e6
+        normal[motion:, motion:] += np.kron(np.eye(2), module._precision(size))
+        covariance = np.linalg.inv(normal + 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal)))
+        rows, noise = np.mean(each, axis=0), 0.5e-6
+        absorbed = np.einsum("ni,ij,nj->n", rows, covariance, rows)
+        assert left == pytest.approx(np.clip(1 - absorbed / noise, 0.1, 1), rel=1e-3)
+        curves = np.hstack([np.zeros((n, motion)), rows[:, motion:]])
+        if common_kept:
+            curves[:, motion:] = curves[:, motion:] @ module._without_common(found.mounts)
+
+        def variance():
+            return noise + np.einsum("ni,ij,nj->n", curves - 2 * rows, covariance, curves)
+
+        for _ in range(2):
+            curves -= np.average(curves, axis=0, weights=1 / np.maximum(variance(), 0.1 * noise))
+        assert error == pytest.approx(np.maximum(variance() / noise, 0.1), rel=1e-3)
+
+
+class TestView:
+    """Errors of axis and tilt by the disagreement of two markers, as one linear model with a free motion."""
+
+    def film(self, size, n=60):
+        """Return markers over 1.5 rad with errors of axis and tilt, the second one twice as noisy and seen later."""
+        k = np.arange(n)
+        turn = 1.5 * k / n
+        rng = np.random.default_rng(4)
+        error = [
+            size * (np.cos(turn + m) - 0.4 * np.sin(2 * (turn + m))) * sign + s * rng.standard_normal(n)
+            for m, s, sign in ((0.0, 3e-4, 1.0), (2.0, 6e-4, -0.5))
+        ]
+        scatter = {"m0": (3e-4, 3e-4), "m1": (6e-4, 6e-4)}
+        found = state(error, rate=1.5 / n, n=n, scatter=scatter)
+        found.use["m1"][:5] = False
+        found.by_neighbour["m0"][:] = 1e-3 * np.sin(5.0 * turn)
+        return found
+
+    def reference(self, found, floor, arcs):
+        """Return the errors of the markers and the uncertainty of their mean, the motion being one unknown a frame."""
+        names, n = list(found.candidates), len(found.path)
+        alike = n / max(np.ptp(found.path) / CELL, 1.0)
+        normal, right = np.zeros((n + 10, n + 10)), np.zeros(n + 10)
+        normal[n + 8 :, n + 8 :] = np.eye(2)
+        waves, weights = [], []
+        for k, name in enumerate(names):
+            a = found.candidates[name].angle
+            waves.append(np.stack([np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)], axis=1))
+            rows = np.hstack([np.eye(n), np.zeros((n, 10))])
+            rows[:, n + 4 * k : n + 4 * k + 4], rows[:, n + 8 + k] = waves[k], 1.0
+            sigma = found.scatter[name][0]
+            y = wrapped(a - found.path - found.mounts[name] - found.by_neighbour[name])
+            weight = found.use[name] / (sigma**2 + alike * floor**2)
+            normal += rows.T @ (weight[:, None] * rows)
+            right += rows.T @ (weight * y)
+            weights.append(found.use[name] / sigma**2)
+        offsets, unit = np.zeros((8, 8)), floor / math.sqrt(6.0)
+        for k, name in enumerate(names):
+            if name in arcs:
+                (xx, xy), (_, yy) = arcs[name]
+                # cos: e_y, sin: -e_x
+                offsets[4 * k : 4 * k + 2, 4 * k : 4 * k + 2] = [[yy, -xy], [-xy, xx]]
+        best = (-math.inf, None)
+        for common in 2.0 ** np.arange(6):
+            for own in 2.0 ** np.arange(6):
+                sizes = (own * unit) ** 2 * np.eye(2) + (common * unit) ** 2
+                prior = np.linalg.inv(np.kron(sizes, np.eye(4)) + offsets)
+                full = normal.copy()
+                full[n : n + 8, n : n + 8] += prior
+                fit = right @ np.linalg.solve(full, right)
+                evidence = 0.5 * (fit + np.linalg.slogdet(prior)[1] - np.linalg.slogdet(full)[1])
+                best = max(best, (evidence, full), key=lambda one: one[0])
+        covariance = np.linalg.inv(best[1])
+        x = (covariance @ right)[n : n + 8]
+        effect = np.hstack([w[:, None] * b for w, b in zip(weights, waves, strict=True)])
+        effect /= sum(weights)[:, None]
+        effect -= effect.mean(axis=0)
+        own = covariance[n : n + 8, n : n + 8]
+        return (
+            [b @ x[4 * k : 4 * k + 4] for k, b in enumerate(waves)],
+            np.sqrt(np.einsum("ni,ij,nj->n", effect, own, effect)),
+        )
+
+    @pytest.mark.parametrize(
+        ("size", "arcs"),
+        [
+            (2e-3, {}),
+            (20e-3, {}),
+            (20e-3, {"m1": np.array([[4e-4, 1e-4], [1e-4, 1e-6]])}),
+        ],
+        ids=["small errors", "large errors", "an arc"],
+    )
+    def test_the_most_likely_sizes_of_errors_are_those_of_all_data(self, size, arcs):
+        found = self.film(size)
+        errors, uncertainty = self.reference(found, 1e-3, arcs)
+        stated = module.learn_view(found, 1e-3, arcs)
+        for name, expected in zip(found.candidates, errors, strict=True):
+            assert found.by_place[name] == pytest.approx(expected, abs=2e-2 * np.abs(expected).max())
+        assert stated == pytest.approx(uncertainty, rel=2e-2, abs=1e-6)
 
 
 class TestPlaces:

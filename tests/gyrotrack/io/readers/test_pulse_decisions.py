@@ -523,6 +523,55 @@ class TestCounts:
             found += len(mark_errors(time, k.astype(float), float(marks), table(time), [])[1])
         assert found <= 1
 
+    @pytest.mark.parametrize(("ratio", "significant"), [(0.562, False), (0.577, True)])
+    def test_two_marks_differ_by_three_standard_deviations_of_the_cube_root(self, ratio, significant):
+        """54 turns; mark 1 is displaced by d and by +-s from turn to turn, of which half is that of the turn.
+
+        t^2 = (2 / pi) (d / s)^2 (54 - 3) for both marks; (1 - 2 / 9 + 3 sqrt(2 / 9))^3 = 10.53, for d / s = 0.5695.
+        """
+        k = np.arange(109)
+        displaced = np.where(k % 2, 0.02 * (ratio + np.where(k // 2 % 2, 1.0, -1.0)), 0.0)
+        errors, modes = mark_errors((k + displaced) / 2.0, k.astype(float), 2.0, table(k), [])
+        assert bool(modes) is significant
+        assert errors.any() == significant
+
+    def test_the_mode_of_marks_has_the_variances_of_their_harmonics(self):
+        """Eight marks: of one harmonic of an amplitude of 1, 1 / 2 at it and an eighth of the mean square elsewhere."""
+        k = np.arange(8)
+        mode = module._mark_mode(np.cos(TURN * k / 8), k)
+        assert np.diag(mode.covariance) == pytest.approx([1 / 2, 1 / 8, 1 / 8, 1 / 16, 1 / 2, 1 / 8, 1 / 8])
+        assert mode.basis[1] == pytest.approx(
+            [*np.cos(TURN / 8 * np.arange(1, 5)), *np.sin(TURN / 8 * np.arange(1, 4))]
+        )
+        alternating = module._mark_mode(np.where(k % 2, -1.0, 1.0), k)
+        assert np.diag(alternating.covariance) == pytest.approx(
+            [1 / 4, 1 / 4, 1 / 4, 1.0, 1 / 4, 1 / 4, 1 / 4]
+        )
+
+    def test_the_resolution_of_a_clock_with_more_digits_is_not_known(self):
+        ticks = np.cumsum(np.array([7, 4, 9, 11, 6, 5, 8, 13])) + 0.05 * (np.arange(8) % 2)
+        assert module._clock_resolution(1e-6 * ticks) == 0.0
+
+    @pytest.mark.parametrize("sense", [1, -1])
+    def test_a_slow_body_with_a_fine_clock_is_known_to_microradians(self, sense):
+        """0.5 turns a second, times rounded to 3 us: pi 3 us / sqrt(12) at least."""
+        time = 3e-6 * np.round(
+            np.arange(100.0) * 2.0 / 3e-6 + np.random.default_rng(0).uniform(-0.5, 0.5, 100)
+        )
+        found = from_counts(table(time), time, sense * np.arange(100.0), np.arange(100), 1.0, [])
+        least = math.pi * 3e-6 / math.sqrt(12)
+        assert 0.99 * least < np.median(found.sigma) < 2 * least
+
+    @pytest.mark.parametrize(
+        ("scattered", "expected"), [(1e-4, 1e-3 / math.sqrt(12)), (1e-3, 1e-3)], ids=["resolution", "scatter"]
+    )
+    def test_the_larger_one_of_scatter_and_resolution_counts(self, monkeypatch, scattered, expected):
+        """Times in whole milliseconds at 10 turns a second."""
+        monkeypatch.setattr(module, "scatter", lambda count, time, floor: np.full(len(time), scattered))
+        time = 0.1 * np.arange(50.0) + 1e-3 * (np.arange(50) % 2)
+        found = from_counts(table(time), time, np.arange(50.0), np.arange(50), 1.0, [])
+        assert found.sigma[1:-1] == pytest.approx(np.full(48, TURN * 10.0 * expected), rel=1e-3)
+
     @pytest.mark.parametrize("marks", [5, 6, 64, 100])
     def test_the_mode_of_marks_holds_their_variance(self, marks):
         """White errors of the marks have their variance in all harmonics, up to 32 of them."""
@@ -817,6 +866,28 @@ class TestCounter:
         else:
             self.counted(t, np.cumsum(increments))
 
+    @pytest.mark.parametrize(("repeated", "refused"), [(19, False), (21, True)])
+    def test_one_in_five_rows_may_be_repeated(self, repeated, refused):
+        """Of a hundred."""
+        t = np.sort(np.append(slowing(100 - repeated), slowing(100 - repeated)[:repeated]))
+        count = np.searchsorted(slowing(100 - repeated), t)
+        if refused:
+            with pytest.raises(DatasetError, match="is not a counter"):
+                self.counted(t, count)
+        else:
+            assert any(f"{repeated} repeated rows" in n for n in self.counted(t, count).notes)
+
+    @pytest.mark.parametrize(("ratio", "late"), [(0.71, False), (0.69, True)])
+    def test_a_count_is_late_if_the_intervals_are_more_regular_by_three_tenths(
+        self, monkeypatch, ratio, late
+    ):
+        found = iter([1.0, ratio])
+        monkeypatch.setattr(module, "_roughness", lambda *_: next(found))
+        t = np.cumsum(np.random.default_rng(0).uniform(0.1, 0.11, 60))
+        made = self.counted(t, np.arange(60.0))
+        assert made.time[0] == t[1 - late]
+        assert any("one row late" in n for n in made.notes) is late
+
     def test_a_count_of_pulses_is_divided(self):
         t = slowing(80)
         found = self.counted(t, np.arange(80.0), pulses_per_turn=4.0)
@@ -871,6 +942,43 @@ class TestEncoders:
         assert sampled_counts(raw, {"t": 0}) == column
         assert sampled_counts(raw, {"t": 0, "revolutions": 1}) == column
         assert sampled_counts(raw, {"t": 0, "angle": 1}) is None
+
+    @pytest.mark.parametrize(("share", "column"), [(0.05, None), (0.15, 1)])
+    def test_rare_double_steps_are_those_of_events(self, share, column):
+        """Up to a tenth."""
+        step = np.ones(200)
+        step[: int(200 * share)] = 2.0
+        assert sampled_counts(table(0.01 * np.arange(200), np.cumsum(step)), {"t": 0}) == column
+
+    @pytest.mark.parametrize(("steps", "found"), [(7, []), (8, [1])])
+    def test_a_counter_has_eight_steps(self, steps, found):
+        count = np.minimum(np.arange(100) // 10, steps).astype(float)
+        assert counters_of(table(0.1 * np.arange(100), count)) == found
+
+    @pytest.mark.parametrize(("per_turn", "continued"), [(60.0, True), (1000.0, False)])
+    def test_a_counter_that_overflows_within_a_turn_restarts_at_each_turn(self, per_turn, continued):
+        """Nine counts a row, of eight bits; 256 counts are less than a turn of a thousand."""
+        raw = table(0.01 * np.arange(400), 9.0 * np.arange(400) % 256)
+        angles = module._counted_angles(raw, 1, 0, "s", ReadOptions(pulses_per_turn=per_turn))
+        turned = 9.0 * np.arange(400)
+        assert angles.columns[1] * per_turn / TURN == pytest.approx(turned if continued else turned % 256)
+        assert any("8-bit" in n for n in angles.notes) is continued
+
+    def test_sampled_counts_begin_at_the_stated_time(self):
+        raw = table(0.005 * np.arange(2000), np.floor(0.07 * np.arange(2000)), names=("t", "counts"))
+        columns = module.Columns({"t": 0, "revolutions": 1}, {"t": "s"}, {}, [], [])
+        plain, later = (
+            module.read_sampled_counts(raw, columns, 1, ReadOptions(pulses_per_turn=60.0, start=start))
+            for start in (0.0, 100.0)
+        )
+        assert later.time == pytest.approx(plain.time + 100.0)
+        assert len(plain.time) < 200
+
+    def test_steps_of_less_than_half_of_the_range_are_not_overflows(self):
+        count = np.tile([0.0, 100.0], 10)
+        same, bits = module._continued_count(count)
+        assert (same.tolist(), bits) == (count.tolist(), 0)
+        assert module._continued_count(np.tile([0.0, 130.0], 10))[1] == 8
 
     @pytest.mark.parametrize("bits", [8, 16])
     def test_overflows_are_continued(self, bits):
