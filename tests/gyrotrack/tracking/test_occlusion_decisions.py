@@ -210,6 +210,128 @@ class TestTemplate:
         assert found[1:].all()
 
 
+class TestMeasured:
+    """One marker of a half width of 0.1 rad in windows of 61 columns of 0.01 rad."""
+
+    X = np.arange(-30, 31)
+
+    def profile(self, shift=0.0):
+        return np.interp(self.X - shift, self.X, flat_top(8.0, 61))
+
+    def test_a_curve_is_displaced_towards_larger_columns(self):
+        curve = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+        found = tracker.displaced(curve, np.array([1.0, -0.5]))
+        assert found == pytest.approx(np.array([[0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.5, 0.5, 0.0, 0.0]]))
+
+    def test_a_misfit_is_relative_to_the_height(self):
+        noise = 0.02 * np.random.default_rng(0).standard_normal((200, 61))
+        every = np.ones((200, 61), dtype=bool)
+        for gain in (1.0, 2.0):
+            found = tracker.match(gain * self.profile() + noise, self.profile(), np.zeros(200), every)
+            assert np.sqrt(np.mean(found.misfit**2)) == pytest.approx(
+                0.02 / gain * math.sqrt(58 / 61), rel=0.03
+            )
+            assert np.median(found.weakness) == pytest.approx(1.0 / gain, rel=0.03)
+
+    @pytest.mark.parametrize(("foot", "reach"), [(None, 13), (7, 11), (15, 16)])
+    def test_the_extent_of_a_marker_is_that_of_its_template(self, foot, reach):
+        """1.15 half widths and two columns without one; an eighth of its height, at least the half width, and one."""
+        across = None if foot is None else np.where(np.abs(self.X) <= foot, 0.13, 0.11)
+        strip = SimpleNamespace(ring=SimpleNamespace(step=0.01), half=30)
+        given = SimpleNamespace(strip=strip, marker=SimpleNamespace(half_width=0.1), _across=across)
+        found = tracker.MarkerTracker._matters(given, SimpleNamespace(fraction=np.array([0.0, 3.0])))
+        assert self.X[found[0]].tolist() == list(range(-reach, reach + 1))
+        assert self.X[found[1]].tolist() == list(range(3 - reach, 4 + reach))
+
+    @pytest.mark.parametrize(
+        ("body", "place", "corrected"), [("casing", 16, True), ("rotor", 16, False), ("casing", 2, False)]
+    )
+    def test_what_is_beside_a_marker_of_the_casing_does_not_displace_it(self, body, place, corrected):
+        """A bright object over ten columns from `place` on; the marker reaches to column 12."""
+        profile = np.tile(self.profile(0.7), (2, 1))
+        profile[1, 30 + place : 40 + place] += 0.8
+        every = np.ones((2, 61), dtype=bool)
+        found = tracker.match(profile, self.profile(), np.zeros(2), every)
+        assert (found.misfit > 0.12).tolist() == [False, True]
+        before = found.misfit[1]
+        given = SimpleNamespace(
+            marker=SimpleNamespace(body=body),
+            template=lambda count: self.profile(),
+            _matters=lambda window: np.tile(np.abs(self.X) <= 12, (2, 1)),
+        )
+        window = SimpleNamespace(known=np.ones(2, dtype=bool), profile=profile)
+        again = tracker.MarkerTracker._without_neighbours(given, window, found, every)
+        assert again.shift[0] == pytest.approx(0.7, abs=0.02)
+        if corrected:
+            assert again.shift[1] == pytest.approx(0.7, abs=0.02)
+            assert again.misfit[1] < 0.1 * before
+        else:
+            assert again.misfit[1] > 0.5 * before
+
+    def measured(self, monkeypatch, open_, clear=None):
+        """Measure three frames, the last one without the body; the marker extends over the columns 1 and 2 of four."""
+        asked = []
+        monkeypatch.setattr(tracker, "shaded_columns", lambda light: np.array([False]))
+        n = len(open_)
+        found = matches(n, shift=np.full(n, 2.0), gain=np.full(n, 0.9))
+
+        def matched(window, usable, whole):
+            asked.append((usable.tolist(), whole.tolist()))
+            return found
+
+        given = SimpleNamespace(
+            light=None, marker=SimpleNamespace(radius=70.0),
+            strip=SimpleNamespace(ring=SimpleNamespace(radii=np.array([60.0, 62.0]), step=0.01, centre=(3.0, 4.0))),
+            _matters=lambda window: np.tile([False, True, True, False], (n, 1)),
+            _matched_across=matched, _without_neighbours=lambda window, one, usable: one,
+            _matched_along=lambda window, one, whole: matches(n, shift=np.full(n, 0.5)),
+            _corners=lambda window, one, whole: (np.full((n, 2), 61.0), np.full((n, 2), 0.02)),
+        )  # fmt: skip
+        window = SimpleNamespace(known=np.arange(n) < 2, start=np.full(n, 30))
+        return tracker.MarkerTracker.measure(given, window, np.array(open_), clear), asked[0]
+
+    def test_a_marker_is_whole_if_nothing_hides_a_part_of_its_extent(self, monkeypatch):
+        seen, (usable, whole) = self.measured(
+            monkeypatch, [[False, True, True, False], [True, True, False, True], [True] * 4]
+        )
+        assert seen.open.tolist() == whole == [True, False, False]
+        assert usable[1] == [True, True, False, True]
+        assert seen.angle[:2] == pytest.approx([0.32, 0.32])
+        assert seen.radius[0] == 71.0
+        assert np.isnan(seen.radius[1:]).all()
+        assert np.isnan([seen.angle[2], seen.gain[2], seen.misfit[2], seen.weakness[2]]).all()
+        assert seen.corner_angle[0] == pytest.approx([0.32, 0.32])
+        assert seen.centre[1].tolist() == [3.0, 4.0]
+
+    def test_samples_in_shadows_are_not_used_of_a_whole_marker(self, monkeypatch):
+        clear = np.array([[True, True, False, True]] * 3)
+        _, (usable, _) = self.measured(
+            monkeypatch, [[True] * 4, [True, False, True, True], [True] * 4], clear
+        )
+        assert usable[0] == [True, True, False, True]
+        assert usable[1] == [True, False, True, True]  # partly hidden: its shadow is not excluded
+
+    def test_corners_are_those_of_whole_markers_of_some_height(self, monkeypatch):
+        seen = []
+        monkeypatch.setattr(
+            tracker, "near_corners", lambda shaped, *_: (np.full((2, 2), 61.0), np.full((2, 2), 0.02))
+        )
+        given = SimpleNamespace(
+            strip=SimpleNamespace(ring=SimpleNamespace(radii=None, step=0.01), half=30),
+            marker=SimpleNamespace(inner=60.0, outer=80.0),
+            _likely=lambda r, phi, fine: seen.append(fine.tolist()) or np.array([[True], [False]]),
+        )
+        window = SimpleNamespace(shaped=lambda use, gain, offset: seen.append(use.tolist()))
+        found = matches(4, gain=np.array([1.0, 0.09, 0.11, 1.0]), shift=np.arange(4.0))
+        radius, angle = tracker.MarkerTracker._corners(
+            given, window, found, np.array([True, True, True, False])
+        )
+        assert seen == [[True, False, True, False], [0.0, 0.02]]
+        assert radius[0].tolist() == [61.0, 61.0]
+        assert np.isnan(radius[1:]).all()
+        assert np.isnan(angle[1:]).all()
+
+
 class TestLight:
     def map(self, heights, passages=3.0, ground=None):
         """A map of one layer with these heights, each of `passages` full passages."""

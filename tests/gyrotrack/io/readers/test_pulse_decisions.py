@@ -153,6 +153,24 @@ class TestEdges:
         assert np.unique(expected).size == len(edges)
         assert np.abs(edges - expected).max() < 0.05
 
+    @pytest.mark.parametrize(
+        ("span", "gap", "sought"),
+        [(1620, 110, False), (1580, 10, True), (1620, 130, True), (1620, 10, False)],
+    )
+    def test_no_drift_is_sought_where_pulses_are_regular_throughout(self, monkeypatch, span, gap, sought):
+        """In four fifths of 2000 samples, without a time of twelve periods of 10 samples in which there is none."""
+        t = np.arange(0.0, 20.0, 0.01)
+        signal = np.sin(20 * np.pi * t)
+        after = np.arange(0, span + 1, 10)
+        with_gap = after[(after <= 800) | (after >= 800 + gap)]
+
+        def edges(time, values):
+            found = with_gap if values is signal else np.arange(0, 3000, 10)
+            return 0.01 * found, found
+
+        monkeypatch.setattr(module, "_local_edges", edges)
+        assert (module._without_drift(t, signal) is not signal) is sought
+
     @pytest.mark.parametrize(("revealed", "removed"), [(49, False), (51, True)])
     def test_a_drift_is_removed_if_a_quarter_more_pulses_appear(self, monkeypatch, revealed, removed):
         """Forty pulses with it in half of the record."""
