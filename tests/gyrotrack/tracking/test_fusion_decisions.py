@@ -26,14 +26,14 @@ class TestResult:
     """Two markers of equal scatter: sigma of their mean is S / sqrt(2)."""
 
     def result(
-        self, monkeypatch, found, *, floor=0.0, axis=0.0, leverage=0.0, shares=(1.0, 1.0), alike=1.0, scale=1.0,
-        tail=1.0, kept=1.0, alone=None,
+        self, monkeypatch, found, *, smooth=0.0, floor=0.0, axis=0.0, leverage=0.0, shares=(1.0, 1.0), alike=1.0,
+        scale=1.0, tail=1.0, kept=1.0, alone=None,
     ):  # fmt: skip
         """Return the body, the residuals by which it was scaled, and what the share of the floor was asked for."""
         seen = SimpleNamespace(residuals=[], floors=[], tails=[])
         n = len(found.path)
         levers = np.broadcast_to(leverage, n).astype(float)
-        monkeypatch.setattr(found, "smooth", lambda half, degree: (np.zeros(n), levers))
+        monkeypatch.setattr(found, "smooth", lambda half, degree: (np.full(n, smooth), levers))
         monkeypatch.setattr(found, "measure_scatter", lambda *_: None)
         monkeypatch.setattr(
             module, "_variance_shares", lambda *_: (np.full(n, shares[0]), np.full(n, shares[1]))
@@ -51,14 +51,16 @@ class TestResult:
     def test_errors_that_no_turn_shows_are_added(self, monkeypatch, rate, least):
         """Errors by place without their mean over the arc, at least that over one place, and the axis."""
         found = state([0.01, 0.01], rate=rate, scatter=BOTH)
-        body, seen = self.result(monkeypatch, found, floor=6e-3, axis=2e-3, leverage=0.01, kept=0.5)
+        body, seen = self.result(
+            monkeypatch, found, smooth=1e-3, floor=6e-3, axis=2e-3, leverage=0.01, kept=0.5
+        )
         own, of_place = share_left(found.path), share_left(np.linspace(0.0, CELL, KNOTS))
         assert (own < of_place) == least
         floor = 6e-3 * 0.5 * math.sqrt(max(own, of_place))
         assert body.sigma == pytest.approx(np.full(N, math.sqrt(S**2 / 2 + floor**2 + 4e-6)))
         assert body.markers["m1"].sigma == pytest.approx(np.full(N, math.sqrt(S**2 + floor**2 + 4e-6)))
         ((off, sigma, asked, places),) = seen.floors
-        assert off == pytest.approx(np.full(N, 0.01))
+        assert off == pytest.approx(np.full(N, 9e-3))
         assert sigma == pytest.approx(np.full(N, S / math.sqrt(2)))
         assert asked == 6e-3
         assert places == pytest.approx((N - 1) * rate / CELL - 0.01 * N)
@@ -83,10 +85,10 @@ class TestResult:
 
     def test_the_uncertainty_is_scaled_to_what_the_curves_leave_of_the_residuals(self, monkeypatch):
         """0.8 is left of the variance; the long curve absorbs (2 - 1) 0.1 more of correlated errors."""
-        found = state([4e-3, 4e-3], rate=0.3, scatter=BOTH)
+        found = state([5e-3, 5e-3], rate=0.3, scatter=BOTH)
         found.turning[:] = True
         body, seen = self.result(
-            monkeypatch, found, leverage=0.1, shares=(4.0, 0.8), alike=2.0, scale=1.5, tail=1.2
+            monkeypatch, found, smooth=1e-3, leverage=0.1, shares=(4.0, 0.8), alike=2.0, scale=1.5, tail=1.2
         )
         of_body, *of_markers = seen.residuals
         ratio = 4e-3 / S

@@ -336,6 +336,11 @@ class TestEvents:
         assert np.flatnonzero(~module._not_double(early)).tolist() == [31]
         assert np.flatnonzero(~module._not_double(late)).tolist() == [30]
 
+    def test_of_two_double_pulses_in_succession_the_later_ones_are_left_out(self):
+        """The second one is judged by intervals without the first one."""
+        time = np.insert(np.arange(60.0), [31, 32], [30.1, 31.1])
+        assert time[~module._not_double(time)].tolist() == [30.1, 31.1]
+
     @pytest.mark.parametrize(("longer", "double"), [(1.31, False), (1.29, True)])
     def test_two_pulses_that_approach_each_other_are_not_double(self, longer, double):
         """An interval of 0.3 between two longer ones: with either of them it is more than 1.6."""
@@ -438,9 +443,9 @@ class TestEvents:
         assert module._steps_of_jittering_counts(time)[1:].tolist() == np.rint(time[1:]).tolist()
 
     def test_jitter_is_not_a_drive(self):
-        """Jitter of 5 % beside a swing of 0.6 from peak to peak, and beside none."""
+        """Jitter of 5 %, which a median of five intervals hides up to 0.3, beside a swing of 0.4 and beside none."""
         rng = np.random.default_rng(4)
-        for swing, driven in ((0.3, True), (0.0, False)):
+        for swing, driven in ((0.2, True), (0.0, False)):
             interval = 0.03 * np.exp(swing * np.sin(np.arange(5000) / 40))
             time = np.cumsum(interval) + 0.05 * interval * rng.standard_normal(5000)
             assert varies_both_ways(np.sort(time)) is driven
@@ -981,6 +986,19 @@ class TestEncoders:
         turned = 9.0 * np.arange(400)
         assert angles.columns[1] * per_turn / TURN == pytest.approx(turned if continued else turned % 256)
         assert any("8-bit" in n for n in angles.notes) is continued
+
+    @pytest.mark.parametrize(("different", "refused"), [(99, True), (101, False)])
+    def test_half_of_the_times_of_sampled_counts_are_different(self, different, refused):
+        """Of 200."""
+        time = np.concatenate([np.zeros(200 - different), 0.01 * np.arange(different)])
+        raw = table(time, 7.0 * np.arange(200), names=("t", "counts"))
+        columns = module.Columns({"t": 0, "revolutions": 1}, {"t": "s"}, {}, [], [])
+        options = ReadOptions(pulses_per_turn=60.0)
+        if refused:
+            with pytest.raises(DatasetError, match="most times in 't' are repeated"):
+                module.read_sampled_counts(raw, columns, 1, options)
+        else:
+            assert len(module.read_sampled_counts(raw, columns, 1, options).time) >= different
 
     def test_sampled_counts_begin_at_the_stated_time(self):
         raw = table(0.005 * np.arange(2000), np.floor(0.07 * np.arange(2000)), names=("t", "counts"))
