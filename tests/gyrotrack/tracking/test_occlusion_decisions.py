@@ -71,8 +71,28 @@ class TestPlausible:
         found = excess_misfit(np.array([0.01, 0.02, 0.04, 0.2, np.nan]), 0.02)
         assert found == pytest.approx([0.0, 0.0, 3.0, 24.0, 0.0])
 
+    @pytest.mark.parametrize(("count", "known"), [(29, False), (30, True)])
+    def test_thirty_frames_show_how_a_misfit_matters(self, count, known):
+        """Residuals of a variance of 1 + 0.5 x; others have no angle."""
+        excess = np.where(np.arange(60) % 2, 20.0, 0.0)
+        off = np.sqrt(1.0 + 0.5 * excess) * np.where(np.arange(60) // 2 % 2, 1.0, -1.0)
+        off[count:] = np.nan
+        found = tracker.variance_inflation(off, excess)
+        assert (found > 0.1) is known
+        assert found < 1.0
+
+    def test_faults_beyond_five_standard_deviations_do_not_raise_the_share(self):
+        """A share of 0.1; in one of a hundred frames of a large misfit the residual is twelve."""
+        excess, found = np.where(np.arange(2000) % 2, 20.0, 0.0), []
+        for seed in range(4):
+            off = np.random.default_rng(seed).standard_normal(2000) * np.sqrt(1.0 + 0.1 * excess)
+            off[1::100] = 12.0
+            found.append(tracker.variance_inflation(off, excess))
+        assert np.mean(found) == pytest.approx(0.1, abs=0.05)
+
     def test_a_candidate_is_relative_to_the_usual_frames(self):
-        seen = observed(weakness=at_first(6.0, 2.0), misfit=at_first(0.04, 0.02), open=np.arange(101) > 50)
+        open_ = np.arange(101) > 50
+        seen = observed(weakness=np.where(open_, 2.0, 6.0), misfit=np.where(open_, 0.02, 0.04), open=open_)
         found = candidate(seen, np.zeros(101), np.ones(101, dtype=bool), 0.7)
         assert (found.weak[0], found.weak[60], found.mount) == (3.0, 1.0, 0.7)
         assert found.misfit_excess[0] == pytest.approx(3.0)
@@ -183,6 +203,21 @@ class TestTemplate:
         assert one_sided == pytest.approx((shape - shape.min()) / np.ptp(shape), abs=1e-9)
         assert mean_profile(profile, found, np.arange(4) < 2, every, symmetric=True) is None
 
+    def test_a_mean_profile_is_that_of_the_open_samples(self):
+        """A frame of its own background and displacement, the left side of which is hidden by something brighter."""
+        x = np.arange(41.0)
+
+        def shape(shift):
+            return np.exp(-(((x - 20.0 - shift) / 6.0) ** 2))
+
+        profile = np.stack([shape(0.5) + 0.4, *[shape(0.0)] * 3])
+        seen = np.ones((4, 41), dtype=bool)
+        seen[0, :12] = False
+        profile[0, :12] += 0.5
+        found = matches(4, shift=np.array([0.5, 0.0, 0.0, 0.0]), offset=np.array([0.4, 0.0, 0.0, 0.0]))
+        mean = mean_profile(profile, found, np.ones(4, dtype=bool), seen, symmetric=False)
+        assert np.abs(mean - shape(0.0)).max() < 0.02
+
     def test_a_flat_top_falls_over_three_samples(self):
         found = flat_top(5.0, 21)
         assert found[[10, 13, 14, 15, 16, 17, 18]] == pytest.approx(
@@ -201,11 +236,11 @@ class TestTemplate:
     def test_corners_are_at_the_place_and_width_of_the_marker(self, middle, half, radius, likely):
         """A quarter of 0.2 rad and 0.01; three tenths of it; 8 px, 0.35 of the length, and 2 px from the near edge."""
         n = 9
-        angle = np.tile([-0.2, 0.2], (n, 1))
+        angle = 0.05 + np.tile([-0.2, 0.2], (n, 1))
         radii = np.full((n, 2), 60.0)
-        angle[0], radii[0] = [middle - half, middle + half], radius
+        angle[0], radii[0] = [0.05 + middle - half, 0.05 + middle + half], radius
         given = SimpleNamespace(marker=SimpleNamespace(inner=60.0, outer=60.0 + 8.0 / 0.35))
-        found = tracker.MarkerTracker._likely(given, radii, angle, np.zeros(n))[:, 0]
+        found = tracker.MarkerTracker._likely(given, radii, angle, np.full(n, 0.05))[:, 0]
         assert found[0] == likely
         assert found[1:].all()
 
@@ -267,6 +302,30 @@ class TestMeasured:
             assert again.misfit[1] < 0.1 * before
         else:
             assert again.misfit[1] > 0.5 * before
+
+    @pytest.mark.parametrize(("before", "rounds", "after"), [(0.2, 1, 0.3), (None, 3, 0.4)])
+    def test_a_known_template_moves_half_way_to_that_of_a_batch(self, monkeypatch, before, rounds, after):
+        fitted = []
+        monkeypatch.setattr(tracker, "places_apart", lambda *_: 0)
+        monkeypatch.setattr(tracker, "even_light", lambda *_: np.ones(4))
+        monkeypatch.setattr(
+            tracker, "match", lambda profile, template, start, seen: fitted.append(template) or matches(9)
+        )
+        monkeypatch.setattr(tracker, "mean_profile", lambda *_, **__: np.full(5, 0.4))
+        given = SimpleNamespace(
+            _across=None if before is None else np.full(5, before), light=None, marker=SimpleNamespace(half_width=0.1),
+            strip=SimpleNamespace(ring=SimpleNamespace(step=0.01, columns=628)), _learn_light=lambda *_: None,
+        )  # fmt: skip
+        given.template = lambda count: np.zeros(count) if given._across is None else given._across
+        window = SimpleNamespace(
+            start=np.zeros(9, dtype=int), known=np.ones(9, dtype=bool), profile=np.zeros((9, 5)),
+            fraction=np.zeros(9), apply_light=lambda light: None,
+        )  # fmt: skip
+        every = np.ones(9, dtype=bool)
+        tracker.MarkerTracker._matched_across(given, window, np.ones((9, 5), dtype=bool), every)
+        assert given._across == pytest.approx(np.full(5, after))
+        assert len(fitted) == 1 + rounds
+        assert fitted[-1] == pytest.approx(np.full(5, after))
 
     def measured(self, monkeypatch, open_, clear=None):
         """Measure three frames, the last one without the body; the marker extends over the columns 1 and 2 of four."""
