@@ -481,6 +481,11 @@ class TestLight:
         assert plain[0] - hidden[0] == pytest.approx(max(reach, 1), abs=1)
         assert hidden[-1] - plain[-1] == plain[0] - hidden[0]
 
+    def test_a_profile_is_divided_by_the_light(self):
+        given = SimpleNamespace(raw=np.full((1, 3), 2.0), here=lambda around: around[None, :3])
+        windows.MarkerWindow.apply_light(given, np.array([1.0, 2.0, 4.0, 9.0]))
+        assert given.profile == pytest.approx(np.array([[2.0, 1.0, 0.5]]))
+
 
 class TestOcclusion:
     """A map of the angle to the other body, in degrees."""
@@ -583,3 +588,42 @@ class TestFollowing:
         assert np.std(errors) == pytest.approx(np.mean(stated), rel=0.3)
         found.reset()
         assert found.at(np.array([119.0])) is None
+
+    def test_an_oblique_view_has_a_prior_of_a_twentieth(self):
+        """s sqrt(x' (X'X + P s^2)^-1 x) with P = 1 / 0.05^2 of four harmonics, over a third of a turn."""
+        frame, found = np.arange(60.0), Prediction()
+        angle = 2.0 * frame / 60 + 0.01 * np.where(np.arange(60) % 2, 1.0, -1.0)
+        found.add(frame, angle, np.ones(60, dtype=bool))
+        _, u = found.at(np.array([70.0]))
+        s = 1.4826 * 0.01
+
+        def rows(k):
+            x, psi = (k - 59.0) / 59.0, 2.0 * k / 60
+            return np.stack(
+                [np.ones_like(x), x, x * x, np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)],
+                axis=-1,
+            )
+
+        prior = np.diag([0.0] * 3 + [1 / 0.05**2] * 4)
+        inverse = np.linalg.inv(rows(frame).T @ rows(frame) + prior * s**2)
+        ahead = rows(np.array([70.0]))[0]
+        assert u == pytest.approx(s * math.sqrt(ahead @ inverse @ ahead), rel=0.05)
+
+    def test_slips_do_not_change_a_prediction(self):
+        """Four of 100 angles are wrong by 0.2 rad, with a scatter of 0.015 rad."""
+        frame, found = np.arange(100.0), Prediction()
+        angle = 0.3 * frame + 0.01 * np.where(np.arange(100) % 2, 1.0, -1.0)
+        angle[90:98:2] += 0.2
+        found.add(frame, angle, np.ones(100, dtype=bool))
+        assert found.at(np.array([104.0]))[0][0] == pytest.approx(0.3 * 104, abs=0.02)
+
+    @pytest.mark.parametrize(("ahead", "again"), [(130, False), (131, True)])
+    def test_a_motion_is_fitted_again_after_130_frames(self, ahead, again):
+        found, frame = Prediction(), np.arange(100.0)
+        found.add(frame, 0.3 * frame, np.ones(100, dtype=bool))
+        assert found.at(np.array([100.0]))[0][0] == pytest.approx(30.0, abs=1e-3)
+        later = 100.0 + np.arange(129)
+        found.add(later, 30.0 + 0.2 * (later - 100.0), np.ones(129, dtype=bool))
+        value = found.at(np.array([99.0 + ahead]))[0][0]
+        expected = 30.0 + 0.2 * (ahead - 1.0) if again else 0.3 * (99.0 + ahead)
+        assert value == pytest.approx(expected, abs=0.1)
