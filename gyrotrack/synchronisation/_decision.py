@@ -225,7 +225,6 @@ def prepare(casing: Curve, record: Survey, clip: Curve, name: str) -> Prepared:
     """Find the possible starts of a clip in the record of the casing with the survey `record`; a SyncError if none."""
     starts = [_initial_value(casing, clip, offset) for offset in candidates(record, clip)]
     pair = Pair(casing, clip, INTERVALS[-1])
-    starts = [start for start in starts if _is_covered(pair, start)]
     solutions = _distinct(pair, starts, 10 * RATE_LIMIT)
     rejected = 0
     for _ in range(ROUNDS):

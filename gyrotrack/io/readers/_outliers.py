@@ -63,5 +63,5 @@ def outliers(time: Floats, value: Floats, sigma: Floats) -> Integers:
         error[side] = np.sqrt(sigma[middle] ** 2 + np.einsum("ij,ij->i", weights**2, sigma[near] ** 2))
     size = np.abs(off)
     far = (size > _FAR * error).all(axis=0)
-    alike = (off[0] * off[1] > 0) & (np.abs(off[0] - off[1]) < _ALIKE * size.min(axis=0))
+    alike = np.abs(off[0] - off[1]) < _ALIKE * size.min(axis=0)  # and therefore of equal signs
     return np.asarray(middle[far & alike])

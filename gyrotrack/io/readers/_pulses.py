@@ -215,7 +215,6 @@ def _edges(time: Floats, signal: Floats, part: int) -> tuple[Floats, Integers]:
     state = np.zeros(len(signal), dtype=int)
     state[relative > 2 / 3] = 1
     state[relative < 1 / 3] = -1
-    state[~present] = -1
     decided = np.flatnonzero(state)
     turn = np.flatnonzero((state[decided][1:] > 0) & (state[decided][:-1] < 0))
     times, after = [], []
@@ -1054,7 +1053,7 @@ def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
     count, line = np.round(angles.numbers(1) * (per_turn / TURN)), angles.line
     known = np.isfinite(time) & np.isfinite(count)
     time, count, line = time[known], count[known], line[known]
-    if (np.diff(time) <= 0).any() or not np.diff(count).any():
+    if (np.diff(time) <= 0).any():
         return None
     if np.ptp(count) < per_turn:
         total = np.unwrap(count, period=per_turn)

@@ -54,6 +54,28 @@ class TestCorners:
             assert r[:, side] == pytest.approx([at, at], abs=0.06)
             assert phi[:, side] == pytest.approx([edge(at)] * 2, abs=1.5e-3)
 
+    @pytest.mark.parametrize(("lean", "within"), [(1e-3, 0.05), (1.667e-3, 0.1)])
+    def test_oblique_edges_are_intersected_by_iteration(self, monkeypatch, lean, within):
+        """phi = +-0.2 + lean (r - 60) and r = 60 + 60 phi: r - 60 = +-12 / (1 - 60 lean); each step leaves 60 lean."""
+        one = np.ones(1)
+        monkeypatch.setattr(
+            module, "_side_edges", lambda *_: ((-0.2 * one, lean * one), (0.2 * one, lean * one))
+        )
+        monkeypatch.setattr(module, "_near_edge", lambda *_: (60.0 * one, 60.0 * one, 0.0 * one))
+        r, phi = near_corners(None, RADII, ANGLES, INNER, OUTER)
+        exact = np.array([-12.0, 12.0]) / (1 - 60.0 * lean)
+        assert r[0] == pytest.approx(60.0 + exact, abs=within)
+        assert phi[0] == pytest.approx([-0.2, 0.2] + lean * (r[0] - 60.0))
+
+    def test_the_near_edge_is_sought_between_the_sides(self, monkeypatch):
+        asked, one = [], np.ones(1)
+        monkeypatch.setattr(module, "_side_edges", lambda *_: ((-0.05 * one, 0 * one), (0.25 * one, 0 * one)))
+        monkeypatch.setattr(
+            module, "_near_edge", lambda window, radii, angles, *place: asked.append(place) or (one,) * 3
+        )
+        near_corners(None, RADII, ANGLES, INNER, OUTER)
+        assert [x.item() for x in asked[0]] == pytest.approx([0.15, 0.1])
+
     def test_a_marker_without_a_side_has_no_corners(self):
         window = marker(lambda phi: INNER, lambda r: -9.0, lambda r: 0.2)
         r, phi = near_corners(Windows.plain(window[None]), RADII, ANGLES, INNER, OUTER)
@@ -119,6 +141,26 @@ class TestBands:
         window = Windows.plain(np.repeat(1.0 - RADII[:, None] / 200.0, len(ANGLES), axis=1)[None])
         found = module._near_edge(window, RADII, ANGLES, np.array([0.2]), np.array([0.0]))
         assert np.isnan(found).all()
+
+    @pytest.mark.parametrize(("half", "expected"), [(0.007, (61.0, 0.0, 0.0)), (0.2475, None)])
+    def test_a_near_edge_of_few_columns_is_an_arc(self, monkeypatch, half, expected):
+        """Three columns have no parabola with redundancy."""
+
+        def edge(across, radii, top, step):
+            tops.append((top, across.shape[1]))
+            return np.linspace(60.0, 62.0, across.shape[1])[None]
+
+        tops = []
+        monkeypatch.setattr(module, "_edge", edge)
+        rows = np.exp(-(((RADII - RADII[5]) / 9.0) ** 2))  # brightest in the sixth row of the window
+        window = Windows.plain(np.repeat(rows[:, None], len(ANGLES), axis=1)[None])
+        found = module._near_edge(window, RADII, ANGLES, np.array([half]), np.array([0.0]))
+        assert tops == [(5, 3 if expected else 5)]
+        coefficients = [c.item() for c in found]
+        if expected:
+            assert coefficients == pytest.approx(expected)
+        else:
+            assert coefficients[1] == pytest.approx(2.0 / (0.8 * 0.395), rel=0.05)
 
     @pytest.mark.parametrize(("missing", "known"), [(1, True), (2, False)])
     def test_the_near_edge_needs_three_of_five_columns_and_more(self, monkeypatch, missing, known):

@@ -229,3 +229,11 @@ def test_the_angle_whose_averages_err_less_is_used(ring, error, better):
 def test_a_ring_without_angles_is_not_used():
     none = SimpleNamespace(angle=np.full(N, np.nan), sigma=np.full(N, 1e-6))
     assert not _averages_better(none, angles(1e-3), 260.0)
+
+
+@pytest.mark.parametrize(("size", "kept"), [(4.9, True), (5.1, False), (-5.1, False)])
+def test_outliers_of_a_batch_are_beyond_five_robust_standard_deviations(size, kept):
+    off = np.append(np.tile([-1.0, 0.0, 1.0], 33), size * 1.4826)
+    found = module._without_outliers(off, np.arange(100))
+    assert (99 in found) is kept
+    assert len(found) == 99 + kept

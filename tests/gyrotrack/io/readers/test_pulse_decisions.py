@@ -139,6 +139,51 @@ class TestEdges:
         assert np.abs(edges - expected).max() < tolerance
         assert not notes
 
+    @pytest.mark.parametrize(
+        "drift",
+        [lambda t: 3.0 * np.maximum(t - 9.0, 0.0), lambda t: 3.0 * np.clip(t - 5.0, 0.0, 9.0)],
+        ids=["in the second half", "in the middle"],
+    )
+    def test_a_drift_in_a_part_of_the_record_hides_no_pulse(self, drift):
+        """Elsewhere the pulses are regular as they are."""
+        t = np.arange(0.0, 20.0, 0.01)
+        edges, _ = rising_edges(t, drift(t) + 0.5 * np.sin(4 * np.pi * t), "pulses", [])
+        expected = 0.5 * np.round(2 * edges)
+        assert len(edges) >= 34
+        assert np.unique(expected).size == len(edges)
+        assert np.abs(edges - expected).max() < 0.05
+
+    @pytest.mark.parametrize(
+        ("span", "gap", "sought"),
+        [(1620, 110, False), (1580, 10, True), (1620, 130, True), (1620, 10, False)],
+    )
+    def test_no_drift_is_sought_where_pulses_are_regular_throughout(self, monkeypatch, span, gap, sought):
+        """In four fifths of 2000 samples, without a time of twelve periods of 10 samples in which there is none."""
+        t = np.arange(0.0, 20.0, 0.01)
+        signal = np.sin(20 * np.pi * t)
+        after = np.arange(0, span + 1, 10)
+        with_gap = after[(after <= 800) | (after >= 800 + gap)]
+
+        def edges(time, values):
+            found = with_gap if values is signal else np.arange(0, 3000, 10)
+            return 0.01 * found, found
+
+        monkeypatch.setattr(module, "_local_edges", edges)
+        assert (module._without_drift(t, signal) is not signal) is sought
+
+    @pytest.mark.parametrize(("revealed", "removed"), [(49, False), (51, True)])
+    def test_a_drift_is_removed_if_a_quarter_more_pulses_appear(self, monkeypatch, revealed, removed):
+        """Forty pulses with it in half of the record."""
+        t = np.arange(0.0, 20.0, 0.01)
+        signal = 0.5 * np.sin(4 * np.pi * t)
+
+        def edges(time, values):
+            count = 40 if values is signal else revealed
+            return 0.25 * np.arange(count), 10 * np.arange(count)
+
+        monkeypatch.setattr(module, "_local_edges", edges)
+        assert (module._without_drift(t, signal) is not signal) is removed
+
     def test_noise_without_pulses_stays_without_regular_edges(self):
         random = np.random.default_rng(0)
         for _ in range(5):
@@ -188,6 +233,48 @@ class TestIntervals:
         ratio = module._ratios_at_end(step)
         assert ratio[-1] == 1.0 or ratio[-1] > 1.5
         assert module._ratios_at_end(np.full(3, 0.1)).tolist() == [1.0] * 3
+
+    def test_an_interval_after_a_missed_pulse_is_one_interval(self):
+        """The last but one pulse but two is missing."""
+        k = np.arange(60)
+        time = (10.0 - np.sqrt(100.0 - 0.8 * k)) / 0.4
+        ratio = module._ratios_at_end(np.diff(np.delete(time, -3)))
+        assert ratio[-2:] == pytest.approx([2.0, 1.0], abs=0.02)
+
+    @pytest.mark.parametrize("last", [0.03, 0.1, 0.2, 0.5])
+    @pytest.mark.parametrize("sense", [1, -1], ids=["comes to rest", "starts"])
+    def test_no_pulse_is_missing_where_a_body_comes_to_rest(self, last, sense):
+        """At a constant acceleration, `last` turns from its rest."""
+        left = last + np.arange(40.0)
+        time = sense * np.sqrt(left)
+        found, notes = read(np.sort(time))
+        assert found.value[-1] - found.value[0] == pytest.approx(TURN * 39)
+        assert not any("missed" in n for n in (*found.notes, *notes))
+
+    def test_missed_pulses_of_a_counter_are_as_large_as_its_steps(self):
+        step = np.full(60, 0.1)
+        step[30] = 0.3
+        time, count = np.concatenate([[0.0], np.cumsum(step)]), 2.0 * np.arange(61)
+        found = module._with_missed_pulses(table(time), time, count, np.arange(61), [])
+        # 0.05 s for a count, and 0.3 s for two counts and four that were missed
+        assert found == pytest.approx(count + 4.0 * (np.arange(61) > 30))
+
+    def test_a_rest_is_not_made_of_missed_pulses(self):
+        """28 and 22 intervals between different speeds: at most 20 pulses are missed."""
+        step = np.where(np.arange(60) > 30, 0.1 * math.exp(0.5), 0.1)
+        step[30] = 0.1 * 28.0
+        time, count = np.concatenate([[0.0], np.cumsum(step)]), np.arange(61.0)
+        assert module._with_missed_pulses(table(time), time, count, np.arange(61), []) is count
+
+    @pytest.mark.parametrize(("counted", "refused"), [(1.0, True), (2.0, False)])
+    def test_a_gap_in_which_a_counter_counts_is_not_refused(self, counted, refused):
+        step, ratio, steps = np.full(40, 0.1), np.ones(40), np.ones(40)
+        step[20], ratio[20], steps[20] = 2.5, 25.0, counted
+        if refused:
+            with pytest.raises(DatasetError, match="line 21"):
+                module._refuse_gap(table(np.arange(41.0)), step, ratio, steps, np.arange(41))
+        else:
+            module._refuse_gap(table(np.arange(41.0)), step, ratio, steps, np.arange(41))
 
 
 def read(time, per_turn=1.0, **options):
@@ -248,6 +335,11 @@ class TestEvents:
         early, late = np.insert(time, 31, 30.2), np.insert(time, 30, 29.8)
         assert np.flatnonzero(~module._not_double(early)).tolist() == [31]
         assert np.flatnonzero(~module._not_double(late)).tolist() == [30]
+
+    def test_of_two_double_pulses_in_succession_the_later_ones_are_left_out(self):
+        """The second one is judged by intervals without the first one."""
+        time = np.insert(np.arange(60.0), [31, 32], [30.1, 31.1])
+        assert time[~module._not_double(time)].tolist() == [30.1, 31.1]
 
     @pytest.mark.parametrize(("longer", "double"), [(1.31, False), (1.29, True)])
     def test_two_pulses_that_approach_each_other_are_not_double(self, longer, double):
@@ -324,6 +416,39 @@ class TestEvents:
         found = module._steps_of_part(moved, ratios, 0.2)
         assert found[99] == steps[0]
         assert np.count_nonzero(found) == (steps != [0])
+
+    @pytest.mark.parametrize(("shift", "made"), [(0.45, False), (0.55, True), (-0.45, False), (-0.55, True)])
+    def test_a_step_is_of_more_than_half_a_count(self, shift, made):
+        ratios = np.ones(199)
+        ratios[99] = 1.5 if shift > 0 else 0.5
+        moved = np.arange(200.0) + shift * (np.arange(200) >= 100)
+        found = module._steps_of_part(moved, ratios, 0.01 if shift < 0 else 0.26)
+        assert found[99] == (np.sign(shift) if made else 0)
+
+    @pytest.mark.parametrize(("jitter", "regular"), [(0.086, True), (0.089, False)])
+    def test_single_intervals_show_missed_pulses_up_to_a_scatter_of_13_percent(
+        self, monkeypatch, jitter, regular
+    ):
+        """Intervals of 1 +- a: a normal scatter of a / 0.6745."""
+        monkeypatch.setattr(module, "_typical_interval", np.ones_like)
+        monkeypatch.setattr(module, "_steps_of_part", lambda time, ratio, spread: np.zeros(len(ratio)))
+        time = np.cumsum(1.0 + jitter * np.where(np.arange(201) % 2, 1.0, -1.0))
+        assert (module._steps_of_jittering_counts(time) is None) is regular
+
+    def test_steps_of_parts_are_those_of_their_pulses(self, monkeypatch):
+        """7000 pulses in parts of 3000: each is given its own time as a step."""
+        monkeypatch.setattr(module, "_typical_interval", lambda step: np.full(len(step), 1.0))
+        monkeypatch.setattr(module, "_steps_of_part", lambda time, ratio, spread: np.rint(time[1:]))
+        time = np.arange(7001.0) + 0.3 * (np.arange(7001) % 2)
+        assert module._steps_of_jittering_counts(time)[1:].tolist() == np.rint(time[1:]).tolist()
+
+    def test_jitter_is_not_a_drive(self):
+        """Jitter of 5 %, which a median of five intervals hides up to 0.3, beside a swing of 0.4 and beside none."""
+        rng = np.random.default_rng(4)
+        for swing, driven in ((0.2, True), (0.0, False)):
+            interval = 0.03 * np.exp(swing * np.sin(np.arange(5000) / 40))
+            time = np.cumsum(interval) + 0.05 * interval * rng.standard_normal(5000)
+            assert varies_both_ways(np.sort(time)) is driven
 
     def test_a_step_against_the_sense_of_its_interval_is_not_made(self):
         for ratio, shift in ((0.5, 3.0), (1.5, -3.0)):
@@ -420,6 +545,55 @@ class TestCounts:
             time = (k + 0.02 * rng.standard_normal(len(k))) / marks
             found += len(mark_errors(time, k.astype(float), float(marks), table(time), [])[1])
         assert found <= 1
+
+    @pytest.mark.parametrize(("ratio", "significant"), [(0.562, False), (0.577, True)])
+    def test_two_marks_differ_by_three_standard_deviations_of_the_cube_root(self, ratio, significant):
+        """54 turns; mark 1 is displaced by d and by +-s from turn to turn, of which half is that of the turn.
+
+        t^2 = (2 / pi) (d / s)^2 (54 - 3) for both marks; (1 - 2 / 9 + 3 sqrt(2 / 9))^3 = 10.53, for d / s = 0.5695.
+        """
+        k = np.arange(109)
+        displaced = np.where(k % 2, 0.02 * (ratio + np.where(k // 2 % 2, 1.0, -1.0)), 0.0)
+        errors, modes = mark_errors((k + displaced) / 2.0, k.astype(float), 2.0, table(k), [])
+        assert bool(modes) is significant
+        assert errors.any() == significant
+
+    def test_the_mode_of_marks_has_the_variances_of_their_harmonics(self):
+        """Eight marks: of one harmonic of an amplitude of 1, 1 / 2 at it and an eighth of the mean square elsewhere."""
+        k = np.arange(8)
+        mode = module._mark_mode(np.cos(TURN * k / 8), k)
+        assert np.diag(mode.covariance) == pytest.approx([1 / 2, 1 / 8, 1 / 8, 1 / 16, 1 / 2, 1 / 8, 1 / 8])
+        assert mode.basis[1] == pytest.approx(
+            [*np.cos(TURN / 8 * np.arange(1, 5)), *np.sin(TURN / 8 * np.arange(1, 4))]
+        )
+        alternating = module._mark_mode(np.where(k % 2, -1.0, 1.0), k)
+        assert np.diag(alternating.covariance) == pytest.approx(
+            [1 / 4, 1 / 4, 1 / 4, 1.0, 1 / 4, 1 / 4, 1 / 4]
+        )
+
+    def test_the_resolution_of_a_clock_with_more_digits_is_not_known(self):
+        ticks = np.cumsum(np.array([7, 4, 9, 11, 6, 5, 8, 13])) + 0.05 * (np.arange(8) % 2)
+        assert module._clock_resolution(1e-6 * ticks) == 0.0
+
+    @pytest.mark.parametrize("sense", [1, -1])
+    def test_a_slow_body_with_a_fine_clock_is_known_to_microradians(self, sense):
+        """0.5 turns a second, times rounded to 3 us: pi 3 us / sqrt(12) at least."""
+        time = 3e-6 * np.round(
+            np.arange(100.0) * 2.0 / 3e-6 + np.random.default_rng(0).uniform(-0.5, 0.5, 100)
+        )
+        found = from_counts(table(time), time, sense * np.arange(100.0), np.arange(100), 1.0, [])
+        least = math.pi * 3e-6 / math.sqrt(12)
+        assert 0.99 * least < np.median(found.sigma) < 2 * least
+
+    @pytest.mark.parametrize(
+        ("scattered", "expected"), [(1e-4, 1e-3 / math.sqrt(12)), (1e-3, 1e-3)], ids=["resolution", "scatter"]
+    )
+    def test_the_larger_one_of_scatter_and_resolution_counts(self, monkeypatch, scattered, expected):
+        """Times in whole milliseconds at 10 turns a second."""
+        monkeypatch.setattr(module, "scatter", lambda count, time, floor: np.full(len(time), scattered))
+        time = 0.1 * np.arange(50.0) + 1e-3 * (np.arange(50) % 2)
+        found = from_counts(table(time), time, np.arange(50.0), np.arange(50), 1.0, [])
+        assert found.sigma[1:-1] == pytest.approx(np.full(48, TURN * 10.0 * expected), rel=1e-3)
 
     @pytest.mark.parametrize("marks", [5, 6, 64, 100])
     def test_the_mode_of_marks_holds_their_variance(self, marks):
@@ -715,6 +889,28 @@ class TestCounter:
         else:
             self.counted(t, np.cumsum(increments))
 
+    @pytest.mark.parametrize(("repeated", "refused"), [(19, False), (21, True)])
+    def test_one_in_five_rows_may_be_repeated(self, repeated, refused):
+        """Of a hundred."""
+        t = np.sort(np.append(slowing(100 - repeated), slowing(100 - repeated)[:repeated]))
+        count = np.searchsorted(slowing(100 - repeated), t)
+        if refused:
+            with pytest.raises(DatasetError, match="is not a counter"):
+                self.counted(t, count)
+        else:
+            assert any(f"{repeated} repeated rows" in n for n in self.counted(t, count).notes)
+
+    @pytest.mark.parametrize(("ratio", "late"), [(0.71, False), (0.69, True)])
+    def test_a_count_is_late_if_the_intervals_are_more_regular_by_three_tenths(
+        self, monkeypatch, ratio, late
+    ):
+        found = iter([1.0, ratio])
+        monkeypatch.setattr(module, "_roughness", lambda *_: next(found))
+        t = np.cumsum(np.random.default_rng(0).uniform(0.1, 0.11, 60))
+        made = self.counted(t, np.arange(60.0))
+        assert made.time[0] == t[1 - late]
+        assert any("one row late" in n for n in made.notes) is late
+
     def test_a_count_of_pulses_is_divided(self):
         t = slowing(80)
         found = self.counted(t, np.arange(80.0), pulses_per_turn=4.0)
@@ -769,6 +965,56 @@ class TestEncoders:
         assert sampled_counts(raw, {"t": 0}) == column
         assert sampled_counts(raw, {"t": 0, "revolutions": 1}) == column
         assert sampled_counts(raw, {"t": 0, "angle": 1}) is None
+
+    @pytest.mark.parametrize(("share", "column"), [(0.05, None), (0.15, 1)])
+    def test_rare_double_steps_are_those_of_events(self, share, column):
+        """Up to a tenth."""
+        step = np.ones(200)
+        step[: int(200 * share)] = 2.0
+        assert sampled_counts(table(0.01 * np.arange(200), np.cumsum(step)), {"t": 0}) == column
+
+    @pytest.mark.parametrize(("steps", "found"), [(7, []), (8, [1])])
+    def test_a_counter_has_eight_steps(self, steps, found):
+        count = np.minimum(np.arange(100) // 10, steps).astype(float)
+        assert counters_of(table(0.1 * np.arange(100), count)) == found
+
+    @pytest.mark.parametrize(("per_turn", "continued"), [(60.0, True), (1000.0, False)])
+    def test_a_counter_that_overflows_within_a_turn_restarts_at_each_turn(self, per_turn, continued):
+        """Nine counts a row, of eight bits; 256 counts are less than a turn of a thousand."""
+        raw = table(0.01 * np.arange(400), 9.0 * np.arange(400) % 256)
+        angles = module._counted_angles(raw, 1, 0, "s", ReadOptions(pulses_per_turn=per_turn))
+        turned = 9.0 * np.arange(400)
+        assert angles.columns[1] * per_turn / TURN == pytest.approx(turned if continued else turned % 256)
+        assert any("8-bit" in n for n in angles.notes) is continued
+
+    @pytest.mark.parametrize(("different", "refused"), [(99, True), (101, False)])
+    def test_half_of_the_times_of_sampled_counts_are_different(self, different, refused):
+        """Of 200."""
+        time = np.concatenate([np.zeros(200 - different), 0.01 * np.arange(different)])
+        raw = table(time, 7.0 * np.arange(200), names=("t", "counts"))
+        columns = module.Columns({"t": 0, "revolutions": 1}, {"t": "s"}, {}, [], [])
+        options = ReadOptions(pulses_per_turn=60.0)
+        if refused:
+            with pytest.raises(DatasetError, match="most times in 't' are repeated"):
+                module.read_sampled_counts(raw, columns, 1, options)
+        else:
+            assert len(module.read_sampled_counts(raw, columns, 1, options).time) >= different
+
+    def test_sampled_counts_begin_at_the_stated_time(self):
+        raw = table(0.005 * np.arange(2000), np.floor(0.07 * np.arange(2000)), names=("t", "counts"))
+        columns = module.Columns({"t": 0, "revolutions": 1}, {"t": "s"}, {}, [], [])
+        plain, later = (
+            module.read_sampled_counts(raw, columns, 1, ReadOptions(pulses_per_turn=60.0, start=start))
+            for start in (0.0, 100.0)
+        )
+        assert later.time == pytest.approx(plain.time + 100.0)
+        assert len(plain.time) < 200
+
+    def test_steps_of_less_than_half_of_the_range_are_not_overflows(self):
+        count = np.tile([0.0, 100.0], 10)
+        same, bits = module._continued_count(count)
+        assert (same.tolist(), bits) == (count.tolist(), 0)
+        assert module._continued_count(np.tile([0.0, 130.0], 10))[1] == 8
 
     @pytest.mark.parametrize("bits", [8, 16])
     def test_overflows_are_continued(self, bits):
@@ -839,6 +1085,68 @@ class TestPassages:
         blocked = np.column_stack([begin, begin + width])
         assert module._slows_down(blocked) is pendulum
         assert not module._slows_down(blocked[:9])
+
+    @pytest.mark.parametrize(
+        ("interval", "duration", "pendulum"), [(-0.2, 0.0, True), (0.2, 0.2, False), (0.0, -0.2, False)]
+    )
+    def test_durations_count_relative_to_the_time_between_passages(self, interval, duration, pendulum):
+        """Both change by exp(rate) throughout; those of a wheel that slows down change alike."""
+        k = np.arange(80) / 79
+        begin = np.cumsum(np.exp(interval * k))
+        width = 0.05 * np.exp(duration * k)
+        assert module._slows_down(np.column_stack([begin, begin + width])) is pendulum
+
+    def passing(self, first, widths=(0.02, 0.02), apart=0.03, period=1.0):
+        """Passages of two gates, `apart` seconds, that begin with gate `first[k]` (0 or 1) at k periods."""
+        t, states = [-0.5], [[0, 0]]
+        for k, gate in enumerate(first):
+            for place, own in enumerate((gate, 1 - gate)):
+                width = widths[own] if np.isscalar(widths[own]) else widths[own][k]
+                for state, dt in ((1, 0.0), (0, width)):
+                    t.append(k * period + place * apart + dt)
+                    states.append([state if own == 0 else 0, state if own == 1 else 0])
+        return table(t, *np.array(states).T, names=("t", "A", "B"))
+
+    @pytest.mark.parametrize(("same", "pendulum"), [(3, True), (5, False)])
+    def test_nine_in_ten_passages_of_a_pendulum_alternate(self, same, pendulum):
+        """39 pairs of passages, of which `same` have the same order of the gates."""
+        change = np.ones(39, dtype=int)
+        change[5 : 5 + 6 * same : 6] = 0
+        first = np.concatenate([[0], np.cumsum(change)]) % 2
+        assert (passages_of(self.passing(first), ReadOptions()) is not None) is pendulum
+
+    @pytest.mark.parametrize(
+        ("first", "second", "pendulum"), [(0.4, 0.4, True), (0.4, 0.0, False), (0.0, 0.4, False)]
+    )
+    def test_two_gates_in_one_order_must_both_be_passed_more_and_more_slowly(self, first, second, pendulum):
+        widths = [0.02 * np.exp(growth * np.arange(40) / 39) for growth in (first, second)]
+        found = passages_of(self.passing([0] * 40, widths, apart=0.04), ReadOptions())
+        assert (found is not None) is pendulum
+
+    @pytest.mark.parametrize("apart", [0.3, 0.4, 0.45])
+    def test_a_wheel_with_gates_far_apart_is_not_a_pendulum(self, apart):
+        assert passages_of(self.passing([0] * 40, apart=apart), ReadOptions()) is None
+
+    @pytest.mark.parametrize(
+        ("gap", "length", "count"),
+        [(0.009, 0.1, 20), (0.011, 0.1, 21), (0.5, 0.009, 20), (0.5, 0.011, 21)],
+    )
+    def test_flickers_are_shorter_than_a_tenth_of_a_passage(self, gap, length, count):
+        """A second interruption of `length`, after a gap, behind one of twenty of 0.1 s."""
+        t, state = [-0.5], [0]
+        for k in range(20):
+            more = (0.1 + gap, 0.1 + gap + length) if k == 7 else ()
+            t += [k + dt for dt in (0.0, 0.1, *more)]
+            state += [1, 0] * (1 + (k == 7))
+        found = module._blocked(np.array(t), np.array(state, dtype=float), table(t), [])
+        assert len(found) == count
+
+    @pytest.mark.parametrize(("errors", "gate"), [(7, True), (9, False)])
+    def test_a_gate_has_rare_errors_of_its_state(self, errors, gate):
+        """Of 400 rows, less than 2 %."""
+        state = np.arange(400.0) % 2
+        state[:errors] = 7.0
+        assert module._gates(table(np.arange(400.0), state), 0) == ([1] if gate else [])
 
     def test_scattering_durations_show_nothing(self):
         rng = np.random.default_rng(1)
