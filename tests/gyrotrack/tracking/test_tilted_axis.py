@@ -46,7 +46,7 @@ def test_the_angles_are_those_in_the_plane_of_the_body(degrees, short):
         # the bound of a position error of 0.05 px, which the projection enlarges by up to 1 / cos(tilt)
         assert np.std(error) < 1.5 * 0.05 / 80.0 / math.sqrt(math.cos(tilt))
         assert f"tilted by {degrees:.0f}." in found.warnings[0]
-        assert "nearer is not visible" in found.warnings[0]
+        assert "does not show which side is nearer" in found.warnings[0]
     assert 0.8 < np.std(z) < 1.25
     assert np.sqrt(np.mean(np.square(of_tilt))) < 2.0
 
