@@ -12,6 +12,7 @@ from gyrotrack.tracking import _frame_repeats as repeats
 from gyrotrack.tracking._aliasing import slowing, unaliased
 from gyrotrack.tracking._association import Motion, find_rotation_sense, net_turn, unfold
 from gyrotrack.tracking._frame_repeats import Repetition, without_repeats
+from gyrotrack.video import _decoder as decoder
 from gyrotrack.video._time_base import CaptureRate, FrameTimes
 
 TURN = 2 * np.pi
@@ -243,3 +244,26 @@ class TestRepeats:
         )
         assert same.fps == fps
         assert replaced.number[-1] == 59
+
+
+class TestRegularRepeats:
+    """Repeats of a conversion are at equal distances, up to one frame of rounding."""
+
+    @pytest.mark.parametrize(
+        ("steps", "regular"),
+        [
+            ((10, 10, 10, 10), True),
+            ((9, 11, 10, 9, 11, 10), True),
+            ((8, 12, 10, 8, 12, 10), False),
+            ((10, 10), False),
+            ((10, 10, 10, 10, 10, 10, 10, 10, 30), True),
+            ((10, 10, 10, 10, 30), False),
+        ],
+    )
+    def test_distances(self, steps, regular):
+        first = 5 + np.concatenate([[0], np.cumsum(steps)])
+        found = repeats._period([(i, i + 1) for i in first])
+        assert np.isfinite(found) == regular
+        if regular:
+            assert found == pytest.approx(np.polyfit(np.arange(len(first)), first, 1)[0])
+        assert decoder._regular(first) is regular

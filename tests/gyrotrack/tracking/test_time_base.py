@@ -56,3 +56,15 @@ def test_a_body_at_rest_tells_nothing():
     rng = np.random.default_rng(4)
     even = np.arange(300.0)
     assert jitter_is_real(even + rng.uniform(-0.2, 0.2, 300), even, rng.normal(0.0, 1e-3, 300))
+
+
+@pytest.mark.parametrize(("jump", "followed"), [(0.25, True), (0.4, False)])
+def test_a_coarse_angle_beside_the_smooth_path_is_kept(jump, followed):
+    """The parabola about the frame itself is 0.93 of the jump away from it."""
+    place = np.arange(60.0)
+    coarse = 0.1 * place
+    coarse[30] += jump
+    path, _ = TimeBase(place).path(coarse)
+    smooth, _ = local_parabola(place, coarse)
+    assert (abs(smooth[30] - coarse[30]) < 0.3) == followed
+    assert path[30] == pytest.approx(smooth[30] if followed else coarse[30], abs=1e-9)
