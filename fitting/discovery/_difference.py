@@ -6,11 +6,12 @@ recordings. Fitted with one value, they show a lack of fit that an effect of the
     theta_k, k = 1...K, instead of one theta for K recordings:    K - 1 additional parameters,
 
 scored like an effect (`_score`) and refitted for the parameters with the largest scores. Two set-ups may differ in
-several parameters; these are found from the fit in which all of them differ.
+several parameters: all of them are given a value for each recording, and are shared again where this suffices.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -51,9 +52,9 @@ class ValuesPerRecording:
 
     @property
     def largest(self) -> float:
-        """The largest difference [sigma]."""
+        """The largest difference [sigma]; 0 if no uncertainty is known, as for values at a bound."""
         return max(
-            (abs(e.value) / e.stderr if e.stderr else np.inf for e in self.differences.values()), default=0.0
+            (abs(e.value) / e.stderr for e in self.differences.values() if e.stderr > 0.0), default=0.0
         )
 
 
@@ -80,8 +81,8 @@ class DifferentParameter(ValuesPerRecording):
         if self.others:
             values = "; ".join(f"{effect_name(p.name)}: {p.text}" for p in (self, *self.others))
             return (
-                f"The recordings differ in {len(self.names)} parameters. {values}. With values of its own for each "
-                f"recording the model describes the data without another law; fit with `{options}`."
+                f"The recordings differ: with separate values of {len(self.names)} parameters for each recording the "
+                f"model describes the data without another law. {values}. Fit with `{options}`."
             )
         alike = " or ".join(str(effect_name(n)) for n in (self.name, *self.indistinguishable_from))
         first = next(iter(self.estimates))
@@ -114,7 +115,7 @@ def different_parameter(
 
     `rival` is the fit of another explanation, whose noise is used, and its penalised BIC: the difference must
     describe the data as well; without it, better than the base. Without a score of at least `least` nothing is
-    refitted. Where no single parameter suffices, all of them may differ; those that do not are shared again.
+    refitted. If no single parameter suffices, several may differ.
     """
     layout = base.problem.layout
     # one at its bound may be there only because of the difference
@@ -169,32 +170,41 @@ def _one_that_differs(
 
 
 def _several_that_differ(base: Fit, keys: Sequence[str], criteria: Criteria) -> SeparateValues | None:
-    """Return the parameters that must differ if the fit with own values of all parameters has no lack of fit.
+    """Return parameters that describe the data by separate values; None if those of all parameters do not.
 
-    The values of the base are a compromise between the recordings, and its noise contains their difference; the fits
-    start from their own.
+    The values of the base are a compromise between the recordings, and its noise contains their difference; the first
+    fit starts from its own. Then the parameters are shared again one by one, the one with the smallest difference
+    first, as long as this lowers the BIC and causes no lack of fit.
     """
     found = None
     with attempt("all parameters per recording"):
         found = _fit_per_recording(base, keys)
     if found is None or found.fails(criteria):
         return None
-    values = [_values(found, k) for k in keys]
-    apart = [v.name for v in values if v.largest > criteria.essential_sigma]
-    if 1 < len(apart) < len(keys):
-        with attempt("some parameters per recording"):
-            fewer = _fit_per_recording(base, apart, noise=found.noise)
-            if not fewer.fails(criteria) and fewer.bic < found.bic:
-                found, values = fewer, [_values(fewer, k) for k in apart]
-    first, *others = sorted(values, key=lambda v: -v.largest)
-    count = len(values) * (len(base.problem.layout.records) - 1)
-    p_value = float(chdtrc(count, max(base.deviance - found.deviance, 0.0)))
+    values = sorted((_values(found, k) for k in keys), key=lambda v: v.largest)
+    tried = 0
+    while len(values) > 1 and tried < len(values):
+        shared, rest = values[tried], [v for i, v in enumerate(values) if i != tried]
+        tried += 1
+        start = {k: v for k, v in found.values.items() if k.partition("@")[0] != shared.name}
+        value, u = np.array([(e.value, e.stderr) for e in shared.estimates.values()]).T
+        # at a bound there is no uncertainty
+        start[shared.name] = float(np.average(value, weights=u**-2 if (u > 0).all() else None))
+        with attempt(f"{shared.name} for all recordings"):
+            fewer = _fit_per_recording(base, [v.name for v in rest], start=start, noise=found.noise)
+            if fewer.bic < found.bic and not fewer.fails(criteria):
+                found, tried = fewer, 0
+                values = sorted((_values(fewer, v.name) for v in rest), key=lambda v: v.largest)
+    *others, first = values
+    constants = len(values) * (len(base.problem.layout.records) - 1)
+    single = float(chdtrc(constants, max(base.deviance - found.deviance, 0.0)))
+    p_value = min(1.0, math.comb(len(keys), len(values)) * single)
     parameter = DifferentParameter(
         **vars(first),
         indistinguishable_from=(),
         delta_bic=found.bic - base.bic,
         p_value=p_value,
-        others=tuple(others),
+        others=tuple(others[::-1]),
     )
     separate = SeparateValues(parameter, found)
     better = separate.penalised_bic < base.bic - criteria.evidence

@@ -233,7 +233,8 @@ def _headline(view: StudyView) -> tuple[str, str, str]:
     kind, sign, words = _VERDICTS[view.verdict]
     if view.differs is not None and view.verdict != "missing_effect":
         different = ", ".join(view.name(n).words for n in view.differs.names)
-        return "found", "≠", f"The recordings differ in {different}"
+        example = ", for example" if view.differs.others else ""
+        return "found", "≠", f"The recordings differ{example} in {different}"
     if view.verdict == "unexplained" and view.added:
         words += f"; closest law: {' and '.join(view.name(n).words for n in view.added)}"
     if view.verdict != "missing_effect":

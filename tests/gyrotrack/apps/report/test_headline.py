@@ -32,11 +32,20 @@ def test_a_fault_of_the_measurement_is_called_so(name, physical, added, words):
     assert _headline(view)[2] == words
 
 
-def test_parameters_that_differ_are_named():
-    differs = SimpleNamespace(names=("touchpoint.constant.b1", "casing.air.linear.b2"))
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["touchpoint.constant.b1"], " in b₁ of the dry friction at the touch point"),
+        (
+            ["touchpoint.constant.b1", "casing.air.linear.b2"],
+            ", for example in b₁ of the dry friction at the touch point, b₂ of the linear air drag of the casing",
+        ),
+    ],
+)
+def test_parameters_that_differ_are_named(names, words):
+    differs = SimpleNamespace(names=names, others=names[1:])
     view = SimpleNamespace(verdict="unexplained", differs=differs, name=effect_name)
-    words = "b₁ of the dry friction at the touch point, b₂ of the linear air drag of the casing"
-    assert _headline(view)[2] == f"The recordings differ in {words}"
+    assert _headline(view)[2] == f"The recordings differ{words}"
 
 
 def test_an_undecided_answer_names_nothing():
