@@ -330,7 +330,7 @@ class ValuesInRecordings(Document):
 
 
 class DifferenceBetweenRecordings(ValuesInRecordings):
-    """A parameter shared by the recordings that differs between them; `others` must differ as well."""
+    """A parameter shared by the recordings that differs between them; `others` have separate values as well."""
 
     delta_bic: Number
     p_value: Number

@@ -60,14 +60,14 @@ class ValuesPerRecording:
 
 @dataclass(frozen=True)
 class DifferentParameter(ValuesPerRecording):
-    """A parameter shared by the recordings that has another value in each of them, and others that differ as well."""
+    """A shared parameter whose values in the recordings differ, and others that have separate values as well."""
 
     indistinguishable_from: tuple[str, ...]  # parameters whose difference describes the data as well
     delta_bic: float  # BIC with a value for each recording minus BIC of the base
     p_value: (
         float  # probability of such a difference in any shared parameter if all are equal in the recordings
     )
-    others: tuple[ValuesPerRecording, ...] = ()  # parameters that must differ as well
+    others: tuple[ValuesPerRecording, ...] = ()  # other parameters with a value for each recording
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -141,7 +141,7 @@ def different_parameter(
 def _one_that_differs(
     base: Fit, keys: Sequence[str], tests: int, criteria: Criteria, rival: tuple[Fit, float] | None
 ) -> SeparateValues | None:
-    """Return the best one of some parameters, the most promising of a number of `tests`."""
+    """Return the parameter whose difference describes the data best; `tests` parameters were scored."""
     noise = base.noise if rival is None else rival[0].noise
     trials: dict[str, Fit] = {}
     for key in keys:
@@ -170,11 +170,11 @@ def _one_that_differs(
 
 
 def _several_that_differ(base: Fit, keys: Sequence[str], criteria: Criteria) -> SeparateValues | None:
-    """Return parameters that describe the data by separate values; None if those of all parameters do not.
+    """Return parameters whose separate values describe the data; None if those of all parameters do not suffice.
 
-    The values of the base are a compromise between the recordings, and its noise contains their difference; the first
-    fit starts from its own. Then the parameters are shared again one by one, the one with the smallest difference
-    first, as long as this lowers the BIC and causes no lack of fit.
+    The values of the base are a compromise between the recordings, and its noise contains their difference; therefore
+    the first fit has its own initial values and noise. Then the parameters are shared again one by one, the one with
+    the smallest difference first, as long as this lowers the BIC and causes no lack of fit.
     """
     found = None
     with attempt("all parameters per recording"):
@@ -218,7 +218,7 @@ def _fit_per_recording(
     start: Mapping[str, float] | None = None,
     noise: Sequence[Noise] | None = None,
 ) -> Fit:
-    """Return the fit of the base with a value of each of these parameters for each recording."""
+    """Return the fit of the model of the base with separate values of these parameters for the recordings."""
     usual, own = base.problem.layout.choices
     share, per_case = [k for k in usual if k not in keys], [*own, *keys]
     return fit(base.model, base.problem.data, share=share, per_case=per_case, start=start, noise=noise)

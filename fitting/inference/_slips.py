@@ -88,7 +88,7 @@ def slipped_turns(samples: Samples, criteria: Criteria = DEFAULT) -> list[tuple[
     if not (np.abs(step - before * interval) > 0.5 * _TURN).any():
         return []
     speed = running_median(quotient, _NEIGHBOURS)
-    # about an end, where the end value is repeated, the median is that value itself
+    # the median at an end is the end value itself, because this value is repeated
     speed[[0, -1]] = speed[[1, -2]]
     excess = step - speed * interval
     scatter = _MAD * float(np.median(np.abs(excess)))

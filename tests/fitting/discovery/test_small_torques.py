@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from fitting import LIBRARY, Model, make_record
 from fitting._criteria import DEFAULT
+from fitting.discovery import _difference as difference
 from fitting.discovery import _lack_of_fit as lack_of_fit
 from fitting.discovery._difference import different_parameter, improves_on_difference
 from fitting.discovery._grammar import description_length
@@ -268,3 +269,62 @@ class TestDifference:
         found = different_parameter(fitted("step", "step"), DEFAULT)
         assert found is None or found.fit.fails(DEFAULT)
         assert separate_values(fitted("step", "step"), [], [], DEFAULT) is None
+
+
+class TestSeveral:
+    """Three parameters with separate values in two recordings; the third one may be shared."""
+
+    KEYS = ("a.k", "b.k", "c.k")
+
+    def found(self, monkeypatch, gain=60.0, bic=60.0, fails=False, shared=("c.k",)):
+        """Separate values lower the deviance by `gain` and the BIC by `bic`."""
+
+        def fitted_with(base, keys, *, start=None, noise=None):
+            needed = any(k not in keys and k not in shared for k in self.KEYS)
+            values = {f"{k}@{x}": 1.0 for k in keys for x in "pq"}
+            return SimpleNamespace(
+                keys=keys, bic=100.0 - bic + len(keys) + 50.0 * needed, deviance=100.0 - gain, noise=noise,
+                values=values, fails=lambda criteria: fails or needed,
+            )  # fmt: skip
+
+        def values(fit, name):
+            size = {"a.k": 9.0, "b.k": 5.0, "c.k": 1.0}[name]
+            estimates = {x: SimpleNamespace(value=2.0, stderr=0.1, unit="1") for x in "pq"}
+            return difference.ValuesPerRecording(
+                name, estimates, {"q": SimpleNamespace(value=size, stderr=1.0)}
+            )
+
+        monkeypatch.setattr(difference, "_fit_per_recording", fitted_with)
+        monkeypatch.setattr(difference, "_values", values)
+        layout = SimpleNamespace(records=("p", "q"))
+        base = SimpleNamespace(bic=100.0, deviance=100.0, problem=SimpleNamespace(layout=layout))
+        return difference._several_that_differ(base, self.KEYS, DEFAULT)
+
+    @pytest.mark.parametrize(
+        ("shared", "names"),
+        [
+            (("c.k",), ("a.k", "b.k")),
+            ((), ("a.k", "b.k", "c.k")),
+            (("b.k",), ("a.k", "c.k")),
+            (("b.k", "c.k"), ("a.k",)),
+        ],
+    )
+    def test_parameters_that_may_be_equal_are_shared_again(self, monkeypatch, shared, names):
+        assert self.found(monkeypatch, shared=shared).parameter.names == names
+
+    def test_a_lack_of_fit_with_all_values_separate(self, monkeypatch):
+        assert self.found(monkeypatch, fails=True) is None
+
+    def test_the_probability_counts_the_choices_of_two_of_three(self, monkeypatch):
+        found = self.found(monkeypatch).parameter
+        assert found.p_value == pytest.approx(3 * np.exp(-60.0 / 2))  # chi-square with two degrees of freedom
+
+    @pytest.mark.parametrize(("share", "significant"), [(0.9, True), (1.1, False)])
+    def test_it_is_significant(self, monkeypatch, share, significant):
+        gain = -2 * np.log(share * DEFAULT.significance / 3)
+        assert (self.found(monkeypatch, gain=gain) is not None) == significant
+
+    @pytest.mark.parametrize(("more", "better"), [(0.1, True), (-0.1, False)])
+    def test_the_bic_is_lower_by_the_evidence(self, monkeypatch, more, better):
+        bic = DEFAULT.evidence + 2 + description_length(2) + more
+        assert (self.found(monkeypatch, bic=bic) is not None) == better
