@@ -328,3 +328,9 @@ class TestSeveral:
     def test_the_bic_is_lower_by_the_evidence(self, monkeypatch, more, better):
         bic = DEFAULT.evidence + 2 + description_length(2) + more
         assert (self.found(monkeypatch, bic=bic) is not None) == better
+
+    def test_the_largest_difference_is_that_in_standard_uncertainties(self):
+        sizes = {"q": (3.0, 1.0), "r": (-8.0, 2.0), "s": (90.0, float("nan"))}
+        differences = {x: SimpleNamespace(value=v, stderr=u) for x, (v, u) in sizes.items()}
+        assert difference.ValuesPerRecording("a.k", {}, differences).largest == 4.0
+        assert difference.ValuesPerRecording("a.k", {}, {"s": differences["s"]}).largest == 0.0
