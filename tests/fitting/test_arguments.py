@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import fitted
+from cases import fitted, searched
 
 import fitting
 from fitting import Case, Criteria, Experiment, FittingError, Input, Ledger, Model, effect
@@ -197,8 +197,7 @@ def test_a_result_prints_within_a_screen():
 
 @pytest.mark.slow
 def test_results_of_a_diagnosis_print_within_a_screen():
-    found = fitting.fit("linear", fitted(seed=0).problem.data[0].record)
-    diagnosis = fitting.diagnose(found)
+    found, _, diagnosis = searched()
     for result in (
         diagnosis, diagnosis.torques, diagnosis.failures[:5], diagnosis.ripples, diagnosis.candidates[0],
         fitting.improve(found, max_steps=1), fitting.laws(found, diagnosis=diagnosis),

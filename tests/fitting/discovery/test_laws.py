@@ -37,11 +37,7 @@ SATURATING = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -K * math.tanh(wc /
 
 @lru_cache(maxsize=1)
 def saturating():
-    data = [
-        case({}, 0, "a", hidden=SATURATING, cameras=None),
-        case({"b1": 2e-5}, 1, "b", (740.0, 12.0), SATURATING, cameras=None),
-    ]
-    base = fit(Model.of(REDUCED), data)
+    base = fit(Model.of(REDUCED), [case({}, 0, "a", hidden=SATURATING)])
     return base, laws(base)
 
 

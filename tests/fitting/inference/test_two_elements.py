@@ -13,7 +13,7 @@ TRUE = {"casing.spring.linear.k": 30.0} | {
 }
 # the friction has no maximum: the Stribeck curve is one
 STEADY = {f"{GMS}.r": "0", f"{GMS}.w": "1"}
-U, SEEDS = 1e-4, 8
+U, SEEDS = 1e-4, 5
 TIME = np.linspace(0.0, 6.0, 400)
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 DRY, VISCOUS, START, LENGTH = 1.5, 0.05, 30.0, 12.0
-SEEDS = 24
+# each of the two slow fits takes as long as the other seven together
+SEEDS, SLOW = 24, {"counts, fewer than rows": 12, "counts, more than rows": 12}
 TURN = 2 * np.pi
 
 
@@ -89,11 +90,11 @@ def test_a_series_is_fitted_as_it_was_measured(gyrotrack, tmp_path, series):
 @pytest.mark.parametrize("series", SERIES)
 def test_intervals_cover_the_constants(gyrotrack, tmp_path, series):
     """Quantised values without other noise err regularly, by less than independent errors; 28 pulses show no noise."""
-    found = [deviations(gyrotrack, tmp_path, series, 100 + seed) for seed in range(SEEDS)]
+    found = [deviations(gyrotrack, tmp_path, series, 100 + seed) for seed in range(SLOW.get(series, SEEDS))]
     z = np.array([z for z, _ in found])
     rms = np.sqrt(np.mean(z**2, axis=0))
-    # the standard error of an rms over 24 values is 14 %
-    assert (rms < 1.3).all(), rms
+    # the standard error of an rms over 24 values is 14 %, over 12 values 20 %
+    assert (rms < (1.45 if series in SLOW else 1.3)).all(), rms
     assert (rms > (0.4 if "one" in series or "once" in series else 0.6)).all(), rms
     assert (np.abs(z) < 1.96).mean() > 0.88
     assert sum(verdict == "lack_of_fit" for _, verdict in found) <= 2
