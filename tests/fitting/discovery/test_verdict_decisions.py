@@ -822,7 +822,7 @@ class TestWords:
             "b.k": estimate(at_bound=True),
         }
         fit = Found(estimates=both, problem=SimpleNamespace(layout=layout))
-        assert module._active_bounds(fit) == ["Active bound: a.g = 1.4; the law there may be another one."]
+        assert module._active_bounds(fit) == ["Active bound: a.g = 1.4; outside it, another law may act."]
         assert module._active_bounds(replace(fit, estimates={"a.k": both["a.k"]})) == []
 
 
