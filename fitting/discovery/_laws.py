@@ -853,7 +853,7 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
     if found.library is not None:
         parts.append(
             f"{_capital(found.fit.name(found.library.effect))} of the library describes the data as well as any law "
-            "found: it comes first."
+            "found, so it is listed first."
         )
     best, depends_on = found.laws[0], found.depends_on
     # in a single run, one variable may nearly be a function of another; then the variable of the law is named
@@ -863,7 +863,7 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
     first = next(iter([*preferred, *depends_on]), None)
     if first is not None and first.p_value < criteria.significance:
         parts.append(
-            f"The unmodelled torque depends most clearly on {first.words}: a smooth function of it explains "
+            f"The unmodelled torque depends most clearly on {first.words}: a smooth dependence explains "
             f"{100 * first.explained:.0f} % of the lack of fit."
         )
     parts.append(
@@ -877,6 +877,6 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
         )
     if others:
         parts.append(
-            f"{others} law{'s' if others > 1 else ''} with a different torque cannot be separated from it."
+            f"{others} law{'s' if others > 1 else ''} with a different torque cannot be separated from the best law."
         )
     return " ".join(parts)

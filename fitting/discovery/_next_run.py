@@ -66,7 +66,7 @@ prepared more finely than a smaller value, a larger one loses information."""
 _SEPARABLE = 1.0
 """Difference of deviance that no run exceeds if two rivals count as inseparable [1]. Chosen: one standard deviation; a
 smaller value plans runs that decide nothing, a larger one gives up rivals that several runs separate."""
-_ELSE = "change what only one of them depends on (air pressure, surface, lubricant)."
+_ELSE = "change a condition on which only one of them depends (air pressure, surface, lubricant)."
 
 
 @dataclass(frozen=True)

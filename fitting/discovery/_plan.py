@@ -437,7 +437,7 @@ def _warning(fit: Fit, criteria: Criteria) -> str:
         return "The fit has not converged: the limits are not reliable."
     if fit.fails(criteria):
         return (
-            "The model has a significant lack of fit: limits hold for a model without it. "
+            "The model has a significant lack of fit: the limits are valid only for a model without lack of fit. "
             "Run `gyrotrack improve` first."
         )
     return ""

@@ -747,12 +747,12 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(chosen.indistinguishable_from):
         others = ", or ".join(names[1:])
         parts = [
-            f"{what}: {close}{names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
+            f"{what}: {close}{names[0]}{_strength(chosen)}, or {others}; these data cannot separate them."
         ]
     elif len(names) == 1:
         parts = [f"{what}: {close}{names[0]}{_strength(chosen)}."]
     else:
-        one = f"{close}one of these effects, which this data cannot separate"
+        one = f"{close}one of these effects, which these data cannot separate"
         parts = [f"{what}: {one}: {'; '.join(names)}."]
     if chosen.own_phase:
         keys = dict.fromkeys(k.partition("@")[0] for k in chosen.estimates if "@" in k)
@@ -789,7 +789,7 @@ def _start_errors(chosen: Candidate, others: Sequence[str]) -> list[str]:
     )
     if not others:
         return [sentence]
-    return [sentence, f"No effect is established; this data cannot separate them from: {'; '.join(others)}."]
+    return [sentence, f"No effect is established; these data cannot separate them from: {'; '.join(others)}."]
 
 
 def _untested(test: FormTest, criteria: Criteria) -> list[str]:

@@ -162,7 +162,7 @@ class Population:
         if self.outlying:
             names = ", ".join(name for name, _ in self.outlying[:_SHOWN])
             more = f" and {len(self.outlying) - _SHOWN} more" if len(self.outlying) > _SHOWN else ""
-            lines.append(f"Outlying runs, left out: {names}{more}.")
+            lines.append(f"Outlying runs, excluded: {names}{more}.")
         for name, count in self.untested.items():
             lines.append(
                 f"{self.called(name)} is not determined in {count} of {len(self.runs)} runs and not tested."
