@@ -18,7 +18,7 @@ _HEAD = """# Command line
 This page is made from the help of the commands themselves by `docs/make_command_line.py`; a test compares the two.
 
 Results go to stdout, progress and messages to stderr. With `--json`, stdout carries a single JSON document, which for
-an error is `{"error": {"code", "message", "hint"}}`. Exit codes: 0 done; 1 a file or its data are at fault; 2 wrong
+an error is `{"error": {"code", "message", "hint"}}`. Exit codes: 0 done; 1 invalid input or data; 2 wrong
 usage; 3 completed, but the result is not to be trusted; 130 interrupted by Ctrl-C, 129 by SIGHUP, 143 by SIGTERM.
 `--debug`, anywhere, shows the traceback of a bug.
 """

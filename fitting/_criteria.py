@@ -1,13 +1,13 @@
 """Every threshold that determines a result, in one record.
 
-`fit`, `diagnose`, `improve`, `laws`, `certify` and `plan` take a `Criteria`. A fit keeps its own, with which the noise
-of its recordings was measured; a search with other criteria of the noise repeats the fit with them (`NOISE`).
+`fit`, `diagnose`, `improve`, `laws`, `certify` and `plan` accept a `Criteria`. A fit stores the criteria with which the
+noise of its recordings was measured. A search with other criteria of the noise (`NOISE`) repeats the fit with these.
 
 >>> from dataclasses import replace
 >>> strict = replace(Criteria(), significance=0.001)
 
-``print(Criteria())`` lists all of them with their meaning and source. The text below each states its unit and origin as
-well (`fitting._settings`).
+``print(Criteria())`` lists all thresholds with their meaning and source. The text below each threshold also states its
+unit and origin (`fitting._settings`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from fitting._settings import settings_of
 class Criteria:
     """Thresholds of the search for a missing effect; immutable, changed with `dataclasses.replace`.
 
-    A probability lies in (0, 1], a share in [0, 1]; differences of deviance and of BIC are twice a logarithm of a
-    likelihood ratio, without unit; "sigma" counts standard errors.
+    Probabilities and shares are at most 1. Differences of deviance and of BIC are twice the logarithm of a likelihood
+    ratio and have no unit. The unit "sigma" is one standard error.
 
     Sources: R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995): a BIC difference of 2 is positive evidence, of 10
     very strong. P. Westfall, S. Young, Resampling-Based Multiple Testing (1993): p-values over a list from simulated
@@ -59,23 +59,23 @@ class Criteria:
     shape_evidence: float = 10.0
     """Fall of BIC that frees a shape constant of a law [1]. Source: Kass & Raftery 1995; very strong evidence."""
     essential_sigma: float = 3.3
-    """Strength below which an added effect is tried without [sigma]. Derived: p = 0.001; a smaller value keeps
+    """Strength of an added effect below which its removal is tried [sigma]. Derived: p = 0.001; a smaller value keeps
     superfluous effects, a larger one costs time."""
     crowded: int = 3
-    """Added effects from which on each is tried without [1]. Chosen: a smaller value costs time, a larger one keeps
-    superfluous effects."""
+    """Number of added effects from which the removal of each is tried [1]. Chosen: a smaller value costs time, a larger
+    one keeps superfluous effects."""
     max_steps: int = 5
-    """Effects that `improve` adds at most [1]. Chosen: a smaller value leaves unmodelled torques, a larger one costs
-    time."""
+    """Largest number of effects that `improve` adds [1]. Chosen: a smaller value leaves unmodelled torques, a larger
+    one costs time."""
     named_sigma: float = 3.0
-    """Strength over its standard uncertainty from which an effect is named [sigma]. Chosen: a smaller value names
+    """Smallest strength of a named effect, over its standard uncertainty [sigma]. Chosen: a smaller value names
     undetermined effects, a larger one leaves weak ones unnamed."""
     follow_up: int = 1
-    """Further effects that `diagnose` adds at most [1]. Chosen: a smaller value leaves the remainder unexplained, a
-    larger one costs time."""
+    """Largest number of further effects that `diagnose` adds [1]. Chosen: a smaller value leaves the remainder
+    unexplained, a larger one costs time."""
     explained: float = 0.95
-    """Share of unmodelled torque that an approximate answer explains [1]. Chosen: a smaller value hides a second
-    effect, a larger one doubts small remainders."""
+    """Smallest share of the unmodelled torque that an approximate answer explains [1]. Chosen: a smaller value hides a
+    second effect, a larger one doubts small remainders."""
     lack_of_fit: float = 1e-5
     """P-value of slow torques below which a fit fails [1]. Source: Draper 1998; its test, with a value that errors of
     the noise model do not reach; a larger one fails fits by these errors, a smaller one overlooks missing laws."""
@@ -86,10 +86,10 @@ class Criteria:
     """Standard uncertainty over value above which a parameter is undetermined [1]. Chosen: a smaller value refuses
     parameters near zero, a larger one reports values without meaning."""
     correlated_noise: float = 8.0
-    """Deviance that correlated angle noise needs [1]. Derived: chi2, 2 dof; noise exceeds it in 2 % of the recordings;
-    a smaller value adds noise that is absent, a larger one understates uncertainties."""
+    """Smallest fall of the deviance by correlated angle noise [1]. Derived: chi2, 2 dof; noise exceeds it in 2 % of the
+    recordings; a smaller value adds noise that is absent, a larger one understates uncertainties."""
     excess_noise: float = 4.0
-    """Process noise of a fit above that of the recording that voids its form [sigma]. Chosen: a smaller value doubts
+    """Excess process noise of a fit above which its form is not established [sigma]. Chosen: a smaller value doubts
     right forms, a larger one lets noise absorb a wrong form."""
     spectral_line: float = 0.001
     """P-value of a sinusoid that is not noise [1]. Source: Baluev 2008; its test; a larger value finds lines by chance,
@@ -104,70 +104,71 @@ class Criteria:
     """P-value of a test that contradicts an adequate fit [1]. Source: Baluev 2008; one of the tests; a larger value
     doubts right fits, a smaller one overlooks missing laws."""
     inertia_sigma: float = 2.0
-    """Error of an inertia that its uncertainty allows [sigma]. Chosen: a smaller value names effects that a wrong
-    inertia imitates, a larger one explains effects by the inertia."""
-    inertia_largest: float = 0.05
-    """Relative error of an inertia whose uncertainty is not stated [1]. Chosen: a smaller value names effects that a
+    """Largest error of an inertia that its uncertainty allows [sigma]. Chosen: a smaller value names effects that a
     wrong inertia imitates, a larger one explains effects by the inertia."""
+    inertia_largest: float = 0.05
+    """Largest relative error of an inertia whose uncertainty is not stated [1]. Chosen: a smaller value names effects
+    that a wrong inertia imitates, a larger one explains effects by the inertia."""
     failure_sigma: float = 4.0
-    """Peak of a reported stretch of unmodelled torque [sigma]. Chosen: a smaller value reports noise, a larger one
-    omits weak torques."""
+    """Smallest peak of a reported interval of unmodelled torque [sigma]. Chosen: a smaller value reports noise, a
+    larger one omits weak torques."""
     harmonic_sigma: float = 4.3
-    """Amplitude of a reported harmonic [sigma]. Derived: p = 1e-4, 2 dof; exp(-4.3^2 / 2); a smaller value reports
-    noise, a larger one omits weak torques."""
+    """Smallest amplitude of a reported harmonic [sigma]. Derived: p = 1e-4, 2 dof; exp(-4.3^2 / 2); a smaller value
+    reports noise, a larger one omits weak torques."""
     experiment_sigma: float = 5.0
-    """Separation that makes an experiment worth doing [sigma]. Chosen: a smaller value proposes runs that may not
-    decide, a larger one proposes none."""
+    """Separation of rivals by a run below which a repetition is recommended [sigma]. Chosen: a smaller value proposes
+    runs that may not decide, a larger one recommends needless repetitions."""
     shape_share: float = 0.1
-    """Share of the best score from which shapes are refined [1]. Chosen: a smaller value costs time, a larger one may
+    """Share of the best score above which shapes are refined [1]. Chosen: a smaller value costs time, a larger one may
     omit the right effect."""
     refit_share: float = 0.1
-    """Share of the best score from which candidates are refitted [1]. Chosen: a smaller value costs time, a larger one
+    """Share of the best score above which candidates are refitted [1]. Chosen: a smaller value costs time, a larger one
     may omit the right effect."""
     refit_p: float = 0.5
     """Family-wise p-value above which candidates are not refitted [1]. Chosen: a larger value costs time, a smaller one
     may omit the right effect."""
     refit_least: int = 4
-    """Candidates that are always refitted [1]. Chosen: a smaller value may omit the right effect, a larger one costs
-    time."""
+    """Number of best candidates that are always refitted [1]. Chosen: a smaller value may omit the right effect, a
+    larger one costs time."""
     refit_most: int = 14
-    """Candidates that are refitted at most [1]. Chosen: a smaller value may omit the right effect, a larger one costs
+    """Largest number of refitted candidates [1]. Chosen: a smaller value may omit the right effect, a larger one costs
     time."""
     rival_share: float = 0.5
-    """Share of the best score from which a poor refit is repeated [1]. Chosen: a smaller value costs time, a larger one
-    ranks rivals by refits in a wrong minimum."""
+    """Share of the best score above which a poor refit is repeated [1]. Chosen: a smaller value costs time, a larger
+    one ranks rivals by refits in a wrong minimum."""
     refit_shortfall: float = 10.0
-    """Deviance by which a refit may fall short of its score [1]. Source: Kass & Raftery 1995; a larger shortfall
+    """Score minus fall of deviance above which a refit is poor [1]. Source: Kass & Raftery 1995; a larger shortfall
     changes the ranking."""
     own_phase: float = 10.0
-    """Deviance per case that justifies a separate phase [1]. Source: Kass & Raftery 1995; very strong evidence."""
+    """Fall of deviance per case that separate phases need [1]. Source: Kass & Raftery 1995; very strong evidence."""
     changepoint_score: float = 25.0
-    """Score that moves a changepoint far away [1]. Derived: 5 sigma; a smaller value follows noise, a larger one leaves
-    a wrong time."""
+    """Smallest score at which a changepoint is moved to a distant time [1]. Derived: 5 sigma; a smaller value follows
+    noise, a larger one leaves a wrong time."""
     equation_error: float = 3.0
-    """Error of the equations, over the least, up to which a spring is fitted [1]. Chosen: a smaller value may omit the
-    right spring, a larger one costs time."""
+    """Error of the equation of motion, over the smallest, up to which a spring is fitted [1]. Chosen: a smaller value
+    may omit the right spring, a larger one costs time."""
     refit_reversals: int = 500
-    """Reversals that all refits of a step integrate [1]. Chosen: 15 s of one core; a smaller value may omit the right
-    effect, a larger one costs time."""
+    """Largest number of reversals in all refits of a step [1]. Chosen: 15 s of one core; a smaller value may omit the
+    right effect, a larger one costs time."""
     refit_oscillation_p: float = 0.1
     """Family-wise p-value above which candidates of an oscillation are not refitted [1]. Chosen: a larger value costs
     time, a smaller one may omit the right effect."""
     gross_misfit: float = 0.7
-    """Rms phase drift by a torque like the residuals of a gross lack of fit [rad]. Chosen: a smaller value takes small
-    deviations for a wrong motion, a larger one linearises about a wrong motion."""
+    """Smallest rms phase drift by the residual torque that is a gross lack of fit [rad]. Chosen: a smaller value takes
+    small deviations for a wrong motion, a larger one linearises about a wrong motion."""
     quieter: float = 0.8
     """Ratio below which process noise counts as reduced [1]. Chosen: a larger value takes the uncertainty of the noise
     for an improvement, a smaller one overlooks improvements."""
     angle_noise_ratio: float = 30.0
-    """Correlated over white angle noise above which it is not noise [1]. Chosen: a smaller value calls usual tracking
-    errors a fault, a larger one lets noise absorb motion."""
+    """Largest ratio of correlated to white angle noise that counts as noise [1]. Chosen: a smaller value calls usual
+    tracking errors a fault, a larger one lets noise absorb motion."""
     random_torque: float = 0.01
-    """Random torque above which it is not noise, as a share of the mean torque [1]. Chosen: with it, 3 of 200
+    """Largest random torque that counts as noise, as a share of the mean torque [1]. Chosen: at this value, 3 of 200
     simulated recordings with a random torque and nothing hidden end with a named effect; a smaller value names effects
-    that a random torque imitates, a larger one explains effects by it."""
+    that a random torque imitates, a larger one explains effects by a random torque."""
     random_torque_evidence: float = 10.0
-    """Deviance that a random torque above the noise needs [1]. Source: Kass & Raftery 1995; very strong evidence."""
+    """Fall of deviance that a random torque above noise needs [1]. Source: Kass & Raftery 1995; very strong
+    evidence."""
     random_torque_shortest: float = 0.05
     """Shortest correlation time of a random torque [s]. Chosen: a shorter one is part of the measured process noise, a
     longer one leaves times untried."""
@@ -178,14 +179,14 @@ class Criteria:
     """Typical error of a start whose uncertainty is not stated [s]. Chosen: a few frames; a smaller value overlooks
     start errors, a larger one explains effects by them."""
     slip_tolerance: float = 0.1
-    """Deviation of a step from a whole turn that slipped [turns]. Chosen: a smaller value overlooks slips in noise, a
-    larger one takes other steps for slips."""
+    """Largest deviation of a slip from a whole turn [turns]. Chosen: a smaller value overlooks slips in noise, a larger
+    one takes other steps for slips."""
     slip_sigma: float = 8.0
-    """Scatter of the steps of an angle up to which a slip is evident [sigma]. Chosen: a smaller value takes noise for
-    slips, a larger one overlooks slips in noise."""
+    """Smallest ratio of `slip_tolerance` to the scatter of the angle steps [sigma]. Chosen: a smaller value takes noise
+    for slips, a larger one overlooks slips in noise."""
 
     def refits_through(self, reversals: int) -> int:
-        """Return the number of candidates that are always refitted, given the number of reversals of an oscillation.
+        """Return the largest number of refitted candidates, given the number of reversals of an oscillation.
 
         A search through one reversal takes some 0.03 s of a core.
         """

@@ -1,15 +1,15 @@
-"""An answer tested on itself: recordings simulated from the fit, analysed like the recording.
+"""Test of an answer by a parametric bootstrap: recordings simulated from the fit are analysed like the original.
 
 Recordings are simulated under three kinds of hypotheses (`fitting.inference._replica`), then fitted and diagnosed with
 the same base model:
 
-- "null": the base model alone. How often is an effect named, or the model called wrong, although nothing is missing?
-  The share of null recordings whose best candidate scores as high as that of the recording is the empirical p-value of
-  its answer.
-- "truth": the base model with the named effect. How often is it named first, or in its class, and how often do the
-  95 % intervals contain the value that was simulated?
-- "rival": the base model with an effect that could be mistaken for it: a member of its class, or the next candidate.
-  Which effect is named?
+- "null": the base model alone. The false-alarm rate is the share of null recordings in which an effect is named or the
+  model is rejected, although no effect is missing. The share of null recordings whose best score is at least the score
+  of the answer is the empirical p-value of the answer.
+- "truth": the base model with the named effect. The results are how often this effect is named first, how often it is
+  in the named equivalence class, and how often the 95 % intervals contain the simulated values.
+- "rival": the base model with an effect that could be mistaken for the named one: a member of its equivalence class, or
+  the next candidate. The result is how often each effect is named.
 
 The rates have Clopper-Pearson intervals (C. Clopper, E. Pearson, Biometrika 26, 404 (1934)). An empirical p-value of n
 recordings is at least 1 / (n + 1) (A. Davison, D. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4).
@@ -47,25 +47,25 @@ if TYPE_CHECKING:
 Kind = Literal["null", "truth", "rival"]
 
 _MOST_RIVALS = 3
-"""Rivals that are simulated at most [1]. Chosen: fewer leave confusions unknown, more cost time."""
+"""Largest number of simulated rivals [1]. Chosen: fewer leave confusions unknown, more cost time."""
 _RIVAL_SHARE = 0.25
 """Simulated recordings of each rival per null recording [1]. Chosen: a smaller value widens the intervals of the rates,
 a larger one costs time."""
 _FEWEST = 4
-"""Smallest number of simulated recordings of a rival [recordings]. Chosen: fewer do not show which effect is usually
+"""Smallest number of simulated recordings of a rival [recordings]. Chosen: fewer do not show the effect that is usually
 named, more cost time in short certificates."""
 _INTERVAL = 1.96
 """Half width of an interval that contains the true value in 95 % of the cases [standard uncertainties]. Derived:
 quantile 0.975 of the standard normal distribution."""
 _PER_PROCESS = 4
-"""Recordings per process between two calls of `keep` [recordings]. Chosen: fewer leave processes idle, more lose more
-work when a run is killed."""
+"""Recordings per process between two calls of `keep` [recordings]. Chosen: with fewer, processes are idle for longer;
+with more, a killed run loses more work."""
 _FAILED = "failed"
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What is simulated: the motion of a fit, with an `effect` that the base model does not contain."""
+    """A hypothesis that is simulated: its fit, and the name of the `effect` that the base model lacks ("" for none)."""
 
     kind: Kind
     effect: str
@@ -81,16 +81,16 @@ class Outcome:
     kind, effect : str
         The hypothesis (see `Hypothesis`).
     number : int
-        Number of the recording under its hypothesis, from 0; with the seed it determines all random errors.
+        Number of the recording under its hypothesis, from 0; this number and the seed determine all random errors.
     verdict : str
-        That of `diagnose`, or "failed" where the analysis ended with an error.
+        The verdict of `diagnose`, or "failed" if the analysis ended with an error.
     named : tuple of str
         The named effect and those indistinguishable from it.
     score : float
         Score of the best candidate.
     inside : dict of str to bool
-        Whether the 95 % interval of each parameter contains the simulated value; where the answer has the simulated
-        model only.
+        Whether the 95 % interval of each parameter contains the simulated value; empty if the model of the answer is
+        not the simulated model.
     """
 
     kind: str
@@ -109,20 +109,22 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Certificate:
-    """How an answer fares on simulated recordings.
+    """Rates of right and wrong answers on recordings simulated from an answer.
 
     Attributes
     ----------
     n : int
         Number of recordings simulated without the named effect.
     verdict, named, score : str, tuple of str, float
-        The answer that is tested, and the score of its best candidate.
+        The tested answer: its verdict, the named effect and its equivalence class, the score of the best candidate.
     outcomes : tuple of Outcome
         The answers to all simulated recordings.
     film : bool
-        Whether films were rendered and tracked, not only data simulated.
+        Whether films were rendered and tracked; otherwise angles were simulated.
     seed : int
         Seed of the random errors.
+    body : str
+        The body of the first case, by which effects are put into words.
     """
 
     n: int
@@ -159,42 +161,42 @@ class Certificate:
         return cls(n, found.verdict, named, best.score if best else 0.0, tuple(outcomes), film, seed, body)
 
     def of(self, kind: Kind, effect: str | None = None) -> list[Outcome]:
-        """Return the outcomes under one kind of hypothesis, or under a single one.
+        """Return the outcomes under one kind of hypothesis.
 
         Parameters
         ----------
         kind : {"null", "truth", "rival"}
             The kind.
         effect : str, optional
-            The effect that was simulated.
+            The simulated effect; by default all effects.
         """
         return [o for o in self.outcomes if o.kind == kind and effect in {None, o.effect}]
 
     @property
     def alarms(self) -> int:
-        """Null recordings that end with a named effect, "unexplained" or a failure."""
+        """Number of null recordings that end in a false alarm: any verdict but "adequate" and "undecided"."""
         return sum(o.verdict not in {"adequate", "undecided"} for o in self.of("null"))
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Clopper-Pearson interval (95 %) of the rate of alarms."""
+        """Clopper-Pearson interval (95 %) of the false-alarm rate."""
         return rate_interval(self.alarms, len(self.of("null")))
 
     @property
     def p_empirical(self) -> float:
-        """(1 + null recordings with at least the score of the answer) / (1 + null recordings)."""
+        """Empirical p-value (1 + m) / (1 + n); m of n null recordings have at least the score of the answer."""
         null = self.of("null")
         return (1 + sum(o.score >= self.score for o in null)) / (1 + len(null))
 
     @property
     def right_first(self) -> float | None:
-        """Share of the recordings with the named effect in which it is named first; None if none was simulated."""
+        """Share of the "truth" recordings whose named effect is the simulated one; None if none was simulated."""
         found = [bool(o.named) and o.named[0] == o.effect for o in self.of("truth")]
         return sum(found) / len(found) if found else None
 
     @property
     def in_class(self) -> float | None:
-        """Share of the recordings with the named effect in which it is named or in the named class."""
+        """Share of the "truth" recordings whose named equivalence class contains the simulated effect; None if none."""
         found = [o.effect in o.named for o in self.of("truth")]
         return sum(found) / len(found) if found else None
 
@@ -214,13 +216,13 @@ class Certificate:
 
     @property
     def rivals(self) -> dict[str, dict[str, int]]:
-        """Counts of the effect named first, or of the verdict, for each simulated rival."""
+        """Number of recordings by answer (effect named first, or verdict), for each simulated rival."""
         effects = dict.fromkeys(o.effect for o in self.of("rival"))
         return {e: _counted(self.of("rival", e)) for e in effects}
 
     @property
     def names(self) -> dict[str, int]:
-        """Counts of the effect named first, or of the verdict, among the null recordings that are not adequate."""
+        """Number of null recordings by answer (effect named first, or verdict), without the answer "adequate"."""
         return {k: n for k, n in _counted(self.of("null")).items() if k != "adequate"}
 
     @property
@@ -237,8 +239,8 @@ class Certificate:
             parts.append(f"The empirical p-value of this answer is {self.p_empirical:.2g}.")
         if self.right_first is not None and self.in_class is not None:
             parts.append(
-                f"Of {len(self.of('truth'))} with it, {100 * self.right_first:.0f} % name it first and "
-                f"{100 * self.in_class:.0f} % name it or its class."
+                f"Of {len(self.of('truth'))} with this effect, {100 * self.right_first:.0f} % name it first and "
+                f"{100 * self.in_class:.0f} % name it or an indistinguishable one."
             )
         return " ".join(parts)
 
@@ -256,7 +258,7 @@ class Certificate:
 
     @property
     def _simulated(self) -> list[tuple[str, list[Outcome]]]:
-        """Each simulated effect in words, empty for none, with its outcomes."""
+        """Each simulated effect in words ("" for no effect), with its outcomes."""
         kinds = dict.fromkeys((o.kind, o.effect) for o in self.outcomes)
         return [
             (self.in_words(key[1]) if key[1] else "", [o for o in self.outcomes if (o.kind, o.effect) == key])
@@ -264,12 +266,12 @@ class Certificate:
         ]
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the answers to the recordings of each simulated effect as shares of a bar (matplotlib).
+        """Draw one stacked bar for each simulated effect, with the share of each answer (matplotlib).
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Where to draw; by default a new figure.
+            Axes to draw on; by default those of a new figure.
 
         Returns
         -------
@@ -310,7 +312,7 @@ def _counted(outcomes: Sequence[Outcome]) -> dict[str, int]:
 
 
 def rate_interval(count: int, n: int) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval (95 %) of a rate.
+    """Return the limits of the Clopper-Pearson interval (95 %) of a rate.
 
     Parameters
     ----------
@@ -327,7 +329,7 @@ def rate_interval(count: int, n: int) -> tuple[float, float]:
 def hypotheses(found: Diagnosis) -> list[Hypothesis]:
     """Return the hypotheses that test an answer: null and, if an effect is named, truth and rivals.
 
-    Faults of the measurement that are not a law (a slipped turn, starts of windows) are tested under the null only.
+    Measurement errors that are not a law (a slipped turn, starts of windows) are tested under the null hypothesis only.
 
     Parameters
     ----------
@@ -347,14 +349,14 @@ def hypotheses(found: Diagnosis) -> list[Hypothesis]:
     for c in (*in_class, *next_best):
         other = _with_effect(found.fit, c) if len(rivals) < _MOST_RIVALS else None
         if other is not None:
-            # the random torque in the residuals of a wrong model contains its lack of fit
+            # the random torque estimated with a wrong model contains the lack of fit of that model
             rivals.append(Hypothesis("rival", c.effect.name, replace(other, noise=truth.noise)))
     null = Hypothesis("null", "", replace(base, noise=truth.noise))
     return [null, Hypothesis("truth", named.effect.name, truth), *rivals]
 
 
 def _with_effect(base: Fit, candidate: Candidate) -> Fit | None:
-    """Return the converged fit with an effect; None if there is none."""
+    """Return the fit of the base model with a candidate effect; None if it fails or does not converge."""
     names = {*base.model.names, candidate.effect.name}
     known = candidate.fit
     if known is None or set(known.model.names) != names:
@@ -377,20 +379,20 @@ def planned(found: Diagnosis, n: int) -> list[Item]:
     found : Diagnosis
         The answer.
     n : int
-        Number of recordings without the named effect; the same number has it, and a quarter has each rival.
+        Number of null recordings; there are as many with the named effect, and a quarter as many with each rival.
     """
     return _planned(hypotheses(found), n)
 
 
 def _planned(simulated: Iterable[Hypothesis], n: int) -> list[Item]:
     items = [(w.kind, w.effect, k) for w in simulated for k in range(_count(w, n))]
-    # an interrupted run has some of every hypothesis
+    # by number, so that an interrupted run has recordings of every hypothesis
     return sorted(items, key=lambda item: item[2])
 
 
 @dataclass(frozen=True)
 class _Work:
-    """The hypotheses, the fit whose analysis is repeated, and its settings, for every worker."""
+    """Input of every worker: the hypotheses, the fit whose analysis is repeated, and the settings of the analysis."""
 
     hypotheses: dict[tuple[str, str], Hypothesis]
     base: Fit
@@ -423,7 +425,7 @@ def certify(
     found : Diagnosis
         The answer.
     n : int
-        Number of recordings without the named effect; the same number has it, and a quarter has each rival.
+        Number of null recordings; there are as many with the named effect, and a quarter as many with each rival.
     seed : int
         Seed of all random errors. The result does not depend on the number of workers.
     extra : sequence of Effect
@@ -431,7 +433,7 @@ def certify(
     criteria : Criteria, optional
         Thresholds of the analysis; those of the fit by default.
     known : sequence of Outcome
-        Outcomes of an earlier run with the same answer and seed, which are not repeated.
+        Outcomes of an earlier run with the same answer and seed; these recordings are not simulated again.
     workers : WorkerPool, optional
         Processes that share the work.
     keep : callable, optional
@@ -444,7 +446,7 @@ def certify(
     Raises
     ------
     EstimationError
-        The cases are curves made from measured values (see `replica`).
+        If the cases are curves made from measured values (see `replica`).
     """
     workers = workers or WorkerPool(0)
     work = _Work.of(found, extra, criteria or found.fit.criteria, seed)
@@ -476,14 +478,14 @@ def outcomes_of(
     Parameters
     ----------
     found, seed, extra, criteria
-        As for `certify`.
+        The same as for `certify`.
     items : sequence of (str, str, int)
-        Kind, effect and number of each.
+        Kind, effect and number of each recording.
 
     Raises
     ------
     EstimationError
-        No such recording is planned.
+        If an item has a kind and an effect that are not among the hypotheses.
     """
     work = _Work.of(found, extra, criteria or found.fit.criteria, seed)
     if not {item[:2] for item in items} <= work.hypotheses.keys():
@@ -515,11 +517,11 @@ def outcome_of_records(
     Parameters
     ----------
     found, extra, criteria
-        As for `certify`.
+        The same as for `certify`.
     item : (str, str, int)
         Kind, effect and number of the simulation.
     records : sequence of Record
-        One for each case; none if their measurement failed.
+        One record for each case; empty if their measurement failed.
     """
     work = _Work.of(found, extra, criteria or found.fit.criteria, 0)
     return _analysed(work, item, records) if records else Outcome(*item, _FAILED, (), math.nan, {})

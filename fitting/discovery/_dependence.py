@@ -1,25 +1,27 @@
 """The unmodelled torque as a smooth function of each variable, with explained share, p-value and uncertainty band.
 
-A torque f(x) on a body, with f a cubic spline of a variable x (t, omega_r, omega_c, delta; harmonics for the angle
-psi_c; products of splines for a pair of variables), is the same function in all recordings. With whitened residuals r,
-rows S of the spline's functions, and M, which projects out all parameters of the base and nuisance parameters,
+The unmodelled torque on a body is the same function f(x) of a variable x in all recordings. f is a cubic spline for
+t, omega_r, omega_c and delta, a sum of harmonics for an angle, and a product of splines for a pair of variables. Let r
+be the whitened residuals, S the rows of the functions, and M the projection that removes all parameters of the base and
+the nuisance parameters. Then
 
-    chi2 = r'M S (S'M S)^+ S'M r   with rank(M S) degrees of freedom if nothing is missing.
+    chi2 = r'M S (S'M S)^+ S'M r
 
-Its level of process noise is profiled. The p-value is calibrated on null data that go through all variables: the
-smallest p of many correlated tests (P. Westfall, S. Young, Resampling-Based Multiple Testing (1993)). The explained
-share is that of the excess of chi-square over its degrees of freedom at the noise of the data.
+has rank(M S) degrees of freedom if no torque is missing. The level of the process noise is profiled. The p-value is
+calibrated by null data that are tested with all variables: the smallest p of many correlated tests (P. Westfall, S.
+Young, Resampling-Based Multiple Testing (1993)). The explained share refers to the excess of chi-square over its
+degrees of freedom at the noise of the data.
 
-The curve has finer splines than the test, so that it resolves a resonance. Their coefficients b have a Gaussian prior
-with the Matern covariance of order 3/2,
+The curve has finer splines than the test, so that it resolves a resonance. The coefficients b of the splines have a
+Gaussian prior with the Matern covariance of order 3/2,
 
     cov(b_i, b_j) = s^2 (1 + q) exp(-q),   q = sqrt(3) |x_i - x_j| / l,
 
-at the centres x_i of the splines; s and l are the most likely ones (C. Rasmussen, C. Williams, Gaussian Processes for
-Machine Learning, MIT Press (2006), ch. 5). A broad law gives a large l, which averages the noise; a narrow peak a
-small one. The base contains some functions itself (a linear drag for example), and the data hardly determine others:
-the curve is the least-squares estimate of the part of the torque that the data determine better than the prior does,
-and its band is the standard uncertainty of that estimate. A law is comparable with the curve after the same projection.
+at the centres x_i of the splines. s and l maximise the likelihood (C. Rasmussen, C. Williams, Gaussian Processes for
+Machine Learning, MIT Press (2006), ch. 5). A broad law gives a large l, which averages the noise; a narrow peak gives a
+small l. The base represents some functions, for example a linear drag, and the data hardly determine others. The curve
+is therefore the least-squares estimate of the part of the torque that the data determine better than the prior; its
+band is the standard uncertainty. A law is compared with the curve after the same projection.
 """
 
 from __future__ import annotations
@@ -42,19 +44,19 @@ _COLUMNS = 10
 """Splines of a torque of one variable in the test [1]. Chosen: fewer overlook narrow laws, more lower the power for
 broad ones."""
 _FINE = 36
-"""Splines of the curve that is shown [1]. Chosen: fewer do not resolve a resonance, more cost time; the prior smooths
+"""Splines of the displayed curve [1]. Chosen: fewer do not resolve a resonance, more cost time; the prior smooths
 them."""
 _PAIR = 4
-"""Splines along each of two variables [1]. Chosen: the test has its square; fewer overlook bent laws, more lower the
-power."""
+"""Splines along each of two variables [1]. Chosen: the test has the square of this number; fewer overlook curved laws,
+more lower the power."""
 _CUBIC = 3
 """Degree of the splines [1]. Chosen: a smaller value gives curves with kinks, a larger one oscillates at the ends."""
 _HARMONICS = (1, 2, 3, 4)
 """Harmonics of the angle of the casing in the test [1]. Chosen: fewer overlook higher harmonics, more lower the power
 for the first two."""
 _ROTOR_HARMONICS = (1, 2)
-"""Harmonics of the angle of the rotor in the test [1]. Chosen: fewer overlook the second one, more are aliased at the
-frame rate of the casing."""
+"""Harmonics of the angle of the rotor in the test [1]. Chosen: fewer overlook the second harmonic, higher ones are
+aliased at the frame rate of the casing."""
 _FASTEST = np.pi
 """Angle between two frames of the casing below which a harmonic of the rotor is tested [rad]. Derived: the Nyquist
 limit, half a period per frame."""
@@ -64,10 +66,10 @@ _RANK = 1e-5
 """Singular values, relative to the largest column, below which a direction is rounding [1]. Chosen: a smaller value
 counts rounding as a degree of freedom, a larger one omits directions that the data determine weakly."""
 _CURVE = 120
-"""Points of a curve that is shown [1]. Chosen: fewer show corners, more make larger files."""
+"""Points of a displayed curve [1]. Chosen: fewer show corners, more make larger files."""
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
-"""Trial standard deviations of a torque, in units of the determined one [1]. Chosen: four per decade from far below the
-noise to far above it; a shorter range ends at a bound, a coarser grid rounds the most likely value."""
+"""Trial standard deviations of a torque, over the standard deviation that the data suggest [1]. Chosen: four per decade
+from far below the noise to far above it; in a shorter range the optimum may be outside, a coarser grid rounds it."""
 _LENGTHS = np.geomspace(0.03, 3.0, 9)
 """Trial correlation lengths over the range of the variable [1]. Chosen: shorter ones are not resolved by the splines,
 longer ones do not differ from a straight line."""
@@ -93,14 +95,14 @@ class Dependence:
 
     variable: str  # "omega_c", "t", ...; two joined by "*"
     body: str  # "casing", "rotor", or "bearing" (internal)
-    p_value: float  # of no dependence, over all variables that were tried
+    p_value: float  # family-wise: probability of such a dependence on any tested variable if there is none
     explained: float  # share of the lack of fit (excess of chi-square over its degrees of freedom), 0-1
     score: float  # fall of the deviance
     columns: int  # functions of the spline that the base cannot represent
     value: Array = field(repr=False)  # values of the variable [s, rad/s or rad]; empty for two variables
     torque: Array = field(repr=False)  # the part that the base cannot represent [N m]
     sigma: Array = field(repr=False)  # its standard uncertainty [N m]
-    identified: Array = field(repr=False)
+    identified: Array = field(repr=False)  # matrix that projects a torque at `value` on the determined part
 
     @property
     def words(self) -> str:
@@ -109,12 +111,12 @@ class Dependence:
         return f"{names} (torque {_ON[self.body]})"
 
     def comparable(self, torque: Array) -> Array:
-        """Return the part of a torque at `value` that the base cannot represent, which is comparable with the curve."""
+        """Return the part of a torque at `value` that the base cannot represent, for comparison with `torque` [N m]."""
         return np.asarray(self.identified @ torque)
 
 
 def torque_rows(effects: Sequence[Effect], cases: Sequence[CaseColumns]) -> Array:
-    """Return the response of the rows of all cases to the torque of some effects of the fit."""
+    """Return the change of the rows of all cases by the torque of some effects at their fitted strengths."""
     rows = [np.zeros(len(c.case.data.z)) for c in cases]
     for e in effects:
         for i, case in enumerate(cases):
@@ -143,7 +145,10 @@ def context_without(
 
 
 class _Test(NamedTuple):
-    """Rows of the functions of a test, and of those of its curve: `basis` at `value`, prior covariances for s = 1."""
+    """Rows of the functions of a test and of its curve (`fine`).
+
+    The functions of the curve have the values `basis` at `value`, and prior covariances `priors` for s = 1.
+    """
 
     body: Joint
     variables: tuple[str, ...]
@@ -155,9 +160,9 @@ class _Test(NamedTuple):
 
 
 def dependence(about: Fit, *, without: Sequence[str] = ()) -> list[Dependence]:
-    """Return the unmodelled torque of a fit as a function of each variable, and of pairs; the smallest BIC first.
+    """Return the unmodelled torque of a fit as a function of each variable and of pairs, in ascending order of BIC.
 
-    Laws of the fit that are named in `without` count as unmodelled.
+    The torques of the effects named in `without` count as unmodelled.
     """
     cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
     effects = [e for e in about.model.effects if e.name in without]
@@ -174,7 +179,7 @@ def dependence(about: Fit, *, without: Sequence[str] = ()) -> list[Dependence]:
 
 
 def _tests(about: Fit, cases: Sequence[CaseColumns]) -> Iterator[_Test]:
-    """Yield the rows of a spline of each variable, over the rows of all cases."""
+    """Yield the test of each variable and pair of variables, with the rows of all cases."""
     bodies = about.problem.data[0].record.parts
     known = [{v: c.along_motion(v) for v in ("t", "omega_r", "omega_c", "delta")} for c in cases]
     for body, choices in _TESTS.items():
@@ -256,7 +261,10 @@ def _orders(about: Fit, angle: str) -> tuple[int, ...]:
 
 
 def _angle_test(cases: Sequence[CaseColumns], body: Joint, angle: str, orders: Sequence[int]) -> _Test:
-    """Return the test of harmonics of an angle; those of the rotor have own phases in each case, and no curve."""
+    """Return the test of harmonics of an angle.
+
+    Harmonics of the rotor have separate amplitudes and phases in each case, and therefore no curve.
+    """
     phase = Parameter("phi", "rad", "phase", -np.inf, np.inf)
     psi = np.linspace(0, 2 * np.pi, _CURVE)
     rows, basis = [], []
@@ -320,7 +328,10 @@ def _tested(context: ScoreContext, test: _Test) -> tuple[Dependence | None, Arra
 
 
 def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Array, Array]:
-    """Return torque, standard deviation, and the matrix that projects a torque on the part that the data determine."""
+    """Return the curve, its standard uncertainty, and the matrix that projects a torque on its determined part.
+
+    All are empty if the test has no curve.
+    """
     if not len(test.value):
         return np.zeros(0), np.zeros(0), np.zeros((0, 0))
     white = level.gain[:, None] * context.rotated(test.fine)
@@ -349,6 +360,6 @@ def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Arr
     shown = test.basis @ vectors[:, known]
     s, data, u = s[known], data[known], u[:, known]
     sigma = np.sqrt(shown**2 @ (1 / s**2))
-    # the rows along the determined directions of a torque with the coefficients B^+ torque
+    # response along the determined directions to a torque, whose coefficients are B^+ torque
     rows = (u.T @ response) @ np.linalg.pinv(test.basis, rcond=1e-6) / np.sqrt(scatter)
     return shown @ (data / s), sigma, (shown / s) @ rows

@@ -1,12 +1,14 @@
-"""A parameter that recordings share and that has another value in each of them: an alternative to a missing effect.
+"""Shared parameters whose values differ between the recordings: an alternative to a missing effect.
 
-Grease that has warmed up, another point on the table or a screw that has come loose changes a parameter between two
-recordings. Fitted with one value, they show a lack of fit that an effect of the library may imitate. The hypothesis is
+A parameter changes between two recordings if, for example, the grease warms up, the body is placed elsewhere on the
+table, or a screw comes loose. A fit with a shared value then has a lack of fit that an effect of the library may
+imitate. The hypothesis replaces one value theta for K recordings by
 
-    theta_k, k = 1...K, instead of one theta for K recordings:    K - 1 additional parameters,
+    theta_k, k = 1...K    (K - 1 additional parameters).
 
-scored like an effect (`_score`) and refitted for the parameters with the largest scores. Two set-ups may differ in
-several parameters: all of them are given a value for each recording, and are shared again where this suffices.
+It is scored like an effect (`_score`), and the parameters with the largest scores are refitted. Two set-ups may differ
+in several parameters. Then all parameters first have separate values, and those that need no separate values are shared
+again.
 """
 
 from __future__ import annotations
@@ -42,8 +44,8 @@ class ValuesPerRecording:
     """The values of one parameter in the recordings."""
 
     name: str  # ``<effect>.<symbol>``
-    estimates: dict[str, Estimate]  # by label; their errors may be strongly correlated
-    differences: dict[str, Estimate]  # value in each other recording minus that in the first, by label
+    estimates: dict[str, Estimate]  # by label of the recording; their errors may be strongly correlated
+    differences: dict[str, Estimate]  # value in each other recording minus the value in the first, by label
 
     @property
     def text(self) -> str:
@@ -52,7 +54,7 @@ class ValuesPerRecording:
 
     @property
     def largest(self) -> float:
-        """The largest difference [sigma]; 0 if no uncertainty is known, as for values at a bound."""
+        """The largest difference [sigma]; 0 if no uncertainty is known, for example at a bound."""
         return max(
             (abs(e.value) / e.stderr for e in self.differences.values() if e.stderr > 0.0), default=0.0
         )
@@ -60,7 +62,7 @@ class ValuesPerRecording:
 
 @dataclass(frozen=True)
 class DifferentParameter(ValuesPerRecording):
-    """A shared parameter whose values in the recordings differ, and others that have separate values as well."""
+    """A shared parameter whose values in the recordings differ, and further parameters with separate values."""
 
     indistinguishable_from: tuple[str, ...]  # parameters whose difference describes the data as well
     delta_bic: float  # BIC with a value for each recording minus BIC of the base
@@ -76,7 +78,7 @@ class DifferentParameter(ValuesPerRecording):
 
     @property
     def sentence(self) -> str:
-        """What differs by how much, and the options that fit it."""
+        """A sentence with the parameters that may differ, their values, and the options of the fit."""
         options = " ".join(f"--per-case {n}" for n in self.names)
         if self.others:
             values = "; ".join(f"{effect_name(p.name)}: {p.text}" for p in (self, *self.others))
@@ -97,7 +99,7 @@ class DifferentParameter(ValuesPerRecording):
 
 
 class SeparateValues(NamedTuple):
-    """Parameters that differ, and the fit with values for each recording."""
+    """Parameters that differ, and the fit with separate values for the recordings."""
 
     parameter: DifferentParameter
     fit: Fit
@@ -111,14 +113,15 @@ class SeparateValues(NamedTuple):
 def different_parameter(
     base: Fit, criteria: Criteria, *, rival: tuple[Fit, float] | None = None, least: float = 0.0
 ) -> SeparateValues | None:
-    """Return the shared parameter whose difference between the recordings describes the data best, or None.
+    """Return the shared parameter whose separate values describe the data best; None if separate values do not help.
 
-    `rival` is the fit of another explanation, whose noise is used, and its penalised BIC: the difference must
-    describe the data as well; without it, better than the base. Without a score of at least `least` nothing is
-    refitted. If no single parameter suffices, several may differ.
+    `rival` contains the fit of an alternative explanation and its penalised BIC. The difference must then describe the
+    data as well as the rival, at the noise of the rival; without a rival, it must describe them better than the base.
+    A parameter is refitted only if its score is at least `least`. If no single parameter suffices, several parameters
+    may differ; this is tested only without a rival.
     """
     layout = base.problem.layout
-    # one at its bound may be there only because of the difference
+    # parameters at a bound are tested as well, because the difference may cause the active bound
     keys = [k for k in base.model.free if k not in layout.per_case]
     if len(layout.records) < 2 or not keys:
         return None
@@ -141,7 +144,10 @@ def different_parameter(
 def _one_that_differs(
     base: Fit, keys: Sequence[str], tests: int, criteria: Criteria, rival: tuple[Fit, float] | None
 ) -> SeparateValues | None:
-    """Return the parameter whose difference describes the data best; `tests` parameters were scored."""
+    """Return the parameter of `keys` whose separate values describe the data best; None if they do not suffice.
+
+    The p-value is multiplied by the number `tests` of scored parameters.
+    """
     noise = base.noise if rival is None else rival[0].noise
     trials: dict[str, Fit] = {}
     for key in keys:
@@ -170,11 +176,11 @@ def _one_that_differs(
 
 
 def _several_that_differ(base: Fit, keys: Sequence[str], criteria: Criteria) -> SeparateValues | None:
-    """Return parameters whose separate values describe the data; None if those of all parameters do not suffice.
+    """Return parameters whose separate values describe the data; None if separate values of all do not suffice.
 
-    The values of the base are a compromise between the recordings, and its noise contains their difference; therefore
-    the first fit has its own initial values and noise. Then the parameters are shared again one by one, the one with
-    the smallest difference first, as long as this lowers the BIC and causes no lack of fit.
+    The values of the base are a compromise between the recordings, and its noise contains their difference. Therefore
+    the first fit has its own initial values and noise. Then parameters are shared again one by one, in ascending order
+    of their difference, if this lowers the BIC and causes no lack of fit.
     """
     found = None
     with attempt("all parameters per recording"):
@@ -188,7 +194,7 @@ def _several_that_differ(base: Fit, keys: Sequence[str], criteria: Criteria) -> 
         tried += 1
         start = {k: v for k, v in found.values.items() if k.partition("@")[0] != shared.name}
         value, u = np.array([(e.value, e.stderr) for e in shared.estimates.values()]).T
-        # at a bound there is no uncertainty
+        # a value at a bound has no uncertainty
         start[shared.name] = float(np.average(value, weights=u**-2 if (u > 0).all() else None))
         with attempt(f"{shared.name} for all recordings"):
             fewer = _fit_per_recording(base, [v.name for v in rest], start=start, noise=found.noise)
@@ -218,14 +224,17 @@ def _fit_per_recording(
     start: Mapping[str, float] | None = None,
     noise: Sequence[Noise] | None = None,
 ) -> Fit:
-    """Return the fit of the model of the base with separate values of these parameters for the recordings."""
+    """Return the fit of the base model with separate values of the parameters `keys` for the recordings."""
     usual, own = base.problem.layout.choices
     share, per_case = [k for k in usual if k not in keys], [*own, *keys]
     return fit(base.model, base.problem.data, share=share, per_case=per_case, start=start, noise=noise)
 
 
 def _values(found: Fit, name: str) -> ValuesPerRecording:
-    """Return the values of a parameter that has one for each recording, and their differences."""
+    """Return the values of a parameter with separate values, and their differences from the value of the first.
+
+    The standard uncertainty of a difference contains the covariance of the two values.
+    """
     labels = [r.label for r in found.problem.layout.records]
     first, *others = [found.problem.layout.index[f"{name}@{label}"] for label in labels]
     estimates = {label: found.estimates[f"{name}@{label}"] for label in labels}
@@ -241,10 +250,10 @@ def _values(found: Fit, name: str) -> ValuesPerRecording:
 def improves_on_difference(
     separate: SeparateValues, effects: Sequence[Effect], lengths: Sequence[float], criteria: Criteria
 ) -> bool:
-    """Return whether effects or laws describe the data better than different values of a shared parameter.
+    """Return whether an effect or a law describes the data better than separate values of shared parameters.
 
-    To first order about the fit with these values, the difference being part of the residuals; `lengths` are the
-    description lengths of the laws, 0 for effects of the library.
+    The comparison is of first order about the fit with separate values, whose difference is added to the residuals.
+    `lengths` contains the description length of each law, and 0 for effects of the library.
     """
     about = separate.fit
     cases = [CaseColumns(about, i) for i in range(len(about.predictions))]

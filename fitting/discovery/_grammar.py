@@ -4,15 +4,16 @@ A law is a form f applied to one or two variables and acts on the rotor, the cas
 
     torque = k f(x; w, ...),   x one of t, omega_r, omega_c, delta, psi_c.
 
-Every constant carries the unit of the variable that it scales (a speed, a time, an exponent), so the units agree by
-construction; `Effect.check` confirms it. Friction-like forms of a body's own speed reverse with it.
+A shape constant has the unit of the variable that it scales (speed or time) or is a dimensionless exponent, and the
+strength k has the unit that makes the law a torque; `Effect.check` confirms the units. Friction-like forms of a body's
+own speed change sign with this speed.
 
-Long formulas have a penalty. With n symbols (variables, functions, operators) drawn from a vocabulary of 2^b,
-a formula takes b n bits, and the two-part code (J. Rissanen, Automatica 14, 465 (1978)) adds
+Long formulas have a penalty. A formula of n symbols (variables, functions, operators) from a vocabulary of 2^b symbols
+has b n bits, and the two-part code (J. Rissanen, Automatica 14, 465 (1978)) adds
 
     L = 2 ln 2 b n
 
-to BIC, which contains the penalty of the constants.
+to BIC; the penalty of the constants is part of BIC.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
 """Trial thresholds of a law over the largest speed [1]. Chosen: in steps of 0.05; fewer overlook narrow laws, more cost
 time."""
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
-"""Trial time constants over the length of the record [1]. Chosen: shorter ones act in few rows, longer ones do not
-differ from a straight line."""
+"""Trial time constants over the length of the record [1]. Chosen: shorter ones affect few rows, longer ones give a
+straight line."""
 _NEAR_ZERO = 0.01
 """Speed, over the largest one, below which a speed is near zero and negative powers are not tried [1]. Chosen: a
 smaller value admits torques that diverge, a larger one excludes laws of slow bodies."""
@@ -71,8 +72,9 @@ _PHASE_STEP = 2.0
 """Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
 larger one passes over narrow peaks."""
 _HIGHEST = 1000.0
-"""Highest trial frequency of a law, as its phase over the record [rad]. Chosen: 5 rad/s in the 200 s of the paper, as a
-faster oscillation is a spectral line; a larger value tries it twice, a smaller one overlooks slow oscillations."""
+"""Highest trial frequency of a law, as its phase over the record [rad]. Chosen: 5 rad/s in the 200 s of the paper,
+because the periodogram finds faster oscillations; a larger value tests these twice, a smaller one overlooks slow
+oscillations."""
 _MOST_FREQUENCIES = 800
 """Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
 time."""
@@ -100,7 +102,10 @@ def description_length(symbols: int) -> float:
 
 @dataclass(frozen=True)
 class _Form:
-    """A form: its formula in {x}, symbol and kind of its shape constants, and how many symbols it has."""
+    """A form: its formula in {x}, the symbol and the kind of each shape constant, and the number of its symbols.
+
+    `phase` states that the formula contains a free phase phi.
+    """
 
     name: str
     text: str
@@ -109,7 +114,7 @@ class _Form:
     phase: bool = False
 
 
-# of a speed x; {s} is sign(x) where x is the body's own speed and the form does not reverse by itself
+# forms of a speed x; {s} is "*sign(x)" if x is the body's own speed, otherwise empty; odd forms of x need no {s}
 _OF_SPEED = (
     _Form("power", "abs({x})**n{s}", (("n", "exponent"),), 2),
     _Form("exponential", "exp(-abs({x})/w){s}", (("w", "speed"),), 3),
@@ -142,7 +147,7 @@ _OF_TIME = (
         (("w", "few frequencies"), ("u", "time few")), 6, phase=True,
     ),
 )  # fmt: skip
-# with a separate time in each recording
+# forms whose time is a separate parameter in each recording
 _EVENTS = (
     _Form("step in time", "heaviside(t - t0)", (("t0", "moment"),), 3),
     _Form("ramp in time", "heaviside(t - t0)*(t - t0)", (("t0", "moment"),), 4),
@@ -172,7 +177,7 @@ _PRODUCTS: dict[str, tuple[tuple[str, tuple[str, ...], int], ...]] = {
         ("delta*abs(delta)*t", ("delta", "t"), 4),
     ),
 }
-# with a free exponent
+# products with a free exponent n
 _FREE_PRODUCTS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "rotor": (),
     "casing": (
@@ -200,11 +205,11 @@ three or four periods per turn."""
 def grammar(
     ranges: Mapping[str, tuple[float, float]], span: float, *, bodies: Set[str], angles: bool
 ) -> list[LawForm]:
-    """Return all laws of the grammar, with trial values of their constants for some recordings.
+    """Return all laws of the grammar, with trial values of their constants.
 
-    `ranges` holds the least and the largest omega_r, omega_c and delta along the motion [rad/s], `span` is the length
-    of the longest recording [s]. The laws act on, and depend on, no other than these ``bodies`` of the library; laws of
-    the angle need measured `angles`.
+    `ranges` contains the smallest and the largest omega_r, omega_c and delta along the motion [rad/s]; `span` is the
+    length of the longest recording [s]. The laws act on, and depend on, these `bodies` only. Laws of the angle are
+    included if `angles` states that angles were measured.
     """
     found: list[LawForm] = []
     joints: Sequence[Joint] = ("casing", "bearing", "rotor")
@@ -222,7 +227,7 @@ def grammar(
 
 
 def _with_names(laws: Sequence[LawForm]) -> list[LawForm]:
-    """Return the laws with unique names."""
+    """Return the laws with unique names; the second and later laws of a name have the suffixes _2, _3, ..."""
     count: dict[str, int] = {}
     named = []
     for law in laws:
@@ -237,7 +242,7 @@ def _of_speed(form: _Form, body: Joint, x: str, range_: tuple[float, float], spa
     own = x == _OWN_SPEED[body]
     text = form.text.replace("{s}", f"*sign({x})" if own else "").replace("{x}", x)
     largest = max(abs(v) for v in range_)
-    # a negative power of a speed that comes near zero is singular
+    # a negative power is singular near zero speed
     singular = min(abs(v) for v in range_) < _NEAR_ZERO * largest or range_[0] * range_[1] < 0
     kinds = [(s, "positive exponent" if k == "exponent" and singular else k) for s, k in form.shapes]
     shapes = tuple(_shape(symbol, kind, largest, span) for symbol, kind in kinds)
@@ -284,7 +289,7 @@ def _law(
     moment: bool = False,
 ) -> LawForm:
     phase = (Parameter("phi", "rad", "phase", -math.inf, math.inf, meaning="phase"),) if form.phase else ()
-    # a sinusoid has its sign in its phase
+    # the phase of a sinusoid contains its sign
     lower = 0.0 if form.phase else -math.inf
     law = f"k*{text}" if not text.startswith("1/") else f"k/{text[2:]}"
     strength = Parameter("k", _unit(text, shapes), lower=lower, meaning="strength")
@@ -298,13 +303,13 @@ def _law(
 
 
 def _unit(text: str, shapes: Sequence[Parameter]) -> str:
-    """Return the unit of the strength that makes the law a torque; a free exponent n is written ``s^n``."""
+    """Return the unit of the strength with which the law is a torque; a free exponent n adds a factor ``s^n``."""
     expression = parse(text)
     units = {n: parse_unit(u) for n, u in VARIABLES.items()} | {p.symbol: parse_unit(p.unit) for p in shapes}
     units["phi"] = parse_unit("rad")
     exponents = [p.symbol for p in shapes if p.unit == "1"]
     at = [dimension(expression, units, dict.fromkeys(exponents, n)) for n in (1.0, 2.0)]
-    # seconds of the law: a + b n
+    # the exponent of the second in the unit of the law is a + b n
     b = at[1][2] - at[0][2]
     kg, m, s, *others = quotient(parse_unit("N m"), at[0])
     unit = format_unit((kg, m, s + b, *others))
@@ -312,7 +317,10 @@ def _unit(text: str, shapes: Sequence[Parameter]) -> str:
 
 
 def _shape(symbol: str, kind: str, largest: float, span: float) -> Parameter:
-    """Return a shape constant with its unit, bounds and trial values."""
+    """Return a shape constant of a kind with its unit, bounds and trial values.
+
+    `largest` is the largest speed [rad/s], `span` the length of the longest recording [s].
+    """
 
     def made(
         unit: str, values: Sequence[float], lower: float, upper: float, *, relative: bool = False

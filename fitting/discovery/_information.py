@@ -1,22 +1,22 @@
-"""Fisher information of recordings, made or planned, about parameters and candidate effects.
+"""Fisher information of present or planned recordings about parameters and candidate effects.
 
-A planned run is simulated without noise. Its rows and their derivatives are computed in the same way as for a
-recording, with the measurement noise and the process noise of the present recordings. With J the derivatives by the
-free parameters, s_k the responses to the candidate effects, and the parameters of one run alone (its initial angular
-rates, touch point, casing drag, phases of the films) projected out,
+A planned run is simulated without noise. Its rows and their derivatives are computed as for a recording, with the
+measurement noise and the process noise of the first present recording. Let J be the derivatives with respect to the
+shared parameters, and s the responses to the candidate effects. The information is
 
-    I = sum over runs of [J s]' C^-1 [J s].
+    I = sum over runs of [J s]' C^-1 [J s],
 
-The information of present and planned runs is additive.
+where the parameters of each run alone (initial angular rates, touch point, casing drag, phases of the films) are
+projected out. The information of present and planned runs is additive.
 
-Rival explanations are sets of effects that the present recordings do not separate. With the information I of the
-recordings about the strengths of all candidates, the shared parameters projected out, and the products b of their
-responses with the residuals, a set H of candidates lowers the deviance by
+Rival explanations are sets of effects that the present recordings do not separate. Let I be the information about the
+strengths of all candidates, with the shared parameters projected out, and b the products of their responses with the
+residuals. A linear refit with a set H of candidates lowers the deviance by
 
-    b_H' I_HH^-1 b_H
+    b_H' I_HH^-1 b_H.
 
-after a linear refit. Effects of the model that are not in those of the paper are candidates as well: their contribution
-to the motion is added to the residuals, so that another effect can replace them.
+Effects of the model that are not in the models of the paper are candidates as well. Their contribution to the motion is
+added to the residuals, so that another effect can replace them.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ _BLOCKS = 24
 """Blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few; fewer do not resolve the start,
 more cost time."""
 _PER_BLOCK = 64
-"""Samples of a block of a planned recording [samples]. Chosen: fewer than the polynomials of a block need are not
-enough, more cost time."""
+"""Samples of a block of a planned recording [samples]. Chosen: fewer do not determine the polynomial of a block, more
+cost time."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
 a larger one counts information twice."""
@@ -63,12 +63,12 @@ rounding, a larger one omits weakly determined strengths."""
 
 @dataclass(frozen=True)
 class Run:
-    """A run that is planned."""
+    """Settings of a planned run."""
 
     # initial angular rates [rad/s]
     omega_rotor: float
     omega_casing: float
-    duration: float  # length of the casing's recording [s]
+    duration: float  # length of the recording of the casing [s]
     windows: tuple[float, ...]  # start of each rotor window [s]
     window_length: float  # length of each window [s]
     ring: float = 1.0  # moment of inertia of the casing over the present one
@@ -83,7 +83,7 @@ class Information:
         self.candidates = [(e, dict(s)) for e, s in candidates if not e.depends_on_angle]
         layout, model = fit.problem.layout, fit.model.smooth
         self._shared = [k for k in model.free if k not in {*model.per_case, *layout.per_case}]
-        # a parameter at its bound is held, as in the search
+        # parameters at a bound are held, as in the search
         bound = dict(zip(layout.names, layout.at_bound(fit.theta), strict=True))
         self._held = {k for k in self._shared if bound.get(k, False)}
         parts = [self._of(fit, i) for i in range(len(fit.problem.cases))]
@@ -92,7 +92,10 @@ class Information:
         self.right = np.asarray(np.sum([p[1] for p in parts], axis=0))
 
     def added(self) -> dict[str, tuple[int, float]]:
-        """Return column and strength of the effects that no model of the paper has, with one strength for all runs."""
+        """Return column and strength of each physical effect that is not in the models of the paper, by name.
+
+        Only effects with one free strength for all runs are included.
+        """
         found = {}
         for e in self.fit.model.smooth.effects:
             key = f"{e.name}.{e.amplitude.symbol}" if e.amplitude is not None else ""
@@ -103,11 +106,14 @@ class Information:
 
     @property
     def parameters(self) -> int:
-        """Number of shared parameters, which come before the candidates."""
+        """Number of shared parameters; their columns precede the columns of the candidates."""
         return len(self._shared)
 
     def _of(self, fit: Fit, case: int) -> tuple[Array, Array]:
-        """Return the information of one run, its own parameters projected out, and its products with the residuals."""
+        """Return the information of one run, and the products of its columns with the residuals.
+
+        The parameters of this run alone are projected out.
+        """
         data, prediction, noise = fit.problem.data[case], fit.predictions[case], fit.noise[case]
         whitener = noise.whitener.at(noise.pure)
         layout, jacobian = fit.problem.layout, prediction.jacobian
@@ -130,13 +136,13 @@ class Information:
         return list(range(first, first + widths[candidate]))
 
     def of_run(self, run: Run) -> tuple[Array, Fit]:
-        """Return the information of a planned run, and its noiseless simulation; or raise a FittingError."""
+        """Return the information of a planned run and its noiseless simulation; a FittingError if that fails."""
         planned = simulated(self.fit, run)
         return self._of(planned, 0)[0], planned
 
 
 def schur(information: Array, kept: Sequence[int], free: Sequence[int]) -> Array:
-    """Return the information about some columns when others are free: the Schur complement."""
+    """Return the information about the columns `kept` if the columns `free` are free, the Schur complement."""
     kept, free = list(kept), list(free)
     block = information[np.ix_(free, free)]
     size = np.sqrt(np.maximum(np.diag(block), 1e-300))
@@ -146,7 +152,7 @@ def schur(information: Array, kept: Sequence[int], free: Sequence[int]) -> Array
 
 
 def simulated(fit: Fit, run: Run) -> Fit:
-    """Return the noiseless recording of a planned run with the parameters and noise of a fit, as a fit."""
+    """Return the noiseless recording of a planned run as a fit, with parameters and noise of the first case."""
     template = fit.problem.data[0].record
     layout = fit.problem.layout
     numbers = layout.numbers(fit.theta, 0) | {INERTIA_CASING: template.I_casing * run.ring}
@@ -160,7 +166,7 @@ def simulated(fit: Fit, run: Run) -> Fit:
         windows=run.windows,
         window_length=run.window_length,
     )
-    # the inputs of the recording, from the start of the planned run on
+    # inputs of the recording, with time measured from the start of the run
     began = template.span[0]
     inputs = tuple(replace(i, time=i.time - began) for i in template.inputs)
     _, path = simulate_path(fit.model.smooth, numbers, experiment, inputs)
@@ -172,7 +178,7 @@ def simulated(fit: Fit, run: Run) -> Fit:
         sampler = Sampler(path.mesh, t)
         starts, speed = path.angle(state)
         value = sampler.integral(starts, speed) if angle else sampler.value(speed)
-        # the number of independent samples per second is that of the recording
+        # the recording determines the number of independent samples per second
         rate = effective / max(float(like.time[-1] - like.time[0]), 1e-9)
         seconds = max(float(t[-1] - t[0]), 1e-9)
         sigma = float(np.median(like.sigma)) * math.sqrt(fewest / (rate * seconds))
@@ -224,11 +230,12 @@ def simulated(fit: Fit, run: Run) -> Fit:
 
 
 _COLLINEAR = 1e-6
-"""Determinant of the correlation of candidates below which no data separates them [1]. Chosen: a smaller value keeps
+"""Determinant of the correlation of candidates below which no data separate them [1]. Chosen: a smaller value keeps
 sets with undetermined strengths, a larger one drops rivals that data could separate."""
 _ABSORBED = 1e-12
-"""Share of the information about a strength that the shared parameters leave, below which they absorb it [1]. Chosen:
-at the rounding of the projection; a larger value drops weakly determined candidates, a smaller one keeps rounding."""
+"""Information about a strength with free shared parameters, over that with fixed ones, below which they absorb the
+candidate [1]. Chosen: at the rounding of the projection; a larger value drops weakly determined candidates, a smaller
+one keeps rounding."""
 
 
 @dataclass(frozen=True)
@@ -236,9 +243,9 @@ class Rival:
     """An explanation: candidate effects with their shape constants and strengths."""
 
     names: tuple[str, ...]  # the effects
-    columns: tuple[int, ...]  # their places among the columns of `Information`
+    columns: tuple[int, ...]  # indices of their columns in `Information`
     strengths: Array  # strength of each column
-    weight: float = 1.0  # its posterior probability among the rivals
+    weight: float = 1.0  # relative posterior probability, exp(-(BIC - lowest BIC) / 2)
 
 
 MOST_RIVALS = 6
@@ -246,18 +253,19 @@ MOST_RIVALS = 6
 
 
 def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:
-    """Return the explanations that the present recordings do not separate, in the linear theory of the score test.
+    """Return the explanations that the present recordings do not separate, to first order (score test).
 
-    Every set of at most two effects, among the candidates and the effects of the model that the paper does not have,
-    is scored; those within the equivalence width of the best BIC are rivals, unless a subset has an equal or lower
-    BIC. `threshold` is the score from which each candidate is significant in the whole list.
+    Every set of at most two effects is scored; the effects are the candidates and the effects of the model that are not
+    in the models of the paper. A set is a rival if its BIC is within the equivalence width of the best, and if no
+    subset has an equal or lower BIC. `threshold` contains the score above which each candidate is significant in the
+    whole list. The list is empty if nothing is significant or if there are fewer than two rivals.
     """
     added = information.added()
     names = [*added, *(e.name for e, _ in information.candidates)]
     columns = [[place] for place, _ in added.values()]
     columns += [information.places(i) for i in range(len(information.candidates))]
     count = [1 for _ in added] + [len(e.free) for e, _ in information.candidates]
-    # friction is not negative
+    # friction coefficients are not negative
     one_sided = [False for _ in added] + [
         e.amplitude is not None and e.amplitude.lower >= 0 and len(c) == 1
         for (e, _), c in zip(information.candidates, columns[len(added) :], strict=True)

@@ -1,27 +1,29 @@
 """Lack-of-fit tests of a fit with its named law: smooth tests, nonparametric laws, periodogram.
 
-With a law of the wrong shape the residual torque is a smooth function of the speed on which the true law depends, the
-same in all cases; few numbers describe it. The model is extended by torques piecewise linear in the speed of the
-casing, the rotor or the bearing, acting on the casing or in the bearing, with 4 or 8 knots. Each choice S, in addition
-to the free columns, lowers chi-square by
+Smooth tests. If a law has the wrong shape, the residual torque is a smooth function of the speed on which the true law
+depends. This function is the same in all cases, and few numbers describe it. The model is extended by torques that are
+piecewise linear in the speed of the casing, the rotor or the bearing, with 4 or 8 knots; they act on the casing or in
+the bearing. Let S be the responses of one choice, orthogonal to the free columns. Then chi-square falls by
 
-    chi2 = r'S (S'S)^-1 S'r   with rank(S) degrees of freedom
+    chi2 = r'S (S'S)^-1 S'r,
 
-if nothing is missing: a smooth test at several resolutions (J. Hart, Nonparametric Smoothing and Lack-of-Fit Tests,
-Springer (1997), ch. 5-7). The smallest p-value is calibrated on null data put through the same choices.
+which has rank(S) degrees of freedom if no torque is missing. This is a smooth test at several resolutions (J. Hart,
+Nonparametric Smoothing and Lack-of-Fit Tests, Springer (1997), ch. 5-7). The smallest p-value of all choices is
+calibrated by null data that are tested with the same choices.
 
-A sinusoidal torque in time (a vibrating table, a fan) is fast, so that process noise of short correlation time accounts
-for its variance, but not for its single frequency. The model is extended by a cosine and a sine of each frequency on
-the casing; with their whitened responses S, in addition to the free columns,
+Periodogram. A sinusoidal torque in time (a vibrating table, a fan) is fast. Process noise of short correlation time
+therefore absorbs its variance, but not its single frequency. The model is extended by a cosine and a sine of each
+frequency on the casing. With their whitened responses S, orthogonal to the free columns,
 
-    chi2 = r'S (S'S)^-1 S'r   with 2 degrees of freedom
+    chi2 = r'S (S'S)^-1 S'r
 
-if nothing is missing, twice the power z of a periodogram. Noise exceeds it at some frequency up to f with probability
+has 2 degrees of freedom if no torque is missing; it is twice the power z of a periodogram. The probability that noise
+exceeds z at some frequency up to f is
 
     p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
 
-(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Torques with less than ten periods in the record are
-the subject of the test against slow torques.
+(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Torques with fewer than ten periods in the record are
+left to the test against slow torques.
 """
 
 from __future__ import annotations
@@ -69,7 +71,8 @@ def speeds(times: Array, prediction: Prediction) -> Array:
 def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
     """Return the fall of the deviance by any smooth function of a speed as a torque on a body or in the bearing.
 
-    The law is the same in all cases. It is scored like a candidate, without a refit.
+    The function is the same in all cases. It is scored like a candidate, without a refit; the larger fall with 4 or 8
+    knots counts.
     """
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
     context = ScoreContext(fit, 1)
@@ -90,7 +93,7 @@ _RANK = 1e-4
 rounding, a larger one omits deviations that are nearly absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
-projects out rounding, a larger one leaves a part of the free columns."""
+projects out rounding, a larger one ignores some free columns."""
 _TINY = 1e-300
 """Smallest norm by which a column is divided [1]. Derived: it avoids a division by zero and is below any other norm."""
 _DRAWS = 2000
@@ -100,19 +103,19 @@ _DRAWS = 2000
 
 @dataclass(frozen=True)
 class SmoothTest:
-    """The body on whose speed a residual torque depends most clearly, and the p-value (an upper bound)."""
+    """The body or joint on whose speed the residual torque depends most clearly, and the p-value (an upper bound)."""
 
     body: str
     p_value: float
 
     @property
     def words(self) -> str:
-        """What the residual torque depends on."""
+        """The predicate of a sentence about the residual torque."""
         return f"depends on the speed of the {self.body}"
 
 
 def smooth_test(fit: Fit) -> SmoothTest:
-    """Return how significantly the residual torque of a fit depends on a speed."""
+    """Return the speed on which the residual torque depends most significantly; p = 1 if no torque can be tested."""
     named, tried, free, residual, shares = _smooth_rows(fit)
     basis = orthonormal(free, _RANK_FREE)
     projected = orthogonal_to(basis, residual)
@@ -120,7 +123,7 @@ def smooth_test(fit: Fit) -> SmoothTest:
     columns = [(name, s) for name, s in columns if s.size]
     if not columns:
         return SmoothTest("", 1.0)
-    # all columns lie in a space of few dimensions, in which white noise is white
+    # all columns are in a space of few dimensions; white noise remains white in this space
     whole = orthonormal(np.concatenate([s for _, s in columns], axis=1), _RANK_FREE)
     tests = [s.T @ whole for _, s in columns]
     data = whole.T @ projected
@@ -131,21 +134,24 @@ def smooth_test(fit: Fit) -> SmoothTest:
 
 
 def _orthogonal(columns: Array, basis: Array) -> Array:
-    """Return an orthonormal basis of the part of some columns that is orthogonal to a basis."""
+    """Return an orthonormal basis of the components of columns that are orthogonal to `basis`."""
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), _TINY)
     columns = orthogonal_to(basis, columns)
     return orthonormal(columns[:, np.linalg.norm(columns, axis=0) > _RANK_FREE], _RANK)
 
 
 def _p_values(tests: list[Array], rows: Array) -> Array:
-    """Return the p-value of each test (rows) of each set of data (columns)."""
+    """Return the p-values, shape (tests, data sets)."""
     from scipy.special import chdtrc
 
     return np.array([chdtrc(len(test), np.sum((test @ rows) ** 2, axis=0)) for test in tests])
 
 
 def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[float]]:
-    """Return names; torques of a speed, free columns and the residual as whitened rows of all cases; noise shares."""
+    """Return names, tested columns, free columns, residual, and shares of the process noise.
+
+    The columns and the residual are whitened rows of all cases; a name and its columns belong to one choice.
+    """
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     responses = [TorqueResponse(data, p.motion) for data, p, _ in cases]
     values = [speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
@@ -166,7 +172,7 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
 
 
 def _choices(values: Array) -> list[tuple[int, Array, int]]:
-    """Return which speed, the knots in it [rad/s], and whether on the casing (0) or in the bearing (1)."""
+    """Return the choices: index of the speed, its knots [rad/s], and 0 for the casing or 1 for the bearing."""
     return [
         (which, np.linspace(speed.min(), speed.max(), count), body)
         for (which, speed), count, body in product(enumerate(values), KNOTS, (0, 1))
@@ -174,22 +180,22 @@ def _choices(values: Array) -> list[tuple[int, Array, int]]:
 
 
 _FEWEST_PERIODS = 10
-"""Periods within a record from which a frequency is tried [1]. Chosen: fewer are a trend, which the test against slow
-torques covers; a larger value leaves a gap between both tests."""
+"""Smallest number of periods in a record at which a frequency is tried [1]. Chosen: fewer are a trend, which the test
+against slow torques covers; a larger value leaves a gap between both tests."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi over the length of the record [1]. Chosen: fewer pass over peaks, more
+"""Trial frequencies per width of a peak, 2 pi over the length of the record [1]. Chosen: fewer overlook peaks, more
 cost time; the finer search follows."""
 _FINER = 16
-"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: fewer lose height of the
-peak, more cost time."""
+"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: fewer understate the peak,
+more cost time."""
 _RETAINED = 1e-3
-"""Share of its response that a torque must retain orthogonal to the free columns [1]. Chosen: a smaller value tests
+"""Smallest share of the response to a torque that is orthogonal to the free columns [1]. Chosen: a smaller value tests
 rounding, a larger one omits torques that are nearly absorbed."""
 
 
 _NEAR_RESONANCE = 0.01
-"""Smallest difference of the squares of the frequencies of a drive and an oscillator, as a share of the latter [1].
-Chosen: a smaller value gives unbounded angles, a larger one understates a resonance."""
+"""Smallest difference of the squared frequencies of a drive and an oscillator, over that of the oscillator [1].
+Chosen: a smaller value gives unlimited angles, a larger one understates a resonance."""
 
 
 @dataclass(frozen=True)
@@ -198,15 +204,15 @@ class PeriodogramPeak:
 
     rate: float  # its frequency, 2 pi over the period [rad/s]
     torque: float  # its amplitude [N m]
-    angle: float  # amplitude of the body's angle, k / (I w^2) [rad]
+    angle: float  # amplitude of the angle that the torque causes [rad]; k / (I w^2) far above a resonance
     label: str  # the case
-    body: str  # "casing", or "body" where only one was recorded
-    p_value: float  # probability that noise has as high a peak (an upper bound)
+    body: str  # name of the body for the user, for example "casing"
+    p_value: float  # probability that noise has a peak of this height (an upper bound)
     unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
 
     @property
     def words(self) -> str:
-        """What the residual torque depends on."""
+        """The predicate of a sentence about the residual torque."""
         return (
             f"is sinusoidal with a period of {2 * math.pi / self.rate:.4g} s in {self.label}: a torque of "
             f"{format_torque(self.torque, unit=self.unit)} on the {self.body}, "
@@ -215,15 +221,15 @@ class PeriodogramPeak:
 
     @property
     def law(self) -> str:
-        """The formula to add."""
+        """The formula to add to the model, for the option --add."""
         return f"casing: k*cos({self.rate:.5g}*t + phi)"
 
 
 def periodogram_peak(fit: Fit) -> PeriodogramPeak | None:
-    """Return the highest peak of the periodograms of all cases; None if no record is long enough.
+    """Return the most significant peak of the periodograms of all cases; None if no record is long enough.
 
-    An encoder or a camera may have a systematic error of some frequency, smaller than the noise of one angle: on film,
-    the p-value of such an amplitude is 1.
+    A camera may have a systematic error of a single frequency that is smaller than the noise of one angle. The p-value
+    of a peak with such a small angle is therefore 1 if the recording was tracked on film.
     """
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     peaks = [peak for case in cases if (peak := _highest_peak(*case, len(cases))) is not None]
@@ -231,13 +237,13 @@ def periodogram_peak(fit: Fit) -> PeriodogramPeak | None:
 
 
 def significant_peak(fit: Fit, criteria: Criteria) -> PeriodogramPeak | None:
-    """Return the highest peak of the periodograms if it contradicts an adequate fit (`Criteria.doubt_adequate`)."""
+    """Return the most significant peak if it contradicts an adequate fit (`Criteria.doubt_adequate`), else None."""
     peak = periodogram_peak(fit)
     return peak if peak is not None and peak.p_value < criteria.doubt_adequate else None
 
 
 def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: int) -> PeriodogramPeak | None:
-    """Return the highest peak of one of several cases; None if its record is too short."""
+    """Return the highest peak of one of `cases` cases; None if its record is too short."""
     periodogram = _Periodogram(data, prediction, noise)
     lowest, highest, step = periodogram.band
     if highest <= lowest:
@@ -249,11 +255,11 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
     top = int(np.argmax(power))
     k, rate = float(torque[top]), float(fine[top])
     motion, record = data.motion, data.record
-    # the response of a driven oscillator far from resonance, or of a free body
+    # amplitude of the angle of a driven oscillator without damping, or of a free body
     stiffness = (2 * np.pi / motion.period) ** 2
     angle = k / (record.I_casing * max(abs(stiffness - rate**2), _NEAR_RESONANCE * stiffness))
     credible = not record.tracked or angle > float(np.median(record.casing.sigma))
-    # with a model that loses the phase the residual is the whole motion, which no additional torque explains
+    # if the model loses the phase, the residual is the whole motion, which no additional torque explains
     credible = credible and angle < motion.amplitude
     share = periodogram.share(rate)
     p_values = [
@@ -283,7 +289,7 @@ class _Periodogram:
 
     @property
     def band(self) -> tuple[float, float, float]:
-        """Lowest and highest frequency, and their distance [rad/s]."""
+        """Lowest and highest trial frequency, and the step between trial frequencies [rad/s]."""
         cell = self._response.edges[1] - self._response.edges[0]
         return 2 * np.pi * _FEWEST_PERIODS / self.span, 1.0 / float(cell), 2 * np.pi / self.span / _PER_PEAK
 
@@ -317,30 +323,32 @@ class _Periodogram:
 
 
 _ORDERS = (3, 4, 5, 6)
-"""Harmonics of the angle that no law of the library has [1]. Chosen: more orders cost significance, fewer overlook
-torques of several periods per turn."""
+"""Orders of the harmonics of the angle that no law of the library has [1]. Chosen: more orders cost significance, fewer
+overlook torques of several periods per turn."""
 _HARMONIC_AMPLITUDE = "harmonic.k"
 _FIRST_SHARE = 0.01
 """Largest initial amplitude of a harmonic, as a share of the largest torque [1]. Chosen: a larger value starts in a
 wrong motion, a smaller one needs more steps."""
 _DETERMINED = 2.0
-"""Amplitude of a determined harmonic [standard errors]. Chosen: a smaller value reports harmonics of noise, a larger
-one omits weak ones; the p-value has decided before."""
+"""Smallest amplitude of a harmonic that counts as determined [standard errors]. Chosen: a smaller value reports
+harmonics of noise, a larger one omits weak ones; the p-value is tested first."""
 _AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 
 @dataclass(frozen=True)
 class HarmonicTest:
-    """The harmonic of the casing's angle, of third order or more, that the residual torque contains most clearly."""
+    """The most significant harmonic of the residual torque in the angle of the casing, of third or higher order."""
 
     order: int  # periods per turn
-    p_value: float  # probability that noise has as clear a harmonic (Bonferroni bound over the orders)
+    p_value: (
+        float  # probability that noise has a harmonic of this significance (Bonferroni bound over the orders)
+    )
     unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
     fit: Fit | None = None  # with the harmonic as an effect; None if its amplitude is not determined
 
     @property
     def words(self) -> str:
-        """What the residual torque depends on."""
+        """The predicate of a sentence about the residual torque."""
         size = "of undetermined amplitude"
         if self.fit is not None:
             k = self.fit.estimates[_HARMONIC_AMPLITUDE]
@@ -349,11 +357,11 @@ class HarmonicTest:
 
 
 def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
-    """Return the most significant harmonic of the casing's angle that no law of the library describes.
+    """Return the most significant harmonic of the angle of the casing that no law of the library describes.
 
-    chi2 = r'S (S'S)^-1 S'r with 2 degrees of freedom per case, S the whitened responses to sin(n psi), cos(n psi)
-    orthogonal to the free columns. In slow turns the motion is not linear in these torques, and the amplitude of this
-    regression is wrong: that of a significant harmonic is fitted.
+    The statistic chi2 = r'S (S'S)^-1 S'r has 2 degrees of freedom per case. S contains the whitened responses to
+    sin(n psi) and cos(n psi), orthogonal to the free columns. In slow turns the motion is not linear in these torques,
+    so the amplitude of this regression is wrong; the amplitude of a significant harmonic is therefore fitted.
     """
     found, start = HarmonicTest(0, 1.0), {}
     others = [np.abs(CaseColumns(fit, i).typical_torque).max() for i in range(len(fit.problem.cases))]
@@ -382,7 +390,7 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
                 torque, phase = float(np.hypot(*gamma)), math.atan2(gamma[1], gamma[0])
         single = float(tail_probability(chi2, count, fit.noise, shares)) if count else 1.0
         p_value = min(1.0, len(_ORDERS) * single)
-        # a high order hardly moves the body: to account for an error of the motion it would exceed all other torques
+        # a torque of high order hardly moves the body; to describe an error of the motion, it has to exceed all others
         if p_value < found.p_value and torque <= max(others):
             found = HarmonicTest(order, p_value, fit.torque_unit)
             start = {_HARMONIC_AMPLITUDE: min(torque, _FIRST_SHARE * max(others)), f"{law.name}.phi": phase}
@@ -410,7 +418,10 @@ UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 def contradiction(
     chosen: Candidate | None, end: Fit, criteria: Criteria
 ) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
-    """Return the lack-of-fit test that contradicts an answer (the effect `chosen`, or none) in the fit `end`."""
+    """Return the lack-of-fit test that contradicts an answer, the effect `chosen` or none; None if no test does.
+
+    `end` is the fit with this effect.
+    """
     peak = significant_peak(end, criteria)
     if peak is not None:
         return peak
@@ -418,7 +429,7 @@ def contradiction(
         harmonic = harmonic_test(end, criteria)
         if harmonic.p_value < criteria.doubt_adequate:
             return harmonic
-    # with an equivalence class, or without an effect, no law is named
+    # no law is named if there is no effect or an equivalence class
     unnamed = chosen is None or bool(chosen.indistinguishable_from)
     test = smooth_test(end)
     return test if test.p_value < (criteria.doubt_adequate if unnamed else criteria.doubt_named) else None
@@ -427,10 +438,10 @@ def contradiction(
 def nonparametric_rivals(
     fit: Fit, chosen: Candidate | None, test: FormTest | None, criteria: Criteria
 ) -> tuple[str, ...]:
-    """Return the nonparametric torques that explain as much as the named effect or its class; `fit` is without it.
+    """Return the nonparametric torques that explain as much as the named effect or its equivalence class.
 
-    A law of one speed can resemble a law of another speed on another body; a law with a free time constant or
-    frequency can resemble any slow torque in time.
+    `fit` does not contain the effect. A law of one speed can resemble a law of another speed on another body. A law
+    with a free time constant or frequency can resemble any slow torque in time.
     """
     if chosen is None or not chosen.physical:
         return ()

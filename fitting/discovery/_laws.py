@@ -1,29 +1,31 @@
-"""The law itself: which formula outside the library explains the unmodelled torque.
+"""Search for a formula outside the library that explains the unmodelled torque.
 
     grammar -> score -> refit -> score about the best refit -> refit -> equivalence set
 
 1. All laws of the grammar, each at many values of its shape constants, are scored together about the base
-   (`_score`: matrix products). Null data go through the same search; the smallest p-value of all laws in each null data
-   set calibrates the family-wise p-value, which so takes the number of laws into account.
-2. The best ones are refitted with the base. A law of some per cent of the torque changes the motion by more than the
-   noise, so all laws are scored once more about the best refit, with its law removed from the model,
+   (`_score`: matrix products). Null data are searched in the same way. The smallest p-value of all laws in each null
+   data set calibrates the family-wise p-value, so this p-value accounts for the number of laws.
+2. The laws of the highest scores are refitted with the base. A law of a few per cent of the torque changes the motion
+   by more than the noise. Therefore all laws are scored again about the best refit, with its law removed from the
+   model:
 
-       r' = z - rows(theta) + W u_law,
+       r' = z - rows(theta) + W u_law.
 
-   which is linear in the difference of two laws and not in the law itself. Shape constants are refined on these scores.
-3. The best ones of the second search are refitted at the same noise and ranked by BIC plus the description length of
+   This residual is linear in the difference of two laws, whereas the first one is linear only in a small law. Shape
+   constants are refined on these scores.
+3. The best laws of the second search are refitted at the same noise and ranked by BIC plus the description length of
    the formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to the
-   answer, which is a set. Two formulas of the set may have the same torque along the recorded motion: with predictions
-   x and y of the rows, nuisance parameters projected out, the deviance that would separate them is
+   answer, which is a set. Two formulas of the set have the same torque along the recorded motion if the deviance that
+   would separate them is small:
 
-       |M (x - y)|^2 < `Criteria.evidence`.
+       |M (x - y)|^2 < `Criteria.evidence`,
 
-   Such formulas are grouped, so that the set shows how many torques the data cannot separate, and by how many formulas
-   each of them can be written.
-4. Where one law is not enough, a second one is sought in the same way about the best fit.
+   where x and y are their predictions of the rows, and M projects out the nuisance parameters. Such formulas are
+   grouped. The groups show how many torques the data cannot separate, and how many formulas describe each torque.
+4. If the best fit has a significant lack of fit, a second law is searched in the same way about it.
 
-An effect of the library that describes the data as well as a law is named before it. So is a shared parameter of the
-base, if freeing it per recording describes the data better than any law.
+An effect of the library that describes the data as well as a law is named first. A shared parameter of the base is also
+named first if separate values in the recordings describe the data better than any law.
 """
 
 from __future__ import annotations
@@ -96,15 +98,15 @@ _LATER = 9
 _KEPT = 48
 """Laws that take part in the later searches [1]. Chosen: fewer may omit the best form, more cost time."""
 _SEARCHES = 3
-"""Searches, each beside the laws found before [1]. Chosen: fewer leave scores of a wrong motion, more cost time and
-change little."""
+"""Searches; each later one scores about the best refit so far [1]. Chosen: fewer leave scores about a wrong motion,
+more cost time and change little."""
 _POINTS = 1000
 """Points of a curve along the motion [1]. Chosen: fewer blur narrow laws, more cost time."""
 _COMPARABLE_SHARE = 0.8
-"""Share of the best law's fall of the deviance from which on an effect of the library is fitted at the same noise [1].
-Chosen: a smaller value costs time, a larger one names a formula where a known effect describes the data as well."""
+"""Fall of deviance, over that of the best law, above which an effect of the library is fitted at the same noise [1].
+Chosen: a smaller value costs time, a larger one names a formula although a known effect describes the data as well."""
 _EXPLAINED_TIE = 0.01
-"""Difference of explained shares below which two variables explain as much [1]. Chosen: a smaller value prefers one by
+"""Difference of explained shares below which two variables count as equal [1]. Chosen: a smaller value prefers one by
 chance, a larger one hides the better one."""
 _ROUNDS = 4
 """Steps of the refinement of two shape constants [1]. Chosen: each narrows the grid; fewer start the refit far away,
@@ -116,8 +118,8 @@ _STEPS = 8
 """Steps of the progress bar [1]. Chosen: the usual number of searches and refits; another value makes the bar jump or
 stop before its end."""
 _RANK = 1e-9
-"""Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
-a larger one leaves a part of the free columns."""
+"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
+rounding, a larger one ignores some nuisance columns."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +127,11 @@ class Difference:
     """The largest difference of two laws of a set within the recordings."""
 
     formula: str  # the other law
-    torque_Nm: float  # noqa: N815 - of the net torque on a body, base included [N m]
-    label: str  # the case in which it occurs
-    t_start: float  # [s]; from then to t_stop it is more than half of that
+    torque_Nm: float  # noqa: N815 - difference of the net torques on a body, base included [N m]
+    label: str  # the case in which the difference occurs
+    t_start: float  # [s]; from t_start to t_stop the difference exceeds half of torque_Nm
     t_stop: float
-    omega_c: tuple[float, float]  # speeds there [rad/s]
+    omega_c: tuple[float, float]  # smallest and largest speed in this interval [rad/s]
     omega_r: tuple[float, float]
 
 
@@ -147,15 +149,15 @@ class Law:
     formula: str  # terms as ``body: law``, joined by " + "; `fit --add` takes a single term
     form: str  # in words
     effects: tuple[Effect, ...]  # its terms, one or two
-    score: float  # fall of the deviance when it is added to the base
-    delta_bic: float  # BIC with it minus BIC without
-    description_length: float  # what the length of its formula adds to BIC in the ranking
-    p_value: float  # of such a score anywhere in the search if nothing is missing (family-wise)
+    score: float  # fall of the deviance when the law is added to the base
+    delta_bic: float  # BIC with the law minus BIC of the base
+    description_length: float  # penalty of the length of the formula, added to BIC in the ranking
+    p_value: float  # family-wise: probability of such a score in the whole search if no law is missing
     torque_rms_Nm: float  # noqa: N815 - along the measured motion [N m]
     estimates: dict[str, Estimate]  # by ``<effect>.<symbol>``
     indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
     same_torque_as: tuple[str, ...]  # those of them with the same torque along the recorded motion
-    differences: tuple[Difference, ...]  # where it differs from the others
+    differences: tuple[Difference, ...]  # its largest difference from each other law of the answer
     fit: Fit = field(repr=False)  # the refit of base and law
 
     def __repr__(self) -> str:
@@ -167,12 +169,12 @@ class Law:
 
     @property
     def body(self) -> str:
-        """The body or joint on which it acts."""
+        """The body or joint on which the law acts; both, joined by " and ", if two terms act on different ones."""
         return " and ".join(dict.fromkeys(e.joint for e in self.effects))
 
     @property
     def penalised(self) -> float:
-        """BIC and description length: what laws are ranked by."""
+        """BIC plus description length, by which laws are ranked."""
         return self.fit.bic + self.description_length
 
 
@@ -180,7 +182,7 @@ class Law:
 class Laws:
     """The answer of `laws`.
 
-    `verdict`: "law" (one was found), "library" (an effect of the library describes the data), "parameter" (a shared
+    `verdict` is "law" (a law was found), "library" (an effect of the library describes the data), "parameter" (a shared
     parameter differs between the recordings), or "none" (no law is significant).
     """
 
@@ -191,9 +193,11 @@ class Laws:
     library: Candidate | None  # the effect of the library that describes the data as well as any law
     depends_on: tuple[Dependence, ...]  # torque against each variable, the largest share first
     next_experiment: str  # the run that separates the laws of the set; empty for one law
-    trials: int  # how many columns were scored
-    diagnosis: Diagnosis | None = field(default=None, repr=False)  # of the base, if made
-    differs: DifferentParameter | None = None  # its difference describes the data as well as the laws do
+    trials: int  # number of scored columns
+    diagnosis: Diagnosis | None = field(default=None, repr=False)  # of the base, if it was made
+    differs: DifferentParameter | None = (
+        None  # separate values of it describe the data as well as the laws do
+    )
     trace: tuple[Refit, ...] = field(
         default=(), repr=False
     )  # every fit of the search, also those that failed
@@ -235,7 +239,7 @@ def laws(
     workers: WorkerPool | None = None,
     progress: Progress | None = None,
 ) -> Laws:
-    """Return the laws outside the library that explain the unmodelled torque of a fit, as a set.
+    """Return the set of laws outside the library that explain the unmodelled torque of a fit.
 
     Parameters
     ----------
@@ -244,17 +248,18 @@ def laws(
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     diagnosis : Diagnosis, optional
-        Its diagnosis, if it is known already. If that names an effect of the library without a significant remainder,
-        the search stops there. Without it, `diagnose` runs only where an effect of the library leaves no lack of fit.
+        The diagnosis of the fit, if it exists. If it names an effect of the library without a significant remainder,
+        the search stops. Without `diagnosis`, `diagnose` runs only if a fit with an effect of the library has no
+        significant lack of fit.
     beyond_library : bool
-        Search in this case as well.
+        Search for laws although an effect of the library describes the data.
     criteria : Criteria, optional
-        Thresholds of every decision; those of the fit by default. With other criteria of the noise the fit is repeated
-        first, and `diagnosis` is not used.
+        Thresholds of every decision; those of the fit by default. If the criteria of the noise differ from those of the
+        fit, the fit is repeated first, and `diagnosis` is ignored.
     workers : WorkerPool, optional
         Processes that share the refits.
     progress : callable, optional
-        Called with (steps done, steps).
+        Called with the number of steps done and the total number.
 
     Returns
     -------
@@ -356,10 +361,10 @@ def _laws(
 
 
 def library_answer(known: Diagnosis, criteria: Criteria = DEFAULT) -> Candidate | None:
-    """Return the effect of the library that makes other laws unnecessary, if there is one.
+    """Return the effect of the library that makes other laws unnecessary; None if there is none.
 
-    An equivalence class that contains an unknown law does not, nor a fit that needs more process noise than the
-    recording has: it describes the data by that noise.
+    There is none if the diagnosis has a remainder or if the equivalence class contains an unknown law. There is also
+    none if the fit needs more process noise than the recording has, because this noise then describes the data.
     """
     if known.verdict != "missing_effect" or known.remainder is not None or not known.candidates:
         return None
@@ -370,7 +375,7 @@ def library_answer(known: Diagnosis, criteria: Criteria = DEFAULT) -> Candidate 
 
 
 def _may_suffice(candidates: Sequence[Candidate], criteria: Criteria) -> bool:
-    """Return whether the best effect of the library, or one of its class, leaves no significant lack of fit."""
+    """Return whether the fit with the best effect, or with one of its equivalence class, has no lack of fit."""
     chosen = best_candidate(candidates, criteria)
     if chosen is None:
         return False
@@ -398,7 +403,7 @@ class _Steps:
 
 
 class _Trial(NamedTuple):
-    """A law to refit: its form, its score about some fit, the other initial values, the model without it."""
+    """A law to refit: its form, its score, the initial values of the other parameters, and the model without it."""
 
     law: LawForm
     score: Score
@@ -407,14 +412,14 @@ class _Trial(NamedTuple):
 
 
 class _Scored(NamedTuple):
-    """Scores of all laws, and the linearised data that they were computed on."""
+    """Scores of all laws, and the linearised data from which they were computed."""
 
     scores: list[Score]
     context: ScoreContext
     cases: list[CaseColumns]
 
     def start(self, about: Fit, s: Score) -> dict[str, float]:
-        """Return the variables of a fit, changed to first order by a law of the strength of its score."""
+        """Return the parameters of a fit, changed to first order by the addition of the scored law."""
         trials = [c.trials(s.effect, [x])[:1] for c, x in zip(self.cases, s.shape, strict=True)]
         ((_, columns),) = stacked(trials, per_case=s.effect.per_case or s.own_phase)
         layout = about.problem.layout
@@ -426,7 +431,7 @@ class _Scored(NamedTuple):
 
 
 class _Chosen(NamedTuple):
-    """A law to refit, its score, and the data that this was computed on."""
+    """A law to refit, its score, and the data from which the score was computed."""
 
     law: LawForm
     score: Score
@@ -504,14 +509,14 @@ class _Search:
         if not refits:
             return []
         if best.fit.fails(self.criteria):
-            # a second term that BIC does not justify only imitates another form of the first one
+            # a second term that BIC does not justify only corrects the form of the first one
             limit = best.penalised - self.criteria.evidence
             refits = [*refits, *(r for r in self._with_second_term(best) if r.penalised < limit)]
         self.steps.next()
         found = sorted((self._law(r) for r in refits), key=lambda x: x.penalised)
         if min(x.p_value for x in found) >= self.criteria.significance:
             return []
-        # laws that are equivalent to a significant one belong to the set
+        # laws equivalent to the best one belong to the set although they are not significant themselves
         limit = found[0].penalised + self.criteria.equivalence_width
         return [x for x in found if x.penalised < limit or x.p_value < self.criteria.significance]
 
@@ -520,7 +525,7 @@ class _Search:
         return self._family(null(s.score), null.weights)
 
     def improves_on(self, known: Candidate) -> bool:
-        """Return whether some law describes the data clearly better than an effect, to first order about its fit."""
+        """Return whether a law describes the data clearly better than an effect, to first order about its fit."""
         if known.fit is None or not known.physical:
             return False
         scored = self._scored(known.fit, [known.effect])
@@ -542,8 +547,9 @@ class _Search:
     def _scored(self, about: Fit, removed: Sequence[Effect], *, release: bool = False) -> _Scored:
         """Return the scores of all laws about a fit with some of its effects removed.
 
-        With the right law a friction at its bound may become positive, or may remain there. Scores with `release` find
-        laws of the first kind, those with parameters at a bound held find the second kind.
+        If the right law is added, a friction coefficient at its bound may become positive or may remain at the bound.
+        Scores with `release` free the parameters at a bound and find laws of the first kind; scores without `release`
+        hold these parameters and find laws of the second kind.
         """
         cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
         effects = [f.effect for f in self.forms]
@@ -559,7 +565,10 @@ class _Search:
     def _promising(
         self, scored: _Scored, most: int, *, about: _Refitted | None = None, stateless: bool = False
     ) -> list[_Chosen]:
-        """Return the laws to refit: those of largest score minus the penalty of their constants and length."""
+        """Return the `most` laws with the largest score minus the penalty of their constants and formula length.
+
+        The terms of `about` are excluded, and with `stateless` all laws that have a state.
+        """
         known = set() if about is None else {t.effect.name for t in about.terms}
         found = [
             _Chosen(law, s, scored)
@@ -573,7 +582,7 @@ class _Search:
     def _refits(
         self, chosen: Sequence[_Chosen], about: Fit, noise: Sequence[Noise], replaced: Sequence[LawForm] = ()
     ) -> list[_Refitted]:
-        """Return the refits of laws that replace some effects of a fit, from its values."""
+        """Return the refits of laws that replace the effects `replaced` of a fit; its values are the initial values."""
         model = about.model
         for t in replaced:
             model = model.without(t.effect.name)
@@ -624,13 +633,13 @@ def _at_bound(found: Fit) -> bool:
 
 
 def _without_repetition(chosen: Sequence[_Chosen], more: Sequence[_Chosen]) -> list[_Chosen]:
-    """Return both lists as one, each law once."""
+    """Return the concatenated lists, with each law once."""
     names = {c.law.effect.name for c in chosen}
     return [*chosen, *(c for c in more if c.law.effect.name not in names)]
 
 
 def _refined_shapes(context: ScoreContext, s: Score, cases: Sequence[CaseColumns]) -> Score:
-    """Refine two shape constants between the points of their grid, common to all cases."""
+    """Return a score whose two shape constants, shared by all cases, are refined between the points of their grids."""
     shapes = [p for p in cases[0].parameters(s.effect) if p.role == "shape"]
     if len(shapes) != 2 or s.effect.per_case or s.absorbed or s.score <= 0:
         return s
@@ -652,7 +661,7 @@ def _refined_shapes(context: ScoreContext, s: Score, cases: Sequence[CaseColumns
 
 
 def _ratio(grid: Sequence[float], value: float) -> float:
-    """Return the ratio of neighbouring points of a grid at a value."""
+    """Return the ratio of the two points of a grid that enclose a value."""
     ordered = np.sort(np.abs(np.array(grid)))
     ordered = ordered[ordered > 0]
     if len(ordered) < 2:
@@ -671,7 +680,7 @@ def _shared_data(common: _Common) -> Sequence[CaseData]:
 
 
 def _refit(common: _Common, trial: _Trial) -> Fit | None:
-    """Refit base and law together; None if the search fails."""
+    """Refit base and law together; None if the fit fails."""
     base = common.base
     with attempt("a law"):
         found = fit(
@@ -696,13 +705,13 @@ def _best_of_each_law(refits: Sequence[_Refitted]) -> list[_Refitted]:
 
 
 def formula_of(effect: Effect) -> str:
-    """Return a law as ``body: law``, with the equation of its state."""
+    """Return a law as ``body: law``, followed by the differential equation of its state if it has one."""
     state = f", d({effect.state.symbol})/dt = {effect.state.rate}" if effect.state else ""
     return f"{effect.joint}: {effect.law}{state}"
 
 
 def _with_positive_strength(effect: Effect, found: Fit) -> Effect:
-    """Return a law written with a minus sign where its strength is negative."""
+    """Return the effect; its law is written with a minus sign if its strength is negative in all recordings."""
     own = [e.value for k, e in found.estimates.items() if k.partition("@")[0] == f"{effect.name}.k"]
     return replace(effect, law=f"-{effect.law}") if own and max(own) < 0 else effect
 
@@ -738,7 +747,7 @@ def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
 
 
 def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
-    """Return laws, best first, each with the other laws of the answer that the data cannot separate from it."""
+    """Return the laws, each with the other laws of the answer, those of equal torque, and its differences from them."""
     answer = [x for x in found if x.penalised - found[0].penalised < criteria.equivalence_width]
     groups: list[list[Law]] = []
     for law in answer:
@@ -764,7 +773,7 @@ def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
 
 
 def _separation(one: Fit, other: Fit) -> float:
-    """Return the deviance by which data that one fit predicts exactly would separate the other one from it."""
+    """Return the deviance of a fit for noise-free data predicted by another one, nuisance parameters projected out."""
     total = 0.0
     both = zip(one.problem.data, one.noise, one.predictions, other.predictions, strict=True)
     for data, noise, a, b in both:
@@ -776,7 +785,7 @@ def _separation(one: Fit, other: Fit) -> float:
 
 
 def _difference(one: Law, other: Law) -> Difference | None:
-    """Return where the net torques of two fits differ most, in the motion of the first."""
+    """Return the largest difference of the net torques of two fits along the motion of the first one."""
     worst: Difference | None = None
     for case, data in enumerate(one.fit.problem.data):
         t = np.linspace(*data.record.span, _POINTS)
@@ -819,7 +828,7 @@ def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Cri
 def _nothing_sentence(
     model: Model, depends_on: Sequence[Dependence], criteria: Criteria, body: str = CASING
 ) -> str:
-    """Return what a search without a law means; effects that were added before may imitate the law."""
+    """Return the sentence of a search that found no law; effects that were added before may imitate the law."""
     if not depends_on or depends_on[0].p_value >= criteria.significance:
         return "No law is significant: this search finds nothing beyond noise."
     sentence = f"No law improves this fit, although its unmodelled torque depends on {depends_on[0].words}."
@@ -844,17 +853,17 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
     if found.library is not None:
         parts.append(
             f"{_capital(found.fit.name(found.library.effect))} of the library describes the data as well as any law "
-            "found: it comes first."
+            "found, so it is listed first."
         )
     best, depends_on = found.laws[0], found.depends_on
-    # in a single run two variables may be nearly functions of each other: then the variable of the law is named
+    # in a single run, one variable may nearly be a function of another; then the variable of the law is named
     of_law = {(e.joint, v) for e in best.effects for v in symbols(e.expression)}
     least = depends_on[0].explained - _EXPLAINED_TIE if depends_on else 0.0
     preferred = [d for d in depends_on if (d.body, d.variable) in of_law and d.explained > least]
     first = next(iter([*preferred, *depends_on]), None)
     if first is not None and first.p_value < criteria.significance:
         parts.append(
-            f"The unmodelled torque depends most clearly on {first.words}: a smooth function of it explains "
+            f"The unmodelled torque depends most clearly on {first.words}: a smooth dependence explains "
             f"{100 * first.explained:.0f} % of the lack of fit."
         )
     parts.append(
@@ -868,6 +877,6 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
         )
     if others:
         parts.append(
-            f"{others} law{'s' if others > 1 else ''} with a different torque cannot be separated from it."
+            f"{others} law{'s' if others > 1 else ''} with a different torque cannot be separated from the best law."
         )
     return " ".join(parts)

@@ -1,15 +1,16 @@
-"""Faults of the measurement as alternatives to a missing effect: starts of the rotor windows, slipped turns.
+"""Measurement errors as alternatives to a missing effect: start times of the rotor windows, slipped turns.
 
-An error dt_i of the start of window i changes its angles, apart from its free phase, by c_i dt_i (see
-`fitting.inference._case_data`). Where nothing is stated about the starts, all dt_i are drawn from a normal distribution
-of an unknown standard deviation s. With the residuals r and the columns C = (c_1, c_2 ...), whitened by the noise of
-the fit and orthogonal to its free columns,
+An error dt_i of the start of window i changes the angles of the window by c_i dt_i, apart from the free phase (see
+`fitting.inference._case_data`). If the uncertainty of the starts is not stated, all dt_i are drawn from a normal
+distribution with an unknown standard deviation s. Let r be the residuals and C = (c_1, c_2 ...) the columns, both
+whitened by the noise of the fit and orthogonal to its free columns. Then
 
-    -2 log L(s) = r'r - r'C (C'C + 1/s^2)^-1 C'r + log det(1 + s^2 C'C),
+    -2 log L(s) = r'r - r'C (C'C + 1/s^2)^-1 C'r + log det(1 + s^2 C'C).
 
-and the evidence is the mean of L over s, uniform in ln s from a tenth to ten times `Criteria.start_u`. It
-is the fall of a restricted deviance with the prior of all parameters integrated out, so it is compared with the fall of
-BIC of an effect as it is. The errors themselves are the conditional means (C'C + 1/s^2)^-1 C'r.
+The evidence is twice the logarithm of the mean of L(s) / L(0) over s, with ln s uniform from a tenth to ten times
+`Criteria.start_u`. In the evidence all parameters are integrated out with their priors, so the evidence is directly
+comparable with the fall of BIC of an effect. The errors are estimated by the conditional means
+(C'C + 1/s^2)^-1 C'r.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _LEVELS = 21
-"""Trial levels of an unstated start error, over two decades [1]. Chosen: fewer make the mean likelihood coarse, more
-cost time."""
+"""Trial standard deviations of the start times, over two decades [1]. Chosen: fewer make the mean likelihood coarse,
+more cost time."""
 
 
 class StartErrors:
-    """The errors of the starts of all rotor windows of a fit, as random effects of unknown size."""
+    """The errors of the starts of all rotor windows of a fit, as random effects of unknown standard deviation."""
 
     def __init__(self, base: Fit, criteria: Criteria) -> None:
         self.base = base
@@ -82,14 +83,14 @@ class StartErrors:
 
     @property
     def p_value(self) -> float:
-        """Return the probability of such a fall without errors of the starts: s is at its bound, zero, in half."""
+        """The probability of such a fall if the starts have no errors; half of the null data have s = 0, its bound."""
         from scipy.special import chdtrc
 
         return 0.5 * float(chdtrc(1, max(self.fall, 0.0)))
 
     @property
     def estimates(self) -> dict[str, Estimate]:
-        """The error of each start."""
+        """The error of each start with its standard uncertainty [s], by window."""
         return {
             name: Estimate(float(value), float(u), "s", at_bound=False)
             for name, value, u in zip(self._names, self.errors, self.stderrs, strict=True)
@@ -97,7 +98,7 @@ class StartErrors:
 
     @property
     def score(self) -> Score:
-        """The same as a score of a candidate."""
+        """The fall of the deviance and the errors, as the score of a candidate."""
         none = np.zeros(0)
         shape: tuple[dict[str, float], ...] = ({},)
         size = max(self.fall, 0.0)
@@ -106,10 +107,10 @@ class StartErrors:
         )
 
     def evidence_of(self, refitted: Fit) -> float:
-        """Return the evidence by a fit with starts of the uncertainty `u`, whose noise is that of its own residuals.
+        """Return the evidence from `refitted`, a fit with starts of uncertainty `u` and the noise of its own residuals.
 
-        The noise of a base that errors of the starts have bent is too large, and the linear fall too small. The loss by
-        averaging over s is taken from the linear fall.
+        Errors of the starts bias the base, so that its noise is too large and the linear fall too small. The loss by
+        averaging over s is the same as in the linear evidence.
         """
         more, base = (
             sum(d.start_time_noise.log_determinant for d in f.problem.data) for f in (refitted, self.base)
@@ -118,7 +119,7 @@ class StartErrors:
         return max(self.evidence, fall + self.evidence - self.fall)
 
     def refit(self) -> Fit | None:
-        """Return the fit with starts of this uncertainty; None if it fails."""
+        """Return the fit with starts of uncertainty `u`; None if it fails."""
         with attempt("errors of the starts of the rotor windows"):
             return with_start_u(self.base, self.u)
         return None
@@ -131,7 +132,7 @@ def _fall(gram: Array, b: Array, s: float) -> float:
 
 
 def with_start_u(base: Fit, u: float) -> Fit:
-    """Return a fit with unstated starts replaced by starts of this standard uncertainty [s]."""
+    """Return the fit in which the starts without a stated uncertainty have the standard uncertainty `u` [s]."""
     data = [d.with_start_u(u) for d in base.problem.data]
     old = base.problem.layout
     layout = ParameterLayout.of(base.model, [d.record for d in data], *old.choices, old.ranges, old.ties)
@@ -144,12 +145,12 @@ def with_start_u(base: Fit, u: float) -> Fit:
 
 
 def starts_are_unknown(data: Sequence[CaseData]) -> bool:
-    """Return whether nothing is stated about the starts of some rotor windows."""
+    """Return whether the uncertainty of the start of a rotor window is not stated."""
     return any(d.is_angle and d.record.rotor and d.record.unstated_starts for d in data)
 
 
 def slip_estimates(slips: Sequence[Slip]) -> dict[str, Estimate]:
-    """Return the turns that slipped, by series and time."""
+    """Return the number of slipped turns, by series and time."""
     return {
         f"{SLIP.name}.n@{s.where}, {s.time:.3f} s": Estimate(float(s.turns), 0.0, "1", at_bound=False)
         for s in slips

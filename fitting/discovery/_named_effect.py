@@ -1,32 +1,32 @@
 """Tests of a named effect: of its form, and of the moments of inertia with which it was found.
 
-An effect with which the residuals are consistent with noise need not be exact: the recordings may be unable to show
-that it is not. Three tests decide, about the fit with the effect, whose torque is tau(v) as a function of its variable
-v.
+If the residuals are consistent with noise, the effect need not be exact: the recordings may not contain enough
+information to refute its form. Three tests of the form use the fit with the effect. tau(v) is the torque of the effect
+as a function of its variable v.
 
-*Detection limit.* Another law of v would deviate by tau(v) h(v) with a smooth h, here piecewise linear with independent
-normal values at a few knots. With the whitened responses S to the functions at the knots, orthogonal to all that is
-free, the smooth test (`fitting.discovery._lack_of_fit`) has the noncentrality
+*Detection limit.* Another law of v deviates by tau(v) h(v) with a smooth function h. Here h is piecewise linear with
+independent normal values at a few knots. Let S be the whitened responses to the functions of the knots, orthogonal to
+all free columns. The smooth test (`fitting.discovery._lack_of_fit`) then has the noncentrality
 
-    lambda = h'S'S h,
+    lambda = h'S'S h.
 
-and the limit is the rms of h, as a share of the torque, with which it detects nine in ten deviations with a probability
-of 90 %. Deviations that the base absorbs are not detectable: a constant torque of the bearing, for example, in a narrow
-range of speeds.
+The limit is the rms of h, as a share of the torque, at which the test detects nine in ten deviations with a probability
+of at least 90 %. Deviations that the base absorbs are not detectable, for example a constant torque of the bearing in a
+narrow range of speeds.
 
-*Active bounds.* If chi-square would fall were a parameter to pass its bound, the sum of the laws has another form. With
-the columns B of these parameters, orthogonal to all that is free,
+*Active bounds.* If chi-square falls when parameters pass their bounds, the sum of the laws has another form. With the
+columns B of these parameters, orthogonal to all free columns, the fall of chi-square is
 
     chi2 = r'B (B'B)^-1 B'r   with rank(B) degrees of freedom.
 
-*Time.* A law with a state variable, or of time, with a fitted time constant can imitate any torque that changes slowly
-in time. It is compared with a cubic spline in time on the same body: the torque of the effect is added to the residual,
-its parameters are held, and the spline is fitted instead.
+*Time.* A law of time, or a law with a state variable, that has a fitted time constant can imitate any torque that
+changes slowly in time. It is compared with a cubic spline in time on the same body: the spline replaces the effect in
+a linear refit.
 
-*Inertia.* Only ratios of torque to inertia are observable, and the torque between the bodies acts on both: the data
-determine the ratio of the moments of inertia. With a wrong ratio the base has a systematic error, so that a wrong
-effect, or the right one with a wrong form, may describe the data best. So the list of candidates is scored once more
-with the ratio free, and the best ones are refitted with it.
+The *inertia* is a further test. Only ratios of torque to inertia are observable, and the torque between the bodies acts
+on both. The data therefore determine the ratio of the moments of inertia. If the given ratio is wrong, the base has a
+systematic error; then a wrong effect, or the right effect with a wrong form, may describe the data best. Therefore the
+list of candidates is scored again with a free ratio, and the best candidates are refitted with a free ratio.
 """
 
 from __future__ import annotations
@@ -61,26 +61,25 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _KNOTS = 4
-"""Knots of the relative deviation of a law from the named one [1]. Chosen: fewer describe a straight deviation only,
-more raise the detection limit of broad deviations."""
+"""Knots of the relative deviation of a law from the named one [1]. Chosen: fewer describe linear deviations only, more
+raise the detection limit of broad deviations."""
 _INNER_KNOTS = 5
 """Inner knots of the spline in time [1]. Chosen: fewer do not follow a change of the torque, more absorb noise."""
 _POWER = 0.9
-"""Probability of detection, and share of the deviations, of the detection limit [1]. Chosen: as
+"""Probability of detection at the limit, and share of the deviations detected with this probability [1]. Chosen: as
 `fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
 _DRAWS = 4000
-"""Random deviations whose quantile is the limit [1]. Chosen: fewer make the limit random, more cost time."""
+"""Random deviations from which the limit is computed [1]. Chosen: fewer make the limit random, more cost time."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
 `fitting.discovery._lack_of_fit`; a smaller value tests rounding, a larger one omits deviations that are nearly
 absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: as in
-`fitting.discovery._lack_of_fit`; a smaller value projects out rounding, a larger one leaves a part of the free
-columns."""
+`fitting.discovery._lack_of_fit`; a smaller value projects out rounding, a larger one ignores some free columns."""
 _TINY = 1e-300
-"""Smallest mean square torque by which a square is divided [1]. Derived: it avoids a division by zero and is below any
-other square."""
+"""Smallest sum of squared torques by which another sum is divided [1]. Derived: it avoids a division by zero and is
+below any other sum."""
 _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta", "factor": "delta"}
 
 
@@ -88,21 +87,24 @@ _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta", "fact
 class FormTest:
     """Information of the data on the form of a law."""
 
-    # rms deviation of the law that is detected with 90 % probability, as a share of its rms torque; infinite if the
-    # base absorbs every deviation
+    # rms deviation from the law that is detected with 90 % probability, as a share of the rms torque; infinite if the
+    # other parameters absorb every deviation
     limit: float
     variable: str  # the variable of the deviation: "t", "omega_r", "omega_c" or "delta"
     bounds: tuple[str, ...]  # parameters at a bound
-    bounds_p: float  # p-value of their values beyond the bounds
-    any_in_time: bool  # any torque that changes slowly in time describes the data as well
+    bounds_p: float  # p-value of the fall of chi-square if these parameters pass their bounds; 1 without active bounds
+    any_in_time: bool  # whether any torque that changes slowly in time describes the data as well
 
     def is_strong(self, criteria: Criteria) -> bool:
-        """Return whether a remainder above that of an exact law would be detected, and no active bound matters."""
+        """Return whether a deviation larger than an approximate answer may have would be detected.
+
+        False also if the fit significantly prefers values outside active bounds.
+        """
         return self.limit < math.sqrt(1 - criteria.explained) and self.bounds_p > criteria.doubt_named
 
 
 def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
-    """Return how well the data test the form of an effect, which does not depend on an angle, in its own fit."""
+    """Return how well the data test the form of `effect`, which is part of the fit and does not depend on an angle."""
     cases = [CaseColumns(found, i) for i in range(len(found.predictions))]
     torques = [_torque(c, effect) for c in cases]
     variable = _variable(effect)
@@ -120,7 +122,7 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     effects = [c.torque_rows(r[:, None], k[:, None]) for c, (r, k) in zip(cases, torques, strict=True)]
     columns = [np.concatenate(parts, axis=1) for parts in zip(deviations, splines, effects, strict=True)]
     known = zip(found.problem.data, found.predictions, found.noise, columns, strict=True)
-    # a deviation raises the level of the model, at which it is tested, to that of the recording at most
+    # a deviation may raise the process noise at which it is tested, but only up to the level of the recording
     rows = [FewRows.of(*case, level=case[2].pure) for case in known]
     free, residual = np.concatenate([r.free for r in rows]), np.concatenate([r.residual for r in rows])
     tested = [np.split(r.tested, [_KNOTS, -1], axis=1) for r in rows]
@@ -142,7 +144,10 @@ def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, Array]:
 
 
 def _variable(effect: Effect) -> str:
-    """Return the only variable of a law; time if it has several or a state, the speed of its body if it has none."""
+    """Return the variable of a law: its speed, or the speed of its body or joint if it has none.
+
+    The variable is time for a law of time, of several speeds, with a state, or with an input.
+    """
     names = symbols(effect.expression) - {p.symbol for p in effect.parameters}
     speeds = names & {"omega_r", "omega_c", "delta"}
     if effect.state is not None or "t" in names or effect.inputs or len(speeds) > 1:
@@ -151,7 +156,7 @@ def _variable(effect: Effect) -> str:
 
 
 def _has_time_constant(effect: Effect) -> bool:
-    """Return whether a law has a time constant or a separate frequency, and no changepoint."""
+    """Return whether a law of time, or with a state, has a shape constant and no changepoint."""
     names = symbols(effect.expression)
     in_time = effect.state is not None or "t" in names
     return in_time and not effect.breakpoint and any(p.role == "shape" for p in effect.parameters)
@@ -165,15 +170,16 @@ def _cubic_spline(t: Array) -> Array:
 
 
 def _orthogonal(columns: Array, free: Array) -> Array:
-    """Return the part of columns that is orthogonal to the free ones."""
+    """Return the components of columns that are orthogonal to the columns `free`."""
     return orthogonal_to(orthonormal(free, _RANK_FREE), columns)
 
 
 def _limit(response: Array, square: float, criteria: Criteria) -> float:
-    """Return the rms share of a deviation that is detected, from the responses at the knots.
+    """Return the rms deviation, as a share of the torque, that is detected with 90 % probability.
 
-    `square` is the mean square of the piecewise linear functions; of random deviations of that size, nine in ten have
-    the noncentrality with which the smooth test detects nine in ten.
+    `response` contains the responses to the piecewise linear functions of the knots. `square` is the sum of squares of
+    their torques over that of the torque of the effect. The limit is the rms at which nine in ten random deviations
+    have a noncentrality that the smooth test detects with 90 % probability.
     """
     from scipy.special import chdtri, chndtrinc
 
@@ -188,7 +194,7 @@ def _limit(response: Array, square: float, criteria: Criteria) -> float:
 
 
 def _active_bounds(found: Fit, free: Array, residual: Array) -> tuple[tuple[str, ...], float]:
-    """Return the parameters at a bound, and the p-value of the fall of chi-square if they were to pass it."""
+    """Return the parameters at a bound, and the p-value of the fall of chi-square if they pass their bounds."""
     from scipy.special import chdtrc
 
     layout, bound = found.problem.layout, found.problem.layout.at_bound(found.theta)
@@ -203,7 +209,7 @@ def _active_bounds(found: Fit, free: Array, residual: Array) -> tuple[tuple[str,
 def _rise_with_spline(
     found: Fit, effect: Effect, spline: Array, torque: Array, free: Array, residual: Array
 ) -> float:
-    """Return the rise of chi-square when a spline in time replaces an effect."""
+    """Return the rise of chi-square, to first order, if a spline in time replaces an effect."""
     layout = found.problem.layout
     moving = ~layout.at_bound(found.theta)
     others = moving & np.array([n.partition("@")[0].rpartition(".")[0] != effect.name for n in layout.names])
@@ -221,7 +227,7 @@ _SHARE = f"{INERTIA}.eps"
 
 
 def relative_uncertainty(found: Fit) -> float:
-    """Return the relative standard uncertainty of I_casing/I_rotor, the smallest of all cases; 0 if none is stated."""
+    """Return the smallest relative standard uncertainty of I_casing/I_rotor of all cases; 0 if none is stated."""
     relative = []
     for d in found.problem.data:
         r = d.record
@@ -232,21 +238,24 @@ def relative_uncertainty(found: Fit) -> float:
 
 @dataclass(frozen=True)
 class InertiaRival:
-    """An effect that describes the data as well or better with the ratio of the moments of inertia free."""
+    """An effect with which the data are described as well or better if the ratio of the moments of inertia is free."""
 
     share: Estimate  # relative error of I_casing/I_rotor
-    stated: float  # its relative standard uncertainty; 0 if none is stated
-    effect: str  # the effect
+    stated: float  # stated relative standard uncertainty of this ratio; 0 if none is stated
+    effect: str  # name of the effect
     fit: Fit  # the fit with effect and free ratio
-    better: bool  # whether it describes the data better than the selected effect, and not only as well
+    better: bool  # True if the fit describes the data better than the selected effect, False if only as well
 
     def is_allowed(self, criteria: Criteria) -> bool:
-        """Return whether the stated uncertainty allows the error."""
+        """Return whether the stated uncertainty allows the error (`Criteria.inertia_sigma`)."""
         allowed = criteria.inertia_sigma * math.hypot(self.stated, self.share.stderr)
         return self.stated > 0 and abs(self.share.value) <= allowed
 
     def sentence(self, criteria: Criteria) -> str:
-        """Return the error of the ratio and its stated uncertainty in words; empty if it is consistent with zero."""
+        """Return a sentence with the error and the stated uncertainty of the ratio.
+
+        Empty if the error is consistent with zero.
+        """
         if abs(self.share.value) < criteria.named_sigma * self.share.stderr:
             return ""
         stated = (
@@ -268,9 +277,10 @@ def _percent_off(share: Estimate) -> str:
 def with_free_inertia(
     base: Fit, selection: Selection, extra: tuple[Effect, ...], criteria: Criteria
 ) -> InertiaRival | None:
-    """Return the effect that describes the data as well as the selected ones, or better, with free inertia.
+    """Return the effect that, with a free ratio of inertias, describes the data as well as the selection or better.
 
-    None if no effect does, or only with an error that is not credible; laws of an angle are not tried.
+    None if there is no such effect, if the error of the ratio is not credible, or if the chosen effect depends on an
+    angle.
     """
     chosen = selection.chosen
     if chosen is None or not chosen.physical or chosen.effect.depends_on_angle:
@@ -302,7 +312,12 @@ def with_free_inertia(
 
 
 def reselected(selection: Selection, rival: InertiaRival) -> Selection:
-    """Return the selection with the best effect with free inertia first, then the effect selected without it."""
+    """Return the selection with the rival of free inertia.
+
+    If the rival is better, it becomes the chosen effect, and the previous choice becomes indistinguishable from it.
+    Otherwise the rival becomes indistinguishable from the chosen effect. If both are the same effect, only the final
+    fit changes.
+    """
     chosen = selection.chosen
     if chosen is None or rival.effect == chosen.effect.name:
         return selection._replace(final=rival.fit)
@@ -313,7 +328,7 @@ def reselected(selection: Selection, rival: InertiaRival) -> Selection:
         return selection._replace(candidates=kept, chosen=first)
     own = {k: e for k, e in rival.fit.estimates.items() if k.startswith(f"{rival.effect}.")}
     old = next((c for c in selection.candidates if c.effect.name == rival.effect), None)
-    if old is None:  # the list of candidates was given, without it
+    if old is None:  # a given list of candidates may not contain the rival
         return selection
     first = replace(
         old,
@@ -331,8 +346,9 @@ def reselected(selection: Selection, rival: InertiaRival) -> Selection:
 def inertia_within_uncertainty(fit: Fit, named: list[Candidate], criteria: Criteria) -> str:
     """Return a sentence if errors of the moments of inertia within their uncertainties explain a lack of fit, else "".
 
-    The data determine the ratio of the moments of inertia, so the relative uncertainties add in quadrature; one that is
-    not given counts as none. `named` are the effects that explain the lack of fit, which the data cannot separate.
+    The data determine the ratio of the moments of inertia, so the relative uncertainties add in quadrature; an
+    uncertainty that is not stated counts as zero. `named` contains the indistinguishable effects that explain the lack
+    of fit.
     """
     found = [e for c in named if c.effect.joint == "inertia" for e in c.estimates.values()]
     u = relative_uncertainty(fit)

@@ -1,15 +1,17 @@
 """Optimisation of the next run: the initial conditions that best separate rival explanations.
 
-Two rivals a and b are sets of candidates with strengths g_a and g_b. If a is right, a refit of b, with the shared
-parameters and its own strengths free, has the deviance
+Two rivals a and b are sets of candidates with strengths g_a and g_b. If a is right, a refit of b, with free shared
+parameters and strengths, has the expected deviance
 
-    D_ab = g_a' [ I_aa - I_ao I_oo^-1 I_oa ] g_a,       o = parameters and candidates of b,
+    D_ab = g_a' [ I_aa - I_ao I_oo^-1 I_oa ] g_a,       o = parameters and candidates of b.
 
-the expected difference of deviance (twice the Kullback-Leibler divergence) between the two, with the information I of
-all recordings and the planned run (`fitting.discovery._information`). The criterion of a run is the sum of two gains in
-natural units of information: the logarithm of 1 + the smallest D over all ordered pairs of rivals (T-optimality: A.
-Atkinson, V. Fedorov, Biometrika 62, 57 (1975)), limited at a clear separation, and the mean logarithm of the
-information about each candidate's strength, which lowers the detection limits.
+D_ab is the expected difference of deviance of the two rivals, twice the Kullback-Leibler divergence. I is the
+information of all recordings and the planned run (`fitting.discovery._information`).
+
+The criterion of a run is the sum of the gains of two numbers, in natural units of information. The first number is the
+logarithm of 1 + D, with the smallest D over all ordered pairs of rivals (T-optimality: A. Atkinson, V. Fedorov,
+Biometrika 62, 57 (1975)); D is limited to a clear separation. The second number is the mean logarithm of the
+information about the strength of each candidate; more information lowers the detection limits.
 
 The search is quasi-random within the bounds, then local with decreasing steps.
 """
@@ -40,50 +42,59 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _RING = 1.5
-"""Moment of inertia of a casing with an inertia ring over the present one [1]. Chosen: a ring that is easily made; a
-larger value proposes heavy ones, a smaller one gains little information."""
+"""Moment of inertia of the casing with an inertia ring, over the present one [1]. Chosen: such a ring is easily made; a
+larger value proposes heavy rings, a smaller one gains little information."""
 _SURFACE = 3.0
-"""Largest factor between the friction of another surface and the present one [1]. Chosen: usual surfaces differ by
-about as much; a larger value proposes unknown ones, a smaller one gains little information."""
+"""Largest ratio of the friction of another surface to that of the present one [1]. Chosen: usual surfaces differ by
+about this factor; a larger value proposes unknown surfaces, a smaller one gains little information."""
 _APPARATUS_GAIN = 1.5
-"""Factor of the gain in information from which on a change of the apparatus is proposed [1]. Chosen: a smaller value
-proposes work for little, a larger one hides useful changes."""
+"""Smallest factor of the gain in information at which a change of the apparatus is proposed [1]. Chosen: a smaller
+value proposes changes of little use, a larger one hides useful changes."""
 _AMPLE = 4.0
-"""Largest separation that counts, over the square of `Criteria.experiment_sigma` [1]. Chosen: a smaller value is
-content with a bare separation, a larger one neglects the detection limits."""
+"""Largest separation that counts, over the square of `Criteria.experiment_sigma` [1]. Chosen: a smaller value accepts a
+narrow separation, a larger one neglects the detection limits."""
 _CAP = 50.0
-"""Largest logarithm of a gain in information that counts [1]. Chosen: a strength that is undetermined without the run
-gains without bound; a larger value lets it decide alone, a smaller one hides differences between runs."""
+"""Largest logarithm of a gain in information that counts [1]. Chosen: the gain of a strength that is undetermined
+without the run is unlimited; a larger value lets this strength decide alone, a smaller one hides differences between
+runs."""
 _RANDOM = 20
-"""Random runs before the model of the gain directs the search [1]. Chosen: fewer may start about a local maximum, more
-leave less for the directed search."""
+"""Largest number of quasi-random runs before the local search [1]. Chosen: fewer may start the local search at a local
+maximum, more leave fewer runs for it."""
 _FINEST = 0.02
-"""Step, as a share of the bounds, at which the local search ends [1]. Chosen: a smaller value is finer than a run can
-be prepared, a larger one loses information."""
+"""Step, as a share of the range between the bounds, at which the local search ends [1]. Chosen: a run cannot be
+prepared more finely than a smaller value, a larger one loses information."""
 _SEPARABLE = 1.0
-"""Difference of deviance that some run must reach, or two rivals count as inseparable [1]. Chosen: one standard
-deviation; a smaller value plans runs that decide nothing, a larger one gives up rivals that several runs separate."""
-_ELSE = "change what only one of them depends on (air pressure, surface, lubricant)."
+"""Difference of deviance that no run exceeds if two rivals count as inseparable [1]. Chosen: one standard deviation; a
+smaller value plans runs that decide nothing, a larger one gives up rivals that several runs separate."""
+_ELSE = "change a condition on which only one of them depends (air pressure, surface, lubricant)."
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of the runs that are possible with this apparatus; each a pair (smallest, largest)."""
+    """Bounds of the runs that are possible with this apparatus; each is a pair (smallest, largest)."""
 
     omega_rotor: tuple[float, float]  # initial angular rate [rad/s]
-    omega_casing: tuple[float, float]  # spun by hand [rad/s]; negative: against the rotor
+    omega_casing: tuple[
+        float, float
+    ]  # initial rate, spun by hand [rad/s]; negative values are against the rotor
     duration: tuple[float, float]  # of the recording [s]
-    inertia_casing: tuple[float, float] = (1.0, _RING)  # over the present one, with an inertia ring
-    touchpoint: tuple[float, float] = (1 / _SURFACE, _SURFACE)  # friction, over the present one
-    reversible: bool = True  # whether the rotor can be started in the other sense
+    inertia_casing: tuple[float, float] = (
+        1.0,
+        _RING,
+    )  # moment of inertia with an inertia ring, over the present one
+    touchpoint: tuple[float, float] = (
+        1 / _SURFACE,
+        _SURFACE,
+    )  # friction of the support, over the present one
+    reversible: bool = True  # whether the rotor can be started in the other sense of rotation
 
     @classmethod
     def of(cls, fit: Fit) -> Bounds:
-        """Return bounds according to the recordings of a fit.
+        """Return bounds derived from the recordings of a fit.
 
-        The initial rate of the body that is spun up is between a third of its largest recorded rate and this rate, that
-        of another one at most its largest recorded rate in either sense; a recording takes between half and twice the
-        longest one.
+        The initial rate of the spun body is between a third of its largest recorded rate and this rate. The initial
+        rate of the other body is at most its largest recorded rate, in either sense of rotation. The duration is
+        between half and twice that of the longest recording.
         """
         speeds = [d.initial_speeds[1] for d in fit.problem.data]
         spans = [d.record.span for d in fit.problem.data]
@@ -107,11 +118,13 @@ class NextRun:
 
     run: Run
     bounds: Bounds
-    rivals: tuple[tuple[str, ...], ...]  # the explanations that it separates
-    separation: float  # smallest expected difference of deviance of two rivals after it; NaN without rivals
-    present: float  # the same without it
-    repeated: float  # the same after one more run like the present ones
-    gains: dict[str, float]  # by effect, detection limit after the run over the present one
+    rivals: tuple[tuple[str, ...], ...]  # the explanations that the run separates
+    separation: (
+        float  # smallest expected difference of deviance of two rivals after the run; NaN without rivals
+    )
+    present: float  # the same difference without the run
+    repeated: float  # the same difference after one more run like the present ones
+    gains: dict[str, float]  # by effect: detection limit after the run, over the present limit
     times: Array = field(repr=False)  # of the predicted motion [s]
     omega_rotor: Array = field(repr=False)  # predicted [rad/s]
     omega_casing: Array = field(repr=False)  # predicted [rad/s]
@@ -130,7 +143,7 @@ class _Criterion:
         ignored: Sequence[tuple[int, int]] = (),
     ) -> None:
         self._all = list(range(information.parameters))
-        # parameters of all rivals alike
+        # parameters that all rivals have in common
         disputed = {k for r in rivals for k in r.columns}
         self._base = [k for k in self._all if k not in disputed]
         self._rivals, self._ignored = rivals, set(ignored)
@@ -151,12 +164,12 @@ class _Criterion:
         return found
 
     def separation(self, total: Array) -> float:
-        """Return the smallest difference between rivals that are not ignored."""
+        """Return the smallest difference of deviance of pairs of rivals that are not ignored; NaN if there is none."""
         values = [v for k, v in self.pairs(total).items() if k not in self._ignored]
         return min(values, default=math.nan)
 
     def limits(self, total: Array) -> Array:
-        """Return the information about the strength of each candidate alone."""
+        """Return the information about the strength of each candidate, other candidates absent; mean of its columns."""
         traces = [float(np.trace(schur(total, places, self._all))) for places in self._candidates]
         return np.array(traces) / [len(places) for places in self._candidates]
 
@@ -179,9 +192,10 @@ def next_run(
     evaluations: int = 60,
     progress: Progress | None = None,
 ) -> NextRun | None:
-    """Return the run within some bounds that best separates rivals, or without rivals best lowers detection limits.
+    """Return the run within the bounds that best separates the rivals or, without rivals, lowers detection limits most.
 
-    At most `evaluations` runs are simulated; None if none can be. `progress` is called with (runs simulated, all).
+    At most `evaluations` runs within the bounds are simulated; None if no run can be simulated. `progress` is called
+    with the number of simulated runs and their total number.
     """
     search = _RunSearch(information, rivals, criteria, bounds, evaluations, progress)
     search.explore()
@@ -200,15 +214,16 @@ diagnosis."""
 def separating_run(
     fit: Fit, explanations: Sequence[tuple[str, Sequence[Effect], Mapping[str, Estimate]]], criteria: Criteria
 ) -> str:
-    """Return the run that separates rival explanations, in words; empty with fewer than two.
+    """Return the run that best separates rival explanations, in words; empty for fewer than two explanations.
 
-    An explanation is its name, its terms, and their parameters by ``<effect>.<symbol>``.
+    An explanation consists of its name, its effects, and their parameters by ``<effect>.<symbol>``. Laws of an angle
+    are ignored.
     """
     smooth = [x for x in explanations if not any(e.depends_on_angle for e in x[1])][:MOST_RIVALS]
     if len(smooth) < 2:
         return ""
     if len(fit.problem.data[0].motion.reversals):
-        # planned runs have initial speeds, and an oscillation begins with a release from an angle
+        # a planned run starts with given speeds, an oscillation with a release from an angle
         restoring = [x for x in smooth if any(e.restoring for e in x[1])]
         return _LARGER_AMPLITUDE if len(restoring) > 1 else ""
     if fit.model.rigid_contact is not None:
@@ -237,7 +252,7 @@ _LARGER_AMPLITUDE = (
 def _mean_values(
     effect: Effect, estimates: Mapping[str, Estimate], records: Sequence[Record]
 ) -> dict[str, float]:
-    """Return the parameters of an effect by symbol; the mean of the cases where each has its own."""
+    """Return the parameters of an effect by symbol; a parameter with per-case values has their mean."""
     values = {}
     for key, p in parameters_at([effect], records).items():
         own = [e.value for k, e in estimates.items() if k.partition("@")[0] == key]
@@ -246,7 +261,7 @@ def _mean_values(
 
 
 def _strengths(effect: Effect, values: Mapping[str, float]) -> list[float]:
-    """Return the strength, or those of sine and cosine of a law with a phase."""
+    """Return the strength, or the sine and cosine strengths of a law with a phase."""
     role = {p.role: p.symbol for p in effect.parameters}
     k = values[role["amplitude"]]
     if "phase" not in role:
@@ -255,7 +270,7 @@ def _strengths(effect: Effect, values: Mapping[str, float]) -> list[float]:
 
 
 class _Tried(NamedTuple):
-    """A run that was simulated: its value, its point in the unit cube, sense of rotation, and information."""
+    """A simulated run: value, point in the unit cube, sense of rotation (+1 or -1), settings, information, and fit."""
 
     value: float
     x: Array
@@ -323,7 +338,7 @@ class _RunSearch:
             self.tried.append(found)
 
     def explore(self) -> None:
-        """Try usual and quasi-random runs, and ignore pairs of rivals that none of them separates."""
+        """Try usual and quasi-random runs, and from then on ignore pairs of rivals that no run separates."""
         from scipy.stats import qmc
 
         b = self._bounds
@@ -358,7 +373,10 @@ class _RunSearch:
             best = self._best
 
     def vary_apparatus(self) -> None:
-        """Try the best run with an inertia ring and on other surfaces; a change of the apparatus has to gain enough."""
+        """Try the best run with an inertia ring and on other surfaces.
+
+        A change of the apparatus is kept if it raises the information by the factor `_APPARATUS_GAIN`.
+        """
         best = self._best
         rings = [replace(best.run, ring=r) for r in self._bounds.inertia_casing if r != 1.0]
         surfaces = [replace(best.run, surface=r) for r in self._bounds.touchpoint if r != 1.0]
@@ -408,7 +426,7 @@ def _start_of_casing(run: Run, fit: Fit) -> str:
     return f"start the casing at {casing:.1f} {unit}"
 
 
-# the start of each body in words, and what it touches, by its role
+# by role of a body: its start in words, and the word for its support
 _STARTS = {"rotor": _start_of_rotor, "casing": _start_of_casing, "body": _start_of_body}
 _GROUND = {"casing": "surface", "body": "support"}
 
@@ -431,7 +449,7 @@ def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
     if not found.rivals:
         ratio = [g for g in found.gains.values() if np.isfinite(g)]
         factor = float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-6))))) if ratio else math.nan
-        return f"{what} It lowers the detection limits to {100 * factor:.0f} % of the present ones (geometric mean)."
+        return f"{what} This run lowers the detection limits to {100 * factor:.0f} % (geometric mean)."
     if not math.isfinite(found.separation):
         return f"No run within the bounds separates the rivals: {_ELSE}"
     sigma, now, again = (math.sqrt(max(x, 0.0)) for x in (found.separation, found.present, found.repeated))
@@ -440,7 +458,7 @@ def _sentence(found: NextRun, fit: Fit, criteria: Criteria) -> str:
         f"(now {now:.1f}; {again:.1f} after a repetition)."
     )
     if sigma < criteria.experiment_sigma:
-        expected += f" That is less than {criteria.experiment_sigma:.0f} sigma: repeat it, or {_ELSE}"
+        expected += f" This is less than {criteria.experiment_sigma:.0f} sigma: repeat the run, or {_ELSE}"
     if found.inseparable:
         a, b = found.inseparable[0]
         expected += f" No run within the bounds separates {a} from {b}."

@@ -1,9 +1,9 @@
 """The laws of an oscillator from its averaged equations of motion: restoring torque and damping.
 
-Sets of laws are compared by BIC. The residuals of amplitude and phase are correlated in time: with the correlation r of
-neighbouring ones in the most general model, n residuals contain the information of n (1 - r) / (1 + r) (M. S. Bartlett,
-J. R. Stat. Soc. 98, 1935), and their chi-square counts by the same factor. Anything that no set of laws describes, as a
-motion that is not plane, increases the errors in this way.
+Sets of laws are compared by BIC. The residuals of amplitude and phase are correlated in time. If r is the correlation
+of adjacent residuals of the most general model, n residuals contain the information of n (1 - r) / (1 + r) independent
+ones (M. S. Bartlett, J. R. Stat. Soc. 98, 1935), and their chi-square is multiplied by (1 - r) / (1 + r). Deviations
+that no set of laws describes, for example a motion that is not plane, increase r and so the standard errors.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ a smaller value takes noise for a contradiction, a larger one accepts a fit to a
 class Strength:
     """Strength of a law: value, standard uncertainty, unit.
 
-    `approximate`: from the averaged equations, whose own error is part of the uncertainty.
+    `approximate` states that the value is from the averaged equations; the uncertainty then contains their error.
     """
 
     value: float
@@ -63,7 +63,10 @@ class Strength:
     approximate: bool = True
 
     def contradicts(self, exact: Strength) -> bool:
-        """Return whether an exact fit found another strength; one at its bound has no uncertainty."""
+        """Return whether the strength of an exact fit differs by more than both thresholds.
+
+        A strength at its bound has no finite uncertainty; its uncertainty counts as zero.
+        """
         u = math.hypot(self.stderr, exact.stderr if math.isfinite(exact.stderr) else 0.0)
         least = max(_CONTRADICTING_SHARE * abs(self.value), _CONTRADICTING_SIGMA * u)
         return abs(exact.value - self.value) > least
@@ -82,20 +85,20 @@ class LawSet:
 class OscillatorLaws:
     """The laws of an oscillator."""
 
-    # names of the effects of the smallest set that the data do not separate from that of the lowest BIC
+    # effects of the smallest of the sets that the data do not separate from the set of lowest BIC
     restoring: Names
     damping: Names
-    # all sets of restoring torques, and of damping torques, that the data do not separate, by BIC
+    # all sets of restoring torques, and of damping torques, that the data do not separate, in ascending order of BIC
     restoring_classes: tuple[Names, ...]
     damping_classes: tuple[Names, ...]
     parameters: dict[str, Strength]  # strengths of the chosen set
-    sets: tuple[LawSet, ...] = ()  # all that describe the phase, by BIC
+    sets: tuple[LawSet, ...] = ()  # all sets that describe the phase, in ascending order of BIC
 
     def with_fit(self, fit: Fit) -> tuple[OscillatorLaws, str]:
-        """Return the laws with the sets and the values of an exact fit where these sets contain its laws.
+        """Return the laws with the effects and values of an exact fit, and a sentence that states a contradiction.
 
-        The sentence states a contradiction, and is empty without one: the restoring torques of the fit are not among
-        these sets, or a strength differs from that of the averaged equations, which is then kept.
+        The fit contradicts these laws if its restoring torques are not in `restoring_classes`, or if a strength differs
+        from that of the averaged equations. The laws are then returned unchanged. Otherwise the sentence is empty.
         """
         names = {e.name for e in fit.model.effects}
         exact = [tuple(n for n in group if n in names) for group in ((_SPRING, _CUBIC, _GRAVITY), _DAMPING)]
@@ -127,8 +130,8 @@ class OscillatorLaws:
 def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorLaws | None:
     """Return the laws of an oscillator from the recording of a single body.
 
-    None if the body does not oscillate through enough periods, or if no set of laws describes its phase. The data
-    separate sets whose BIC differ by `Criteria.equivalence_width`.
+    None if the body does not oscillate through enough periods, or if no set of laws describes its phase. Sets are
+    separated by the data if their BIC differ by `Criteria.equivalence_width` or more.
     """
     general = averaged_fit(Model.of(_GENERAL), [data])
     if general is None:
@@ -161,10 +164,11 @@ def fit_oscillator(
 ) -> tuple[OscillatorLaws, Fit]:
     """Return the laws of an oscillator and their exact fit.
 
-    Amplitude and phase of a period contain less than its samples, and the averaged equations err by more than the data
-    where the amplitude is large. So the damping torques that they leave are fitted exactly with the restoring torque of
-    the lowest BIC, and the best of them with the other restoring torques; BIC decides. If the reversals are
-    too many for `Criteria.refit_least` refits (more than 125), the chosen set alone is fitted.
+    Amplitude and phase of a period contain less information than its samples, and at a large amplitude the error of the
+    averaged equations exceeds the noise. Therefore the sets are fitted exactly in two steps. First, each equivalent set
+    of damping torques is fitted with the restoring torques of the lowest BIC. Second, the best damping torques are
+    fitted with the other restoring torques. BIC decides. If the recording has too many reversals for
+    `Criteria.refit_least` refits (more than 125), only the chosen set is fitted.
     """
     reversals = len(data.motion.reversals)
     if not laws.sets or criteria.refits_through(reversals) < criteria.refit_least:
@@ -202,9 +206,10 @@ def fit_oscillator(
 def possible_restoring(
     model: Model, effects: Sequence[Effect], data: Sequence[CaseData], criteria: Criteria
 ) -> set[str] | None:
-    """Return the names of the restoring torques with which a model, which has none, may describe an oscillation.
+    """Return the names of the restoring torques that a model without one needs to describe an oscillation.
 
-    None if the averaged equations give no answer.
+    These are all effects that the data do not separate by BIC. None if the averaged equations give no answer, or if
+    there are several cases.
     """
     if len(data) > 1:
         return None
@@ -221,7 +226,7 @@ def possible_restoring(
 
 
 def _information(general: Averaged) -> Array:
-    """Return the share of independent residuals of amplitude and phase."""
+    """Return the shares (1 - r) / (1 + r) of independent residuals of amplitude and of phase."""
     shares = []
     for rest in np.split(general.rows[0][2], 2):
         r = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
@@ -237,10 +242,11 @@ def _bic(fitted: Averaged, shares: Array) -> float:
 
 
 def _jackknife(design: Array, rest: Array, scale: Array) -> Array:
-    """Return the standard errors of strengths from omitting each of `_BLOCKS` parts of the record in turn.
+    """Return the standard errors of the strengths by a block jackknife with `_BLOCKS` parts of the record.
 
-    Unlike those of the residuals' correlation at the lag of one window, they contain what changes slowly: a law that is
-    missing, or a frequency that drifts (R. G. Miller, Biometrika 61, 1974; blocks: H. R. Kuensch, Ann. Stat. 17, 1989).
+    Unlike standard errors from the correlation of adjacent residuals, these contain the effect of slow deviations: a
+    missing law, or a drift of the frequency (R. G. Miller, Biometrika 61, 1974; blocks: H. R. Kuensch, Ann. Stat. 17,
+    1989).
     """
     count = len(rest) // 2
     level = np.kron(np.eye(2), np.ones((count, 1))) / scale[:, None]
@@ -254,7 +260,11 @@ def _jackknife(design: Array, rest: Array, scale: Array) -> Array:
 
 
 def _strengths(best: Averaged, shares: Array, data: CaseData) -> dict[str, Strength]:
-    """Return the strengths of a set of laws with their standard uncertainties."""
+    """Return the strengths of a set of laws.
+
+    The standard uncertainty is the larger one of the least-squares error, scaled by the reduced chi-square if that
+    exceeds 1, and of the block jackknife, combined with the error of the averaged equations.
+    """
     keys, design, rest = best.rows[0]
     blocks = np.split(design, 2)
     precision = shares[0] * blocks[0].T @ blocks[0] + shares[1] * blocks[1].T @ blocks[1]

@@ -2,7 +2,7 @@
 
     recordings (a fit of them, or their description) -> power of the search -> rivals -> the next run
 
-The recordings are present, with the fit of a model to them, or they are described in a TOML file and simulated::
+The recordings are either measured, and a model is fitted to them, or described in a TOML file and simulated::
 
     model = "reduced"
 
@@ -28,7 +28,7 @@ The recordings are present, with the fit of a model to them, or they are describ
     windows = [5.0, 70.0, 150.0]   # s, start of each film of the rotor
     window_length = 3.0            # s
 
-    [bounds]                       # optional: runs that are possible, pairs of smallest and largest
+    [bounds]                       # optional: smallest and largest value for the next run
     omega_rotor = [300.0, 900.0]
 
 No value has a default, because detection limits depend on all of them.
@@ -132,11 +132,11 @@ class _PlanTable(_Table):
 class PlannedRecordings:
     """Planned recordings of an apparatus."""
 
-    model: Model  # its friction
+    model: Model  # the friction model of the apparatus
     numbers: dict[str, float]  # every parameter [SI]
     inertias: tuple[float, float]  # of rotor and casing [kg m2]
     experiments: tuple[Experiment, ...]  # the runs
-    given: dict[str, Any]  # bounds of the next run that the file states
+    given: dict[str, Any]  # the bounds of the next run that are in the file
 
     def fit(self, simulation: int = 0, criteria: Criteria = DEFAULT) -> Fit:
         """Simulate the recordings with the random numbers of one simulation, and fit the model to them."""
@@ -164,7 +164,7 @@ class PlannedRecordings:
 
     @property
     def bounds(self) -> Bounds:
-        """Bounds of the next run: those of the file, the others according to its runs."""
+        """Bounds of the next run from the file; bounds that are not in the file are derived from the planned runs."""
         rotor = max(abs(e.omega_rotor) for e in self.experiments)
         longest = max(e.duration for e in self.experiments)
         casing = max(abs(e.omega_casing) for e in self.experiments)
@@ -174,9 +174,10 @@ class PlannedRecordings:
 
 
 def read_planned(path: str | Path) -> PlannedRecordings:
-    """Read the description of recordings in a TOML file; see the module's docstring.
+    """Read the description of recordings in a TOML file (format: docstring of the module).
 
-    An EstimationError says which key is missing, unknown or out of range, or which window lies outside its recording.
+    An EstimationError names the key that is missing, unknown or out of range, or the window that ends after its
+    recording.
     """
     name = Path(path).name
     try:
@@ -265,7 +266,7 @@ def _check_parameters(model: Model, given: Mapping[str, float], file: str) -> No
         )
     for key, value in given.items():
         p = model.parameters[key]
-        if p.scale:  # its bounds are those of the recordings that are planned
+        if p.scale:  # the planned recordings determine its bounds
             p = replace(p, lower=0.0, upper=math.inf)
         if not p.lower <= value <= p.upper or math.isnan(value):
             raise EstimationError(
@@ -288,7 +289,7 @@ def _first_error(fault: ValidationError) -> str:
 Progress = Callable[[int, int | None], None]
 
 _EVALUATIONS = 60
-"""Runs that the search of the next run tries [1]. Chosen: fewer may omit the best run, more cost time."""
+"""Runs that the search for the next run evaluates [1]. Chosen: fewer may omit the best run, more cost time."""
 _SIMULATIONS = 2
 """Simulations of described recordings over which the power is averaged [1]. Chosen: fewer make the limits depend on the
 noise of one, more cost time."""
@@ -302,12 +303,14 @@ class Plan:
     """Detection limits and power of some recordings, and the next run."""
 
     fit: Fit  # to the recordings, measured or simulated
-    planned: bool  # the recordings are described and not measured
+    planned: bool  # True if the recordings are described, False if measured
     size: float  # rms torque of an effect [N m] to which `power` and `runs_needed` refer
-    effects: tuple[EffectLimits, ...]  # the one with the smallest detection limit first
+    effects: tuple[EffectLimits, ...]  # in ascending order of the detection limit
     classes: tuple[tuple[str, ...], ...]  # effects that these recordings would not separate
-    next_run: NextRun | None  # None if none can be simulated
-    warning: str = field(default="")  # a restriction of the answer; empty if there is none
+    next_run: NextRun | None  # None if no run can be simulated
+    warning: str = field(
+        default=""
+    )  # reason why the limits are restricted or unreliable; empty if there is none
 
     def __repr__(self) -> str:
         unit = self.fit.torque_unit
@@ -338,18 +341,18 @@ def plan(
     Parameters
     ----------
     recordings : Fit, str or Path
-        A fit of the present recordings, or a TOML file that describes planned ones.
+        A fit to measured recordings, or a TOML file that describes planned recordings.
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     size : float, optional
         Rms torque of an effect [N m] for `power` and `runs_needed`; by default 1 % of the rms torque of the bearing
         (for a single body, of the net torque).
     bounds : Bounds, optional
-        Possible runs; by default those of the file, or according to the recordings.
+        Smallest and largest values for the next run; by default those of the file, or derived from the recordings.
     criteria : Criteria, optional
         Thresholds of the search whose power is computed; those of the fit by default.
     progress : callable, optional
-        Called with (steps done, all).
+        Called with the number of steps done and the total number.
 
     Returns
     -------
@@ -358,7 +361,8 @@ def plan(
     Raises
     ------
     FittingError
-        If the description is not valid, or the size is not positive.
+        If the description is not valid, the size is not positive, the body oscillates about an equilibrium, or the
+        bodies roll on each other.
     """
     if size is not None and not 0 < size < np.inf:
         raise EstimationError(f"the size of the effect is {size:g} N m", "give a positive rms torque in N m")
@@ -413,7 +417,7 @@ def plan(
 
 
 def _classes(found: Sequence[EffectLimits]) -> tuple[tuple[str, ...], ...]:
-    """Return groups of effects of which each is indistinguishable from another, as connected components."""
+    """Return the connected components of indistinguishable effects, as names in the order of the effects."""
     groups: list[set[str]] = []
     for e in found:
         if not e.indistinguishable_from:
@@ -433,7 +437,7 @@ def _warning(fit: Fit, criteria: Criteria) -> str:
         return "The fit has not converged: the limits are not reliable."
     if fit.fails(criteria):
         return (
-            "The model has a significant lack of fit: limits hold for a model without it. "
+            "The model has a significant lack of fit: the limits are valid only for a model without lack of fit. "
             "Run `gyrotrack improve` first."
         )
     return ""

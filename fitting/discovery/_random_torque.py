@@ -1,15 +1,17 @@
 """A slow random torque as the alternative to every answer.
 
-The process noise of a recording is measured without a model, in stretches of time that follow any slow motion; a random
-torque that is slower than these stretches is part of the motion there and is not seen. So its level and its correlation
-time T are free here, from `Criteria.random_torque_shortest` to `Criteria.random_torque_longest`, and the level has a
-ceiling, the share `Criteria.random_torque` of the mean torque. With the covariance C(s, T) of the whitened rows, the
-residuals r and the free columns J, to first order,
+The process noise of a recording is measured without a model, in short stretches whose fit follows any slow motion.
+A random torque that is slower than these stretches counts as motion and is not measured. Therefore its level s and its
+correlation time T are free here. T is between `Criteria.random_torque_shortest` and `Criteria.random_torque_longest`; s
+is at most the share `Criteria.random_torque` of the mean torque. To first order the deviance is
 
-    D = min over s, T of  log det C + min over x of (r - J x)' C^-1 (r - J x).
+    D = min over s, T of  log det C + min over x of (r - J x)' C^-1 (r - J x),
 
-The same alternative is granted to the fit without an effect (D0) and to the fit with it (D1). The effect is established
-if it is significant beside any random torque: D0 - D1 passes BIC, and its p-value the significance for the whole list.
+with the covariance C(s, T) of the whitened rows, the residuals r and the free columns J.
+
+The random torque is free in the fit without an effect (D0) and in the fit with the effect (D1). The effect is
+established if it is significant with any random torque: D0 - D1 exceeds the penalty of BIC, and the p-value for the
+whole list of effects is below the significance.
 """
 
 from __future__ import annotations
@@ -35,31 +37,31 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _TIMES = 8
-"""Trial correlation times of a random torque [1]. Chosen: fewer pass over the maximum of the likelihood, more cost
+"""Trial correlation times of a random torque [1]. Chosen: fewer overlook the maximum of the likelihood, more cost
 time."""
 _LEVELS = 16
-"""Trial levels of a random torque [1]. Chosen: fewer pass over the maximum of the likelihood, more cost time."""
+"""Trial levels of a random torque [1]. Chosen: fewer overlook the maximum of the likelihood, more cost time."""
 _FEWEST_TIMES = 6.0
-"""Smallest length of a record, in correlation times of the random torque [1]. Chosen: with fewer the torque is a trend,
-which absorbs any effect; a larger value leaves slow torques untried."""
+"""Smallest length of a record over the correlation time of the random torque [1]. Chosen: at a smaller value the torque
+is a trend, which absorbs any effect; a larger value leaves slow torques untried."""
 _CERTAIN = 3.0
-"""Inflation of the deviance at which an effect that is established needs no simulation [1]. Measured: the inflation in
-all simulated recordings is 1.0 to 1.8."""
+"""Inflation of the deviance above which the inflation need not be simulated [1]. Measured: the inflation in all
+simulated recordings is 1.0 to 1.8."""
 _SEED = 11
 """Seed of the simulated recordings [1]. Chosen: any value makes the verdict reproducible; another one changes the
 inflation within its error."""
 _DRAWS = 200
 """Simulated recordings of one inflation [1]. Chosen: fewer make the inflation uncertain, more cost time."""
 _RANGE = 4.0
-"""Largest factor between trial times or levels and the true ones, to either side [1]. Chosen: a smaller value
-understates the inflation, a larger one spreads the trials too far."""
+"""Largest ratio of trial times and levels to the true values, and of the true to the trial values [1]. Chosen: a
+smaller value understates the inflation, a larger one spreads the trials too far."""
 _NEAR_TIMES = 7
 """Trial correlation times of a simulated recording [1]. Chosen: fewer understate the inflation, more cost time."""
 _NEAR_LEVELS = 11
 """Trial levels of a simulated recording [1]. Chosen: fewer understate the inflation, more cost time."""
 _LOWEST = 1e-3
-"""Lowest trial level, as a share of the ceiling [1]. Chosen: a smaller value cannot be distinguished from none, a
-larger one leaves a gap above none."""
+"""Lowest trial level, as a share of the ceiling [1]. Chosen: a smaller level cannot be distinguished from zero, a
+larger one leaves a gap above zero."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class RandomTorque:
 
     @property
     def words(self) -> str:
-        """Its size and its correlation time."""
+        """Level, share of the mean torque, and correlation time, in words."""
         noise = self.noise
         size = format_torque(noise.level, unit=self.fit.torque_unit)
         # a model whose strengths are all zero has no torque
@@ -88,12 +90,12 @@ class RandomTorque:
 
     @cached_property
     def is_raised(self) -> bool:
-        """Whether it is larger than the process noise that the recordings show without a model."""
+        """Whether the random torque exceeds the process noise that a recording shows without a model."""
         return any(n.raised for n in self.fit.noise)
 
 
 def with_random_torque(fit: Fit, criteria: Criteria) -> RandomTorque:
-    """Return a fit with the most likely random torque of each case."""
+    """Return a fit with the most likely random torque of each case, if that lowers the deviance."""
     found: list[tuple[Noise, float]] = []
     moving = ~fit.problem.layout.at_bound(fit.theta)
     for i, (data, p, noise) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
@@ -111,7 +113,7 @@ def with_random_torque(fit: Fit, criteria: Criteria) -> RandomTorque:
 
 
 def mean_torque(fit: Fit, case: int) -> float:
-    """Return the mean absolute torque on the bodies of a case along the fitted motion, the larger of both [N m]."""
+    """Return the mean absolute net torque along the fitted motion, of the body with the largest one [N m]."""
     model, prediction = fit.problem.cases[case], fit.predictions[case]
     numbers = fit.problem.layout.numbers(fit.theta, case)
     path, record = prediction.path, fit.problem.data[case].record
@@ -133,7 +135,7 @@ def _most_likely(
     levels = np.geomspace(_LOWEST, 1.0, _LEVELS) * ceiling
     response = TorqueResponse(data, prediction.motion)
     both = scaled_columns(columns, data.z - prediction.rows)
-    # the level that the recording shows at its own time is part of every alternative
+    # the level of the fit, at the correlation time of the recording, is always one of the alternatives
     own = noise.at(min(noise.level, ceiling))
     if not ceiling > 0:
         return own
@@ -160,7 +162,7 @@ def _most_likely(
 
 
 def _deviance(fit: Fit, noises: Sequence[Noise], moving: NDArray[np.bool_]) -> float:
-    """Return the deviance of all cases at these noises, to first order in the variables."""
+    """Return the deviance of all cases with the given noise, to first order in the parameters."""
     r, j = fit.problem.with_noise(noises).residuals(fit.predictions)
     size = np.linalg.norm(j, axis=0)
     used = moving & (size > 0)
@@ -172,9 +174,9 @@ def _deviance(fit: Fit, noises: Sequence[Noise], moving: NDArray[np.bool_]) -> f
 def is_established(
     without: RandomTorque, screened: Score, named: Fit, tests: int, criteria: Criteria
 ) -> bool:
-    """Return whether a fit with an effect describes the data better than any random torque without it.
+    """Return whether a fit with an effect describes the data better than any random torque without the effect.
 
-    `named` is the fit with the effect, `screened` its score, `tests` the number of effects that were tried.
+    `named` is the fit with the effect, `screened` is the score of the effect, `tests` is the number of tried effects.
     """
     more = len(named.theta) - len(without.fit.theta)
 
@@ -183,7 +185,7 @@ def is_established(
         enough = more * float(np.log(named.rows)) + criteria.evidence
         return fall / factor > enough and p_value < criteria.significance
 
-    # a random torque beside the effect only increases the fall
+    # a random torque in addition to the effect only increases the fall
     if more > 0 and passes(without.deviance - named.deviance, _CERTAIN):
         return True
     fall = without.deviance - with_random_torque(named, criteria).deviance
@@ -195,13 +197,13 @@ def is_established(
 
 
 def inflation(without: RandomTorque, named: Fit, criteria: Criteria) -> float:
-    """Return the mean fall of the deviance by an effect without strength, over that at a known random torque.
+    """Return the Bartlett factor of the fall of the deviance by an effect, at least 1.
 
-    Level and correlation time of the random torque are free without and with the effect, and the better of many
-    descriptions is taken each time; so the fall is larger than a chi-square of the same number of columns. Its mean
-    under the null hypothesis is simulated from the most likely random torque of the fit without the effect, to first
-    order, and the fall is divided by the ratio (M. S. Bartlett, Proc. R. Soc. A 160, 268 (1937)). Of several cases the
-    largest ratio counts.
+    Level and correlation time of the random torque are optimised without and with the effect. The fall under the null
+    hypothesis is therefore larger than a chi-square with the same number of columns. Its mean is simulated to first
+    order from the most likely random torque of the fit without the effect. The factor is this mean over the number of
+    columns; the fall is divided by it (M. S. Bartlett, Proc. R. Soc. A 160, 268 (1937)). With several cases, the
+    largest factor counts.
     """
     old = set(without.fit.problem.layout.names)
     added = np.array([n not in old for n in named.problem.layout.names])
@@ -226,7 +228,7 @@ def _mean_fall(
     criteria: Criteria,
     random: np.random.Generator,
 ) -> float:
-    """Return the mean fall of the deviance per added column in simulated rows of one case."""
+    """Return the mean fall of the deviance per added column in `_DRAWS` simulations of the rows of one case."""
     draws = noise.whitener.coloured(random.standard_normal((len(data.z), _DRAWS)))
     response = TorqueResponse(data, prediction.motion)
     times = noise.time * np.geomspace(1 / _RANGE, _RANGE, _NEAR_TIMES)
@@ -248,6 +250,9 @@ def _mean_fall(
 
 
 def describes(without: RandomTorque, criteria: Criteria) -> bool:
-    """Return whether the residuals of a fit are consistent with noise at its most likely random torque."""
+    """Return whether the residuals of a fit are consistent with noise at the most likely random torque.
+
+    The reduced chi-square must be below `Criteria.reduced_chi2`.
+    """
     logs = sum(n.whitener.log_determinant for n in without.fit.noise)
     return (without.deviance - logs) < criteria.reduced_chi2 * without.fit.rows

@@ -1,13 +1,14 @@
-"""Refits of candidate effects on top of the base model, and of the chosen one to full convergence.
+"""Refits of the base model with candidate effects; the chosen refit is continued to full convergence.
 
-A refit starts at the optimum of the base, and at the strength and shape of its score; all parameters vary.
-About a refit, a changepoint t0 is scanned through its neighbourhood while all other parameters follow linearly,
+A refit starts at the optimum of the base and at the strength and shape of the score of the effect. All parameters vary.
+The changepoint t0 of a refit is then scanned through its neighbourhood, while all other parameters follow linearly:
 
-    cost(t0) = | M (z - rows(t0)) |^2,   M = 1 - J (J'J)^-1 J',
+    cost(t0) = | M (z - rows(t0)) |^2,   M = 1 - J (J'J)^-1 J'.
 
-and another refit starts at its minimum. In a joint fit, the changepoint of a case whose process noise remains high is
-far from its true time: the score test was made while the shared parameters were biased by the effect that is missing in
-every case. Once the other cases determine these, the whole record of that case is scored again.
+Another refit starts at the minimum. In a joint fit, the changepoint of a case whose process noise remains high is far
+from the true time. The reason is that the effect was missing in every case and biased the shared parameters when the
+changepoint was scored. After a refit the other cases determine the shared parameters, and the whole record of that case
+is scored again.
 """
 
 from __future__ import annotations
@@ -37,14 +38,13 @@ _NEIGHBOURHOOD = 0.04
 """Neighbourhood of a changepoint that is scanned, as a share of the record [1]. Chosen: a smaller value leaves the
 refit in a local minimum, a larger one leaves the range in which the motion is linear."""
 _STEPS = 48
-"""Times that are tried in the neighbourhood of a changepoint [1]. Chosen: fewer pass over the minimum, more cost
-time."""
+"""Trial times in the neighbourhood of a changepoint [1]. Chosen: fewer overlook the minimum, more cost time."""
 _SEARCHES = 3
 """Largest number of searches for changepoints of cases whose process noise remains high [1]. Chosen: fewer leave cases
 with a wrong time, more cost time."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
-a larger one leaves a part of the free columns."""
+a larger one ignores some free columns."""
 
 
 def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
@@ -55,25 +55,25 @@ def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
 
 
 def has_less_process_noise(fit: Fit, than: Fit, criteria: Criteria) -> bool:
-    """Return whether a fit needs less random torque than another."""
+    """Return whether a case of `fit` has clearly less random torque than in the fit `than` (`Criteria.quieter`)."""
     return any(n.level < criteria.quieter * old.level for n, old in zip(fit.noise, than.noise, strict=True))
 
 
 def has_model_noise(found: Fit) -> bool:
-    """Return whether a model needs more random torque than the recording has, which masks its lack of fit."""
+    """Return whether a fit has more random torque than the recording, which may absorb a lack of fit."""
     return any(n.raised for n in found.noise)
 
 
 def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
-    """Return a fit, or the one at the lowest process noise of the recordings if that describes the data better.
+    """Return a fit, or its refit at the lowest process noise of the recordings if that describes the data better.
 
-    Where process noise accounts for an error in the shape of a law, the shape has no gradient. An oscillation is
-    excepted: it was fitted period by period, so its motion is not in a wrong minimum, and with little noise a search
+    If process noise absorbs an error in the shape of a law, the deviance has no gradient in the shape. Oscillations are
+    excluded: they were fitted period by period, so the motion is not in a wrong minimum, and with little noise a search
     that slips by half a period does not converge.
     """
     if not has_model_noise(found) or not are_smooth(d.motion for d in found.problem.data):
         return found
-    # with so little noise a search may diverge
+    # at the lowest noise a search may diverge
     with attempt("a refit at the lowest process noise"):
         least = [n.at(n.least) for n in found.noise]
         other = fit(found.model, found, start=found.values, noise=least)
@@ -82,23 +82,23 @@ def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
 
 
 def refitted_at(found: Fit, noise: Sequence[Noise], values: Mapping[str, float] | None = None) -> Fit:
-    """Return the same fit at a given noise to full convergence; `values` replace some of its initial values."""
+    """Return the same model fitted at a given noise to full convergence; `values` replace some initial values."""
     begin = found.values
     begin |= {k: v for k, v in (values or {}).items() if k in begin}
     return fit(found.model, found, start=begin, noise=noise)
 
 
 def restarted_from(found: Fit, other: Fit) -> Fit:
-    """Return a fit, or the one that starts at the values of another model if that describes the data better."""
+    """Return a fit, or its refit from the values of another model if that has a lower deviance."""
     with attempt("a refit from the values of another model"):
         return _better(found, refitted_at(found, found.noise, other.values))
     return found
 
 
 def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[str, float]:
-    """Return the parameters of a fit with the changepoint of cases with a residual torque searched in the whole record.
+    """Return the parameters of a fit, by name, with new changepoints of the cases whose process noise is raised.
 
-    Values by name; empty if no other time is better.
+    The whole record of such a case is searched for its changepoint. Empty if no other time is better.
     """
     layout = fit.problem.layout
     strength = next(p.symbol for p in effect.parameters if p.role == "amplitude")
@@ -116,9 +116,9 @@ def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[s
 
 
 def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
-    """Return the parameters of a fit with each changepoint at the most likely time of its neighbourhood.
+    """Return the parameters of a fit, by name, with each changepoint at the most likely time of its neighbourhood.
 
-    Values by name; empty if no other time is better.
+    Empty if no other time is better.
     """
     layout, key = fit.problem.layout, f"{effect.name}.{effect.breakpoint}"
     theta = fit.theta.copy()
@@ -129,14 +129,14 @@ def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
 
 
 def _changed(fit: Fit, theta: Array) -> dict[str, float]:
-    """Return variables by name; empty if they equal those of the fit."""
+    """Return parameters by name; empty if they equal those of the fit."""
     if np.array_equal(theta, fit.theta):
         return {}
     return dict(zip(fit.problem.layout.names, theta.tolist(), strict=True))
 
 
 def _best_time(fit: Fit, index: int, place: int) -> float:
-    """Return the time of least cost about a changepoint, the variable at `place`."""
+    """Return the time of least cost in the neighbourhood of a changepoint, the parameter with index `place` [s]."""
     case, project = fit.problem.cases[index], fit.problem.projections[index]
     first, last = case.data.record.span
     now = float(fit.theta[place])
@@ -160,26 +160,26 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
 
 
 def scores_mislead(base: Fit, criteria: Criteria) -> bool:
-    """Return whether scores about a fit mislead: the model has a drive, and fails.
+    """Return whether scores about a fit are unreliable: its model has a drive and a significant lack of fit.
 
-    Drive and drag are strongly correlated. Without the missing drag both are so wrong (measured: the drag by 40 %) that
-    the linear score of the drag is small, or asks for a negative strength. A body that oscillates is excepted.
+    Drive and drag are strongly correlated. If a drag is missing, the fitted drive and drag are so wrong (measured: the
+    drag by 40 %) that the linear score of the missing drag is small or prefers a negative strength. Oscillating bodies
+    are excluded.
     """
     return not base.model.restoring and any(e.inputs for e in base.model.effects) and base.fails(criteria)
 
 
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
-    """Return the fit of base and candidate from the base's optimum; None if there is none.
+    """Return the fit of base and candidate from the optimum of the base; None if it fails.
 
-    With `thorough`, a refit whose fall of the deviance is less than its score is repeated in other ways: with the
-    process noise of a base with a large lack of fit, a search may converge to strength zero, or to a wrong shape, of
-    the law that describes the data.
+    The process noise of a base with a large lack of fit may make the search converge to zero strength or to a wrong
+    shape. With `thorough`, a refit whose deviance falls by less than its score is therefore repeated in other ways.
     """
     if score.effect.restoring and not base.model.restoring:
-        # the motion of the base does not oscillate: its optimum is not an initial value for a model that does
+        # the motion of the base does not oscillate, so its optimum is not an initial value for an oscillation
         return fit_from_scratch(base, score.effect)
     if score.effect.inputs and not any(e.inputs for e in base.model.effects):
-        # the parameters of a model without the drive of a body describe the drive
+        # the parameters of a model without the drive absorb the drive
         return fit_from_scratch(base, score.effect)
 
     def falls_short(refitted: Fit) -> bool:
@@ -197,17 +197,16 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
         found = _better(found, fit_together(base, score, distant) if distant else None)
         local = local_changepoints(found, score.effect)
         found = _better(found, fit_together(base, score, local) if local else None)
-        # after a step in the wrong sense of rotation one search may not suffice
+        # if a step goes in the wrong direction, one search may not suffice
         if found is before or not has_model_noise(found):
             break
     return found
 
 
 def fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
-    """Return the fit of base and candidate without initial values and noise of the base; None if it fails.
+    """Return the fit of base and candidate without the initial values and the noise of the base; None if it fails.
 
-    At the noise level of a base without a restoring torque, a search converges before phase and frequency are
-    determined.
+    At the noise level of a base without a restoring torque, a search ends before phase and frequency are determined.
     """
     with attempt("a candidate from scratch"):
         found = fit(base.model.with_effect(effect), base.problem.data, quick=True)
@@ -227,7 +226,7 @@ def fit_together(
     *,
     hold_strength: bool = False,
 ) -> Fit | None:
-    """Return the fit of base and candidate, with some parameters common to all cases; None if there is none.
+    """Return the fit of base and candidate, with the parameters `common` shared by all cases; None if it fails.
 
     `hold_strength` holds the strength, as well as the shape, at the value of the score until all other parameters have
     converged.
@@ -250,19 +249,19 @@ def fit_together(
 
 
 def _keys_per_case(score: Score) -> list[str]:
-    """Return the parameters of a shared effect of which each case has its own value."""
+    """Return the parameters of an effect that have a separate value in each case."""
     roles = {"amplitude", "phase"} if score.own_phase else set()
     return [f"{score.effect.name}.{p.symbol}" for p in score.effect.parameters if p.role in roles]
 
 
 def with_common_phase(score: Score) -> Score:
-    """Return a score with one strength and phase common to all cases, as an initial value."""
+    """Return a score with one strength and phase for all cases, for the initial values of a fit."""
     gamma = score.gamma.reshape(-1, 2).mean(axis=0)
     return replace(score, gamma=gamma, columns=2, own_phase=False)
 
 
 def _steady(effect: Effect, names: Iterable[str], *, strength: bool) -> list[str]:
-    """Return the names of the shape constants of an effect, and of its strength."""
+    """Return the names of the shape constants of an effect; with `strength`, of all its parameters."""
     keys = {f"{effect.name}.{p.symbol}" for p in effect.parameters if strength or p.role == "shape"}
     return [n for n in names if n.partition("@")[0] in keys]
 
@@ -270,8 +269,8 @@ def _steady(effect: Effect, names: Iterable[str], *, strength: bool) -> list[str
 def with_common_values(base: Fit, score: Score, found: Fit) -> Fit | None:
     """Return the fit in which all cases share the per-case parameters of the candidate; None if it has none.
 
-    Where the values of all cases agree, BIC counts one parameter: a law has no disadvantage against a rival because its
-    parameters may differ between cases.
+    If the values of all cases agree, BIC then counts one parameter, so a law has no disadvantage because its parameters
+    may differ between cases.
     """
     prefix = score.effect.name + "."
     keys = [k for k in found.problem.layout.per_case if k.startswith(prefix)]
@@ -285,14 +284,14 @@ def with_common_values(base: Fit, score: Score, found: Fit) -> Fit | None:
 
 
 def with_values_per_case(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
-    """Return the better of a fit with per-case values and one that starts at the common ones."""
+    """Return the better of two fits with per-case values: the given one, and one that starts at the common values."""
     values = common.values
     start = {n: values.get(n, values.get(n.partition("@")[0])) for n in found.problem.layout.names}
     return _better(found, fit_together(base, score, {n: v for n, v in start.items() if v is not None}))
 
 
 def initial_values_of(base: Fit, score: Score) -> dict[str, float]:
-    """Return initial values of a candidate's parameters from its score."""
+    """Return initial values of the parameters of a candidate, by name, from its score."""
     effect, labels = score.effect, [r.label for r in base.problem.layout.records]
     own = len(labels) > 1 and (score.own_phase or effect.per_case)
     phase = next((p.symbol for p in effect.parameters if p.role == "phase"), None)
@@ -317,9 +316,10 @@ _JUMP = re.compile(r"heaviside\(t - (\w+)\)")
 
 
 def with_shape_parameter(effect: Effect) -> Effect | None:
-    """Return a law of the library with its fixed shape constant as a parameter; None if it has none.
+    """Return a law of the library whose fixed shape constant is a parameter; None if it has no such constant.
 
-    A power of a speed has its exponent n; a step at t0 becomes (1 + tanh((t - t0) / w)) / 2 with the width w.
+    The parameter of a power of a speed is its exponent n. A step at t0 becomes (1 + tanh((t - t0) / w)) / 2 with the
+    width w.
     """
     if effect.amplitude is None or effect.depends_on_angle or effect.state is not None:
         return None
@@ -343,7 +343,7 @@ def with_shape_parameter(effect: Effect) -> Effect | None:
 
 
 def with_free_shape(found: Fit, effect: Effect, criteria: Criteria) -> Fit | None:
-    """Return the fit with the shape constant of one of its effects as a parameter, if BIC justifies it."""
+    """Return the fit with the shape constant of an effect as a parameter; None if BIC does not justify this."""
     general = with_shape_parameter(effect)
     if general is None:
         return None

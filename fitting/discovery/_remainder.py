@@ -1,18 +1,19 @@
-"""How much of the unmodelled torque an effect explains, and the size of the remainder.
+"""Share of the unmodelled torque that the named effect explains, and the size of the remainder.
 
-Significance and size are two questions. With the net torques T of the base, of the base with the named effect, and of
-the most complete fit, all along the motion of the last one, and the unmodelled torque R of the last one where that is
-significant,
+Significance and size are separate questions. The size follows from the net torques T of three fits: the base, the base
+with the named effect, and the most complete fit (end). All three are evaluated along the motion of the most complete
+fit. R is the unmodelled torque of the most complete fit; it is zero unless its lack of fit is significant. Then
 
     U = T_end - T_base + R,      explained = 1 - <(U - T_named + T_base)^2> / <U^2>,
 
-with the mean over the record, the bodies and the cases.
+where <> is the mean over the record, the bodies and the cases. A law of an angle enters by its amplitude k:
+<(k sin(n psi - phi))^2> = k^2 / 2.
 
-A named law that does not depend on an angle is compared with the slow torques alone: torques of the angle, which angles
-once per turn leave undetermined and large, are stated beside its share. Where a second effect is not determined, the
-unmodelled torque of the fit with the named effect alone is the better estimate of what remains, so the smaller of both
-counts. Where a fitted shape constant is all that the named law lacks, and the base absorbs most of the law, the torques
-of the law itself take the place of U. Laws of an angle enter by their amplitudes k, <(k sin(n psi - phi))^2> = k^2 / 2.
+There are three exceptions. A named law that does not depend on an angle is compared with the slow torques only, because
+angles measured once per turn do not determine torques of the angle, whose estimates are then large; the message states
+these torques separately. If a second effect is not determined, the unmodelled torque of the fit with the named effect
+alone is the better estimate of the remainder; the smaller of both estimates counts. If the named law differs from the
+fit only in a shape constant, and the base absorbs most of the law, the torque of the law itself replaces U.
 """
 
 from __future__ import annotations
@@ -63,10 +64,12 @@ _POINTS = 2000
 class Remainder:
     """The unmodelled torque that is still significant with the named effect."""
 
-    torque_rms_Nm: float  # noqa: N815 - on the body that has more of it [N m]
+    torque_rms_Nm: float  # noqa: N815 - of the body with the larger rms torque [N m]
     share: float  # of the mean square unmodelled torque (0-1)
-    p_value: float  # of what describes it (likelihood ratio), or of the most significant lack-of-fit test
-    sentence: str  # its size and what it depends on
+    p_value: (
+        float  # the smaller of a likelihood ratio of its parameters and the p-values of the lack-of-fit tests
+    )
+    sentence: str  # its size, and the variable on which it depends
 
 
 @dataclass(frozen=True)
@@ -84,8 +87,9 @@ class Nuisance:
 class Torques:
     """Net torques of several fits of the same data along the motion of the most complete one, `end`.
 
-    With `residual` the unmodelled torque of `end` is added: it has a significant lack of fit. Where it is larger than
-    that of the base, an effect has not made the fit more complete, and the base takes its place.
+    `residual` states that `end` has a significant lack of fit; then its unmodelled torque is added. If the mean square
+    unmodelled torque of `end` exceeds that of the base, the added effect did not improve the fit, and the base is used
+    instead of `end`.
     """
 
     def __init__(self, base: Fit, end: Fit, *, residual: bool) -> None:
@@ -113,9 +117,9 @@ class Torques:
         self.unmodelled[case][0][1 if curve.body == "casing" else 0] += added
 
     def remaining(self, named: Fit, *, slow: bool = False) -> tuple[float, float]:
-        """Return the unexplained share of the mean square, and the rms of it on the body with more of it [N m].
+        """Return the unexplained share of the mean square torque, and the larger unexplained rms of a body [N m].
 
-        With `slow`, torques of the angle are left out.
+        With `slow`, torques of the angle are excluded.
         """
         explained = self._difference(named)
         whole, bodies = np.zeros(2), np.zeros(2)
@@ -128,12 +132,12 @@ class Torques:
                 rests = sum(abs(x - fitted_harmonics.get(k, 0)) ** 2 for k, x in own.items())
                 rest = float(np.mean((smooth[body] - fitted[body]) ** 2)) + 0.5 * rests
                 bodies[body] += rest / len(self.unmodelled)
-        if bodies.sum() >= whole.sum():  # it explains nothing: all of the torque remains
+        if bodies.sum() >= whole.sum():  # the fit explains nothing: the whole torque remains
             return float(whole.sum() > 0), float(np.sqrt(whole.max()))
         return float(bodies.sum() / whole.sum()), float(np.sqrt(bodies.max()))
 
     def of_angle(self, named: Fit) -> float:
-        """Return the rms of the torques of the angle that a fit leaves, on the body with more of them [N m]."""
+        """Return the rms of the unexplained torques of the angle [N m], of the body with the larger one."""
         bodies = np.zeros(2)
         explained = self._difference(named)
         for (_, harmonics), (_, fitted) in zip(self.unmodelled, explained, strict=True):
@@ -143,10 +147,10 @@ class Torques:
         return float(np.sqrt(bodies.max()))
 
     def shape_error(self, law: Effect, freed: Effect, fit: Fit) -> tuple[float, float, float]:
-        """Return the size of the difference of a law with a free shape and that of the library, best scaled.
+        """Return the size of the difference between a law with a free shape and the optimally scaled library law.
 
-        Its shares of the mean square unmodelled torque and of that of the law itself, and its rms [N m]. The parameters
-        of the law with a free shape are those of `fit`.
+        The three numbers are the mean square of the difference over that of the unmodelled torque, over that of the law
+        with the free shape, and the rms of the difference [N m]. `fit` has the parameters of the law with a free shape.
         """
         total, own, unexplained, bodies = 0.0, 0.0, 0.0, np.zeros(2)
         for case, t in enumerate(self._time):
@@ -171,7 +175,11 @@ class Torques:
         return of_unmodelled, of_law, float(np.sqrt(bodies.max()))
 
     def _difference(self, fit: Fit) -> list[tuple[list[Array], dict[tuple[int, str], complex]]]:
-        """Return T_fit - T_base of each case: smooth torques on rotor and casing, amplitudes of laws of an angle."""
+        """Return T_fit - T_base of each case [N m].
+
+        The first item contains the smooth torques on rotor and casing, the second the complex amplitudes of the laws of
+        an angle.
+        """
         found = []
         for case in range(len(self._time)):
             a, b = self._smooth(fit, case), self._smooth(self._base, case)
@@ -184,17 +192,17 @@ class Torques:
         t, path = self._time[case], self._end.predictions[case].path
         fitted = fit.predictions[case].path
         motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
-        # the deflection belongs to the motion; states of effects, for example a temperature, are those of the fit
+        # speeds and deflection are those of the common motion; other states, for example a temperature, are of the fit
         for i, name in enumerate(fitted.states[: y.shape[1]]):
             if i < 2:
                 y[:, i] = motion[:, i]
             elif name == "deflection":
-                # measured from the equilibrium of the fit: with a constant torque it is another one
+                # the deflection is measured from the equilibrium of the fit, which a constant torque displaces
                 common = motion[:, path.states.index(name)]
                 y[:, i] = common + (y[:, i].mean() - common.mean())
         numbers = dict(fit.problem.layout.numbers(fit.theta, case))
         if self._end.model.restoring and not fit.model.restoring:
-            # without a restoring torque, the other parameters fitted to an oscillation have no meaning
+            # parameters of a model without a restoring torque that was fitted to an oscillation have no meaning
             known = self._end.problem.layout.numbers(self._end.theta, case)
             numbers |= {k: v for k, v in known.items() if k in numbers}
         rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
@@ -206,11 +214,12 @@ def _mean_square(curves: Sequence[ResidualTorque]) -> float:
 
 
 def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
-    """Return times and unmodelled torque [N m] of an oscillation whose phase a model does not describe.
+    """Return times [s] and unmodelled torque [N m] of an oscillation whose phase a model does not describe; else None.
 
-    Residuals a of the amplitude A and p of the phase are the responses to the torques 2 w a' and 2 w A p' in quadrature
-    and in phase with the deflection. The torque estimated from residuals of the angles would contain the deflection
-    times the error of the phase. None where the residuals are a random torque, or no oscillation.
+    At the angular frequency w, torques per moment of inertia of amplitudes 2 w a' (in quadrature with the deflection)
+    and 2 w A p' (in phase) cause the residuals a of the amplitude A and p of the phase. A torque estimated from the
+    residuals of the angle would contain the deflection times the error of the phase. None also if the fit does not fail
+    grossly, if the body does not oscillate, or if the averaged equations do not describe the phase.
     """
     data = end.problem.data[case]
     if not end.model.restoring or not fails_grossly(data, end.predictions[case], end.noise[case]):
@@ -244,11 +253,12 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
 
 @dataclass(frozen=True)
 class Grade:
-    """The size of an answer: form, explained share, remainder, and the rivals that explain as much.
+    """The size of an answer: form, explained share, remainder, and the rivals that explain the same share.
 
-    `unknown` is a speed of which a law outside the library explains more than the named effect; `test` shows how well
-    the data test the form. Without form and remainder the residuals are consistent with noise, but the form is not
-    established; `noisy` states that this is because the fit needs more process noise than the recording shows.
+    `form` is "exact", "approximate", or None if the form is not established. `unknown` is a speed: a law of this speed
+    outside the library describes the data better than the named effect. `test` is the power of the form test. If form
+    and remainder are None, the residuals are consistent with noise, but the form is not established; `noisy` states the
+    reason that the fit needs more process noise than the recording shows.
     """
 
     form: str | None
@@ -263,7 +273,7 @@ class Grade:
 _INNER_KNOTS = 4
 """Inner knots of a smooth law [1]. Chosen: the law represents any cubic and one bend; fewer leave out the bend, more
 absorb noise."""
-# powers of a speed that no effect of the usual base has, by joint and speed
+# powers of a speed that no effect of the usual base model contains, by joint and speed
 _SMOOTH_LAWS: tuple[tuple[Joint, str, tuple[int, ...]], ...] = (
     ("casing", "omega_c", (2, 3)),
     ("rotor", "omega_r", (0, 1, 3)),
@@ -272,7 +282,11 @@ _SMOOTH_LAWS: tuple[tuple[Joint, str, tuple[int, ...]], ...] = (
 
 
 def smooth_law(joint: Joint, speed: str, powers: Sequence[int], low: float, high: float) -> Effect:
-    """Return a cubic spline of a speed between two values [rad/s], as an effect that represents any smooth law."""
+    """Return an effect whose law is a cubic spline of a speed.
+
+    The spline has these powers of the speed and `_INNER_KNOTS` knots between `low` and `high` [rad/s]; it represents
+    any smooth law.
+    """
     x = f"(({speed} - {low!r})/{high - low!r})"
     knots = np.linspace(0, 1, _INNER_KNOTS + 2)[1:-1].tolist()
     terms = [f"{x}**{p}" if p else "1.0" for p in powers] + [f"abs({x} - {k!r})**3" for k in knots]
@@ -282,9 +296,9 @@ def smooth_law(joint: Joint, speed: str, powers: Sequence[int], low: float, high
 
 
 def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criteria) -> str:
-    """Return the speed of which a smooth law describes the data better than an effect of another speed; "" if none.
+    """Return the speed whose smooth law describes the data better than the effect; "" if there is none.
 
-    The fits are without the effect, with it, and the most complete one.
+    `base` is the fit without the effect, `named` the fit with the effect, `end` the most complete fit.
     """
     bic, speed = min(
         ((f.bic, speed) for f, speed in _with_smooth_laws(base, effect, base.noise)), default=(np.inf, "")
@@ -294,9 +308,10 @@ def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criter
 
 
 def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iterator[tuple[Fit, str]]:
-    """Yield the fits with a smooth law of each speed instead of an effect that is not a law of this speed alone.
+    """Yield the fits in which a smooth law of a speed replaces the effect, and this speed.
 
-    A restoring torque is not replaced: with a law of the speed alone a body does not oscillate.
+    A speed is omitted if the effect is a law of this speed alone. A restoring torque is not replaced, because a body
+    under a law of its speed alone does not oscillate.
     """
     if effect.restoring and not base.model.restoring:
         return
@@ -335,9 +350,10 @@ def grade(
     *,
     misfit: bool,
 ) -> Grade:
-    """Return how much of the unmodelled torque the chosen effect explains and what remains.
+    """Return the share of the unmodelled torque that the chosen effect explains, and the remainder.
 
-    `doubt` is the test that contradicts the most complete fit; `misfit` that this has a significant lack of fit.
+    `doubt` is the test that contradicts the most complete fit; `misfit` states that this fit has a significant lack of
+    fit.
     """
     chosen, end = selection.chosen, selection.final
     if chosen is None or chosen.fit is None:
@@ -347,7 +363,7 @@ def grade(
     if doubt is None and significant and chosen.effect.depends_on_angle:
         test = harmonic_test(selection.named, criteria)
         if test.p_value < criteria.doubt_adequate:
-            # a residual periodic in the angle is not described by a second effect of the speeds
+            # a second effect that depends on the speeds does not describe a residual periodic in the angle
             doubt, end, others = test, selection.named, []
     free = [e for e in end.model.effects if _is_freed(e.name, selection)]
     tested = None
@@ -368,10 +384,10 @@ def grade(
     )
     for e in free if not others else []:
         of_unmodelled, of_law, difference = torques.shape_error(_named(selection, e.name), e, end)
-        # the fit of a law of the wrong shape may be in another minimum: then the law is closer than its fit
+        # the fit with the wrong shape may be in another minimum; then the law is closer to the data than its fit
         share, rms = unexplained = min(unexplained, (of_unmodelled, difference))
         if not significant and of_law <= 1 - criteria.explained < share:
-            # where the base absorbs most of a law, a small deviation from it is a large part of the rest
+            # if the base absorbs most of the law, a small deviation of the law is a large part of the remainder
             share, rms, whole = of_law, difference, f"torque of the {end.name(e).words}"
     parts = [
         f"shape of the {end.name(e).words}: {_shape(end, e.name, e.parameters[-1].symbol)}" for e in free
@@ -404,7 +420,7 @@ def grade(
     )
     if unknown:
         return Grade(None, 1 - share, remainder, unknown=unknown, test=tested)
-    # a rival is equivalent if it is worse by less than the lack of fit of the chosen effect itself
+    # a rival is equivalent if its score is lower by less than the lack of fit of the chosen effect
     excess = max(selection.named.lack_of_fit.chi2 - selection.named.lack_of_fit.dof, 0.0)
     margin = max(excess, selection.named.deviance - end.deviance)
     rivals = tuple(
@@ -422,9 +438,9 @@ def _complete(
 ) -> Grade:
     """Return the grade of an effect with which the residuals are consistent with noise.
 
-    Laws of other speeds, of any smooth form, are its rivals where BIC does not separate them. A form that these data
-    could not refute, or that such a law with more parameters could replace, is not established; this holds for an
-    equivalence class as for a single effect.
+    Smooth laws of other speeds are rivals if BIC does not separate them from the effect. The form is not established if
+    these data could not refute it, or if a smooth law, regardless of its number of parameters, fits as well. The same
+    holds for an equivalence class.
     """
     if tested is None:
         return Grade("exact", 1.0, None)
@@ -446,7 +462,7 @@ def _complete(
 
 
 def _likelihood_ratio(smaller: Fit, larger: Fit) -> float:
-    """Return the p-value of the parameters by which a fit is larger; 1 if by none."""
+    """Return the p-value of the likelihood ratio of two nested fits; 1 if the larger one has no more parameters."""
     from scipy.special import chdtrc
 
     more = len(larger.theta) - len(smaller.theta)
@@ -475,10 +491,11 @@ in the library."""
 
 
 def nuisance_parameters(fit: Fit) -> list[Nuisance]:
-    """Return the amplitudes of the camera effects that are fitted always, case by case.
+    """Return the amplitudes of the nuisance camera effects of each case.
 
-    The columns of the cameras, with their priors, and the free parameters are estimated together by generalised least
-    squares at the noise of the tests; the amplitude is the root of the sum of the squares of its cosine and sine.
+    Generalised least squares with the noise of the tests estimates the columns of the cameras (with their priors)
+    together with the free parameters. An amplitude is the root of the sum of the squares of the cosine and sine
+    coefficients; its p-value is that of a chi-square with two degrees of freedom.
     """
     from fitting.effects._library import LIBRARY
 

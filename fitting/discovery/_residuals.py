@@ -1,9 +1,9 @@
 """Residuals of a fit: whiteness, unmodelled torque, failing intervals.
 
-Unmodelled torque. Given r = W_c u_c + W_r u_r + noise and a smooth prior for the torques u on casing and rotor (an
-Ornstein-Uhlenbeck process of long correlation time whose level is estimated from the residuals), the posterior mean and
-standard deviation are those of a Gaussian process (C. Rasmussen, C. Williams, Gaussian Processes for Machine Learning,
-2.2); start angles and phases are free.
+The residuals are r = W_c u_c + W_r u_r + noise, with the unmodelled torques u_c on the casing and u_r on the rotor. The
+prior of each torque is an Ornstein-Uhlenbeck process with a long correlation time; its level is estimated from the
+residuals. The unmodelled torque is the posterior mean, with the posterior standard deviation, of this Gaussian process
+(C. Rasmussen, C. Williams, Gaussian Processes for Machine Learning, 2.2). Start angles and phases are free.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from fitting.inference._speed_residuals import modelled_speed
 Array = NDArray[np.float64]
 
 _LAGS = 12
-"""Largest lag of the test of independence [blocks]. Chosen: fewer overlook slow correlations, more lower the power; a
-quarter of the blocks limits it as well."""
+"""Largest lag of the test of independence [blocks]. Chosen: fewer overlook slow correlations, more lower the power; the
+lag does not exceed a quarter of the blocks either."""
 _POWERS = 4
 """Lowest rows of a block that are tested [1]. Chosen: fewer overlook correlations within a block, more lower the power
-for slow ones."""
+for slow correlations."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,12 @@ class Whiteness:
 
 
 def whiteness(fit: Fit) -> list[Whiteness]:
-    """Return the test for each case of a fit."""
+    """Return the Ljung-Box test of the residuals of each case."""
     from scipy.special import chdtrc
 
     results = []
     for data, n, p in zip(fit.problem.data, fit.noise, fit.predictions, strict=True):
-        # at the level of the fit, process noise would account for a lack of fit as well
+        # process noise at the level of the fit would absorb a lack of fit
         project = Projection(data, n.whitener.at(n.tested))
         blocks, k, _ = data.casing.lift.shape
         rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
@@ -69,13 +69,13 @@ _SHARE = 1 / 30
 """Correlation time of the unmodelled torque over the length of the record [1]. Chosen: a smaller value follows noise, a
 larger one blurs failing intervals."""
 _FLOOR = 3e-3
-"""Smallest standard deviation of the unmodelled torque, over the prior one [1]. Chosen: it keeps rounding from a
-variance below zero; a larger value hides well-determined torques, a smaller one prints rounding."""
+"""Smallest standard deviation of the unmodelled torque, over its prior value [1]. Chosen: it prevents negative
+variances by rounding; a larger value hides well-determined torques, a smaller one shows rounding."""
 
 
 @dataclass(frozen=True, repr=False)
 class ResidualTorque:
-    """Unmodelled torque on one body: time [s], torque and its standard deviation [N m], and both speeds there."""
+    """Unmodelled torque on one body with its standard deviation [N m], at times [s] and speeds [rad/s]."""
 
     label: str
     body: str
@@ -111,7 +111,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
         covariance = covariance + level**2 * cross[name] @ w.T
     nuisance = data.nuisance[smooth]
     inverse = _inverse_without_nuisance(covariance, nuisance)
-    # angles of thousands of turns: without their constant first, the projection leaves rounding of the size of a torque
+    # angles of thousands of turns: if the constant is not removed first, rounding is as large as a torque
     weighted = inverse @ orthogonal_to(orthonormal(nuisance, _RANK), residual[smooth])
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
     curves = []
@@ -127,7 +127,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
 
 
 def _is_filmed(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
-    """Return which times are within the recording of a body; of the rotor, from its first window to its last."""
+    """Return a mask of the times within the recording of a body; for the rotor, from the first window to the last."""
     runs = (data.casing,) if body == "casing" else data.rotor
     first = min(float(r.samples.time[0]) for r in runs)
     last = max(float(r.samples.time[-1]) for r in runs)
@@ -151,8 +151,8 @@ def _inverse_without_nuisance(covariance: Array, nuisance: Array) -> Array:
 
 
 _RANK = 1e-6
-"""Singular values, relative to the largest, below which a free direction is rounding [1]. Chosen: a smaller value
-projects out rounding, a larger one leaves a part of the free columns."""
+"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
+rounding, a larger one ignores some nuisance columns."""
 
 _BAND = 1.96
 """Distance of the torque from zero within which an interval ends [standard deviations]. Derived: quantile 0.975 of the
@@ -162,7 +162,7 @@ _SHORTEST = 1 / 100
 """Shortest reported interval, as a share of the record [1]. Chosen: a smaller value reports fluctuations, a larger one
 overlooks short events."""
 _MOST = 6
-"""Number of reported intervals at most [1]. Chosen: fewer hide failures, more make the list unreadable."""
+"""Largest number of reported intervals [1]. Chosen: fewer hide failures, more make the list unreadable."""
 
 
 @dataclass(frozen=True)
@@ -173,15 +173,15 @@ class Failure:
     body: str
     t_start: float  # [s]
     t_stop: float  # [s]
-    kind: str  # "loses torque" or "gains torque" against the model; "ripple" for a harmonic of the angle
-    where: str  # in words: in the rise, near the peak, in the tail; once or twice a turn
+    kind: str  # "loses torque" or "gains torque" relative to the model; "ripple" for a harmonic of the angle
+    where: str  # in words, for example "while speeding up", "near the peak", "once a turn"
     size_sigma: float  # largest distance from zero in standard deviations
-    residual_rad_s: float  # largest speed residual, with its sign; of a harmonic where the casing is slowest
+    residual_rad_s: float  # extreme (5 % or 95 %) speed residual with its sign; speed amplitude of a harmonic
     residual_torque_Nm: float  # noqa: N815 - mean, weighted by inverse variances; amplitude of a harmonic
-    omega_c: tuple[float, float]  # the casing's lowest and highest speed in the interval [rad/s]
-    called: str  # "body" for the casing where only one body was recorded
-    torque_sigma_Nm: float = float("nan")  # noqa: N815 - of the mean over an interval an upper bound
-    unit: str = TORQUE  # "N m", or "rad/s2" per unit of inertia
+    omega_c: tuple[float, float]  # lowest and highest speed of the casing in the interval [rad/s]
+    called: str  # name of the body for the user, for example "body" if a single body was recorded
+    torque_sigma_Nm: float = float("nan")  # noqa: N815 - for the mean over an interval, an upper bound
+    unit: str = TORQUE  # "N m", or "rad/s2" for torques per unit of inertia
 
     def __str__(self) -> str:
         torque = format_torque(self.residual_torque_Nm, self.torque_sigma_Nm, self.unit)
@@ -199,14 +199,15 @@ class Failure:
 
     @property
     def times(self) -> tuple[str, str]:
-        """Begin and end [s]."""
+        """Start and end of the interval [s], with enough digits to show its length."""
         return interval(self.t_start, self.t_stop)
 
 
 def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE) -> str:
-    """Return a torque with a prefix that suits its size, rounded to its standard uncertainty where that is known.
+    """Return a torque with the unit prefix of its size, rounded to its standard uncertainty if that is known.
 
-    nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, N m; with `unit` "rad/s2" urad/s2, mrad/s2, rad/s2.
+    The units are nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, and N m; for `unit` "rad/s2" they are
+    urad/s2, mrad/s2 and rad/s2.
     """
     size = max(abs(value), abs(sigma) if sigma == sigma else 0.0)
     steps = Units.by_torque(unit).steps
@@ -222,10 +223,10 @@ def find_failures(
     harmonics: Sequence[AngleHarmonics] = (),
     criteria: Criteria = DEFAULT,
 ) -> list[Failure]:
-    """Return the intervals and harmonics with a significant unmodelled torque, the most significant first.
+    """Return at most `_MOST` intervals and harmonics with a significant unmodelled torque, most significant first.
 
-    A harmonic is reported only where it is more significant than any interval: a torque that lasts less than a turn
-    has harmonics in the turns in which the casing is slow.
+    A harmonic is reported only if it is more significant than every interval of its case, because a torque that acts
+    for less than a turn has harmonics as well while the casing is slow.
     """
     found = [f for curve in curves for f in _intervals(fit, curve, criteria.failure_sigma)]
     worst = {c.label: 0.0 for c in curves}
@@ -242,8 +243,8 @@ def find_failures(
 
 
 _SLOWEST = 1e-4
-"""Smallest speed of a body that does not rest, over its largest one [1]. Chosen: a smaller value gives an amplitude of
-the speed without a limit, a larger one understates it for slow bodies."""
+"""Speed over the largest speed below which a body counts as at rest [1]. Chosen: a smaller value gives unlimited speed
+amplitudes of harmonics, a larger one understates these amplitudes for slow bodies."""
 
 
 def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Failure]:
@@ -254,7 +255,7 @@ def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Fai
     record, path = fit.problem.data[index].record, fit.predictions[index].path
     t = record.casing.time
     speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
-    # the amplitude of the speed is torque / (I n omega), largest where the casing is slowest without resting
+    # the speed amplitude is torque / (I n omega); it is largest at the lowest speed above rest
     slowest = max(
         float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), _SLOWEST * float(speed.max())
     )
@@ -330,7 +331,10 @@ def _place(curve: ResidualTorque, a: int, b: int) -> str:
 
 
 def _largest_speed_residual(fit: Fit, curve: ResidualTorque, a: int, b: int) -> float:
-    """Return the 5 % or 95 % quantile of the speed residuals in an interval that is farther from zero [rad/s]."""
+    """Return the 5 % or the 95 % quantile of the speed residuals in an interval, whichever is larger in size [rad/s].
+
+    With several windows of the rotor, the extreme quantile of all windows is returned.
+    """
     index = fit.labels.index(curve.label)
     record = fit.problem.data[index].record
     runs, state = ((record.casing,), 1) if curve.body == "casing" else (record.rotor, 0)

@@ -1,24 +1,26 @@
 """Score test of all candidate effects at once, without a refit; null distributions of the scores.
 
-The covariance of the rows of a case is C = V (1 + s^2 L) V' with the same V at every level s of the process noise, so
-rows are rotated by V' once and whitened at each level by one factor per row.
+The covariance of the rows of a case is C = V (1 + s^2 L) V' with the same V at every level s of the process noise.
+Therefore rows are rotated by V' once, and whitened at each level by one factor per row.
 
-A small torque u(t) on a body moves the rows by W u, with the response W of the linearised motion to a torque
-in each of many short cells. One matrix product gives the rows of all candidates at all values of their shape
-constants; only laws of an angle and camera effects are evaluated at the samples.
+A small torque u(t) on a body changes the rows by W u. W is the response of the linearised motion to a torque in each of
+many short cells. One matrix product gives the rows of all candidates at all values of their shape constants. Only laws
+of an angle and camera effects are evaluated at the samples.
 
-With whitened residuals r, Jacobian J (parameters and nuisance parameters) and columns s of a candidate,
+Let r be the whitened residuals, J the Jacobian (parameters and nuisance parameters) and s the columns of a candidate.
+Then
 
-    M = 1 - J (J'J)^-1 J',   gamma = (s'Ms)^-1 s'Mr,   S = gamma' (s'Ms) gamma,
+    S = gamma' (s'Ms) gamma,   gamma = (s'Ms)^-1 s'Mr,   M = 1 - J (J'J)^-1 J',
 
-is the fall of chi-square that a refit would bring (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The process noise
-competes with the effect for the same residuals, so its level is profiled: the score is the fall of the deviance,
-minimised over the level without and with the effect.
+is the fall of chi-square that a refit would give to first order (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The
+process noise can describe the same residuals as the effect, so its level is profiled: the score is the fall of the
+deviance, minimised over the level without and with the effect.
 
-Candidates are correlated, and some try many shapes, so p-values come from simulated null data put through the same
-search. A candidate that tries many shapes amounts to N independent trials, p = 1 - (1 - p1)^N, with the N that
-reproduces the upper tail of its largest scores in null data; the whole list amounts to a number of independent
-candidates in the same sense (P. Westfall, S. Young, Resampling-Based Multiple Testing, Wiley (1993)).
+Candidates are correlated, and some have many trial shapes. Therefore p-values are calibrated by simulated null data
+that are searched in the same way. A candidate with many shapes is equivalent to N independent trials,
+p = 1 - (1 - p1)^N; N reproduces the upper tail of its largest scores in null data. The whole list is equivalent to a
+number of independent candidates in the same sense (P. Westfall, S. Young, Resampling-Based Multiple Testing, Wiley
+(1993)).
 """
 
 from __future__ import annotations
@@ -48,11 +50,11 @@ Array = NDArray[np.float64]
 _LEVELS = 9
 """Trial levels of the process noise [1]. Chosen: fewer make the profiled score coarse, more cost time and memory."""
 _ABSORBED = 1e-7
-"""Share of a column orthogonal to the base, angles taken as exact, below which the base absorbs it [1]. Chosen: a
-smaller value scores rounding, a larger one drops weakly determined effects."""
+"""Share of a column orthogonal to the free columns of the base, before whitening, below which the base absorbs it [1].
+Chosen: a smaller value scores rounding, a larger one drops weakly determined effects."""
 RANK = 1e-10
 """Relative singular value below which a direction of the free columns is rounding [1]. Chosen: a smaller value projects
-out rounding, a larger one leaves a part of the free columns."""
+out rounding, a larger one ignores some free columns."""
 _SEED = 7
 """Seed of the null data sets [1]. Chosen: any value makes p-values reproducible; another one changes them within their
 error."""
@@ -70,9 +72,9 @@ class Level(NamedTuple):
 class ScoreContext:
     """Whitened residuals, free columns and null data of a fit at several levels of process noise.
 
-    The parameters of the effects `without` are not free: their torque, to which the rows respond by `torque_rows`
-    (rows,), is part of the residual. With `release`, parameters at a bound are free as well. The parameters `shared`
-    have a value for each case in the fit, and each counts as one parameter here.
+    The effects `without` are removed from the model: their parameters are not free, and their contribution
+    `torque_rows` (rows,) to the prediction is added to the residual. With `release`, parameters at a bound are free as
+    well. The parameters `shared` have a value for each case in the fit, but each is one parameter here.
     """
 
     def __init__(
@@ -93,7 +95,7 @@ class ScoreContext:
         self._axes = [n.whitener.vectors for n in fit.noise]
         levels = [[_level_between(n.least, n.level, x) for n in fit.noise] for x in shares]
         self._whiteners = [[n.whitener.at(x) for n, x in zip(fit.noise, at, strict=True)] for at in levels]
-        # a parameter at its bound is held, unless it is released: only the refit enforces the bound
+        # parameters at a bound are held unless released, because only a refit enforces bounds
         moving = np.ones(len(fit.theta), dtype=bool) if release else ~fit.problem.layout.at_bound(fit.theta)
         names = fit.problem.layout.names
         moving &= np.array([n.partition("@")[0].rpartition(".")[0] not in without for n in names], dtype=bool)
@@ -122,9 +124,9 @@ class ScoreContext:
         return np.concatenate(parts)
 
     def base_change(self, rows: Array) -> Array:
-        """Return the change of the variables of the fit, to first order, when rows are added to its prediction.
+        """Return the change of the parameters of the fit, to first order, if rows are added to its prediction.
 
-        Generalised least squares at the level of the fit; zero for a variable that is not free.
+        The change follows from generalised least squares at the level of the fit; it is zero for fixed parameters.
         """
         gain = self.levels[-1].gain
         columns, data = gain[:, None] * self.free, gain * (self._residual - self.rotated(rows))
@@ -136,7 +138,7 @@ class ScoreContext:
         return change
 
     def absorbed_by_base(self, groups: Sequence[Array]) -> NDArray[np.bool_]:
-        """Return which groups of columns the free columns of the base absorb."""
+        """Return a mask of the groups of columns that the free columns of the base absorb."""
         everything = np.concatenate(groups, axis=1)
         projected = orthogonal_to(self._unwhitened_basis, everything)
         share = np.linalg.norm(projected, axis=0) / np.maximum(np.linalg.norm(everything, axis=0), 1e-300)
@@ -152,9 +154,10 @@ class ScoreContext:
         return Level(gain, q, r, float(r @ r) + sum(w.log_determinant for w in whiteners))
 
     def shares(self, direction: Array) -> tuple[float, ...]:
-        """Return the share of each case's process noise in the variance of a response (rotated, whitened, unit length).
+        """Return the share of the process noise of each case in the variance of a response.
 
-        The share is zero for a case whose level is raised by a lack of fit: that level is not of process noise.
+        The response is rotated, whitened, and of unit length. The share is zero for a case whose level is raised by a
+        lack of fit, because such a level is not process noise.
         """
         found = []
         for n, a in zip(self.fit.noise, self.ends, strict=False):
@@ -164,7 +167,7 @@ class ScoreContext:
         return tuple(found)
 
     def with_free(self, columns: Array) -> list[Level]:
-        """Return the levels with further columns free."""
+        """Return the levels with additional free columns."""
         free = np.concatenate([self.free, self.rotated(columns)], axis=1)
         return [self._level(w, free) for w in self._whiteners]
 
@@ -178,7 +181,7 @@ def _level_between(least: float, level: float, share: float) -> float:
 
 _PHASE_STEP = 1.5
 """Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
-larger one passes over narrow peaks."""
+larger one overlooks narrow peaks."""
 _FASTEST = 1.0
 """Highest trial frequency that the cells resolve [rad per cell]. Chosen: a larger value blurs the torque within a cell,
 a smaller one overlooks fast chirps."""
@@ -186,21 +189,21 @@ _MAX_FREQUENCIES = 1500
 """Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
 time."""
 _ACTING = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "inertia": (0.0, 1.0)}
-"""Share of a law's torque that acts on rotor and on casing [1]. Derived: Newton's third law; a torque in the bearing,
-or a factor of it, acts on both, with -1 and 1."""
-# kind of the typical torque of a recording, by the body that is spun up: of its bearing, or the net torque
+"""Share of the torque of a law that acts on rotor and on casing [1]. Derived: Newton's third law; a torque in the
+bearing, or a factor of this torque, acts on the rotor with -1 and on the casing with 1."""
+# key of the typical torque by the role of the spun body: the bearing torque, or the net torque of a single body
 _TYPICAL = {"rotor": "factor", "body": "inertia"}
 _FINER = 8
-"""Factor between the declared grid of changepoints and the one that is tried [1]. Chosen: a smaller value passes over
-narrow maxima of the score, a larger one costs time."""
+"""Ratio of the declared spacing of changepoints to the trial spacing [1]. Chosen: a smaller value overlooks narrow
+maxima of the score, a larger one costs time."""
 _CHOICES = 128
 """Choices of shape constants that are evaluated at once [1]. Chosen: fewer make small matrix products, more need
-memory; the result does not depend on it."""
+memory; the result does not depend on this number."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate with one choice of its shape constants: its columns in the rows of one case."""
+    """One choice of the shape constants of a candidate, and the columns of the candidate in the rows of one case."""
 
     shape: dict[str, float]
     columns: Array
@@ -229,12 +232,12 @@ class CaseColumns:
         tau = Tape([dynamics.bearing_torque])(self._known | dynamics.constants | self.numbers)
         self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
         rates = dynamics.rates(self.response.centres, y, self.numbers)
-        # torque by which a factor of the bearing torque, or of the acceleration of the casing, is multiplied
+        # torque that is multiplied by a factor of the bearing torque, or by an error of the inertia of the casing
         net = self.numbers[INERTIA_CASING] * rates[:, 1]
         self._scaled_torque = {"factor": self._known["tau"], "inertia": net}
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
-        """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
+        """Return the columns of a candidate for the given choices of its shape constants, by default for its grid."""
         effect = effect.about_equilibrium if self._restoring else effect
         if not effect.mechanical or effect.depends_on_angle:
             sine, cosine = self.case.unit_columns(
@@ -260,7 +263,7 @@ class CaseColumns:
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
 
     def fitted(self, effect: Effect) -> tuple[dict[str, float], Array]:
-        """Return the shape of an effect of the fit, and its strengths at phase 0 and at a quarter period."""
+        """Return the shape constants of an effect of the fit, and its strengths at phase 0 and at a quarter period."""
         values = [(p, self.numbers[f"{effect.name}.{p.symbol}"]) for p in effect.parameters]
         role = {p.role: x for p, x in values}
         phase = role.get("phase", 0.0)
@@ -268,11 +271,11 @@ class CaseColumns:
         return {p.symbol: x for p, x in values if p.role in {"shape", "fixed"}}, strengths
 
     def padded(self, smooth: Array) -> Array:
-        """Return smooth rows with zeros for the rows that respond to no slow torque."""
+        """Return smooth rows followed by zeros for the rows that do not respond to slow torques."""
         return np.concatenate([smooth, np.zeros((len(self.case.data.z) - len(smooth), smooth.shape[1]))])
 
     def parameters(self, effect: Effect) -> tuple[Parameter, ...]:
-        """Return the parameters of an effect in the recordings of the fit, with values in SI units."""
+        """Return the parameters of an effect with bounds and trial values of these recordings, in SI units."""
         return effect.parameters_at(*self._scales)
 
     def _grid(self, effect: Effect, p: Parameter) -> Array:
@@ -293,11 +296,11 @@ class CaseColumns:
 
     @property
     def typical_torque(self) -> Array:
-        """Torque of the bearing in each cell [N m]; of a single body the net torque."""
+        """Torque of the bearing in each cell [N m]; for a single body, the net torque."""
         return np.asarray(self._scaled_torque[_TYPICAL[self.case.data.record.spun.role]])
 
     def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
-        """Return the torques of a unit strength on rotor and casing, each (cells, columns) [N m]."""
+        """Return the torques of an effect of strength 1 on rotor and casing, each (cells, columns) [N m]."""
         if effect.joint == "input":
             dynamics, y = self.case.dynamics, self._states_of_motion
             by = dynamics.by_delay(
@@ -309,7 +312,7 @@ class CaseColumns:
         return rotor * unit, casing * unit
 
     def along_motion(self, variable: str) -> Array:
-        """Return "t" [s] or a speed [rad/s] in each cell."""
+        """Return the time "t" [s] or a speed [rad/s] at the centre of each cell."""
         return np.asarray(self._known[variable])
 
     def torque_rows(self, rotor: Array, casing: Array) -> Array:
@@ -317,7 +320,7 @@ class CaseColumns:
         return self.padded(self.response.rotor @ rotor + self.response.casing @ casing)
 
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
-        """Return the torque of a law at strength 1 in each cell, for all choices of its shape constants."""
+        """Return the torque of a law of strength 1 in each cell, for all choices of its shape constants (columns)."""
         few = [choices[i : i + _CHOICES] for i in range(0, len(choices), _CHOICES)]
         return np.concatenate([self._units_of_few(effect, c) for c in few], axis=1)
 
@@ -340,12 +343,12 @@ class CaseColumns:
             if effect.breakpoint:
                 self._jump_within_cell(effect, values, unit)
         unit = unit.reshape(size[0], -1)
-        # a choice with which the law is singular along the motion is not tested
+        # a choice is not tested if the law is singular along the motion
         return np.where(np.isfinite(unit).all(axis=0), unit, 0.0)
 
     @property
     def _cells(self) -> dict[str, Any]:
-        """The motion in each cell, as columns."""
+        """The variables of the motion in each cell, each as a column (cells, 1)."""
         return {k: np.asarray(v)[:, None] if np.ndim(v) else v for k, v in self._known.items()}
 
     def _jump_within_cell(self, effect: Effect, values: dict[str, Any], unit: Array) -> None:
@@ -366,9 +369,9 @@ class CaseColumns:
         unit[cell, inside] = ((1 - share_after) * before + share_after * after)[:, None]
 
     def _states(self, effect: Effect, state: State, rate: Expr, shapes: dict[str, Array]) -> Array:
-        """Integrate a state of an effect along the motion of the base, with rates constant in each cell.
+        """Return a state of an effect along the motion of the base, integrated with constant rates in each cell.
 
-        One column for each choice of the shape constants.
+        There is one column for each choice of the shape constants.
         """
         symbol = state.symbol
         tape = Tape([rate, derivative(rate, symbol)])
@@ -380,7 +383,7 @@ class CaseColumns:
         increment = 0.5 * h * (source[1:] + source[:-1])
         if not decay.any():
             return np.asarray(first + np.concatenate([np.zeros((1, size[1])), np.cumsum(increment, axis=0)]))
-        # exact for a constant rate, because a state may decay within a cell
+        # a state may decay within a cell, so the step is exact for a constant decay rate
         exponent = 0.5 * h * (decay[:-1] + decay[1:])
         factor = np.exp(exponent)
         safe = np.where(exponent == 0, 1.0, exponent)
@@ -409,27 +412,27 @@ Group = tuple[tuple[dict[str, float], ...], Array]
 
 @dataclass(frozen=True)
 class Score:
-    """A candidate's best trial."""
+    """The best trial of a candidate."""
 
     effect: Effect  # the candidate
     score: float  # predicted fall of the deviance
-    # strength of each column (sine and cosine; one per case where a case has its own)
+    # strength of each column (sine and cosine of a law with a phase; separate ones for each case if per case)
     gamma: Array = field(repr=False)
     shape: tuple[dict[str, float], ...]  # shape constants, for each case
     columns: int  # degrees of freedom of its strengths
-    trials: int  # how many choices of its shape constants were tried
-    absorbed: bool  # the base absorbs it completely
-    # its whitened, projected column at the fitted strength, of unit length (for cosines)
+    trials: int  # number of tried choices of its shape constants
+    absorbed: bool  # whether the base absorbs the candidate completely
+    # whitened, projected response at the fitted strength, of unit length, for cosines between candidates
     direction: Array = field(repr=False)
     null: Array = field(repr=False)  # scores of the null data
-    # share of the process noise of each case in the variance of its response
+    # share of the process noise of each case in the variance of the response
     shares: tuple[float, ...] = field(default=(), repr=False)
     noise: tuple[Noise, ...] = field(default=(), repr=False)  # of each case
-    own_phase: bool = False  # each case has its own strength and phase, but not its own shape
+    own_phase: bool = False  # each case has a separate strength and phase; the shape is shared
 
 
 def score_in_case(context: ScoreContext, effect: Effect, trials: list[Trial], case: int) -> Score:
-    """Return the best trial of an effect in one case, with the free columns of all cases."""
+    """Return the best trial of an effect that acts in one case, with the free columns of all cases."""
     return best_group(context, effect, rows_of_case(context, trials, case), context.levels)
 
 
@@ -446,7 +449,7 @@ def rows_of_case(context: ScoreContext, trials: list[Trial], case: int) -> list[
 def best_group(
     context: ScoreContext, effect: Effect, groups: list[Group], levels: list[Level], *, null: bool = True
 ) -> Score:
-    """Return the best group of columns over all levels of process noise; `null` also scores the null data."""
+    """Return the score of the best group of columns over all levels of process noise; `null` scores null data too."""
     bounds = _bounds(effect)
     best: tuple[float, int, Array, Array] = (-np.inf, 0, np.zeros(1), np.zeros(1))
     absorbed = context.absorbed_by_base([c for _, c in groups])
@@ -481,7 +484,7 @@ def best_group(
 
 
 def score_of_columns(context: ScoreContext, columns: Array) -> float:
-    """Return the fall of the deviance by columns of any strength, over all levels of process noise."""
+    """Return the fall of the deviance by columns of any strength, the deviance being minimised over the levels."""
     rotated = context.rotated(columns)
     gains = []
     for level in context.levels:
@@ -493,7 +496,7 @@ def score_of_columns(context: ScoreContext, columns: Array) -> float:
 
 
 def _solve(columns: Array, r: Array, groups: int, bounds: tuple[float, float]) -> tuple[Array, Array]:
-    """Return score and strengths of each group of columns, for one residual or many."""
+    """Return score and strengths of each group of columns, for a residual (rows,) or many residuals (rows, draws)."""
     width = columns.shape[1] // groups
     projected = (columns.T @ r).reshape(groups, width, -1)
     if width == 1:
@@ -521,11 +524,11 @@ def _bounds(effect: Effect) -> tuple[float, float]:
 
 
 class NullDistribution:
-    """Null distribution of one candidate's score, from simulated null data, for each possible process noise.
+    """Null distribution of the score of one candidate, from simulated null data, for each possible process noise.
 
-    An error of the noise level scales the scores of all trials, and of all candidates, by the same factor. So the
-    correction for the number of trials is made for each level, and only the family-wise p-value is averaged over the
-    levels, with their probabilities `weights` (levels,).
+    An error of the noise level multiplies the scores of all trials and of all candidates by the same factor. Therefore
+    the number of trials is corrected at each level, and only the family-wise p-value is averaged over the levels, with
+    their probabilities `weights` (levels,).
     """
 
     def __init__(self, score: Score) -> None:
@@ -544,12 +547,12 @@ class NullDistribution:
         return self.of(score, self._columns)
 
     def of(self, score: float, columns: int) -> Array:
-        """Return the p-values of a score with fewer strengths, searched over as many shapes."""
+        """Return the p-values (levels,) of a score with `columns` strengths, for the same number of trial shapes."""
         single = np.minimum(_tail(max(score, 0.0) / self._scales, max(columns, 1)), 1 - 1e-12)
         return np.asarray(-np.expm1(self._number_of_trials * np.log1p(-single)))
 
     def at_one_level(self, score: float) -> float:
-        """Return the p-value of a score at a known process noise."""
+        """Return the p-value of a score if the process noise is known exactly."""
         single = min(float(_tail(score, max(self._columns, 1))), 1 - 1e-12)
         return float(_any_of(self._number_of_trials, np.array(single)))
 
@@ -574,13 +577,13 @@ def _number_of_trials(single: float, share: float) -> float:
 def over_many_tests(p: float, smallest: Array) -> float:
     """Return the family-wise p-value of the smallest p of many correlated tests of the same data.
 
-    `smallest` holds the smallest p-value in each of many null data sets.
+    `smallest` contains the smallest p-value in each of many null data sets.
     """
     return float(_any_of(_independent_tests(smallest), np.array(p)))
 
 
 def _independent_tests(smallest: Array) -> float:
-    """Return the number of independent tests that reproduces the lower tail of the smallest p of correlated ones."""
+    """Return the number of independent tests with the same lower tail of the smallest p as the correlated tests."""
     return max(1.0, _number_of_trials(float(np.quantile(smallest, 0.1)), 0.1))
 
 
@@ -600,13 +603,13 @@ class FamilywiseNull:
 
 
 _ROUNDS = 3
-"""Refinements of a shape constant [1]. Chosen: fewer leave it on the coarse grid, more change the score by less than
-the noise."""
+"""Refinements of a shape constant [1]. Chosen: fewer leave the constant on the coarse grid, more change the score by
+less than the noise."""
 _POINTS = 9
 """Points of a refinement of a shape constant [1]. Chosen: fewer may overlook the optimum, more cost time."""
 _MOST_SWEPT = 4
-"""Cases up to which the shapes of all are chosen in turn [1]. Chosen: a larger value costs time, a smaller one scores
-joint fits with shapes that are not the best ones."""
+"""Largest number of cases whose shapes are optimised in turn [1]. Chosen: a larger value costs time, a smaller one
+scores joint fits with shapes that are not the best ones."""
 
 
 def score(
@@ -617,10 +620,10 @@ def score(
     draws: int = 1500,
     context: ScoreContext | None = None,
 ) -> list[Score]:
-    """Score all candidates, which are not in the base, on a fit; the results have the order of the effects.
+    """Return the scores of candidates that are not in the base, in the order of `effects`.
 
-    `cases` are the columns of each case of the fit; `context` is the linearised data, if not those of the fit with all
-    its effects.
+    `cases` contains the columns of each case of the fit. `context` contains the linearised data; by default those of
+    the fit with all its effects and `draws` null data sets.
     """
     context = ScoreContext(fit, draws) if context is None else context
     tried = {e.name: _all_trials(e, cases) for e in effects}
@@ -639,7 +642,7 @@ def _shape_refined(
     cases: Sequence[CaseColumns],
     criteria: Criteria,
 ) -> Score:
-    """Refine the shape constant of an effect with exactly one, between the points of its grid."""
+    """Return the score with a shape constant between the points of its grid, if the effect has a single one."""
     shapes = [p.symbol for p in score.effect.parameters if p.role == "shape"]
     if len(shapes) != 1:
         return score
@@ -665,7 +668,7 @@ def _shape_refined(
 
 
 def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
-    """Return the points of a grid next to a value."""
+    """Return the points of a grid below and above a value; beyond the grid, a value one step further."""
     ordered = np.sort(np.array(grid))
     near = 1e-12 * abs(value)
     below, above = ordered[ordered < value - near], ordered[ordered > value + near]
@@ -675,7 +678,7 @@ def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
 
 
 def _is_per_case(effect: Effect, cases: int) -> bool:
-    """Return whether each case has its own parameters of an effect."""
+    """Return whether an effect has separate parameters in each case."""
     return cases > 1 and effect.per_case
 
 
@@ -695,7 +698,7 @@ def _score(
     null: bool = True,
     own_phase: bool | None = None,
 ) -> Score:
-    """Score an effect; unless `own_phase` is given, each case has its own phase where that is clearly better."""
+    """Return the score of an effect; by default cases have separate phases if that is clearly better."""
     per_case = _is_per_case(effect, len(trials))
     levels = context.levels
     if own_phase is None and has_phases(effect, len(trials)):
@@ -715,14 +718,17 @@ def _score(
 
 
 def has_phases(effect: Effect, cases: int) -> bool:
-    """Return whether an effect is periodic, so that its phase may differ between cases."""
+    """Return whether an effect is periodic, so that its phase may differ between several cases."""
     return cases > 1 and effect.mechanical and any(p.role == "phase" for p in effect.parameters)
 
 
 def _choose_shapes(
     context: ScoreContext, effect: Effect, trials: list[list[Trial]], levels: list[Level], *, null: bool
 ) -> tuple[list[Trial], Array]:
-    """Choose the shapes of each case: that of the largest score first, then the others given it, then all once more."""
+    """Return the best trial of each case and the null scores.
+
+    The case with the largest score is chosen first, then the others given the chosen ones, then all cases once more.
+    """
     groups = [rows_of_case(context, t, i) for i, t in enumerate(trials)]
     singles = [best_group(context, effect, g, levels, null=null) for g in groups]
     chosen = [_trial_index(t, s) for t, s in zip(trials, singles, strict=True)]
@@ -741,7 +747,7 @@ def _trial_index(trials: list[Trial], score: Score) -> int:
 
 
 def stacked(trials: list[list[Trial]], *, per_case: bool) -> list[Group]:
-    """Return for each choice of shapes the columns over the rows of all cases."""
+    """Return, for each choice of shapes, the columns over the rows of all cases; with `per_case`, block diagonal."""
     result = []
     for i in range(max(len(t) for t in trials)):
         chosen = [t[min(i, len(t) - 1)] for t in trials]

@@ -2,8 +2,9 @@
 
     rank (score, refine) -> select -> lack of fit -> grade -> verdict
 
-Each step takes the result of the one before. Two of them repeat the search once: `select` ranks the candidates again at
-the noise of the best one, and `with_free_inertia` with the ratio of the moments of inertia free.
+The input of each step is the result of the previous step. Two steps repeat the search once: `select` ranks the
+candidates again at the noise of the best one, and `with_free_inertia` ranks them with a free ratio of the moments of
+inertia.
 """
 
 from __future__ import annotations
@@ -100,33 +101,34 @@ sentences."""
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis:
-    """Where a model fails and which effects are candidates.
+    """The lack of fit of a model, and the candidate effects.
 
     Attributes
     ----------
     fit : Fit
-        The fit in question.
+        The diagnosed fit.
     verdict : {"adequate", "missing_effect", "unexplained", "undecided"}
-        The answer. "undecided": nothing is established. The best effect is not determined, or a random torque, whose
-        level the recording does not establish without the model, describes the data as well.
+        The answer. "undecided": nothing is established. Either the best effect is not determined, or a random torque
+        describes the data as well.
     sentence : str
         The answer in words.
     failures : tuple of Failure
-        Where it fails, most significant first.
+        Intervals and harmonics with significant unmodelled torque, most significant first.
     candidates : tuple of Candidate
         Candidate effects, best first.
     form : {"exact", "approximate", None}
-        "exact": with the named effect, or class, no remainder is significant, and the data would show a deviation above
-        an approximate answer may have. "approximate": something significant remains, but the effect explains at least
-        `Criteria.explained` of the unmodelled torque. None where no effect alone explains that much, or where
-        nothing significant remains but the data cannot test the form, or the verdict is another one.
+        "exact": with the named effect or equivalence class no remainder is significant, and the data would show a
+        deviation larger than an approximate answer may have. "approximate": a remainder is significant, but the effect
+        explains at least `Criteria.explained` of the unmodelled torque. None: no single effect explains this share, or
+        no remainder is significant but the data cannot test the form, or the verdict is not "missing_effect".
     explained : float or None
-        Share of the mean square unmodelled torque that the best effect explains (0-1); None without one. Where its
-        fitted shape constant is all that remains, and the base absorbs most of the law, of the torque of the law.
+        Share of the mean square unmodelled torque that the best effect explains (0-1); None without a best effect. If
+        only a shape constant of its law remains, and the base absorbs most of the law, the share refers to the torque
+        of the law.
     remainder : Remainder or None
-        The remainder that is still significant with it.
+        The remainder that is still significant with the best effect.
     nuisance : tuple of Nuisance
-        Camera effects that are fitted always, with their values.
+        Nuisance camera effects with their values.
     next_experiment : str
         The measurement that separates the rivals; empty if there are none.
     torques : tuple of ResidualTorque
@@ -134,17 +136,17 @@ class Diagnosis:
     ripples : tuple of AngleHarmonics
         Harmonics of the unmodelled torque in the angle of the casing, with bands.
     whiteness : tuple of Whiteness
-        Whether the residuals are independent.
+        Tests of the independence of the residuals.
     upper_limits : tuple of UpperLimit
-        Of an adequate fit: the physical effects that could still be hidden, with the largest torques.
+        Physical effects that could still be hidden, with their largest torques, if the verdict is "adequate".
     form_limit : float or None
         Rms deviation from the named law that would be detected with 90 % probability, as a share of its torque; None
-        where the form was not tested.
+        if the form was not tested or no deviation would be detected.
     differs : DifferentParameter or None
         The shared parameter whose per-recording values explain the lack of fit without another effect; the verdict is
         then "unexplained".
     trace : tuple of Refit
-        Every fit that the search made, in order: its purpose, its model, and its result or the reason of its failure.
+        Every fit of the search in the order in which they ended: purpose, model, and result or reason of the failure.
         Empty for a diagnosis that was read from a file.
     """
 
@@ -176,14 +178,14 @@ class Diagnosis:
         return "\n".join([*lines, *([f"  ... {more} more"] if more else [])])
 
     def plot(self, ax: Axes | None = None, *, case: int = 0) -> Figure:
-        """Draw the unmodelled torque with its band, where the model fails, and the candidates (matplotlib).
+        """Draw the unmodelled torque with its band, the intervals of lack of fit, and the candidates (matplotlib).
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Where to draw the unmodelled torque of one case alone; by default a new figure shows all.
+            Axes for the unmodelled torque of one case; by default a new figure shows all cases and the candidates.
         case : int
-            Index of the case that is drawn into `ax`.
+            Index of the case that is drawn on `ax`.
 
         Returns
         -------
@@ -285,25 +287,25 @@ def diagnose(
     workers: WorkerPool | None = None,
     brief: bool = False,
 ) -> Diagnosis:
-    """Return where a fit fails and which effect is missing.
+    """Return the lack of fit of a model and the missing effect.
 
     Parameters
     ----------
     fit : Fit
-        The fit in question.
+        The fit to diagnose.
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     criteria : Criteria, optional
-        Thresholds of every decision; those of the fit by default. With other criteria of the noise the fit is repeated
-        first, and `candidates` and `history` are not used.
+        Thresholds of every decision; those of the fit by default. If the criteria of the noise differ from those of the
+        fit, the fit is repeated first, and `candidates` and `history` are ignored.
     candidates : sequence of Candidate, optional
-        The ranking of the fit, if it is known already.
+        The ranking of the candidates about the fit, if it exists.
     history : sequence of Step
-        What `improve` found from the fit, if it is known already.
+        The steps of `improve` from the fit, if they exist.
     workers : WorkerPool, optional
         Processes that share the work.
     brief : bool
-        Leave out what the answer does not depend on: curves, where it fails, upper limits and the next run.
+        Omit results that the verdict does not depend on: curves, failing intervals, upper limits and the next run.
 
     Returns
     -------
@@ -324,7 +326,10 @@ def diagnose(
 
 
 def _with_findings(found: Diagnosis) -> Diagnosis:
-    """Return a diagnosis with the faults that the data show without a model; slipped turns are a candidate."""
+    """Return a diagnosis with the faults that the data show without a model.
+
+    Slipped turns become the first candidate, and the answer if the fit is otherwise adequate.
+    """
     fit = found.fit
     if not fit.findings:
         return found
@@ -339,7 +344,10 @@ def _with_findings(found: Diagnosis) -> Diagnosis:
 
 
 def slipped(fit: Fit, slips: Sequence[Slip]) -> Candidate:
-    """Return slipped turns as a candidate; its score is the chi-square of the steps, in units of the white noise."""
+    """Return slipped turns as a candidate.
+
+    The score is half the sum of squares of the steps of 2 pi turns, each over the smallest white noise of a sample.
+    """
     sigma = min(
         r.scale * float(np.median(r.samples.sigma)) for d in fit.problem.data for r in (d.casing, *d.rotor)
     )
@@ -398,7 +406,7 @@ def _diagnosis(
     doubt = _contradiction(fit, selection, criteria, misfit=misfit)
     size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
     if size.form is None and isinstance(doubt, PeriodogramPeak):
-        # an effect that does not explain the sinusoid is not part of the answer
+        # an effect that does not explain the sinusoidal torque is not part of the answer
         peak = significant_peak(fit, criteria)
         selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
     verdict = _verdict(selection, size, criteria, significant=misfit or doubt is not None)
@@ -415,7 +423,7 @@ def _diagnosis(
     )
     if noisy:
         random = with_random_torque(fit, criteria)
-        # above its ceiling it is not noise
+        # a random torque above its ceiling is not noise: below it, the torque has to describe the data
         random = random if random.is_raised and describes(random, criteria) else None
     if hint or noisy or random is not None:
         unexplained = random is None and (misfit or noisy or doubt is not None)
@@ -426,7 +434,7 @@ def _diagnosis(
     torques, ripples = [] if fit.lacks_restoring_torque else curves.result(), harmonics.result()
     hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" and not brief else ()
     failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" and not brief else []
-    # of an oscillation, camera effects are hardly distinguishable from harmonics of the motion
+    # for an oscillation, camera effects are hardly distinguishable from harmonics of the motion
     told = nuisance if are_smooth(d.motion for d in fit.problem.data) else ()
     sentence = (
         _undecided(selection, random, hint, told, criteria)
@@ -457,7 +465,7 @@ def _diagnosis(
 
 
 def _undetermined(selection: Selection, criteria: Criteria) -> str:
-    """Return why a significant effect is a hint and not named, as a sentence; empty if it is named."""
+    """Return a sentence with the reason why a significant effect is only a hint; empty if the effect is named."""
     chosen = selection.chosen
     if chosen is None or chosen.effect is START:
         return ""
@@ -472,9 +480,9 @@ def _random_alternative(
     doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None,
     criteria: Criteria,
 ) -> RandomTorque | None:
-    """Return the slow random torque that describes the data as well as the answer; None if none does."""
+    """Return the slow random torque that describes the data as well as the answer; None if there is none."""
     is_smooth = are_smooth(d.motion for d in fit.problem.data)
-    # the sinusoids of an angle or of time are not a random torque
+    # a torque periodic in an angle or in time is not a random torque
     periodic = isinstance(doubt, PeriodogramPeak | HarmonicTest)
     if verdict not in {"missing_effect", "unexplained"} or not is_smooth or periodic:
         return None
@@ -490,7 +498,7 @@ def _random_alternative(
         random, chosen.screened, selection.named, len(selection.candidates), criteria
     ):
         return None
-    # a deterministic law of a speed leaves a structure that a random torque does not have
+    # an unmodelled law of a speed makes the residuals a function of this speed; a random torque does not
     return random if smooth_test(random.fit).p_value > criteria.doubt_adequate else None
 
 
@@ -501,7 +509,7 @@ def _undecided(
     nuisance: Sequence[Nuisance],
     criteria: Criteria,
 ) -> str:
-    """Return the answer where nothing is established."""
+    """Return the sentence of the verdict "undecided"."""
     parts = ["Nothing is established."]
     if hint:
         parts.append(hint)
@@ -529,10 +537,13 @@ def _undecided(
 def _contradiction(
     fit: Fit, selection: Selection, criteria: Criteria, *, misfit: bool
 ) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
-    """Return the test that contradicts the final fit, which has no significant lack of fit (`misfit`) otherwise."""
+    """Return the test that contradicts the final fit; None if there is none.
+
+    If the fit has a significant lack of fit (`misfit`), only a sinusoidal torque in time counts.
+    """
     if not misfit:
         return contradiction(selection.chosen, selection.final, criteria)
-    # a sinusoidal torque in time counts neither as noise nor as an effect of the library
+    # a sinusoidal torque in time is neither noise nor an effect of the library
     any_lines = any(d.spectral_lines for d in fit.problem.data)
     return significant_peak(selection.final, criteria) if any_lines else None
 
@@ -546,7 +557,10 @@ def _graded(
     *,
     misfit: bool,
 ) -> Grade:
-    """Return the grade of the chosen effect, with what moments of inertia and random torque leave of its form."""
+    """Return the grade of the chosen effect.
+
+    An error of the moments of inertia or excess process noise may change its form.
+    """
     size = grade(fit, selection, doubt, criteria, misfit=misfit)
     if rival is not None and rival.better and size.form is not None:
         # an error of inertia within its uncertainty is not a remainder
@@ -557,7 +571,7 @@ def _graded(
             else replace(size, form="approximate")
         )
     if size.form == "exact" and selection.final.has_excess_noise(criteria):
-        # the law may describe the data by that noise
+        # the excess process noise, and not the law, may describe the data
         size = replace(size, form=None, noisy=True)
     return size
 
@@ -567,7 +581,7 @@ def _with_unknown_laws(
 ) -> tuple[Selection, Grade]:
     """Return selection and grade with the laws outside the library that describe the data as well as the chosen effect.
 
-    The score of an effect against them is that with the moments of inertia as given, in the candidate `as_given`.
+    These laws are compared with `as_given`, the candidate with the given moments of inertia, if it is the same effect.
     """
     chosen = selection.chosen
     if as_given is not None and chosen is not None and as_given.effect is chosen.effect:
@@ -581,7 +595,7 @@ def _with_unknown_laws(
 
 
 def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significant: bool) -> str:
-    """Return "adequate", "missing_effect" or "unexplained", decided by effect size as well as significance."""
+    """Return "adequate", "missing_effect" or "unexplained" from the effect size and the significance."""
     if selection.chosen is None:
         return "unexplained" if significant else "adequate"
     if any(
@@ -608,7 +622,7 @@ def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
 
 
 def _class_of(selection: Selection) -> list[Candidate]:
-    """Return the chosen candidate and those that are indistinguishable from it."""
+    """Return the chosen candidate and the candidates that are indistinguishable from it."""
     chosen = selection.chosen
     if chosen is None:
         return []
@@ -628,7 +642,7 @@ def _sentence(
 ) -> str:
     """Return the answer in a few sentences."""
     if verdict == "adequate":
-        # with a fault of the measurement the model alone is not the answer
+        # if the measurement is faulty, the model alone is not adequate
         answer = "nothing else is missing" if fit.findings else "the model is adequate"
         parts = [f"The residuals are consistent with noise; {answer}."]
         if hidden:
@@ -679,14 +693,14 @@ def _unexplained(
         ]
     if chosen is not None and size.explained is not None and size.remainder is not None:
         if size.explained < 1 - criteria.explained:
-            # no more than what a law that is only close to the right one leaves: no hypothesis
+            # such a share also results for a wrong law, so the effect is not even a hypothesis
             return [
                 f"No effect of the library explains more than {percentage(1 - criteria.explained)} of it.",
                 size.remainder.sentence,
                 "Check the tracking and the noise of the angle; `gyrotrack laws` searches beyond the library.",
             ]
         share = f"{percentage(size.explained)} of the mean square unmodelled torque"
-        # its share alone would suffice if its strength were determined
+        # the share would suffice if the strength of the effect were determined
         but = ", but with an undetermined strength" if size.form is not None else ""
         return [
             f"No effect of the library explains it; the closest, {name}, explains {share}{but}.",
@@ -710,9 +724,9 @@ def _unexplained(
 
 
 def _nothing_explains(selection: Selection) -> str:
-    """Return that no effect of the library explains the data, or that none with a significant score was fitted.
+    """Return the sentence that no effect of the library explains the data, or that none was fitted.
 
-    Through hundreds of reversals of an oscillation candidates are screened, and not refitted.
+    For an oscillation with hundreds of reversals, candidates are scored but not refitted.
     """
     waiting = max((c for c in selection.candidates if c.significant), key=lambda c: c.score, default=None)
     if waiting is None or any(c.fit is not None for c in selection.candidates):
@@ -733,12 +747,12 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
     if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(chosen.indistinguishable_from):
         others = ", or ".join(names[1:])
         parts = [
-            f"{what}: {close}{names[0]}{_strength(chosen)}, or {others}; this data cannot separate them."
+            f"{what}: {close}{names[0]}{_strength(chosen)}, or {others}; these data cannot separate them."
         ]
     elif len(names) == 1:
         parts = [f"{what}: {close}{names[0]}{_strength(chosen)}."]
     else:
-        one = f"{close}one of these effects, which this data cannot separate"
+        one = f"{close}one of these effects, which these data cannot separate"
         parts = [f"{what}: {one}: {'; '.join(names)}."]
     if chosen.own_phase:
         keys = dict.fromkeys(k.partition("@")[0] for k in chosen.estimates if "@" in k)
@@ -759,27 +773,27 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
 
 
 def _class_names(selection: Selection, chosen: Candidate) -> list[str]:
-    """Return the chosen effect and those that are indistinguishable from it, in words with their keys."""
+    """Return the chosen effect and the effects indistinguishable from it, in words with their keys."""
     known = {c.effect.name: c.effect for c in selection.candidates}
     alike = [known.get(n, n) for n in chosen.indistinguishable_from]
     return [str(selection.final.name(e)) for e in (chosen.effect, *alike)]
 
 
 def _start_errors(chosen: Candidate, others: Sequence[str]) -> list[str]:
-    """Return the answer where the starts of the rotor windows, about which nothing is stated, may be wrong."""
+    """Return the answer that start times of rotor windows, whose uncertainty is not stated, may be wrong."""
     errors = [e.value for e in chosen.estimates.values()]
     rms = 1e3 * math.sqrt(sum(x**2 for x in errors) / len(errors))
     sentence = (
-        f"Errors of the starts of the rotor windows (camera.start) of {rms:.2g} ms rms explain it; nothing is stated "
-        "about them: import the recording with --start-u."
+        f"Errors of the starts of the rotor windows (camera.start) of {rms:.2g} ms rms explain it; their uncertainty "
+        "is not stated: import the recording with --start-u."
     )
     if not others:
         return [sentence]
-    return [sentence, f"No effect is established; this data cannot separate them from: {'; '.join(others)}."]
+    return [sentence, f"No effect is established; these data cannot separate them from: {'; '.join(others)}."]
 
 
 def _untested(test: FormTest, criteria: Criteria) -> list[str]:
-    """Return why the form of a law is not established although its residuals are consistent with noise."""
+    """Return the reason why the form of a law is not established although the residuals are consistent with noise."""
     if test.is_strong(criteria):
         return []  # stated with the rivals
     if test.bounds_p <= criteria.doubt_named:
@@ -794,14 +808,14 @@ def _untested(test: FormTest, criteria: Criteria) -> list[str]:
 
 
 def _active_bounds(fit: Fit) -> list[str]:
-    """Return the parameters at a bound of their range that has no physical reason."""
+    """Return a sentence with the parameters at an arbitrary bound; empty if there is none."""
     layout = fit.problem.layout
     at_bound = [
         f"{name} = {e.value:.4g}"
         for name, e in fit.estimates.items()
         if e.at_bound and name in layout.index and not layout.is_physical_bound(name)
     ]
-    return [f"Active bound: {', '.join(at_bound)}; the law there may be another one."] if at_bound else []
+    return [f"Active bound: {', '.join(at_bound)}; outside it, another law may act."] if at_bound else []
 
 
 def _capital(text: str) -> str:
@@ -813,7 +827,7 @@ _PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
 
 
 def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Criteria) -> list[str]:
-    # an unexplained torque that depends on the angle looks like a camera effect as well
+    # an unmodelled torque of the angle changes the fitted camera effects, so their values are not reported
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [
@@ -835,12 +849,12 @@ def _strength(c: Candidate) -> str:
 
 
 _MOSTLY_STATISTICAL = 0.05
-"""Relative difference above which the statistical part of an uncertainty is stated beside the whole [1]. Chosen: a
-smaller value repeats equal numbers, a larger one hides systematic parts."""
+"""Excess of the combined over the statistical uncertainty above which both are stated [1]. Chosen: a smaller value
+repeats equal numbers, a larger one hides systematic parts."""
 
 
 def _with_both(e: Estimate, total: float) -> str:
-    """Return a value with its combined standard uncertainty, and the statistical part where that is smaller."""
+    """Return a value with its combined standard uncertainty, and the statistical part if that is clearly smaller."""
     text = rounded(e.value, total, e.unit)
     if not total > (1 + _MOSTLY_STATISTICAL) * e.stderr:
         return text

@@ -1,23 +1,23 @@
 """Gauss-Legendre collocation of the equations of motion.
 
-On an interval of length h that starts with y0, the states at the K Gauss nodes fulfil
+On an interval of length h with the initial state y0, the states at the K Gauss nodes satisfy
 
     y_k = y0 + h/2 sum_j S_kj f(t_j, y_j),    S_kj = integral of L_j from -1 to x_k,
 
-with the Lagrange polynomials L_j of the nodes: an implicit Runge-Kutta method of order 2K
-(E. Hairer, G. Wanner, Solving ODEs II, IV.5). Newton's method treats all intervals together; the
-linear systems of the intervals are solved in one batch and chained by their transfer matrices. An
-interval whose Legendre coefficients have not decayed is halved. In each call the casing turns in one sense, or rests;
-`fitting.dynamics._events` joins such stretches.
+with the Lagrange polynomials L_j of the nodes. This is an implicit Runge-Kutta method of order 2K (E. Hairer, G.
+Wanner, Solving ODEs II, IV.5). Newton's method solves all intervals together. An interval whose Legendre coefficients
+have not decayed is halved. In each solution the casing turns in one sense or is at rest; `fitting.dynamics._events`
+joins such stretches.
 
-With A, the derivatives of f, at the nodes, deviations dy_k in an interval that starts with dy_0 fulfil
+With the Jacobian A of f at the nodes, deviations dy_k in an interval with the initial deviation dy_0 satisfy
 
-    dy_k - h/2 sum_j S_kj A_j dy_j = dy_0 + b_k:
+    dy_k - h/2 sum_j S_kj A_j dy_j = dy_0 + b_k.
 
-one small dense system per interval, all solved in one batch and chained by their transfer matrices.
+This is one small dense linear system per interval. All systems are solved in one batch and chained by their transfer
+matrices.
 
-The time at which the casing comes to rest is one more unknown: each step of Newton's method stretches the end of the
-mesh, and continues the states along their rates to the new node times.
+The time at which the casing comes to rest is one more unknown. Each step of Newton's method stretches the end of the
+mesh and extrapolates the states along their rates to the new node times.
 """
 
 from __future__ import annotations
@@ -48,34 +48,35 @@ TOLERANCE = 1e-10
 """Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value costs
 intervals, a larger one makes derivatives inaccurate."""
 _MAX_NEWTON = 25
-"""Iterations of Newton's method at most [1]. Chosen: it doubles the digits in each; fewer give up too early, more delay
-the failure."""
+"""Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; fewer stop too early,
+more delay the failure."""
 MAX_INTERVALS = 40_000
-"""Intervals at most [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays the
-failure of stiff ones."""
+"""Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
+the failure of stiff motions."""
 _CASING = 1
-"""Place of the casing in a state [1]. Derived: a state begins with omega_r and omega_c."""
+"""Index of the speed of the casing in a state vector [1]. Derived: a state begins with omega_r and omega_c."""
 _SMALL = 1e-9
 """Relative step of Newton's method after which the error is rounding [1]. Derived: convergence is quadratic, so the
-next step is about the square of this one."""
+next step is about the square of this step."""
 _LARGEST_ERROR = 1e-13
-"""Largest error after the last step, as predicted from the convergence of the previous steps with a margin of ten [1].
-Chosen: a smaller value adds steps at the rounding, a larger one stops before convergence."""
+"""Largest error after the last step, predicted from the convergence of the previous steps with a margin of ten [1].
+Chosen: a smaller value adds steps of the size of the rounding, a larger one stops before convergence."""
 _MEASURED = 1e-6
-"""Size of a step above which it measures the convergence [1]. Chosen: smaller steps contain rounding; a larger value
-uses too few steps."""
+"""Smallest previous step from which the convergence is measured [1]. Chosen: smaller steps contain rounding; a larger
+value uses too few steps."""
 _RESOLVED = 1e-14
 """Truncation error below which an interval of twice the length is resolved as well [1]. Derived: `TOLERANCE` over the
 growth of the error, 2^9 and more, with a margin."""
 _FEWEST = 12
-"""Intervals that a coarser mesh keeps [1]. Chosen: fewer overlook what the nodes do not show, more cost time."""
+"""Smallest number of intervals of a coarsened mesh [1]. Chosen: fewer overlook changes between the nodes, more cost
+time."""
 _CONSTANT_SLIP = 1e12
 """Relaxation time at which a slip is constant [s]. Derived: longer than any record, so that the relaxation has no
 effect."""
 UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
 TOO_SHARP = "the equations of motion change too sharply to be integrated"
 _FEW = 24
-"""Number of edges below which they are chained one by one [1]. Chosen: another value costs time and does not change the
+"""Number of steps below which they are chained one by one [1]. Chosen: another value costs time and does not change the
 result."""
 
 
@@ -113,7 +114,7 @@ class Mesh:
     edges: Array
 
     def __getstate__(self) -> dict[str, Array]:
-        """Return the edges: a worker computes the rest again."""
+        """Return only the edges; a worker recomputes everything else."""
         return {"edges": self.edges}
 
     @cached_property
@@ -121,7 +122,7 @@ class Mesh:
         return {}
 
     def sampler(self, times: Array) -> Sampler:
-        """Return the sampler at these times, the same for the same array, which must not change."""
+        """Return the sampler at these times; it is cached by the identity of the array, which must not change."""
         known = self._samplers.get(id(times))
         if known is None:
             known = self._samplers[id(times)] = times, Sampler(self, times)
@@ -140,11 +141,11 @@ class Mesh:
 
     @classmethod
     def uniform(cls, start: float, stop: float, intervals: int) -> Mesh:
-        """Return equal intervals."""
+        """Return a mesh of equal intervals."""
         return cls(np.linspace(start, stop, intervals + 1))
 
     def between(self, start: float, stop: float) -> Mesh:
-        """Return the mesh cut to start and end at these times."""
+        """Return the part of the mesh between two times [s]."""
         close = 1e-9 * (stop - start)
         inside = self.edges[(self.edges > start + close) & (self.edges < stop - close)]
         return Mesh(np.concatenate([[start], inside, [stop]]))
@@ -159,51 +160,51 @@ class Mesh:
         if list(anchors) == list(places):
             return self
         edges = np.interp(self.edges, anchors, places)
-        # no rounding error for an anchor that is an edge
+        # edges at anchors move exactly, without rounding errors
         edges[np.searchsorted(self.edges, anchors)] = places
         return Mesh(edges)
 
 
 @dataclass(frozen=True)
 class Path:
-    """A solution."""
+    """A solution of the equations of motion."""
 
     mesh: Mesh  # its intervals
     # states at the nodes (intervals, nodes, states) and at the edges (intervals + 1, states)
     y: Array
     edges: Array
-    states: tuple[str, ...]  # their names
-    sense: Array  # shape (intervals,); the casing's sense of motion: +1 or -1; 0 while friction holds it
+    states: tuple[str, ...]  # names of the states
+    sense: Array  # shape (intervals,); sense of rotation of the casing: +1 or -1; 0 while friction holds the casing
     kinks: tuple[float, ...] = ()  # times at which a torque jumps [s]
-    # saltation matrices of small deviations at the edges at which the casing stops or reverses
+    # saltation matrices of small deviations, by the index of the edge at which the casing stops or reverses
     jumps: dict[int, Array] = field(default_factory=dict)
-    # the error of a Newton step over the square of the previous step, for solutions near this one
+    # error of a Newton step over the square of the previous step, for solutions near this solution
     newton_ratio: float = 1.0
-    exact: bool = True  # whether it is a solution, and not the measured motion
-    # least value to which errors of a speed are relative [rad/s]. At a stretch where an oscillating casing hardly
-    # moves, its torques cancel, and errors relative to its own speed are rounding
+    exact: bool = True  # True for a solution, False for the measured motion
+    # smallest scale of the errors of a speed [rad/s]. In a stretch in which an oscillating casing hardly moves, its
+    # torques cancel, and errors relative to its own speed are rounding
     least_scale: float = 0.0
 
     @property
     def scale(self) -> Array:
-        """Values to which errors of the states are relative, (states,)."""
+        """Scale of the errors of each state, (states,): its largest absolute value; for speeds at least least_scale."""
         return self.scale_of(self.y)
 
     def scale_of(self, y: Array) -> Array:
-        """Return the same for other states at the nodes."""
+        """Return the scale of the errors for other states `y` at the nodes."""
         largest = 1e-300 + np.abs(y).max(axis=(0, 1))
         largest[:2] = np.maximum(largest[:2], self.least_scale)
         return np.asarray(largest)
 
     def angle(self, state: str) -> tuple[Array, Array]:
-        """Return the integral of a speed: at the start of each interval, and the speed at the nodes."""
+        """Return the integral of a speed at all edges [rad], and the speed at the nodes [rad/s]."""
         speed = self.y[..., self.states.index(state)]
         steps = self.mesh.half[:, 0] * (speed @ rule().w)
         return np.concatenate([[0.0], np.cumsum(steps)]), speed
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """The kinks without those at reversals and stops of the casing: times at which a law sets in [s]."""
+        """Times at which a torque jumps, except at reversals and stops of the casing [s]."""
         events = {float(self.mesh.edges[i]) for i in self.jumps}
         return tuple(k for k in self.kinks if k not in events)
 
@@ -226,7 +227,7 @@ class Path:
 
 
 class Sampler:
-    """Values and integrals of node data of a mesh at any times inside it [s], as sparse rows."""
+    """Interpolation of node data of a mesh, and of their integrals, at times inside the mesh [s]."""
 
     def __init__(self, mesh: Mesh, times: Array) -> None:
         edges = mesh.edges
@@ -244,7 +245,7 @@ class Sampler:
         return self._weighted(self._vander[:, :-1], rule().to_legendre, nodes)
 
     def integral(self, starts: Array, nodes: Array) -> Array:
-        """Return the running integral of node data, given its values at the edges."""
+        """Return the running integral of node data at the times; `starts` are its values at the edges."""
         inner = self._weighted(self._vander, rule().antiderivative, nodes)
         return np.asarray(starts[self.index] + inner * self._half.reshape(-1, *[1] * (inner.ndim - 1)))
 
@@ -261,7 +262,7 @@ class Sampler:
 
 
 def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
-    """Return a known path on another mesh, as the initial solution for one with another start."""
+    """Return a known path on another mesh, as the initial solution for the initial states `start`."""
     sampler = Sampler(guess.mesh, mesh.times.ravel())
     y = sampler.value(guess.y).reshape(*mesh.times.shape, -1)
     edges = Sampler(guess.mesh, mesh.edges).value(guess.y)
@@ -280,9 +281,9 @@ def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
 class Propagator:
     """The linearised equations d(dy)/dt = A dy + b on a mesh, with A of shape (intervals, nodes, n, n) at its nodes.
 
-    `jumps` are saltation matrices at edges where the torque jumps. With right-hand sides `defect` (intervals, nodes,
-    n, columns) `response` is the same as its `nodes`, at less cost. `constraint` (2, 2) turns accelerations of free
-    bodies into those of bodies in contact.
+    `jumps` contains saltation matrices at edges where the torque jumps. If right-hand sides `defect` (intervals, nodes,
+    n, columns) are given, `response` equals `nodes(defect)` at less cost. `constraint` (2, 2) converts accelerations of
+    free bodies to those of bodies in contact.
     """
 
     def __init__(
@@ -325,7 +326,7 @@ class Propagator:
         return np.asarray(self._half[..., None] * total.reshape(intervals, n, columns))
 
     def with_regular_jumps(self, share: float) -> Propagator:
-        """Return the same equations with jumps that keep a share of the deviations that they eliminate."""
+        """Return the equations with invertible jumps: a deviation that a jump eliminates is multiplied by `share`."""
         if not self._jumps:
             return self
         other = copy(self)
@@ -335,18 +336,18 @@ class Propagator:
         return other
 
     def of_speeds(self) -> Propagator:
-        """Return the equations of the first two states, the others held."""
+        """Return the equations of the first two states (speeds), with the other states held."""
         if self._a.shape[-1] == 2:
             return self
         return Propagator(self._mesh, self._a[..., :2, :2], {i: m[:2, :2] for i, m in self._jumps.items()})
 
     def nodes(self, defect: Array) -> Array:
-        """Return the response at the nodes to right-hand sides (intervals, nodes, n, columns), edges held."""
+        """Return the response at the nodes to right-hand sides (intervals, nodes, n, columns), with fixed edges."""
         intervals, k, n, columns = defect.shape
         return np.asarray(self._inverse @ defect.reshape(intervals, k * n, columns)).reshape(defect.shape)
 
     def carried(self, edges: Array) -> Array:
-        """Return the deviations at the nodes that follow from those at the edges (intervals + 1, n, columns)."""
+        """Return the deviations at the nodes that deviations at the edges (intervals + 1, n, columns) cause."""
         return np.asarray(self.transfer @ edges[:-1, None])
 
     def chain(
@@ -356,9 +357,11 @@ class Propagator:
         first: Array | None = None,
         added: Mapping[int, Array] | None = None,
     ) -> Array:
-        """Return the deviations at all edges, (intervals + 1, n, columns), from the first edge on.
+        """Return the deviations at all edges, (intervals + 1, n, columns).
 
-        At some edges a deviation is added, after the jump.
+        `response` and `edge_defect` are the inhomogeneous parts at the nodes and at the ends of the intervals; `first`
+        is the deviation at the first edge, zero by default. The deviations `added` are added at their edges, after the
+        jump.
         """
         gain = edge_defect + self._gained(response)
         for i, jump in self._jumps.items():
@@ -373,7 +376,7 @@ class Propagator:
         return out
 
     def back(self, last: Array) -> Array:
-        """Return the homogeneous solution that ends as `last`, at all edges, (intervals + 1, n, columns)."""
+        """Return the homogeneous solution with the final value `last`, at all edges, (intervals + 1, n, columns)."""
         try:
             inverse: Array = np.asarray(np.linalg.inv(self._steps()))[::-1]
         except np.linalg.LinAlgError:
@@ -384,7 +387,7 @@ class Propagator:
         return out[::-1]
 
     def _steps(self) -> Array:
-        """Return the matrices that carry a deviation from edge to edge."""
+        """Return the transfer matrices of deviations from edge to edge, jumps included, (intervals, n, n)."""
         if not self._jumps:
             return self._step
         step = self._step.copy()
@@ -394,7 +397,7 @@ class Propagator:
 
 
 def _fill(out: Array, step: Array, gain: Array) -> None:
-    """Fill out[i + 1] = step[i] out[i] + gain[i], by recursive combination of pairs of steps."""
+    """Compute out[i + 1] = step[i] out[i] + gain[i] in place, by recursive combination of pairs of steps."""
     levels = []
     while len(step) >= _FEW:
         levels.append((out, step, gain))
@@ -416,7 +419,10 @@ def refine(
     pivot: float | None = None,
     most: int = MAX_INTERVALS,
 ) -> Path:
-    """Halve the intervals of a solution until it is resolved; a SimulationError if this takes more than `most`."""
+    """Return a solution whose intervals are halved until it is resolved.
+
+    A SimulationError is raised if more than `most` intervals are necessary.
+    """
     for _ in range(40):
         rough = truncation_error(path) > TOLERANCE
         if not rough.any():
@@ -433,10 +439,11 @@ def refine(
 def newton(
     dynamics: Dynamics, numbers: Mapping[str, float], first: Path, *, pivot: float | None = None
 ) -> Path:
-    """Solve the collocation equations for one sense of the casing's motion, by Newton's method.
+    """Return the solution of the collocation equations for one sense of rotation of the casing, by Newton's method.
 
-    The first edge of `first`, a sufficiently close initial solution, is the start. Edges after the edge `pivot` are
-    stretched so that the mesh ends when the casing comes to rest. SimulationError: no convergence, or no finite states.
+    `first` is a sufficiently close initial solution; the states at its first edge are the initial states. If `pivot` is
+    given, the edges after this time are stretched so that the mesh ends when the casing comes to rest. A
+    SimulationError is raised if the method does not converge or a state is not finite.
     """
     mesh, sense = first.mesh, first.sense[:, None]
     y, edges = first.y.copy(), first.edges.copy()
@@ -470,7 +477,7 @@ def newton(
 def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tuple[Mesh, float]:
     """Return the mesh that ends where the speed of the casing vanishes to first order, and its relative change.
 
-    The states are changed in place: continued along their rates to the new times.
+    The states are extrapolated along their rates to the new times, in place.
     """
     ends = rule().ends
     end, begin = float(mesh.edges[-1]), pivot
@@ -490,7 +497,7 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
 
 
 def truncation_error(path: Path) -> Array:
-    """Return the size of the last Legendre coefficients in each interval, relative to the scale of each state."""
+    """Return the largest of the last two Legendre coefficients in each interval, relative to the scale of its state."""
     coefficients = np.abs(rule().to_legendre[-2:] @ path.y)
     return np.asarray((coefficients.max(axis=1) / path.scale).max(axis=1))
 
@@ -515,14 +522,15 @@ def coarsened(path: Path) -> Path:
 
 
 _PARTS_OF_STEPS = (1, 4, 16, 64)
-"""Runge-Kutta steps between two nodes of the mesh that are tried [1]. Chosen: a motion that needs more is given up; a
-larger last value delays the failure of stiff motions."""
+"""Trial numbers of Runge-Kutta steps between two nodes of the mesh [1]. Chosen: a motion that needs more steps is
+abandoned; a larger last value delays the failure of stiff motions."""
 _STABLE = 2.5
-"""Largest step of the Runge-Kutta method over the time of decay [1]. Derived: the method of order 4 is stable up to
-2.8; the rest is a margin."""
+"""Largest step of the Runge-Kutta method over the time constant of decay [1]. Derived: the method of order 4 is stable
+up to 2.8; the remainder is a margin."""
 _SHORT_INTERVALS = 400
-"""Edges of a mesh from which it gets one step per interval, with states interpolated linearly [1]. Chosen: intervals of
-a mesh that fine are short enough for Newton's method; a smaller value spoils its start, a larger one costs time."""
+"""Number of edges above which each interval has a single step, with linear interpolation of the states [1]. Chosen: the
+intervals of such a mesh are short enough for Newton's method; a smaller value gives a poor initial solution, a larger
+one costs time."""
 
 
 def _stepped(
@@ -534,9 +542,10 @@ def _stepped(
     width: int,
     parts: int,
 ) -> Array:
-    """Return the states at the given times, with `parts` steps between two of them.
+    """Return the states at the given times, with `parts` steps between two times.
 
-    They end with the interval in which the casing comes to rest, or with the first state that is not finite.
+    The states end with the interval in which the casing comes to rest, or with the first state that is not finite;
+    `width` is the number of times per interval.
     """
     y = np.empty((len(times), len(start)))
     y[0] = start
@@ -563,13 +572,14 @@ def _stepped(
 def runge_kutta(
     dynamics: Dynamics, numbers: Mapping[str, float], start: Array, mesh: Mesh, sense: float
 ) -> Path:
-    """Return a rough solution by classical Runge-Kutta steps: the initial solution for Newton's method.
+    """Return a rough solution by classical Runge-Kutta steps, the initial solution for Newton's method.
 
-    It ends with the interval in which the casing comes to rest. Steps longer than 2.8 times of decay are unstable: they
-    are divided so that the solution is stable at the start.
+    The solution ends with the interval in which the casing comes to rest. Steps longer than 2.8 time constants of decay
+    are unstable; therefore steps are divided so that they are stable at the start. A SimulationError is raised if the
+    number of steps is too large or a state is not finite.
     """
     if dynamics.relaxation:
-        # explicit steps are unstable for a slip that relaxes within a step
+        # explicit steps are unstable if a slip relaxes within a step
         numbers = {**numbers, dynamics.relaxation: _CONSTANT_SLIP}
     short = len(mesh.edges) > _SHORT_INTERVALS
     inside = mesh.times[:, :0] if short else mesh.times
@@ -578,7 +588,7 @@ def runge_kutta(
     times = np.append(times.ravel(), mesh.edges[-1])
     with np.errstate(all="ignore"):
         jacobian = dynamics.tangent(times[:1], start[None], numbers, sense)[1][0]
-    # the root of a speed has no derivative at rest, but the motion from there has finite rates
+    # the root of a speed has no derivative at rest, but the rates are finite there
     known = np.isfinite(jacobian).all()
     decay = max(0.0, float(-np.linalg.eigvals(jacobian).real.min())) if known else 0.0
     parts = next((n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n), None)

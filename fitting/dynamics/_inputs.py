@@ -1,10 +1,10 @@
 """Recorded inputs of a motion: currents, voltages, commanded torques, temperatures.
 
-An input is a function of time, given by samples at its own times. Between them it is linear, or it holds the last
-value. A torque that depends on it changes abruptly at the samples: in value where a held value changes, in slope where
-the slope of a linear one changes. The equations of motion are integrated from one such time to the next, on which they
-are smooth. An input with more changes than can be followed is replaced by its means over short cells, which give the
-body the same impulse.
+An input is a function of time, given by samples at its own times. Between two samples it is linear, or it holds the
+value of the earlier one. A torque that depends on an input therefore changes abruptly at the samples: its value jumps
+if a held input changes, and its slope jumps if the slope of a linear input changes. The equations of motion are
+integrated from one such time to the next, because they are smooth in between. An input with more than `MOST_CHANGES`
+changes is replaced by its means over short cells, which give the body the same impulse.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ MOST_CHANGES = 4000
 """Largest number of times at which an input changes value or slope [1]. Chosen: a smaller value averages over longer
 cells, a larger one costs time."""
 _ROUNDING = 1e-9
-"""Step of a held input, relative to its largest value, below which it is rounding [1]. Chosen: a smaller value
-integrates from one rounding to the next, a larger one overlooks steps."""
+"""Step of a held input, over its largest value, below which the step is rounding [1]. Chosen: a smaller value splits
+the integration at rounding errors, a larger one overlooks steps."""
 _ROUNDED = 1e-7
-"""Shift of the next sample by a kink, relative to the range of the input, below which it is rounding [1]. Derived:
-eight digits of a number in a file, with a margin of ten."""
+"""Change of the next sample by a change of slope, over the range of the input, below which the change is rounding [1].
+Derived: eight digits of a number in a file, with a margin of ten."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,18 +44,18 @@ class Input:
     Parameters
     ----------
     name : str
-        Its name in laws: letters, digits and underscores.
+        Name of the input in laws: letters, digits and underscores.
     time : ndarray, shape (n,)
-        Times of its samples on the clock of the record [s], strictly increasing.
+        Times of the samples on the clock of the record [s], strictly increasing.
     value : ndarray, shape (n,)
-        Its values [unit].
+        Values of the samples [unit].
     unit : str
         Unit in the style of CF: ``A``, ``V``, ``N m``, ``K``, ``1``.
     u : ndarray, shape (n,), or None
-        Standard uncertainty of the values by the calibration of the instrument [unit]: an error that all samples have
-        in common, in proportion to `u`. Noise of the samples is not part of it.
+        Standard uncertainty of the values by the calibration of the instrument [unit]: a common error of all samples,
+        proportional to `u`. It does not include the noise of the samples.
     interpolation : {"linear", "hold"}
-        Value between two samples: linear, or that of the last one.
+        Value between two samples: linear interpolation, or the value of the earlier sample.
     delay : float
         Dead time after which the input acts [s].
     """
@@ -115,12 +115,12 @@ class Input:
 
     @property
     def symbol(self) -> str:
-        """Its symbol in the expression of a law."""
+        """The symbol of the input in the expression of a law."""
         return input_symbol(self.name)
 
     @property
     def varies(self) -> bool:
-        """Whether it has more than one value."""
+        """Whether the value is not constant."""
         return bool(np.ptp(self.value) > 0)
 
     @cached_property
@@ -129,11 +129,14 @@ class Input:
         return np.asarray(self.time + self.delay)
 
     def __call__(self, times: Array | float, late: float = 0.0) -> Array:
-        """Return its value at some times [s] with the dead time `late` [s]; the nearest sample beyond them."""
+        """Return the value at times [s] with the additional dead time `late` [s].
+
+        Before the first and after the last sample, the value is that of the nearest sample.
+        """
         return self._interpolated(self.value, times, late)
 
     def slope(self, times: Array | float, late: float = 0.0) -> Array:
-        """Return its derivative at some times, to the right [unit/s]; zero for a held input, which jumps."""
+        """Return the right-hand derivative at times [unit/s]; zero for a held input, whose value jumps."""
         t = np.asarray(times, dtype=np.float64)
         if self.interpolation == "hold" or len(self.time) < 2:
             return np.zeros(t.shape)
@@ -142,19 +145,19 @@ class Input:
         return np.asarray(slopes[np.searchsorted(at, t, side="right")])
 
     def uncertainty(self, times: Array | float) -> Array:
-        """Return its standard uncertainty at some times [s]; zero if it is not given."""
+        """Return the standard uncertainty at times [s], in the unit of the input; zero if no uncertainty is given."""
         return self._interpolated(np.zeros(len(self.time)) if self.u is None else self.u, times)
 
     def _interpolated(self, values: Array, times: Array | float, late: float = 0.0) -> Array:
-        # the times of the samples are shifted, not the requested ones: a change is then exactly at its time
+        # the times of the samples are shifted, not the requested times, so that a change is exactly at its time
         t, at = np.asarray(times, dtype=np.float64), self._acting + late
         if self.interpolation == "linear":
             return np.asarray(np.interp(t, at, values))
-        # right-continuous, as heaviside(t - t0) of a law
+        # right-continuous, like heaviside(t - t0) in a law
         return np.asarray(values[np.maximum(np.searchsorted(at, t, side="right") - 1, 0)])
 
     def integral(self, times: Array) -> Array:
-        """Return its integral from the first of some times on [unit s]."""
+        """Return the integral from the first of the times to each of them [unit s]."""
         t = np.asarray(times, dtype=np.float64)
         knots = np.unique(np.concatenate([self._acting, t]))
         step = np.diff(knots)
@@ -165,16 +168,16 @@ class Input:
         return np.asarray(found - found[0])
 
     def means(self, edges: Array) -> Array:
-        """Return its mean in each cell between two successive times."""
+        """Return the mean value in each cell between two successive edges [unit]."""
         return np.asarray(np.diff(self.integral(edges)) / np.diff(edges))
 
     def jumps(self) -> tuple[Array, Array]:
-        """Return the times of all samples but the first [s], and the change of the value from the one before."""
+        """Return the times of all samples but the first [s], and the change of the value from the previous sample."""
         change = np.diff(self.value)
         return self._acting[1:], change
 
     def changes(self, first: float, last: float, late: float = 0.0) -> Array:
-        """Return the times between two others at which its value (held) or slope (linear) changes [s]."""
+        """Return the times between `first` and `last` at which the value (held) or the slope (linear) changes [s]."""
         if len(self.time) < 2:
             return np.zeros(0)
         if self.interpolation == "hold":
@@ -184,7 +187,7 @@ class Input:
             # before the first and after the last sample the value is constant
             step = np.diff(self.time)
             slope = np.concatenate([[0.0], np.diff(self.value) / step, [0.0]])
-            # a change of the slope changes the value by this much within one sample
+            # change of the value within one sample by the change of the slope
             size = np.abs(np.diff(slope)) * np.minimum(np.append(step, step[-1]), np.append(step[0], step))
             at = self._acting[size > _ROUNDED * max(float(np.ptp(self.value)), 1e-300)]
         at = at + late
@@ -193,7 +196,7 @@ class Input:
     def followed(self, first: float, last: float, most: int = MOST_CHANGES) -> Input:
         """Return the input with at most `most` changes between two times [s].
 
-        An input with more changes is replaced by its means over equal cells.
+        If the input has more changes, it is replaced by a held input with its means over equal cells.
         """
         if len(self.changes(first, last)) <= most:
             return self
@@ -202,9 +205,10 @@ class Input:
         return replace(self, time=edges[:-1] - self.delay, value=self.means(edges), u=u, interpolation="hold")
 
     def refuse_uncovered(self, first: float, last: float) -> None:
-        """Raise a RecordError unless its samples cover the times of a record [s].
+        """Raise a RecordError unless the samples cover the times of a record [s].
 
-        The last sample of a held input acts for good; any other end may lack one interval and the delay.
+        The last sample of a held input covers all later times. Otherwise one sample interval plus the delay may be
+        missing at either end.
         """
         step = float(np.median(np.diff(self.time))) if len(self.time) > 1 else math.inf
         slack = step + abs(self.delay)
@@ -218,10 +222,10 @@ class Input:
 
 
 def values_at(inputs: Iterable[Input], times: Array) -> dict[str, Array]:
-    """Return the value of each input at some times [s], by its symbol in laws."""
+    """Return the values of each input at times [s], by the symbol of the input in laws."""
     return {i.symbol: i(times) for i in inputs}
 
 
 def means_in(inputs: Iterable[Input], edges: Array) -> dict[str, Array]:
-    """Return the mean of each input between successive times [s], by its symbol in laws."""
+    """Return the means of each input between successive edges [s], by the symbol of the input in laws."""
     return {i.symbol: i.means(edges) for i in inputs}

@@ -1,12 +1,13 @@
 """A model: a set of effects, its equations of motion, and their derivatives.
 
-With the bearing torque tau (all laws between the bodies, times all factors),
+The equations of motion are
 
-    I_r d(omega_r)/dt = -tau + sum of the torques on the rotor
-    I_c d(omega_c)/dt = +tau + sum of the torques on the casing
+    I_r d(omega_r)/dt = -tau + sum of the torques on the rotor,
+    I_c d(omega_c)/dt = +tau + sum of the torques on the casing,
 
-and one more equation for each effect with its own state. The structure is frozen; numbers
-are passed separately as a mapping from ``<effect>.<symbol>`` to a value.
+where the bearing torque tau is the sum of the laws between the bodies, multiplied by all factors. Each state of an
+effect adds one equation. A model is immutable and contains no values of fitted parameters; these are passed separately
+as a mapping from ``<effect>.<symbol>`` to a value.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class Model:
 
     @classmethod
     def of(cls, names: str | Iterable[str]) -> Model:
-        """Return the model of these effects of the library, or one of the paper's by its name.
+        """Return the model of some effects of the library, or a model of the paper by its name.
 
         Parameters
         ----------
@@ -101,7 +102,7 @@ class Model:
         return cls(tuple(find(n) for n in names))
 
     def __add__(self, effect: Effect | str) -> Model:
-        """Return the model with one more effect: by name, as a law (``"casing: -k*omega_c**3"``), or an `Effect`."""
+        """Return the model with one more effect: a name, a law (``"casing: -k*omega_c**3"``), or an `Effect`."""
         return self.with_effect(resolve(effect) if isinstance(effect, str) else effect)
 
     def __sub__(self, name: str) -> Model:
@@ -140,7 +141,7 @@ class Model:
         Raises
         ------
         EffectError
-            If it is not in the model.
+            If the effect is not in the model.
         """
         require("name", name, TEXT)
         if name not in self.names:
@@ -148,17 +149,17 @@ class Model:
         return Model(tuple(e for e in self.effects if e.name != name))
 
     def with_fixed(self, values: Mapping[str, float]) -> Model:
-        """Return the model with some parameters held at values instead of fitted.
+        """Return the model with some parameters held at given values.
 
         Parameters
         ----------
         values : mapping of str to float
-            By key (``bearing.power.g``), or by symbol where only one parameter has it (``g``).
+            Values in SI units by key (``bearing.power.g``), or by symbol (``g``) if only one parameter has the symbol.
 
         Raises
         ------
         EffectError
-            If a name is not a parameter of the model, names several, or its value is not finite.
+            If a name belongs to no free parameter or to several, or a value is not finite.
         """
         require("values", values, NUMBERS)
         held: dict[str, float] = {}
@@ -175,7 +176,7 @@ class Model:
         return Model(tuple(_holding(e, held) for e in self.effects))
 
     def of_bodies(self, bodies: Set[str]) -> Model:
-        """Return the model of the effects that act on, and depend on, no other bodies of the library."""
+        """Return the model of the effects that act on, and depend on, these bodies of the library only."""
         return Model(tuple(e for e in self.effects if e.bodies <= bodies))
 
     @cached_property
@@ -185,12 +186,12 @@ class Model:
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """The keys of the parameters that a fit may move, in order."""
+        """The keys of the parameters that a fit may vary, in the order of the effects."""
         return tuple(f"{e.name}.{p.symbol}" for e in self.effects for p in e.free)
 
     @cached_property
     def per_case(self) -> tuple[str, ...]:
-        """The keys of the parameters that have a value for each case, unless requested otherwise."""
+        """The keys of the parameters that by default have a separate value for each case."""
         return tuple(f"{e.name}.{p.symbol}" for e in self.effects if e.per_case for p in e.free)
 
     @cached_property
@@ -200,27 +201,27 @@ class Model:
 
     @cached_property
     def smooth(self) -> Model:
-        """The physical effects whose torque is a function of the states of the motion.
+        """The model of the physical effects whose torque is a function of the states of the motion.
 
-        Where a torque restores an equilibrium, the angle of the casing is one of them.
+        If a torque restores an equilibrium, the deflection of the casing is a state.
         """
         physical = (e.about_equilibrium if self.restoring else e for e in self.effects if e.mechanical)
         return Model(tuple(e for e in physical if not e.depends_on_angle))
 
     @cached_property
     def angle_dependent(self) -> tuple[Effect, ...]:
-        """The physical effects that depend on an angle which is not a state of the motion."""
+        """The physical effects that depend on an angle, if this angle is not a state of the motion."""
         names = self.smooth.names
         return tuple(e for e in self.effects if e.mechanical and e.name not in names)
 
     @cached_property
     def restoring(self) -> bool:
-        """Whether a torque drives the casing back to an equilibrium: then its deflection is a state of the motion."""
+        """Whether a torque restores an equilibrium of the casing; the deflection is then a state of the motion."""
         return any(e.restoring for e in self.effects if e.mechanical)
 
     @cached_property
     def rigid_contact(self) -> Effect | None:
-        """The contact without slip in which the bodies roll on each other, if there is one."""
+        """The contact in which the bodies roll on each other without slip; None if there is none."""
         return next((e for e in self.effects if e.rigid), None)
 
     @cached_property
@@ -268,9 +269,10 @@ def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:
 
 
 def read_model(path: Path, own: Iterable[Effect] = (), inputs: Iterable[Input] = ()) -> Model:
-    """Read a model from a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables.
+    """Return the model in a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables.
 
-    Laws among the names may contain `inputs`.
+    The list ``effects`` contains names of the library, names of the effects `own` and laws ``body: law``; laws may
+    contain the recorded `inputs`.
     """
     document = read_toml(path)
     names = document.get("effects", [])
@@ -290,28 +292,29 @@ def read_model(path: Path, own: Iterable[Effect] = (), inputs: Iterable[Input] =
 
 INERTIA_ROTOR = "inertia.rotor"
 INERTIA_CASING = "inertia.casing"
-# the sense in which the casing turns: +1, -1, or 0 while friction holds it
+# symbol of the sense of rotation of the casing: +1, -1, or 0 while friction holds the casing
 SENSE = "sense"
 _CASING = 1
-"""Place of the casing in a state [1]. Derived: a state begins with omega_r and omega_c."""
+"""Index of the speed of the casing in a state vector [1]. Derived: a state begins with omega_r and omega_c."""
 
 
 class Dynamics:
-    """The equations of motion of a model with their derivatives, ready to evaluate.
+    """The equations of motion of a model and their derivatives, compiled for evaluation.
 
-    `angles`: both angles are states, as for laws of an angle. Measurement effects are left out: they do not change
-    the motion. `states` are ``omega_r, omega_c``, then ``deflection`` if a torque depends on it, then states of
-    effects, then the angles; the initial values of the first `free_starts` belong to the recording. `ratio` is the
-    key of the ratio of a contact without slip: the initial omega_r is then ratio times that of the casing. If `dry`,
-    a torque jumps where the casing stops, and rates are given for one sense of its motion. `inputs` are those of the
-    recording.
+    With `angles`, both angles are states, for laws of an angle. Measurement effects are ignored, because they do not
+    change the motion. `inputs` contains the inputs of the recording.
+
+    `states` contains ``omega_r, omega_c``, then ``deflection`` if a torque restores an equilibrium, then the states of
+    effects, then the angles. The initial values of the first `free_starts` states are parameters of the recording.
+    `ratio` is the key of the ratio of a contact without slip; the initial omega_r is then ratio times the initial
+    omega_c. `dry` states that a torque jumps when the casing stops; rates are then given for one sense of rotation.
     """
 
     def __init__(self, model: Model, *, angles: bool = False, inputs: Iterable[Input] = ()) -> None:
         physical = [e for e in model.effects if e.mechanical]
         used = {name for e in physical for name, _ in e.inputs}
         self.inputs = tuple(i for i in inputs if i.name in used)
-        # keys of the dead times of inputs, by symbol
+        # key of the dead time of each input, first by name, then by symbol
         delays = {
             e.inputs[0][0]: f"{e.name}.{e.parameters[0].symbol}" for e in physical if e.joint == "input"
         }
@@ -363,7 +366,10 @@ class Dynamics:
         return places
 
     def _collect_delays(self, outputs: list[Expr], rates: list[Expr]) -> list[tuple[int, int, int]]:
-        """Return places of the derivatives by dead times, d(rate)/dT = -d(rate)/du du/dt, where u does not jump."""
+        """Return the places (rate, parameter, output) of the derivatives with respect to the dead times T.
+
+        d(rate)/dT = -d(rate)/du du/dt, where the input u does not jump.
+        """
         places = []
         for symbol, key in self._delays.items():
             if key not in self.parameters:
@@ -427,14 +433,17 @@ class Dynamics:
         return 0.0 if key is None else float((self.constants | dict(numbers))[key])
 
     def changes(self, first: float, last: float, numbers: Mapping[str, float]) -> tuple[float, ...]:
-        """Return the times between two others at which an input changes value or slope [s]."""
+        """Return the times between `first` and `last` at which an input changes its value or slope [s]."""
         found = [i.changes(first, last, self._delay(i, numbers)) for i in self.inputs]
         return tuple(np.unique(np.concatenate(found)).tolist()) if found else ()
 
     def moving_breaks(
         self, first: float, last: float, numbers: Mapping[str, float]
     ) -> dict[str, list[float]]:
-        """Return the jumps of a torque whose times depend on a parameter, by its key, between two times [s]."""
+        """Return the times of the jumps of a torque that depend on a free parameter [s], by the key of the parameter.
+
+        These are changepoints, and the steps of held inputs between `first` and `last` if a dead time is free.
+        """
         found = {k: [numbers[k]] for k in self.breakpoints if k in self.parameters}
         for i in self.inputs:
             key = self._delays.get(i.symbol)
@@ -443,15 +452,15 @@ class Dynamics:
         return found
 
     def by_input(self, i: Input, t: Array, y: Array, numbers: Mapping[str, float]) -> Array:
-        """Return the derivative of the accelerations of rotor and casing by an input, (times, 2)."""
+        """Return the derivative of the accelerations of rotor and casing with respect to an input, (times, 2)."""
         slopes = Tape([derivative(rate, i.symbol) for rate in self._equations[:2]])
         values = self._values(t, y, numbers) | {SENSE: self._sense(y, None)}
         return np.stack([np.asarray(s) * np.ones(len(t)) for s in slopes(values)], axis=1)
 
     def by_delay(self, name: str, t: Array, edges: Array, y: Array, numbers: Mapping[str, float]) -> Array:
-        """Return the derivative of the accelerations by the dead time of an input, -d(rate)/du du/dt, (cells, 2).
+        """Return the derivative of the accelerations with respect to the dead time of an input, (cells, 2).
 
-        The derivative of the input is its mean between the edges of the cells about the times `t`.
+        The derivative is -d(rate)/du du/dt at the times `t`; du/dt is the mean between the edges of each cell.
         """
         i = next(i for i in self.inputs if i.name == name)
         change = np.diff(i(edges, self._delay(i, numbers))) / np.diff(edges)
@@ -459,10 +468,10 @@ class Dynamics:
 
     @cached_property
     def first_order(self) -> tuple[Expr, dict[str, Expr]] | None:
-        """Return the decay rate of the casing's speed [1/s] and its acceleration per unit of each input.
+        """Decay rate of the speed of the casing [1/s] and its acceleration per unit of each input, as expressions.
 
-        Those of a linear response, d(omega_c)/dt = -decay omega_c + sum of slope times input + what depends on neither,
-        as expressions of the parameters; None if the response is another one.
+        The response is linear and of first order: d(omega_c)/dt = -decay omega_c + sum of slope times input + terms
+        that depend on neither. None if the response has another form.
         """
         motion = {*self.states, "t", *(i.symbol for i in self.inputs)}
         rate = self._equations[_CASING]
@@ -471,16 +480,16 @@ class Dynamics:
         coupled = any(derivative(rate, s) != ZERO for s in self.states if s != "omega_c")
         if coupled or decay == ZERO or not slopes or any(e == ZERO for e in slopes.values()):
             return None
-        # what depends on the speed or on an input besides the linear terms
+        # the response is not linear if a coefficient depends on the motion, the time or an input
         if any(symbols(e) & motion for e in (decay, *slopes.values())):
             return None
         return decay, slopes
 
     def constraint(self, numbers: Mapping[str, float]) -> Array | None:
-        """Return the matrix that turns the accelerations of free bodies into those of bodies that roll on each other.
+        """Return the matrix (2, 2) from the accelerations of free bodies to those of bodies that roll on each other.
 
         Torques tau_r and tau_c give omega_c' = (tau_c + n tau_r) / (I_c + n^2 I_r) and omega_r' = n omega_c'.
-        None where the bodies may slip.
+        None if the bodies may slip.
         """
         if self.ratio is None:
             return None
@@ -493,9 +502,10 @@ class Dynamics:
     def rates(
         self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
     ) -> Array:
-        """Return dy/dt, shaped like y (..., states).
+        """Return dy/dt, with the shape of y (..., states).
 
-        `sense` is +1 or -1 where the casing turns that way, 0 where friction holds it; from y, if not given.
+        `sense` is the sense of rotation of the casing, +1 or -1, or 0 while friction holds the casing; by default the
+        sign of omega_c in y.
         """
         sense = self._sense(y, sense)
         outputs = self._rates_tape(self._values(t, y, numbers) | {SENSE: sense})
@@ -509,7 +519,7 @@ class Dynamics:
     def tangent(
         self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Return dy/dt and its derivative by the states (..., n, n)."""
+        """Return dy/dt and its derivative with respect to the n states, shape (..., n, n)."""
         sense = self._sense(y, sense)
         outputs = self._tangent_tape(self._values(t, y, numbers) | {SENSE: sense})
         return self._tangent(outputs, y, sense)
@@ -531,7 +541,7 @@ class Dynamics:
     def linearised(
         self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return dy/dt, its derivative by the states (..., n, n) and by the parameters (..., n, p)."""
+        """Return dy/dt and its derivatives with respect to the states (..., n, n) and the parameters (..., n, p)."""
         sense = self._sense(y, sense)
         outputs = self._tape(self._values(t, y, numbers) | {SENSE: sense})
         f, a = self._tangent(outputs, y, sense)
@@ -544,7 +554,7 @@ class Dynamics:
 
 
 def _in_one_sense(rate: Expr) -> Expr:
-    """Return a rate with sign(omega_c) as a separate number, so that it is smooth through rest."""
+    """Return a rate in which the symbol `SENSE` replaces sign(omega_c), so that the rate is smooth through rest."""
     sign = call("sign", sym("omega_c"))
     new: dict[int, Expr] = {}
     for node in nodes(rate):

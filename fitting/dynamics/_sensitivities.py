@@ -1,20 +1,20 @@
-"""Sensitivities of a solution to parameters, to initial values and to small extra torques.
+"""Sensitivities of a solution to parameters, to initial values and to small additional torques.
 
-With the fundamental matrix Phi(t) of the linearised equations, a torque u(t) along b gives
+With the fundamental matrix Phi(t) of the linearised equations, the response to a torque u(t) along b is
 
     d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
-    d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi,
+    d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi.
 
-which needs only running sums over the times at which u is known, for any frequency of u. After the casing has come to
-rest, deviations before do not matter; so that Phi has an inverse, a millionth of them is kept.
+The integrals are running sums over the times at which u is known, for any frequency of u. After the casing has come to
+rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an inverse.
 
-Where one mode decays long before the end of the record, all columns of Phi become parallel to the other mode, and the
-inverse is inaccurate. Then the decaying column is computed backwards from the end, in which direction it grows faster
-than the other, and its integral as well: the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical
+If one mode decays long before the end of the record, all columns of Phi become parallel to the other mode, and the
+inverse is inaccurate. Then the decaying column and its integral are computed backwards from the end; in this direction
+the column grows faster than the other one. This is the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical
 Solution of Boundary Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
 
-All solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the solution (`Propagator` of
-`fitting.dynamics._collocation`); the derivative by the time of a jump is an impulse at that time.
+All sensitivities solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the solution (`Propagator` of
+`fitting.dynamics._collocation`). The derivative with respect to the time of a jump is an impulse at that time.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from fitting.dynamics._model import Dynamics
 Array = NDArray[np.float64]
 
 _KEPT = 1e-6
-"""Share of a deviation that is kept where the casing comes to rest [1]. Chosen: Phi needs an inverse; a smaller value
-makes it inaccurate, a larger one carries deviations past the stop."""
+"""Share of a deviation that is kept when the casing comes to rest [1]. Chosen: Phi needs an inverse; a smaller value
+makes the inverse inaccurate, a larger one keeps deviations after the stop."""
 _DEPENDENT = 1e-9
 """Smallest singular value of the scaled columns of Phi for an accurate inverse [1]. Chosen: half of the digits remain;
 a smaller value gives inaccurate responses, a larger one costs time for the dichotomy."""
@@ -42,8 +42,8 @@ a smaller value gives inaccurate responses, a larger one costs time for the dich
 class LinearMotion:
     """The linearised motion of both speeds about a solution.
 
-    States of effects (a temperature, a phase) are coupled with the speeds. Where one of them decays so fast that Phi
-    has no inverse, all of these states are held.
+    States of effects (a temperature, a phase) are coupled with the speeds. If a state decays so fast that Phi has no
+    accurate inverse, all states of effects are held.
     """
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
@@ -61,15 +61,18 @@ class LinearMotion:
         self._starts[-1, :, decaying] = 0.0
 
     def fundamental(self, times: Array) -> Array:
-        """Return the speeds' rows of Phi at some times, shape (times, 2, n)."""
+        """Return the rows of Phi for the speeds at times [s], shape (times, 2, n)."""
         return Sampler(self._mesh, times).value(self._nodes)[:, :2]
 
     def integrated(self, times: Array) -> Array:
-        """Return the speeds' rows of Psi at some times, shape (times, 2, n)."""
+        """Return the rows of Psi for the speeds at times [s], shape (times, 2, n)."""
         return Sampler(self._mesh, times).integral(self._starts, self._nodes)[:, :2]
 
     def impulses(self, times: Array, direction: Array) -> Array:
-        """Return Phi^-1(s) b, shape (times, n); b holds the rates that a unit torque gives [rad s-2]."""
+        """Return Phi^-1(s) b, shape (times, n).
+
+        b = `direction` (2,) contains the accelerations of free bodies by a torque of 1 N m [rad s-2].
+        """
         return self._impulses(Sampler(self._mesh, times), direction)
 
     def _impulses(self, sampler: Sampler, direction: Array) -> Array:
@@ -81,24 +84,25 @@ class LinearMotion:
         try:
             return np.asarray(np.linalg.solve(phi, accelerations[..., None])[..., 0])
         except np.linalg.LinAlgError:
-            # after several stops the kept share of earlier deviations underflows
+            # after several stops, the kept shares of earlier deviations underflow
             if not np.isfinite(phi).all():
                 raise SimulationError(UNBOUNDED) from None
             return np.asarray((np.linalg.pinv(phi) @ accelerations[..., None])[..., 0])
 
     def accelerations(self, direction: Array) -> Array:
-        """Return the accelerations by a unit torque of bodies that may be in contact, from those of free bodies."""
+        """Return the accelerations of the bodies from those of free bodies; they differ for bodies in contact."""
         return direction if self._constraint is None else self._constraint @ direction
 
     def moving(self, times: Array) -> Array:
-        """Return 1 where the casing responds to a torque, 0 where friction holds it."""
+        """Return 1 at times at which the casing responds to a torque, and 0 while friction holds the casing."""
         return np.abs(self._sense[Sampler(self._mesh, times).index])
 
     def driven(self, times: Array, nodes: int, direction: Array) -> Callable[[Array], tuple[Array, Array]]:
-        """Return the response of both bodies at n sample times to a torque between them.
+        """Return the response function of both bodies at n sample times.
 
-        It maps torques [N m] at the q Gauss nodes between samples, (n - 1, q, columns), to d omega and d psi, each
-        (2, n, columns), rotor first. `direction` (2,) are the rates of both speeds that a unit torque gives.
+        The function maps torques [N m] at the q Gauss nodes between samples, (n - 1, q, columns), to d omega [rad/s]
+        and d psi [rad], each (2, n, columns), rotor first. `direction` (2,) contains the accelerations of both bodies
+        by a torque of 1 N m.
         """
         gauss = rule(nodes)
         half = 0.5 * np.diff(times)
@@ -130,13 +134,13 @@ def _fundamental(propagator: Propagator) -> Array:
 
 
 def _chained(propagator: Propagator, first: Array) -> Array:
-    """Return the deviations at all edges that follow from small deviations at the start."""
+    """Return the deviations at all edges that the deviations `first` at the start cause."""
     zero = np.zeros((*propagator.transfer.shape[:2], *first.shape))
     return propagator.with_regular_jumps(_KEPT).chain(zero, zero[:, 0], first)
 
 
 def _slow_and_fast_mode(propagator: Propagator) -> Array:
-    """Return the modes of slow and of fast decay of the speeds, at the nodes."""
+    """Return the slowly and the fast decaying mode of the speeds at the nodes, as columns."""
     slow = _chained(propagator, np.array([[1.0], [0.0]]))
     end = slow[-1] / np.linalg.norm(slow[-1])
     fast = propagator.with_regular_jumps(_KEPT).back(np.array([-end[1], end[0]]))
@@ -147,7 +151,7 @@ def _slow_and_fast_mode(propagator: Propagator) -> Array:
 
 
 def _independent(phi: Array) -> bool:
-    """Return whether the columns of Phi are linearly independent everywhere."""
+    """Return whether the columns of Phi are linearly independent at all nodes (`_DEPENDENT`)."""
     size = np.linalg.norm(phi, axis=-2, keepdims=True)
     if not (size > 0).all():
         return False
@@ -156,10 +160,10 @@ def _independent(phi: Array) -> bool:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Derivatives of the states at nodes and edges, last axis the columns.
+    """Derivatives of the states at nodes and edges, with the columns on the last axis.
 
-    Columns are the parameters of the dynamics, then the initial values of the speeds (of the casing alone in a contact
-    without slip), and of the deflection if it is a state.
+    The columns are the parameters of the dynamics, then the initial speeds (of the casing alone in a contact without
+    slip), then the initial deflection if the deflection is a state.
     """
 
     nodes: Array
@@ -168,7 +172,7 @@ class Sensitivity:
 
 
 def sensitivities(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) -> Sensitivity:
-    """Return the derivatives of a solution by parameters and by the initial values that belong to the recording."""
+    """Return the derivatives of a solution with respect to parameters and to the initial values of the recording."""
     _, a, b = dynamics.linearised(path.mesh.times, path.y, numbers, path.sense[:, None])
     propagator = Propagator(path.mesh, a, path.jumps, constraint=dynamics.constraint(numbers))
     n, p, n0 = len(dynamics.states), len(dynamics.parameters), dynamics.free_starts
@@ -196,7 +200,10 @@ def sensitivities(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) 
 def _jump_impulses(
     dynamics: Dynamics, numbers: Mapping[str, float], path: Path, columns: int
 ) -> dict[int, Array]:
-    """Return the derivative of the states by the time of each jump: rate before minus rate after, at its edge."""
+    """Return the derivative of the states with respect to the time of each jump, by the index of its interval.
+
+    The derivative at the edge of the jump is the rate before minus the rate after the jump.
+    """
     impulses: dict[int, Array] = {}
     edges = path.mesh.edges
     for key, times in dynamics.moving_breaks(float(edges[0]), float(edges[-1]), numbers).items():
@@ -215,7 +222,7 @@ def _jump_impulses(
 
 
 def angles(sampler: Sampler, path: Path, state: int, nodes: Array) -> Array:
-    """Return the integral of the columns of a sensitivity of a speed, at the sampler's times."""
+    """Return the integral of the sensitivity `nodes` of a speed (index `state`) at the times of the sampler."""
     speed = nodes[:, :, state]
     steps = path.mesh.half * (rule().w @ speed)
     starts = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])

@@ -1,8 +1,9 @@
 """Formulas: safe parsing, exact derivatives, and evaluation with NumPy.
 
-The text is parsed by the grammar of Python (`ast`), and every node is checked against a short allow-list:
-numbers, known names, ``+ - * / **``, unary minus, and the functions of `FUNCTIONS`. ASCII only, at most
-500 characters, at most 40 nested levels, numbers as floats (so that ``9**9**9`` is not expanded).
+The text is parsed with the grammar of Python (`ast`). Every node is checked against a short allow-list: numbers, names,
+``+ - * / **``, unary plus and minus, and the functions of `FUNCTIONS`. A formula contains only ASCII, at most
+`MAX_LENGTH` characters and at most `MAX_DEPTH` nested levels. Numbers become floats, so that ``9**9**9`` is never
+evaluated as an integer of many digits.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ FUNCTIONS = ("abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", 
 class Expr(NamedTuple):
     """One node: an operation on smaller expressions, a number, or a symbol.
 
-    ``op`` is one of ``num``, ``sym``, ``add``, ``mul``, ``pow`` or the name of a function;
-    ``value`` holds the number of a ``num``, ``name`` the name of a ``sym``.
+    ``op`` is one of ``num``, ``sym``, ``add``, ``mul``, ``pow`` or the name of a function. ``value`` is the number of a
+    ``num``, ``name`` the name of a ``sym``.
     """
 
     op: str
@@ -49,7 +50,7 @@ ZERO, ONE, MINUS_ONE = num(0.0), num(1.0), num(-1.0)
 
 
 def add(a: Expr, b: Expr) -> Expr:
-    """Return a + b, with zeros left out and numbers folded."""
+    """Return a + b, simplified: zeros are omitted, and two numbers are added."""
     if a == ZERO:
         return b
     if b == ZERO:
@@ -60,7 +61,7 @@ def add(a: Expr, b: Expr) -> Expr:
 
 
 def mul(a: Expr, b: Expr) -> Expr:
-    """Return a * b, with zeros and ones left out, numbers folded, and signs moved to the front."""
+    """Return a * b, simplified: factors 0 and 1 are evaluated, numbers are multiplied, signs are moved to the front."""
     if ZERO in (a, b):
         return ZERO
     if a == ONE:
@@ -93,7 +94,7 @@ def sub(a: Expr, b: Expr) -> Expr:
 
 
 def power(a: Expr, b: Expr) -> Expr:
-    """Return a ** b, with trivial exponents left out."""
+    """Return a ** b; the exponents 0 and 1 are evaluated."""
     if b == ZERO:
         return ONE
     if b == ONE:
@@ -112,12 +113,12 @@ def call(function: str, a: Expr) -> Expr:
 
 
 def total(terms: list[Expr]) -> Expr:
-    """Return the sum of some expressions (zero when there are none)."""
+    """Return the sum of the expressions; zero if the list is empty."""
     return reduce(add, terms, ZERO)
 
 
 def nodes(e: Expr) -> list[Expr]:
-    """Return the nodes of an expression, each object once and after its arguments; the expression is the last."""
+    """Return the nodes of an expression, each object once and after its arguments; the expression is the last node."""
     found: dict[int, Expr] = {}
     path = [e]
     while path:
@@ -132,7 +133,7 @@ def nodes(e: Expr) -> list[Expr]:
 
 
 def substitute(e: Expr, values: dict[str, Expr]) -> Expr:
-    """Return the expression with symbols replaced."""
+    """Return the expression with symbols replaced by the expressions in `values`, by name."""
     new: dict[int, Expr] = {}
     build = {"add": add, "mul": mul, "pow": power}
     for node in nodes(e):
@@ -145,7 +146,7 @@ def substitute(e: Expr, values: dict[str, Expr]) -> Expr:
 
 
 def divisors(e: Expr) -> list[Expr]:
-    """Return the divisors in an expression: the bases of powers with a negative number as exponent.
+    """Return the divisors in an expression: the bases of powers with a negative number as exponent, without abs().
 
     Examples
     --------
@@ -165,8 +166,8 @@ MAX_LENGTH = 500
 """Longest formula [characters]. Chosen: a limit of time and memory; a smaller value refuses long laws, a larger one
 admits malicious ones."""
 MAX_DEPTH = 40
-"""Nested levels of a formula at most [1]. Chosen: below the recursion limit of Python; a smaller value refuses long
-laws, a larger one may exceed it."""
+"""Largest number of nested levels of a formula [1]. Chosen: below the recursion limit of Python; a smaller value
+refuses long laws, a larger one may exceed the limit."""
 _BINARY: dict[type[ast.operator], Callable[[Expr, Expr], Expr]] = {
     ast.Add: add, ast.Sub: sub, ast.Mult: mul, ast.Div: div, ast.Pow: power,
 }  # fmt: skip
@@ -183,7 +184,7 @@ _ALLOWED = "numbers, the names listed, + - * / ** and " + ", ".join(FUNCTIONS)
 
 
 def parse(text: str) -> Expr:
-    """Parse a formula like ``-k*omega_c*abs(omega_c)``; every name but ``pi`` and functions becomes a symbol.
+    """Parse a formula, for example ``-k*omega_c*abs(omega_c)``; every name except ``pi`` and functions is a symbol.
 
     An ExpressionError names the part of the text that is not allowed.
     """
@@ -195,7 +196,7 @@ def parse(text: str) -> Expr:
         raise ExpressionError("the formula is nested too deeply", f"at most {MAX_DEPTH} levels are allowed")
     try:
         with warnings.catch_warnings():
-            # warnings of Python about literals are not meant for the author of a formula
+            # Python's warnings about literals do not help the author of a formula
             warnings.simplefilter("ignore")
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -255,8 +256,8 @@ def _number(number: float) -> Expr:
     return num(value)
 
 
-# sign and heaviside have a zero derivative where they are smooth; their jumps (a casing that comes to rest, a torque
-# that sets in) are events of the integration.
+# The derivative of sign and heaviside is zero except at their jumps. The integration treats these jumps (a casing that
+# comes to rest, a torque that sets in) as events.
 _OUTER: dict[str, Callable[[Expr], Expr]] = {
     "abs": lambda u: call("sign", u),
     "sign": lambda u: ZERO,  # noqa: ARG005
@@ -272,7 +273,7 @@ _OUTER: dict[str, Callable[[Expr], Expr]] = {
 
 
 def derivative(e: Expr, name: str) -> Expr:
-    """Return the partial derivative of an expression with respect to a symbol; zero where the symbol does not occur."""
+    """Return the partial derivative of an expression with respect to a symbol; zero if the symbol does not occur."""
     slopes: dict[int, Expr] = {}
     for node in nodes(e):
         slopes[id(node)] = _slope(node, name, [slopes[id(a)] for a in node.args])
@@ -280,7 +281,7 @@ def derivative(e: Expr, name: str) -> Expr:
 
 
 def _slope(e: Expr, name: str, inner: list[Expr]) -> Expr:
-    """Return the derivative of a node from those of its arguments."""
+    """Return the derivative of a node from the derivatives `inner` of its arguments."""
     if not inner:
         return ONE if e.op == "sym" and e.name == name else ZERO
     if e.op == "add":
@@ -323,7 +324,7 @@ _FAST_POWERS: dict[float, Callable[..., Any]] = {2.0: np.square, -1.0: partial(n
 
 
 class Tape:
-    """A list of elementary operations that evaluates several expressions, common subexpressions once."""
+    """A list of elementary operations that evaluates several expressions; common subexpressions are evaluated once."""
 
     def __init__(self, outputs: Sequence[Expr]) -> None:
         self._slots: dict[Expr, int] = {}
@@ -357,7 +358,10 @@ class Tape:
         return {name for _, name in self._inputs}
 
     def __call__(self, values: Mapping[str, Any]) -> list[Any]:
-        """Evaluate all outputs for a value of each symbol; arrays broadcast. An output without symbols is a float."""
+        """Return the values of all outputs for a value of each symbol.
+
+        Arrays broadcast; an output without symbols is a float.
+        """
         registers: list[Any] = [None] * len(self._slots)
         for slot, number in self._constants:
             registers[slot] = number
@@ -374,11 +378,12 @@ _LATEX_NAMES = {
     "tau_T": r"\tau_T", "chirp": r"\chi",
 }  # fmt: skip
 _SUM = 0
-"""Rank of a sum in a typeset formula [1]. Derived: it binds least, so all other operands need no brackets in it."""
+"""Precedence of a sum in a typeset formula [1]. Derived: the lowest precedence, so operands need no brackets in a
+sum."""
 _PRODUCT = 1
-"""Rank of a product in a typeset formula [1]. Derived: it binds more than a sum and less than a power."""
+"""Precedence of a product in a typeset formula [1]. Derived: between those of a sum and of a power."""
 _ATOM = 2
-"""Rank of an operand that is one symbol or in brackets [1]. Derived: it binds most."""
+"""Precedence of an operand that is one symbol or in brackets [1]. Derived: the highest precedence."""
 
 
 def latex(e: Expr) -> str:

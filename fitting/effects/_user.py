@@ -48,10 +48,10 @@ from fitting.effects._expression import (
 )
 from fitting.effects._library import LIBRARY, find
 
-# the unit of a strength that cannot be derived because other units were not given
+# unit of a strength whose unit cannot be derived, because other units were not given
 UNKNOWN_UNIT = "SI"
 _COARSE = 5
-"""Step through the trial changepoints where a law has other shape constants as well [1]. Chosen: a smaller value costs
+"""Step through the trial changepoints if a law has other shape constants as well [1]. Chosen: a smaller value costs
 time, a larger one starts far from the optimum."""
 _GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Trial values of a shape constant over its initial value [1]. Chosen: two per decade; fewer start far from the
@@ -76,11 +76,12 @@ def formula(
     inputs: Mapping[str, str] | None = None,
     words: str = "",
 ) -> Effect:
-    """Return an effect from a law; parameters that are not declared are found in the law.
+    """Return an effect from a law.
 
-    With a `rate` the law has a state variable `lag` [1/s] that is zero at the start: d(lag)/dt = rate. `inputs` are the
-    units of the recorded inputs that the law may contain, by name. An EffectError or ExpressionError says that the law
-    is not understood, has no strength to fit, or does not come out in its unit.
+    Names in the law that are neither variables nor inputs are parameters; `declared` gives their keys, by symbol. With
+    a `rate`, the law has a state variable `lag` [1/s] with d(lag)/dt = rate, zero at the start. `inputs` contains the
+    units of the recorded inputs that the law may contain, by name. An EffectError or ExpressionError is raised if the
+    law is not understood, if it has no strength to fit, or if its units do not agree.
     """
     if body not in _BODIES:
         raise EffectError(
@@ -134,12 +135,12 @@ def _refuse_misspelt(
 ) -> None:
     """Refuse parameters that are not declared and are probably misspelt variables.
 
-    That is a name within two edits of a variable or an input, or any name besides the strength in a law without
-    variables.
+    These are names within two edits of a variable or an input. In a law without variables, several undeclared names are
+    refused as well.
     """
     variables = [v for v in (*VARIABLES, *inputs) if v not in NOT_FOR_USERS or v in inputs]
     for symbol in undeclared:
-        # short names are within two edits of most others
+        # a short name is within two edits of most names
         near = [v for v in variables if len(v) > _EDITS + 2]
         distance, _, variable = min((edit_distance(symbol, v), not v.endswith(body[0]), v) for v in near)
         if distance <= _EDITS:
@@ -157,7 +158,7 @@ def _refuse_misspelt(
 
 
 def _refuse_product(expression: Expr, undeclared: Sequence[str], inputs: Mapping[str, str]) -> None:
-    """Refuse two parameters that occur as a product only: the data determine the product, and one may be an input."""
+    """Refuse two parameters that occur as a product only: they are degenerate, and one may be meant as an input."""
     for i, first in enumerate(undeclared):
         slope = derivative(expression, first)
         if first in symbols(slope) or substitute(expression, {first: ZERO}) != ZERO:
@@ -165,8 +166,8 @@ def _refuse_product(expression: Expr, undeclared: Sequence[str], inputs: Mapping
         for second in undeclared[i + 1 :]:
             if second not in symbols(derivative(slope, second)) and substitute(slope, {second: ZERO}) == ZERO:
                 raise EffectError(
-                    f"the parameters {first} and {second} occur as a product only, of which the data determine one "
-                    f"factor. {_recorded(inputs)}",
+                    f"the parameters {first} and {second} occur as a product only, and the data determine only this "
+                    f"product. {_recorded(inputs)}",
                     "write one parameter, or record the input with `gyrotrack import --input`",
                 )
 
@@ -177,7 +178,7 @@ def _recorded(inputs: Mapping[str, str]) -> str:
 
 
 def edit_distance(a: str, b: str) -> int:
-    """Return the least number of insertions, deletions and substitutions that turn one word into another."""
+    """Return the smallest number of insertions, deletions and substitutions that change one word into another."""
     row = list(range(len(b) + 1))
     for i, x in enumerate(a, 1):
         row, above = [i], row
@@ -204,9 +205,10 @@ def _check(effect: Effect) -> None:
 
 
 def _timed(parameters: Sequence[Parameter], expression: Expr) -> tuple[tuple[Parameter, ...], str]:
-    """Return the parameters, with changepoints searched in the whole record, and the changepoint of a jump.
+    """Return the parameters, and the symbol of the changepoint at which the law jumps ("" if there is none).
 
-    A changepoint t0 occurs as t - t0; the law jumps there if t0 occurs as heaviside(t - t0) and in no other jump.
+    A changepoint t0 occurs as t - t0; its trial values cover the whole record. The law jumps at t0 if t0 occurs as
+    heaviside(t - t0) and in no other heaviside.
     """
     parts = nodes(expression)
     alone = [p.role for p in parameters].count("shape") == 1
@@ -244,7 +246,7 @@ def _parameter(symbol: str, keys: Mapping[str, Any], role: Role) -> Parameter:
 
 
 def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
-    """Return the first parameter to which the law is proportional."""
+    """Return the first of the candidates to which the law is proportional."""
     if not candidates:
         raise EffectError(
             f"every parameter of the law {law!r} is declared as a shape constant",
@@ -259,13 +261,13 @@ def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
         if substitute(expression, {symbol: ZERO}) == ZERO:
             return symbol
     raise EffectError(
-        f"the law {law!r} does not vanish with any one of {', '.join(linear)}",
+        f"the law {law!r} is not proportional to any of {', '.join(linear)}",
         "write a sum of laws as several effects, or multiply it by one strength",
     )
 
 
 def _is_phase(expression: Expr, symbol: str) -> bool:
-    """Return whether the law is a sine and a cosine of a parameter: its second derivative is minus itself."""
+    """Return whether a parameter is a phase: the second derivative of the law with respect to it is minus the law."""
     slope = derivative(derivative(expression, symbol), symbol)
     tape = Tape([expression, slope])
     values = {name: 0.4 + 0.17 * i + np.linspace(0.0, 1.0, 5) for i, name in enumerate(sorted(tape.names))}
@@ -280,7 +282,7 @@ def _is_phase(expression: Expr, symbol: str) -> bool:
 def _amplitude_unit(
     expression: Expr, amplitude: str, parameters: tuple[Parameter, ...], inputs: Mapping[str, str]
 ) -> str:
-    """Return the unit that makes the law a torque; where an exponent is fitted, ``N m s^p``."""
+    """Return the unit of the strength with which the law is a torque; ``N m s^p`` if an exponent p is fitted."""
     torque = parse_unit("N m")
     exponents = {p.symbol: p.start for p in parameters if p.unit == "1"}
 
@@ -316,7 +318,10 @@ _DRIVES = {
 
 
 def drive(joint: str, name: str, unit: str) -> Effect:
-    """Return the torque on a body that is proportional to a recorded input, ``casing.input.current`` for example."""
+    """Return the torque on a body or joint proportional to a recorded input, for example ``casing.input.current``.
+
+    `unit` is the unit of the input.
+    """
     return Effect(
         f"{joint}.input.{name}",
         cast("Joint", joint),
@@ -336,7 +341,7 @@ def drive(joint: str, name: str, unit: str) -> Effect:
 
 
 def dead_time(name: str, unit: str) -> Effect:
-    """Return the dead time after which a recorded input acts, ``input.current.delay`` for example."""
+    """Return the dead time after which a recorded input acts, for example ``input.current.delay``."""
     return Effect(
         f"input.{name}.delay",
         "input",
@@ -350,18 +355,18 @@ def dead_time(name: str, unit: str) -> Effect:
 
 
 def drives(inputs: Mapping[str, str] | Sequence[Any]) -> tuple[Effect, ...]:
-    """Return the effects of recorded inputs: torques proportional to each, on and between bodies, and dead times."""
+    """Return the effects of recorded inputs: a proportional torque on each body and joint, and a dead time."""
     units = units_of_inputs(inputs).items()
     return (*(drive(j, n, u) for n, u in units for j in _BODIES), *(dead_time(n, u) for n, u in units))
 
 
-# effects of recorded inputs
+# names of the effects of recorded inputs
 _OF_INPUT = re.compile(
     r"(?P<joint>rotor|casing|bearing)\.input\.(?P<driven>\w+)|input\.(?P<delayed>\w+)\.delay"
 )
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
 _KINDS = {"text": str, "a list": list, "true or false": bool, "a table": dict}
-# keys of a table, and what their values must be; numbers are checked with their bounds
+# keys of a table and the kinds of their values; numbers ("") are checked together with their bounds
 _PARAMETER_KEYS = dict.fromkeys(("lower", "upper", "start"), "") | {
     "unit": "text", "meaning": "text", "grid": "a list", "shape": "true or false"
 }  # fmt: skip
@@ -377,15 +382,15 @@ def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) 
     ----------
     text : str
         For example ``casing.air.quadratic``, ``casing: -k*omega_c**3`` or, with an input, ``casing: k*current`` and
-        ``casing.input.current``. Names in the law that are not variables are parameters; those in which the law is
-        linear start from a regression.
+        ``casing.input.current``. Names in the law that are not variables are parameters; a regression gives the initial
+        values of those in which the law is linear.
     inputs : mapping of str to str, or sequence of Input, optional
         The recorded inputs that the law may contain: their units by name, or ``record.inputs``.
 
     Raises
     ------
     EffectError, ExpressionError
-        With what is not understood.
+        If the text is not an effect; the message names the part that is not understood.
     """
     if not isinstance(text, str):
         raise EffectError(
@@ -408,7 +413,7 @@ def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) 
 
 
 def units_of_inputs(inputs: Mapping[str, str] | Sequence[Any] | None) -> dict[str, str]:
-    """Return the units of recorded inputs by name, from such a mapping or from the inputs themselves."""
+    """Return the units of recorded inputs by name, from a mapping of units or from the inputs."""
     if inputs is None or isinstance(inputs, Mapping):
         for name in inputs or {}:
             refuse_input_name(name)
@@ -423,13 +428,13 @@ def units_of_inputs(inputs: Mapping[str, str] | Sequence[Any] | None) -> dict[st
 
 
 def read_effects(path: Path) -> list[Effect]:
-    """Read effects from a TOML file with one ``[[effect]]`` table an effect.
+    """Read effects from a TOML file with one ``[[effect]]`` table for each effect.
 
-    Each has ``name``, ``body``, ``law`` and optionally ``words`` (the name in words), ``rate`` (of the state
-    variable ``lag``), ``signature``, ``source``, ``per_case``, ``inputs`` with the units of the recorded inputs in
-    the law (``{current = "A"}``), and ``[effect.parameters.k]`` tables with ``unit``, ``lower``, ``upper``,
-    ``start``, ``grid``, ``meaning``, and ``shape = true`` for a parameter that is not to be taken as the law's
-    strength.
+    A table has the keys ``name``, ``body`` and ``law``. Optional keys are ``words`` (the name in words), ``rate`` (of
+    the state variable ``lag``), ``signature``, ``source``, ``per_case``, and ``inputs`` with the units of the recorded
+    inputs in the law (``{current = "A"}``). A table ``[effect.parameters.k]`` may have the keys ``unit``, ``lower``,
+    ``upper``, ``start``, ``grid``, ``meaning``, and ``shape = true`` for a parameter that is not the strength of the
+    law.
 
     Parameters
     ----------
@@ -439,7 +444,7 @@ def read_effects(path: Path) -> list[Effect]:
     Raises
     ------
     EffectError
-        If the file cannot be read or a key is unknown or missing; the key is named.
+        If the file cannot be read or a key is unknown or missing; the message names the key.
     """
     tables = read_toml(path).get("effect")
     if not isinstance(tables, list) or not tables:
@@ -453,7 +458,7 @@ def read_effects(path: Path) -> list[Effect]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; an EffectError says that it cannot be read or is not TOML."""
+    """Return the content of a TOML file; an EffectError is raised if the file cannot be read or is not TOML."""
     try:
         with Path(path).open("rb") as file:
             return tomllib.load(file)
@@ -475,7 +480,7 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
     declared = table.get("parameters", {})
     for symbol, keys in declared.items():
         _check_table(f"{where}, parameter {symbol}", keys, _PARAMETER_KEYS)
-        # rad/s2 is rad s-2
+        # units with a slash are accepted: rad/s2 is rad s-2
         unit = re.sub(r"\s*/\s*([A-Za-z]+)(\d*)", lambda m: f" {m[1]}-{m[2] or 1}", keys.get("unit", "1"))
         try:
             parse_unit(unit, dict.fromkeys(string.ascii_lowercase, 1.0))

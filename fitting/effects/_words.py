@@ -1,7 +1,7 @@
 """Effects in words: the name, the symbol and the key of any effect or parameter.
 
-The library names each law once, of the casing: "quadratic air drag of the casing". In the recording of a single body,
-which has the role of the casing, the name of this body replaces it, and its support the touch point.
+The library names each law once, for the casing: "quadratic air drag of the casing". A single recorded body has the role
+of the casing; the name of this body then replaces "casing", and "support" replaces "touch point".
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from fitting.effects._library import LIBRARY, SLIP, START, shortened
 from fitting.effects._user import _OF_INPUT, dead_time, drive
 
 CASING = "casing"
-# where a law of the user acts
+# words for the body or joint on which a law of the user acts
 _OWN = {"rotor": "on the rotor", CASING: "on the casing", "bearing": "between the bodies"}
-# the parts of a change of the model: "+casing.air.quadratic -casing.air.linear", laws with spaces included
+# separates the parts of a change of the model, "+casing.air.quadratic -casing.air.linear"; laws may contain spaces
 _PART = re.compile(r"(?:^|(?<!:) )(?=[+-][A-Za-z])")
 _INITIAL = {"omega_r": "rotor", "omega_c": CASING}
 
@@ -31,11 +31,11 @@ class EffectName:
     Attributes
     ----------
     key : str
-        The key as commands take it; of a single body without its role: ``air.quadratic``, ``support.constant``.
+        The key that commands accept; for a single body without the role: ``air.quadratic``, ``support.constant``.
     words : str
-        The name in words: quadratic air drag of the casing.
+        The name in words, for example "quadratic air drag of the casing".
     symbol : str
-        The symbol of its strength in the formula: b₂; empty if it has none.
+        The symbol of the strength in the formula, for example b₂; empty if there is no strength.
     """
 
     key: str
@@ -53,17 +53,17 @@ def effect_name(key: str, body: str = CASING, effects: Iterable[Effect] = ()) ->
     ----------
     key : str
         The key of an effect (``casing.air.quadratic``, ``camera.start``), of a parameter
-        (``casing.air.quadratic.k``, ``initial.omega_c``; the case after ``@`` is left out), or a law of the user
+        (``casing.air.quadratic.k``, ``initial.omega_c``; the case after ``@`` is ignored), or a law of the user
         (``casing: -k*omega_c**3``).
     body : str
-        The name of the recorded body: "casing", or that of a single one ("body", "wheel").
+        The name of the recorded body: "casing", or the name of a single body ("body", "wheel").
     effects : iterable of Effect
         Effects that are not in the library.
 
     Returns
     -------
     EffectName
-        A key that is unknown is its own words, so that a sentence in a list of keys is kept.
+        The words of an unknown key are the key itself, so that a sentence in a list of keys remains unchanged.
 
     Examples
     --------
@@ -84,7 +84,7 @@ def effect_name(key: str, body: str = CASING, effects: Iterable[Effect] = ()) ->
         else:
             return EffectName("", of_body(_law(key), body), "")
     shown = key if body == CASING or effect is None or effect.name not in LIBRARY else shortened(key)
-    # the words of a formula contain it
+    # the words of a formula already contain the formula
     return EffectName("" if words == _law(key) != key else shown, of_body(words, body), symbol)
 
 
@@ -99,7 +99,7 @@ def change_name(change: str, body: str = CASING, effects: Iterable[Effect] = ())
 
 
 def of_body(text: str, body: str) -> str:
-    """Return a text about the casing as one about the single body of this name, which has a support."""
+    """Return a text about the casing as a text about a single body with the name `body`, which has a support."""
     if body == CASING:
         return text
     text = text.replace("at the touch point", f"of the {body}'s support").replace("touch point", "support")
@@ -111,7 +111,7 @@ def _words(effect: Effect) -> str:
 
 
 def _law(name: str) -> str:
-    """Return the words for an effect that a user wrote as ``body: law``; any other name as it is."""
+    """Return the words for an effect that a user wrote as ``body: law``; other names are returned unchanged."""
     joint, colon, law = name.partition(":")
     return f"law {law.strip()} {_OWN[joint]}" if colon and joint in _OWN else name
 
@@ -132,7 +132,7 @@ def _known(key: str, effects: Iterable[Effect]) -> Effect | None:
     )
 
 
-# the variables of the laws; state variables with their equation
+# the variables of the laws; `symbol_meanings` adds the equations of state variables
 _VARIABLES = {
     "t": "time from the start of the recording",
     "omega_r": "angular velocity of the rotor",
@@ -158,14 +158,14 @@ _SIGNS = {"deflection": "deflection", "temperature": "T", "chirp": "χ", "tau": 
 def symbol_meanings(
     effects: Iterable[Effect], body: str = CASING, units: Units = SI
 ) -> tuple[tuple[str, str], ...]:
-    """Return the symbols of the formulas of effects with their meanings: the definitions beneath a formula.
+    """Return the symbols of the formulas of effects with their meanings, for the definitions beneath a formula.
 
     Parameters
     ----------
     effects : iterable of Effect
         The effects, in the order of their formulas.
     body : str
-        The name of the recorded body: "casing", or that of a single one.
+        The name of the recorded body: "casing", or the name of a single body.
     units : Units
         Units of the torques of the case.
 

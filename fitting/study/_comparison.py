@@ -1,22 +1,23 @@
-"""Comparison of studies: which parameters and effects differ between runs, and how far parameters scatter over repeats.
+"""Comparison of studies: differences of parameters and effects between runs, and the spread of parameters over repeats.
 
 Two values x_1 and x_2 with standard uncertainties u_1 and u_2 differ by (x_2 - x_1) / sqrt(u_1^2 + u_2^2) standard
-uncertainties. Of k repeats the random-effects model
+uncertainties. The random-effects model of k repeats is
 
-    x_i = mu + b_i + e_i,   b_i of standard deviation tau between the runs,   e_i of standard uncertainty u_i
+    x_i = mu + b_i + e_i,
 
-has weights w_i = 1 / (u_i^2 + tau^2); tau follows from Q(tau) = sum w_i (x_i - mu)^2 = k - 1 (R. Paule, J. Mandel, J.
-Res. Natl. Bur. Stand. 87, 377 (1982)), 0 where Q(0) < k - 1. With tau estimated from the same few runs, the standard
-uncertainty of mu is the larger of sqrt(Q / (k - 1) / sum w_i) and 1 / sqrt(sum w_i), with k - 1 degrees of freedom
-(J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The interval of tau is that of all values whose Q is between
-quantiles of the chi-square distribution of k - 1 degrees of freedom (W. Viechtbauer, Stat. Med. 26, 37 (2007)); the
-p-value of equal parameters is that of Q(0).
+where b_i has the standard deviation tau between the runs, and e_i the standard uncertainty u_i of the run. The weights
+are w_i = 1 / (u_i^2 + tau^2), and tau follows from Q(tau) = sum w_i (x_i - mu)^2 = k - 1 (R. Paule, J. Mandel, J. Res.
+Natl. Bur. Stand. 87, 377 (1982)); tau = 0 if Q(0) < k - 1. Because tau is estimated from the same few runs, the
+standard uncertainty of mu is the larger of sqrt(Q / (k - 1) / sum w_i) and 1 / sqrt(sum w_i), with k - 1 degrees of
+freedom (J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The interval of tau contains all values whose Q is between
+two quantiles of the chi-square distribution with k - 1 degrees of freedom (W. Viechtbauer, Stat. Med. 26, 37 (2007)).
+The p-value of equal parameters is the tail probability of Q(0) in this distribution.
 
-A single run does not show how far its parameters scatter from run to run: as a statement about the body and not about
-that run, its standard uncertainty is the total sqrt(u_i^2 + tau^2). Times at which a law sets in belong to a run and
+A single run does not show how far its parameters scatter from run to run. As a statement about the body instead of the
+run, a value has the total standard uncertainty sqrt(u_i^2 + tau^2). Times at which a law sets in belong to a run and
 are not compared.
 
-Runs are taken as independent. What they share, above all an inertia and its uncertainty, cancels in a difference.
+Runs are treated as independent. A common error, above all of an inertia, cancels in a difference.
 """
 
 from __future__ import annotations
@@ -55,29 +56,33 @@ class ParameterComparison:
 
     name: str
     unit: str  # SI
-    repeats: tuple[Repeat, ...]  # its value in each run that determines it
-    difference_sigma: float | None  # of two runs: second minus first, over its standard uncertainty
+    repeats: tuple[Repeat, ...]  # its value in each run that determines the parameter
+    difference_sigma: (
+        float | None
+    )  # second minus first value over its standard uncertainty; None unless two runs
     p_value: float  # of equal values in all runs
     mean: float  # of the random-effects model [unit]
     mean_u: float  # its standard uncertainty [unit]
-    spread: float  # standard deviation between the runs, beyond the uncertainties [unit]
-    spread_interval: tuple[float, float]  # 68 % [unit]
+    spread: float  # standard deviation tau between the runs, in addition to the uncertainties [unit]
+    spread_interval: tuple[float, float]  # 68 % interval of the spread [unit]
 
     def total(self, repeat: Repeat) -> float:
-        """Return the standard uncertainty of one run's value with the spread between the runs [unit]."""
+        """Return the total standard uncertainty of the value of one run, which includes the spread [unit]."""
         return math.hypot(repeat.stderr, self.spread)
 
 
 @dataclass(frozen=True, repr=False)
 class Comparison:
-    """What several runs have in common: the parameters that at least two of them determine."""
+    """Comparison of several runs, with the parameters that at least two of them determine."""
 
-    runs: tuple[str, ...]  # their names
+    runs: tuple[str, ...]  # names of the runs
     parameters: tuple[ParameterComparison, ...]  # the most significant difference first
-    effects: dict[str, tuple[str, ...]]  # the runs that have each effect which not all of them have
-    bounds: dict[str, tuple[str, ...]]  # the runs in which a parameter is at its bound
-    population: Population | None = None  # of many runs: outlying ones, drifts and steps
-    words: Mapping[str, str] = field(default_factory=dict)  # of effects and parameters, with their keys
+    effects: dict[str, tuple[str, ...]]  # by effect that some runs do not have: the runs that have the effect
+    bounds: dict[
+        str, tuple[str, ...]
+    ]  # by parameter: the runs in which it is at a bound or has no uncertainty
+    population: Population | None = None  # outlying runs, drifts and steps; None for fewer than eight runs
+    words: Mapping[str, str] = field(default_factory=dict)  # effects and parameters in words, by key
 
     def called(self, key: str) -> str:
         """Return an effect or a parameter in words, with its key."""
@@ -158,10 +163,9 @@ def compare(
     Parameters
     ----------
     fits : mapping of str to Fit
-        Fits by the names of the runs. In a joint fit, the parameters that each case has of its own are repeats, named
-        ``run:case``.
+        Fits by the names of the runs. In a joint fit, per-case values of a parameter are repeats, named ``run:case``.
     times : mapping of str to float, optional
-        Times of the runs, by name, for drifts and steps of eight runs and more; by default they are numbered in order.
+        Times of the runs, by name, for drifts and steps (eight runs or more); by default the numbers of the runs.
     time_unit : str
         Unit of the times.
     body : str
@@ -170,7 +174,7 @@ def compare(
     Returns
     -------
     Comparison
-        Differences and spread of each parameter; its `population` has outlying runs, drifts and steps.
+        Differences and spread of each parameter; `population` contains outlying runs, drifts and steps.
 
     Raises
     ------
@@ -252,7 +256,10 @@ def _q(x: Array, u: Array, spread: float) -> float:
 
 
 def _spread(x: Array, u: Array, target: float) -> float:
-    """Return the spread at which Q, which falls with it, is `target`; 0 if Q is smaller without any."""
+    """Return the spread at which Q equals `target`; 0 if Q is at most `target` without a spread.
+
+    Q decreases with the spread.
+    """
     if _q(x, u, 0.0) <= target:
         return 0.0
     from scipy.optimize import brentq

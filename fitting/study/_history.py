@@ -1,8 +1,8 @@
 """The history of fits of a study: a JSON ledger next to the data.
 
-An entry holds the model (with the laws of effects that are not in the library), parameters, figures of merit, noise,
-the fit that it was made from, digests of the data, and the version of the program. A ledger may hold histories of
-several sets of cases; each entry names its cases. The keys are those of `fitting._schema.EntryDocument`.
+An entry contains the model (with the laws of effects that are not in the library), parameters, figures of merit, noise,
+the name of its parent fit, digests of the data, and the version of the program. A ledger may contain the histories of
+several sets of cases; each entry names its cases. `fitting._schema.EntryDocument` declares the keys.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ from fitting.study._serialisation import (
 )
 
 _ELSEWHERE = "move it away or choose another with --ledger"
-# errors of a part of the file that was edited by hand; its content is then computed again
+# errors of a part of the file that was edited by hand; the program then computes this part again
 _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
@@ -73,7 +73,7 @@ class Entry:
 
     @cached_property
     def stored(self) -> EntryDocument:
-        """The same as a validated object; a pydantic.ValidationError if a key is missing or of a wrong type."""
+        """The document as a validated object; a pydantic.ValidationError if a key is missing or of a wrong type."""
         return EntryDocument.model_validate(self.document)
 
     @property
@@ -88,12 +88,12 @@ class Entry:
 
     @property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Parameters shared by all cases, and parameters with one value per case, other than by default."""
+        """Parameters shared by all cases, and parameters with one value per case, if different from the default."""
         return tuple(self.stored.share), tuple(self.stored.per_case)
 
     @cached_property
     def prior(self) -> Prior | None:
-        """The prior of the fit."""
+        """The prior of the fit; None if it had no prior."""
         stored = self.stored.prior
         if stored is None:
             return None
@@ -101,10 +101,10 @@ class Entry:
         return Prior(tuple(stored.names), tuple(stored.mean), covariance, stored.source)
 
     def as_prior(self, source: str) -> Prior:
-        """Return the parameters of the fit with their covariance, as a prior of a study that calls this one `source`.
+        """Return the parameters of the fit with their covariance as a prior of another study.
 
-        A LedgerError or EstimationError says that the ledger holds no covariance, or the fit determines no parameter
-        that another study could use.
+        `source` is the name of this study. A LedgerError is raised if the ledger contains no covariance, an
+        EstimationError if the fit determines no parameter that another study can use.
         """
         if not self.stored.covariance:
             raise LedgerError(
@@ -115,17 +115,17 @@ class Entry:
 
     @property
     def model(self) -> Model:
-        """The model that was fitted."""
+        """The fitted model."""
         return Model(effects_of(self.stored.model, self.stored.own_effects))
 
     @property
     def variables(self) -> list[str]:
-        """Names of the variables of `covariance`; empty if it was stored without one."""
+        """Names of the parameters of `covariance`; empty if the fit was stored without a covariance."""
         return list(self.stored.variables)
 
     @property
     def covariance(self) -> list[list[float]]:
-        """Covariance of the variables."""
+        """Covariance of the `variables`, in SI units."""
         return [list(row) for row in self.stored.covariance]
 
     @property
@@ -134,7 +134,7 @@ class Entry:
         return self.stored.parameters
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit for display: restored if made by the same code, otherwise fitted again."""
+        """Return the fit for display: restored if the same code made the fit, otherwise fitted again."""
         data = with_prior(data, self.prior)
         stored, found = self.document.get("restored_from"), None
         if stored:
@@ -143,7 +143,7 @@ class Entry:
         return found or self.refit(data)
 
     def diagnosis(self, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
-        """Return the diagnosis for display, if there is one by the same code with these effects of the user."""
+        """Return the stored diagnosis; None if the same code with the same effects of the user did not make one."""
         stored = self.document.get("diagnosis")
         if stored:
             with suppress(*_DAMAGED):
@@ -153,10 +153,10 @@ class Entry:
     def certificate(
         self, found: Diagnosis, seed: int | None = None, *, film: bool | None = None
     ) -> Certificate | None:
-        """Return the certificate of this answer by the same code, complete or not; None if there is none.
+        """Return the stored certificate of the answer `found`, complete or not; None if the same code made none.
 
-        With a `seed`, only one whose random errors have this seed; with `film`, only one from films, or from data.
-        One from films, which tests tracking as well, precedes one from data.
+        `seed` selects certificates whose random errors have this seed; `film` selects certificates from films (True) or
+        from simulated data (False). A certificate from films is preferred, because it tests the tracking as well.
         """
         answer = Certificate.of_answer(found, (), 0)
         for key in (_OF_FILMS, _OF_DATA):
@@ -171,7 +171,7 @@ class Entry:
         return None
 
     def latest_certificate(self) -> Certificate | None:
-        """Return the certificate that is stored with the fit, if made by the same code; one from films first."""
+        """Return the stored certificate of any answer, preferably from films; None if the same code made none."""
         for key in (_OF_FILMS, _OF_DATA):
             stored = self.document.get(key)
             with suppress(*_DAMAGED):
@@ -192,7 +192,7 @@ class Entry:
         )
 
 
-# entries of a fit under which its certificates from simulated data and films are stored
+# keys of the certificates from simulated data and from films
 _OF_DATA, _OF_FILMS = "certificate", "certificate_of_films"
 
 
@@ -253,7 +253,7 @@ class Ledger:
         Raises
         ------
         LedgerError
-            If there is none.
+            If no fit has this name.
         """
         for entry in self.entries:
             if entry.fit_id == fit_id:
@@ -273,22 +273,22 @@ class Ledger:
         ranges: dict[str, tuple[float, float]] | None = None,
         loss: str = "linear",
     ) -> Entry:
-        """Append a fit and write the file atomically; entries that other processes added meanwhile are kept.
+        """Append a fit and write the file atomically; entries that other processes have added are kept.
 
         Parameters
         ----------
         found : Fit
             The fit.
         parent : str
-            Name of the fit that it was made from.
+            Name of the fit from which this fit was made.
         added : str
-            What was changed.
+            The change from the parent.
         previous : Fit, optional
             The fit with which the errors are compared.
         share, per_case : sequence of str
-            Parameters shared by all cases, and parameters with one value per case, other than by default.
+            Parameters shared by all cases, and parameters with one value per case, where they differ from the default.
         ranges : dict, optional
-            Bounds [unit of the parameter] other than those of the effects.
+            Bounds [unit of the parameter] that replace those of the effects.
         loss : str
             Robust loss of the fit.
         """
@@ -315,7 +315,7 @@ class Ledger:
                 software_version=_version(),
                 variables=list(found.problem.layout.names),
                 covariance=found.covariance.tolist(),
-                # a robust fit is one of pseudo-values, which are not stored
+                # a robust fit uses pseudo-values, which are not stored
                 restored_from=as_json(stored_fit(found)) if loss == "linear" else None,
             )
             entry = Entry(to_json(document.model_dump(exclude={"diagnosis"})))
@@ -323,7 +323,7 @@ class Ledger:
             return entry
 
     def keep_diagnosis(self, fit_id: str, found: Diagnosis, extra: Sequence[Effect] = ()) -> None:
-        """Store the diagnosis of a fit, so that it can be displayed again without a new search.
+        """Store the diagnosis of a fit for later display without a new search.
 
         Parameters
         ----------
@@ -338,7 +338,7 @@ class Ledger:
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
 
     def keep_certificate(self, fit_id: str, found: Certificate) -> None:
-        """Store the test of the answer of a fit, complete or not, and replace an earlier one of the same kind.
+        """Store the test of the answer of a fit, complete or not; it replaces an earlier test of the same kind.
 
         Parameters
         ----------
@@ -359,12 +359,12 @@ class Ledger:
         fit_id : str
             The fit.
         name, note : str or None
-            Texts of at most 200 and 2000 characters; empty removes them.
+            Texts of at most 200 and 2000 characters (longer texts are cut); an empty text removes the old one.
 
         Raises
         ------
         LedgerError
-            There is no such fit.
+            If no fit has this name.
         """
         with self._locked():
             document = self.find(fit_id).document
@@ -384,7 +384,7 @@ class Ledger:
         Raises
         ------
         LedgerError
-            There is no such fit, or others were made from it.
+            If no fit has this name, or other fits were made from this fit.
         """
         with self._locked():
             entry = self.find(fit_id)
@@ -397,7 +397,7 @@ class Ledger:
             return entry
 
     def restore(self, entry: Entry) -> None:
-        """Add a deleted fit again, if no other has its name.
+        """Add a deleted fit again.
 
         Parameters
         ----------
@@ -407,7 +407,7 @@ class Ledger:
         Raises
         ------
         LedgerError
-            Another fit has the same name.
+            If another fit has the same name.
         """
         with self._locked():
             if any(e.fit_id == entry.fit_id for e in self.entries):
@@ -417,9 +417,9 @@ class Ledger:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Read the file, let the block change the entries, and write them, under the lock of the file.
+        """Lock and read the file, let the block change the entries, and write the file.
 
-        The entries are checked before they are written; if the check fails, they stay unchanged.
+        The entries are checked before they are written. If the block or the check fails, they remain unchanged.
         """
         with locked(self.path):
             before = _content(self.path)
@@ -433,7 +433,7 @@ class Ledger:
                 except LedgerError as fault:
                     what = f"this change would make {fault.message.replace(' is damaged', ' unreadable')}"
                     raise LedgerError(what, "correct the text") from None
-                # locks of some network drives do not reach other hosts
+                # on some network drives a lock does not exclude other hosts
                 write_text(self.path, text, unchanged=lambda: _content(self.path) == before)
             except BaseException:
                 self.entries = kept

@@ -1,6 +1,6 @@
-"""Data as in the paper: smoothed velocities, and one generated rotor curve through all windows.
+"""Preparation of the data as in the paper: smoothed velocities, and one generated rotor curve through all windows.
 
-By default, the measured angles are fitted, and the rotor in its windows only.
+By default, fits use the measured angles, and the rotor only in its windows.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ between windows, a larger one follows the noise of the slopes."""
 
 
 def with_generated_rotor(record: Record) -> Record:
-    """Return a record of velocities with one curve of the rotor's speed instead of its windows.
+    """Return a record of velocities in which one curve of the rotor speed replaces the rotor windows.
 
     The curve solves d omega/dt = -(k0 + k1 omega + k2 omega^2), the decay of a rotor under dry, linear and quadratic
-    friction, fitted to speed and slope of each window. Its samples have the same total weight as the measured ones. As
-    the curve of the paper it has no noise: chi-square of the rotor has no meaning.
+    friction. It is fitted to the speed and the slope of each window. Its samples have the same total weight as the
+    measured samples. Like the curve of the paper, it has no noise, so chi-square of the rotor has no meaning.
     """
     lines = [_line(w) for w in record.rotor]
     start, stop = record.span
@@ -48,7 +48,7 @@ def with_generated_rotor(record: Record) -> Record:
         for w, c in ((w, _calibrated(w)) for w in record.rotor)
     )
     curve = Samples(times, omega, np.full(len(times), float(np.sqrt(len(times) / weight))))
-    # the curve is beyond the windows, too, where errors of the rotor are unknown
+    # the curve extends beyond the windows, where tracking errors of the rotor are unknown
     modes = tuple(m for m in record.modes if m.body != "rotor")
     return replace(
         record, rotor=(curve,), windows=record.rotor, generated=True, start_sigma=(), modes=modes, digest=""
@@ -57,25 +57,28 @@ def with_generated_rotor(record: Record) -> Record:
 
 @dataclass(frozen=True)
 class CurveBias:
-    """A parameter from a generated curve and from the rotor's windows, each with its standard error."""
+    """A parameter from a generated curve and from the rotor windows, each with its standard error."""
 
-    generated: float
-    claimed: float
-    measured: float
-    stderr: float
+    generated: float  # value from the curve
+    claimed: float  # its standard error
+    measured: float  # value from the windows
+    stderr: float  # its standard error
 
     @property
     def errors(self) -> float:
-        """Shift of the parameter by the curve over its standard error (at a bound, over that of the windows)."""
+        """Shift of the parameter by the curve, over the standard error from the curve.
+
+        At a bound, the standard error from the windows is used.
+        """
         known = self.claimed if np.isfinite(self.claimed) and self.claimed > 0 else self.stderr
         return abs(self.generated - self.measured) / known if known > 0 else float("nan")
 
 
 def curve_bias(found: Fit) -> dict[str, CurveBias]:
-    """Return the shift of each parameter by a generated rotor curve, from a fit of the same model to the windows.
+    """Return the shift of each parameter by a generated rotor curve, relative to a fit of the model to the windows.
 
-    The law of the curve is not that of the model. Its values between the windows are not measured. The largest shift is
-    first; none if no rotor was generated.
+    The shift arises because the law of the curve differs from the model, and its values between the windows are not
+    measured. The largest shift comes first; empty if no rotor curve was generated.
     """
     layout = found.problem.layout
     if not any(r.generated for r in layout.records):
@@ -101,7 +104,7 @@ def _calibrated(window: Samples) -> Compressed:
 
 
 def _line(window: Samples) -> tuple[float, float, float]:
-    """Return middle, speed and slope of a window (slope nan of a single sample)."""
+    """Return mean time [s], speed [rad/s] and slope [rad/s2] of a window; the slope of a single sample is NaN."""
     middle = float(window.time.mean())
     if len(window) < 2:
         return middle, float(window.value[0]), float("nan")
@@ -110,7 +113,7 @@ def _line(window: Samples) -> tuple[float, float, float]:
 
 
 def _decay(lines: Array, grid: Array) -> Array:
-    """Return the speed on the grid; `lines` contains (time, speed, slope) of each window."""
+    """Return the speed of the fitted curve at times `grid`; `lines` contains (time, speed, slope) of each window."""
     time, speed, slope = lines[np.argsort(lines[:, 0])].T
     scale = float(np.abs(speed).max())
     span = float(grid[-1] - grid[0])
@@ -160,11 +163,11 @@ def _decay(lines: Array, grid: Array) -> Array:
 
 
 def prepared(record: Record, data: str | None = None, rotor: str = "windows") -> Record:
-    """Return a record as it is to be fitted.
+    """Return a record with the quantity and the rotor data that are to be fitted.
 
-    `data` is "angle" or "velocity", by default the measured one; `rotor` is "windows" (as measured) or "generated", a
-    curve of velocities. A RecordError is raised if angles are requested and velocities were measured, or a generated
-    curve together with angles.
+    `data` is "angle" or "velocity", by default the measured quantity. `rotor` is "windows" (as measured) or
+    "generated", a curve of velocities. A RecordError is raised for another value, for angles if velocities were
+    measured, for a generated curve together with angles, and for a generated curve without a rotor.
     """
     if data not in (None, "angle", "velocity") or rotor not in ("windows", "generated"):
         raise RecordError(

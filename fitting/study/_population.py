@@ -1,25 +1,25 @@
 """Many runs of one machine: population of the parameters, outlying runs, drifts and steps with run time.
 
-**Population.** Run i has estimates y_i of p parameters with the covariance C_i of its fit, and true values
-mu + X_i beta + b_i, b_i ~ N(0, T). Mean and T are those of restricted maximum likelihood (D. A. Harville, J. Am. Stat.
-Assoc. 72, 320 (1977)) with V_i = C_i + T, for T = L L':
+**Population.** Run i has estimates y_i of p parameters with the covariance C_i of its fit. The true values are
+mu + X_i beta + b_i with b_i ~ N(0, T). Mean and T follow from restricted maximum likelihood (D. A. Harville, J. Am.
+Stat. Assoc. 72, 320 (1977)) with V_i = C_i + T and T = L L':
 
     -2 log L_R = sum log|V_i| + log|sum X_i' V_i^-1 X_i| + sum r_i' V_i^-1 r_i.
 
-A parameter that a run does not determine has an infinite variance in this run. Variances of T follow from the expected
-information 1/2 sum tr(V^-1 E_j V^-1 E_k).
+A parameter that a run does not determine has a very large variance in this run. The variances of T follow from the
+expected information 1/2 sum tr(V^-1 E_j V^-1 E_k).
 
-**Outlying runs.** With T estimated from m runs, (m - p) / (p (m - 1)) r_i' V_i^-1 r_i has an F distribution with p and
-m - p degrees of freedom where the spread dominates (H. Hotelling, Ann. Math. Statist. 2, 360 (1931)), and is smaller
-where the uncertainties of the fits do. A run whose p-value is below the level over the number of runs (Bonferroni) is
-outlying. Outlying runs are left out, and all is estimated again until the set is stable. The first mean is a median of
-neighbouring runs.
+**Outlying runs.** Let T be estimated from m runs. If the spread dominates the uncertainties of the fits, the statistic
+(m - p) / (p (m - 1)) r_i' V_i^-1 r_i has an F distribution with p and m - p degrees of freedom (H. Hotelling, Ann.
+Math. Statist. 2, 360 (1931)); if the uncertainties dominate, the statistic is smaller. A run is outlying if its p-value
+is below the level divided by the number of runs (Bonferroni). Outlying runs are omitted, and the estimate is repeated
+until the set is stable. The first mean is a median of neighbouring runs.
 
-**Changes.** Each parameter is tested for a drift (regression on the run time, Student's t) and for a step at any time
-(the largest F statistic over all change points with at least `FEWEST` runs on each side; its null distribution is
-simulated with the same weights). Holm's procedure (S. Holm, Scand. J. Statist. 6, 65 (1979)) over all parameters and
-both tests bounds the probability of any false change in the whole set of runs by the level. BIC decides which one
-describes a changed parameter; a step has one parameter more than a drift.
+**Changes.** Each parameter is tested for a drift (regression on the run time, Student's t) and for a step at any time.
+The statistic of the step is the largest F over all changepoints with at least `FEWEST` runs on each side; its null
+distribution is simulated with the same weights. Holm's procedure (S. Holm, Scand. J. Statist. 6, 65 (1979)) over all
+parameters and both tests limits the probability of any false change in the whole set of runs to the level. BIC decides
+between drift and step; a step has one parameter more than a drift.
 """
 
 from __future__ import annotations
@@ -39,36 +39,38 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 FEWEST_RUNS = 8
-"""Fewest runs of a population [runs]. Chosen: fewer do not determine a spread, more refuse short studies."""
+"""Smallest number of runs of a population [runs]. Chosen: fewer do not determine a spread, more refuse short
+studies."""
 FEWEST = 3
-"""Fewest runs on each side of a step [runs]. Chosen: fewer take an outlying run for a step, more overlook steps near
-the ends."""
+"""Smallest number of runs on each side of a step [runs]. Chosen: fewer take an outlying run for a step, more overlook
+steps near the ends."""
 LEVEL = 0.01
 """Probability of any false change in a set of runs [1]. Chosen: a larger value reports more false changes, a smaller
 one overlooks changes."""
 OUTLYING = 0.01
-"""Probability of any false outlying run in a set of runs [1]. Chosen: a larger value leaves out regular runs, a smaller
-one keeps outlying ones."""
+"""Probability of any false outlying run in a set of runs [1]. Chosen: a larger value omits regular runs, a smaller one
+keeps outlying runs."""
 _SETS = 20000
 """Simulated sets for the null distribution of the largest step [1]. Chosen: fewer make small p-values coarse, more cost
 time."""
 _AT_A_TIME = 2**21
-"""Numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
+"""Random numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
 result."""
 _NEIGHBOURS = 7
-"""Runs on each side over which a first estimate is a median [runs]. Chosen: fewer follow outlying runs, more blur a
+"""Runs on each side over which the first mean is a median [runs]. Chosen: fewer follow outlying runs, more blur a
 drift."""
 _ROUNDS = 8
-"""Rounds of leaving out outlying runs at most [1]. Chosen: fewer stop before the set is stable, more delay the end."""
+"""Largest number of rounds that omit outlying runs [1]. Chosen: fewer stop before the set is stable, more delay the
+end."""
 _MOST_OUT = 0.2
-"""Share of the runs that are left out at most [1]. Chosen: a larger value takes a second population for outlying runs,
-a smaller one keeps outlying ones."""
+"""Largest share of omitted runs [1]. Chosen: a larger value takes a second population for outlying runs, a smaller one
+keeps outlying runs."""
 _PREFERRED = 2.0
-"""Difference of BIC from which one of drift and step is preferred [1]. Source: R. E. Kass, A. E. Raftery, JASA 90, 773
+"""Difference of BIC above which either drift or step is preferred [1]. Source: R. E. Kass, A. E. Raftery, JASA 90, 773
 (1995)."""
 _UNKNOWN = 1e10
-"""Variance of a parameter that a run does not determine, over that of the others [1]. Derived: large enough to have no
-weight, small enough for the rounding of the inverse."""
+"""Variance of a parameter that a run does not determine, in units of its variance over the runs [1]. Derived: large
+enough to have no weight, small enough for the rounding of the inverse."""
 _LEAST_SHARE = 0.8
 """Share of the runs that must determine a parameter [1]. Chosen: a smaller value tests parameters of few runs, a larger
 one drops parameters for single runs."""
@@ -82,13 +84,13 @@ class Change:
 
     kind: str  # "drift", "step", or "drift or step" if BIC does not prefer one
     slope: float  # of the drift [unit per unit of time]
-    slope_u: float
-    time: float  # of the step, between the runs before and after it
+    slope_u: float  # its standard uncertainty
+    time: float  # of the step, midway between the runs before and after the step
     before: str  # the last run before the step
-    after: str  # the first one after it
+    after: str  # the first run after the step
     size: float  # of the step [unit]
-    size_u: float
-    delta_bic: float  # BIC of the step minus that of the drift
+    size_u: float  # its standard uncertainty
+    delta_bic: float  # BIC of the step minus BIC of the drift
 
 
 @dataclass(frozen=True)
@@ -100,13 +102,13 @@ class PopulationParameter:
     mean: float
     mean_u: float
     spread: (
-        float  # standard deviation between runs beyond their uncertainties, about a change if there is one
+        float  # standard deviation between runs in addition to their uncertainties, about the change if any
     )
     spread_u: float
-    runs: int  # that determine it and are not outlying
+    runs: int  # number of runs that determine the parameter and are not outlying
     p_drift: float
     p_step: float
-    p_adjusted: float  # the smaller one, adjusted for all parameters and both tests (Holm)
+    p_adjusted: float  # the smaller of both, adjusted for all parameters and both tests (Holm)
     change: Change | None  # None if not significant
 
 
@@ -118,15 +120,15 @@ class Population:
     times: Array  # shape (n,)
     time_unit: str
     parameters: tuple[PopulationParameter, ...]
-    correlation: Array  # shape (p, p); of the true values between runs; NaN where a spread is zero
+    correlation: Array  # shape (p, p); correlation of the true values between runs; NaN if a spread is zero
     outlying: tuple[tuple[str, float], ...]  # runs, and p-values adjusted for the number of runs
     untested: Mapping[
         str, int
-    ]  # parameters that too few runs determine, and in how many they are not determined
-    values: Array  # shape (n, p); NaN where a run does not determine a parameter
+    ]  # parameters that too few runs determine, and the number of runs that do not determine them
+    values: Array  # shape (n, p); NaN if a run does not determine a parameter
     stderr: Array  # shape (n, p)
     level: float
-    words: Mapping[str, str] = field(default_factory=dict)  # of parameters, with their keys
+    words: Mapping[str, str] = field(default_factory=dict)  # parameters in words, by key
 
     def called(self, key: str) -> str:
         """Return a parameter in words, with its key."""
@@ -160,7 +162,7 @@ class Population:
         if self.outlying:
             names = ", ".join(name for name, _ in self.outlying[:_SHOWN])
             more = f" and {len(self.outlying) - _SHOWN} more" if len(self.outlying) > _SHOWN else ""
-            lines.append(f"Outlying runs, left out: {names}{more}.")
+            lines.append(f"Outlying runs, excluded: {names}{more}.")
         for name, count in self.untested.items():
             lines.append(
                 f"{self.called(name)} is not determined in {count} of {len(self.runs)} runs and not tested."
@@ -215,10 +217,10 @@ def population(
     level: float = LEVEL,
     seed: int = 0,
 ) -> Population:
-    """Return the population of parameters of some runs, outlying runs, and changes with time.
+    """Return the population of the parameters of several runs, the outlying runs, and the changes with time.
 
-    `values` (n, p) are NaN and their variances in `covariances` (n, p, p) not finite where a run does not determine a
-    parameter. At least `FEWEST_RUNS` runs are needed.
+    If a run does not determine a parameter, its entry of `values` (n, p) is NaN, and its variance in `covariances`
+    (n, p, p) is not finite. At least `FEWEST_RUNS` runs are needed.
     """
     order = np.argsort(times, kind="stable")
     runs, times = [runs[i] for i in order], times[order]
@@ -306,10 +308,10 @@ def population_of(
     time_unit: str = "run",
     level: float = LEVEL,
 ) -> Population | None:
-    """Return the population of the runs of some fits; None for fewer than `FEWEST_RUNS` runs or no common parameter.
+    """Return the population of the runs of several fits; None for fewer than `FEWEST_RUNS` runs or without a parameter.
 
-    `times` are those of the runs; without them the runs are numbered in their order. Parameters of which each case of a
-    joint fit has its own belong to runs of their own.
+    `times` contains the times of the runs by name; by default they are the numbers of the runs. In a joint fit, the
+    per-case values of each case count as a separate run.
     """
     rows: dict[str, dict[str, tuple[float, str]]] = {}
     origin: dict[str, str] = {}
@@ -360,7 +362,7 @@ def population_of(
 
 
 def _filled(y: Array, c: Array, known: Flags) -> tuple[Array, Array]:
-    """Return values and covariances where what a run does not determine has a huge variance and no correlation."""
+    """Return values and covariances with mean values, huge variances and no correlation for undetermined parameters."""
     y, c = np.where(known, y, np.nanmean(y, axis=0)), c.copy()
     both = known[:, :, None] & known[:, None, :]
     c[~both] = 0.0
@@ -370,7 +372,10 @@ def _filled(y: Array, c: Array, known: Flags) -> tuple[Array, Array]:
 
 
 def _columns(kind: str, place: int, times: Array, inside: Flags) -> Array:
-    """Return the columns of a mean model: a constant, and a drift or a step centred on its own mean."""
+    """Return the columns (n, k) of a mean model: a constant and, for a `kind`, a centred drift or step.
+
+    `place` is the index of the first run after the step, among the runs `inside`.
+    """
     columns = [np.ones(len(times))]
     if kind == "drift":
         columns.append(times - times[inside].mean())
@@ -382,7 +387,7 @@ def _columns(kind: str, place: int, times: Array, inside: Flags) -> Array:
 
 
 def _left_out(y: Array, c: Array, times: Array, known: Flags) -> tuple[Flags, list[tuple[str, int]], Array]:
-    """Return which runs are outlying, the mean model of each parameter, and adjusted p-values of the runs."""
+    """Return a mask of the outlying runs, the mean model of each parameter, and the adjusted p-values of the runs."""
     from scipy.special import fdtrc
 
     n, p = y.shape
@@ -426,8 +431,8 @@ class _Tests:
 
     p_drift: float
     p_step: float
-    kind: str  # of the better mean model: "drift" or "step"
-    label: str  # the same, or both
+    kind: str  # the mean model of smaller BIC: "drift" or "step"
+    label: str  # the same, or "drift or step" if BIC does not prefer one
     place: int  # index of the first run after the step, among the runs inside
     slope: float
     slope_u: float
@@ -437,7 +442,7 @@ class _Tests:
 
 
 def _weights(y: Array, u2: Array, design: Array) -> tuple[Array, float]:
-    """Return the weights 1 / (u^2 + tau^2) of a regression with the REML estimate of tau^2 of one parameter."""
+    """Return the weights 1 / (u^2 + tau^2) of the regression of one parameter, and the REML estimate of tau^2."""
     from scipy.optimize import minimize_scalar
 
     def cost(log_spread: float) -> float:
@@ -446,7 +451,7 @@ def _weights(y: Array, u2: Array, design: Array) -> tuple[Array, float]:
         r = y - design @ np.linalg.solve(gram, design.T @ (w * y))
         return float(-np.log(w).sum() + np.linalg.slogdet(gram)[1] + w @ r**2)
 
-    # from a hundred-thousandth of the uncertainties to the whole variance
+    # tau^2 is between a hundred-thousandth of the squared uncertainty and more than the whole variance
     low, high = (
         math.log(1e-5 * float(np.median(u2)) + 1e-300),
         math.log(float(np.var(y)) + float(np.median(u2))),
@@ -476,7 +481,7 @@ def _tests(y: Array, u2: Array, times: Array, used: Flags, rng: np.random.Genera
     step = _columns("step", place, times, np.ones(n, dtype=bool))
     w_step, _ = _weights(y, u2, step)
     size, size_u, _ = _coefficient(y, w_step, step)
-    # a step has its time as a further parameter
+    # the time of a step is an additional parameter
     bic = [_deviance(y, u2, straight) + math.log(n), _deviance(y, u2, step) + 2 * math.log(n)]
     delta = bic[1] - bic[0]
     kind = "drift" if delta > 0 else "step"
@@ -485,7 +490,7 @@ def _tests(y: Array, u2: Array, times: Array, used: Flags, rng: np.random.Genera
 
 
 def _best(y: Array, u2: Array, times: Array, used: Flags) -> tuple[str, int]:
-    """Return the mean model of smallest BIC: constant, drift or step."""
+    """Return kind and place of the mean model of smallest BIC: constant (""), drift or step."""
     y, u2, times = y[used], u2[used], times[used]
     n, inside = len(y), np.ones(len(y), dtype=bool)
     w, _ = _weights(y, u2, np.ones((n, 1)))
@@ -499,7 +504,7 @@ def _best(y: Array, u2: Array, times: Array, used: Flags) -> tuple[str, int]:
 
 
 def _deviance(y: Array, u2: Array, design: Array) -> float:
-    """Return minus twice the log-likelihood at the spread of the residuals about a mean model (not restricted)."""
+    """Return minus twice the (unrestricted) log-likelihood of a mean model, at the REML estimate of its spread."""
     w, _ = _weights(y, u2, design)
     r = y - design @ np.linalg.solve(design.T @ (design * w[:, None]), design.T @ (w * y))
     return float(w @ r**2 - np.log(w).sum())
@@ -508,7 +513,8 @@ def _deviance(y: Array, u2: Array, design: Array) -> float:
 def _coefficient(y: Array, w: Array, design: Array) -> tuple[float, float, int]:
     """Return the last coefficient of a weighted regression, its standard uncertainty and degrees of freedom.
 
-    The residuals scale the uncertainty if they exceed the weights (J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)).
+    The uncertainty is multiplied by the root of the reduced chi-square if that exceeds 1 (J. Hartung, G. Knapp, Stat.
+    Med. 20, 1771 (2001)).
     """
     gram = np.linalg.inv(design.T @ (design * w[:, None]))
     beta = gram @ (design.T @ (w * y))
@@ -518,7 +524,10 @@ def _coefficient(y: Array, w: Array, design: Array) -> tuple[float, float, int]:
 
 
 def _step_statistics(y: Array, w: Array) -> tuple[Array, Array]:
-    """Return F of a step at each place with `FEWEST` runs on both sides, and the largest one, for series (..., n)."""
+    """Return F of a step at each place with at least `FEWEST` runs on both sides, and the largest F.
+
+    `y` contains one or several series, shape (..., n).
+    """
     total, mass = np.sum(w * y, axis=-1, keepdims=True), w.sum()
     before, left = np.cumsum(w * y, axis=-1)[..., :-1], np.cumsum(w)[:-1]
     mean = total / mass
@@ -530,9 +539,10 @@ def _step_statistics(y: Array, w: Array) -> tuple[Array, Array]:
 
 
 def _p_step(largest: float, w: Array, rng: np.random.Generator) -> float:
-    """Return the probability of a larger step anywhere if there is none.
+    """Return the probability of a larger F statistic at any place if there is no step.
 
-    Simulated; beyond the simulated range the bound of Bonferroni over all places, if it is smaller than the resolution.
+    The probability is simulated. If no simulated set has a larger statistic, the Bonferroni bound over all places
+    replaces the resolution of the simulation if it is smaller.
     """
     from scipy.special import fdtrc
 
@@ -543,7 +553,7 @@ def _p_step(largest: float, w: Array, rng: np.random.Generator) -> float:
         sets = rng.standard_normal((count, n)) / np.sqrt(w)
         beyond += int((_step_statistics(sets, w)[1] >= largest).sum())
         done += count
-        # the probability of an ordinary result need not be known to four digits
+        # a large probability need not be known to four digits
         if beyond > _ENOUGH:
             break
     simulated = (beyond + 1) / (done + 1)
@@ -552,8 +562,8 @@ def _p_step(largest: float, w: Array, rng: np.random.Generator) -> float:
 
 
 _ENOUGH = 400
-"""Simulated sets with a larger step after which the probability is known well enough [1]. Derived: its relative
-standard error is 1 / sqrt(400), 5 %."""
+"""Number of simulated sets with a larger step at which the simulation ends [1]. Derived: the relative standard error of
+the probability is 1 / sqrt(400), 5 %."""
 
 
 def _holm(p: Array) -> Array:
@@ -566,9 +576,9 @@ def _holm(p: Array) -> Array:
 
 
 def _reml(y: Array, c: Array, design: Sequence[Array]) -> tuple[Array, list[Array], list[Array]]:
-    """Return T of restricted maximum likelihood, and standard uncertainties and values of the mean model.
+    """Return T by restricted maximum likelihood, and the standard uncertainties and values of the mean models.
 
-    `design` are the columns (n, k) of each parameter.
+    `design` contains the columns (n, k) of the mean model of each parameter.
     """
     from scipy.optimize import minimize
 
@@ -617,7 +627,7 @@ def _reml(y: Array, c: Array, design: Sequence[Array]) -> tuple[Array, list[Arra
 
 
 def _spread_u(c: Array, spread: Array) -> Array:
-    """Return the standard uncertainties of the square roots of the diagonal of T, by its expected information."""
+    """Return the standard uncertainties of the spreads (roots of the diagonal of T) from the expected information."""
     p = len(spread)
     w = np.linalg.inv(c + spread)
     pairs = list(zip(*np.tril_indices(p), strict=True))
@@ -630,7 +640,7 @@ def _spread_u(c: Array, spread: Array) -> Array:
     covariance = np.linalg.pinv(information, hermitian=True)
     variance_u = np.array([math.sqrt(max(covariance[k, k], 0.0)) for k, (a, b) in enumerate(pairs) if a == b])
     size = np.sqrt(np.diag(spread))
-    # of a spread near zero, the one that it would have at one standard uncertainty of its square
+    # near zero the spread is not linear in its square: its uncertainty is the root of the uncertainty of the square
     return np.asarray(
         np.where(size**2 > variance_u, variance_u / np.maximum(2 * size, 1e-300), np.sqrt(variance_u))
     )

@@ -1,6 +1,6 @@
-r"""A scan as text, LaTeX and flat tables.
+r"""Tables of a scan as text, LaTeX, CSV and JSON.
 
-The text is a fragment for ``\input``; it needs booktabs, multirow and xcolor with its option ``table``.
+The LaTeX text is a fragment for ``\input``; it needs booktabs, multirow and xcolor with the option ``table``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from fitting.study._scan import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, ModelFits
 from fitting.study._serialisation import fit_document
 
 NEARLY_ZERO = 1e-4
-"""Value, in units of the header, below which a parameter is printed as about 0 [1]. Source: the tables of the paper."""
+"""Value, in units of the header, below which a parameter is printed as approximately 0 [1]. Source: the tables of the
+paper."""
 
 
 def three_digits(x: float) -> str:
@@ -40,7 +41,8 @@ def three_digits(x: float) -> str:
 def concise(value: float, error: float) -> str:
     """Return a number with its standard error in units of the last digit: ``9.97(12)``, ``4080(120)``.
 
-    The error keeps two digits if they are between 10 and 29, else one; without an error there are three digits.
+    The error has two digits if they are between 10 and 29, else one digit. A number without a standard error has three
+    significant digits.
     """
     if not (math.isfinite(value) and math.isfinite(error) and error > 0):
         return three_digits(value)
@@ -161,7 +163,7 @@ def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
 
 
 def _short_names(labels: Sequence[str]) -> dict[str, str]:
-    """Return names of at most 7 characters: the beginnings of the labels, their ends, or numbers, if all differ."""
+    """Return a different name of at most 7 characters for each label: its beginning, its end, or a number."""
     beginnings = [label[:7] for label in labels]
     ends = [label if len(label) < 8 else f"…{label[-6:]}" for label in labels]
     numbers = [f"case {i}" for i in range(1, len(labels) + 1)]
@@ -183,7 +185,7 @@ def _metrics(fit: Fit, label: str, predicted: float, *, joint: bool) -> str:
 
 
 def robustness_lines(found: Sequence[Robustness]) -> list[str]:
-    """Return the table of robustness; spread and shift are shares of the mean."""
+    """Return the lines of the table of robustness; spread and shift are shares of the mean."""
     lines = [f"{'':<4}{'mean':>12}  {'unit':<10}{'spread':>10}{'shift':>10}{'sigma':>9}  verdict"]
     for r in found:
         sigma = "" if math.isnan(r.sigma) else f"{r.sigma:.1f}" if r.sigma < 1e5 else f"{r.sigma:.0e}"
@@ -378,7 +380,7 @@ def _escaped(text: str) -> str:
         "\\": r"\textbackslash{}",
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
-        # in the OT1 font encoding these print as other characters
+        # the OT1 font encoding prints these as other characters
         "<": r"\textless{}",
         ">": r"\textgreater{}",
         "|": r"\textbar{}",
@@ -394,11 +396,11 @@ _METRICS = ("r2", "rmse", "reduced_chi2", "held_out")
 
 
 def scan_records(scan: Scan) -> list[dict[str, Any]]:
-    """Return every fit of a scan as plain numbers in SI units; None where there is none.
+    """Return every fit of a scan as a flat record of numbers in SI units; a missing number is None.
 
-    Keys: ``table`` (air, bearing, reduced, general), ``fit`` (separate, joint), ``case``, ``terms``; a1 ... g and their
-    ``_stderr``; figures of merit of both bodies; ``held_out_recording`` (joint fits only), ``energy_drift``, ``bic``,
-    ``shade``, ``verdict``, ``fault``.
+    The keys are ``table`` (air, bearing, reduced, general), ``fit`` (separate, joint), ``case``, ``terms``; a1 ... g
+    and their ``_stderr``; the figures of merit of both bodies; ``held_out_recording`` (joint fits only),
+    ``energy_drift``, ``bic``, ``shade``, ``verdict``, ``fault``.
     """
     records = []
     for table, blocks in (("air", scan.air), ("bearing", scan.bearing)):
@@ -454,7 +456,7 @@ def _number_names() -> list[str]:
 
 
 def scan_csv(scan: Scan) -> str:
-    """Return the flat table as CSV; the header names the units as ``a2 [N m s2]``."""
+    """Return the records of a scan as CSV; the header contains the units, for example ``a2 [N m s2]``."""
     records = scan_records(scan)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -470,11 +472,11 @@ def _titled(name: str) -> str:
 
 
 def scan_document(scan: Scan) -> dict[str, Any]:
-    """Return a scan under the keys that other programs rely on.
+    """Return a scan as a JSON document, whose keys are a contract with other programs.
 
-    ``cases``; ``tables``: for each case "air" and "bearing" with their ``rows`` (terms, shade, delta_bic within the
-    table, and a fit as `fit` has it); ``models``: "reduced" and "general" with ``separate``, ``joint``, ``predicted``
-    and ``robustness``.
+    The keys are ``cases``; ``tables``, which contains for each case the tables "air" and "bearing" with ``rows``
+    (terms, shade, delta_bic within the table, and the fit as in the document of a fit); and ``models``, which contains
+    "reduced" and "general" with ``separate``, ``joint``, ``predicted`` and ``robustness``.
     """
     tables = []
     for name, blocks in (("air", scan.air), ("bearing", scan.bearing)):

@@ -98,7 +98,7 @@ def test_a_torque_that_decays_in_time_is_not_named_heating_only():
     chosen = answer.candidates[0]
     assert chosen.effect.name == "bearing.heating"
     assert UNKNOWN_IN_TIME in chosen.indistinguishable_from
-    assert f"or {UNKNOWN_IN_TIME}; this data cannot separate them" in answer.sentence
+    assert f"or {UNKNOWN_IN_TIME}; these data cannot separate them" in answer.sentence
 
 
 @pytest.mark.slow

@@ -89,4 +89,4 @@ def test_a_periodic_candidate_may_have_an_unknown_law_as_rival(monkeypatch):
     doubtful = diagnose(found, candidates=ranked("step"))
     assert doubtful.verdict == "missing_effect"
     assert doubtful.candidates[0].indistinguishable_from == (UNKNOWN_LAWS["omega_c"],)
-    assert f"or {UNKNOWN_LAWS['omega_c']}; this data cannot separate them" in doubtful.sentence
+    assert f"or {UNKNOWN_LAWS['omega_c']}; these data cannot separate them" in doubtful.sentence

@@ -724,10 +724,10 @@ class TestWords:
         assert self.missing(candidate(), approximate).startswith(f"Missing: a law close to {NAMED}.")
         both = candidate(alike=(LAMINAR,))
         assert (
-            self.missing(both) == f"Missing: one of these effects, which this data cannot separate: {BOTH}."
+            self.missing(both) == f"Missing: one of these effects, which these data cannot separate: {BOTH}."
         )
         assert self.missing(both, approximate).startswith(
-            f"Missing: a law close to one of these effects, which this data cannot separate: {BOTH}."
+            f"Missing: a law close to one of these effects, which these data cannot separate: {BOTH}."
         )
         unknown = (UNKNOWN_IN_TIME, next(iter(UNKNOWN_LAWS.values())))
         text = self.missing(candidate(alike=unknown))
@@ -755,7 +755,7 @@ class TestWords:
         text = self.missing(candidate(effect=START, estimates=own))
         assert "of 3.5 ms rms" in text
         assert "cannot separate" not in text
-        assert f"No effect is established; this data cannot separate them from: {NAMED}." in self.missing(
+        assert f"No effect is established; these data cannot separate them from: {NAMED}." in self.missing(
             candidate(effect=START, estimates=own, alike=(DRAG,))
         )
 
@@ -822,7 +822,7 @@ class TestWords:
             "b.k": estimate(at_bound=True),
         }
         fit = Found(estimates=both, problem=SimpleNamespace(layout=layout))
-        assert module._active_bounds(fit) == ["Active bound: a.g = 1.4; the law there may be another one."]
+        assert module._active_bounds(fit) == ["Active bound: a.g = 1.4; outside it, another law may act."]
         assert module._active_bounds(replace(fit, estimates={"a.k": both["a.k"]})) == []
 
 

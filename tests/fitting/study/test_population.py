@@ -142,7 +142,7 @@ def test_outlying_runs_are_named_and_left_out(size, named):
     y[17] = [size, 0.0]
     got = found(y, np.tile(0.01 * np.eye(2), (40, 1, 1)))
     assert [name for name, _ in got.outlying] == (["r17"] if named else [])
-    assert ("Outlying runs, left out: r17." in got.sentences) is named
+    assert ("Outlying runs, excluded: r17." in got.sentences) is named
     if named:
         assert got.parameters[0].mean == pytest.approx(mean, abs=0.03)
 

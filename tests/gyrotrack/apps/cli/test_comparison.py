@@ -151,7 +151,7 @@ def test_many_runs_are_a_population(monkeypatch, tmp_path, capsys):
     assert "20 runs" in said
     assert "steps by" in said
     assert "between run11 and run12" in said
-    assert "Outlying runs, left out: run4." in said
+    assert "Outlying runs, excluded: run4." in said
     assert (tmp_path / "population.png").stat().st_size > 5000
     assert app.run(["compare", *cases, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
