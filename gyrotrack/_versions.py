@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
@@ -33,6 +34,13 @@ def versions() -> dict[str, str]:
         "platform": f"{sys.platform} {platform.machine()}",
         "kernels": "compiled" if find_spec("gyrotrack._native._compiled") else "not compiled (NumPy, slower)",
     }
+    return found | _libraries()
+
+
+@cache
+def _libraries() -> dict[str, str]:
+    # importlib.metadata reads a file of each library, and every table that is written states the versions
+    found = {}
     for name in LIBRARIES:
         try:
             found[name] = version(name)

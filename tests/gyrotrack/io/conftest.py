@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gyrotrack import BodyTrack, Case, MarkerTrack, Recording, Series, write_case
+from gyrotrack import BodyTrack, Case, ErrorMode, MarkerTrack, Recording, Series, write_case
 from gyrotrack.io._records import GeneratedCurve, Placement
 
 
@@ -103,3 +105,14 @@ def case_file(tmp_path_factory):
     """The case as a file, written once."""
     path = tmp_path_factory.mktemp("case") / "case.h5"
     return write_case(path, make_case(make_recording()), command="", settings={})
+
+
+@pytest.fixture(scope="session")
+def case_file_with_mode(tmp_path_factory):
+    """The case with an error mode of the casing as a file, written once."""
+    case = make_case(make_recording())
+    basis = np.stack([np.cos(case.casing.time), np.sin(case.casing.time)], axis=1)
+    tilt = ErrorMode("tilt", basis, np.diag([4e-6, 9e-6]))
+    path = tmp_path_factory.mktemp("tilt") / "case.h5"
+    case = replace(case, casing=replace(case.casing, modes=(tilt,)))
+    return write_case(path, case, command="", settings={})

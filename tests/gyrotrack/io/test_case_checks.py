@@ -2,7 +2,9 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -13,7 +15,7 @@ from fitting import _case_format as layout
 from fitting._case_checks import defect_of_clock
 from fitting._stored_case import read_stored_case
 from fitting.inference._case_file import read_record
-from gyrotrack import DatasetError, ErrorMode, UsageError, read_case, write_case, write_recording
+from gyrotrack import DatasetError, UsageError, read_case, write_case, write_recording
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.io import _contents as contents
 from gyrotrack.io._contents import inspect_file
@@ -28,10 +30,8 @@ def written(path, case):
 
 
 @pytest.fixture
-def file(case, tmp_path):
-    basis = np.stack([np.cos(case.casing.time), np.sin(case.casing.time)], axis=1)
-    tilt = ErrorMode("tilt", basis, np.diag([4e-6, 9e-6]))
-    return written(tmp_path / "case.h5", replace(case, casing=replace(case.casing, modes=(tilt,))))
+def file(case_file_with_mode, tmp_path):
+    return Path(shutil.copy(case_file_with_mode, tmp_path / "case.h5"))
 
 
 def wheel(case, **changes):
