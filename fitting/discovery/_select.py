@@ -207,10 +207,10 @@ def _start_candidate(base: Fit, family: FamilywiseNull, criteria: Criteria) -> C
     starts = StartErrors(base, criteria)
     p_value = family(np.array([starts.p_value]), np.ones(1))
     significant = p_value < criteria.significance
-    refitted = starts.refit() if significant else None
+    refitted, errors = starts.refit() if significant else (None, starts)
     evidence = starts.evidence if refitted is None else starts.evidence_of(refitted)
     return Candidate(
-        START, max(starts.fall, 0.0), -evidence, p_value, np.nan, (), starts.estimates, significant,
+        START, max(starts.fall, 0.0), -evidence, p_value, np.nan, (), errors.estimates, significant,
         starts.score, refitted,
     )  # fmt: skip
 

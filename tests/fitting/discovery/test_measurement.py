@@ -84,15 +84,19 @@ def test_the_evidence_for_errors_of_starts_is_that_of_their_refit(size):
     shifts = tuple(size * s for s in SHIFTS)
     base = fit(Model.of(REDUCED), [CaseData.of(started_late(record(), shifts))])
     starts = StartErrors(base, DEFAULT)
-    refitted = starts.refit()
+    refitted, about = starts.refit()
     # -2 log of the densities of the rows, whose whitening has the determinant 1 / sqrt(1 + s^2 c'c) for each window
     whitened = [part[2] for part in refitted.problem.data[0].start_time_noise.parts]
     fall = base.deviance - refitted.deviance - sum(np.log1p(x**2) for x in whitened)
     occam = starts.evidence - starts.fall
     assert occam < 0
     assert starts.evidence_of(refitted) == pytest.approx(max(starts.evidence, fall + occam), rel=1e-9)
+    truth = -np.array(shifts)
+    assert (np.abs(about.errors - truth) < 3 * about.stderrs).all()
     if size == 10.0:
         assert starts.evidence_of(refitted) > 1.2 * starts.evidence
+        # the linear estimate about the bent base
+        assert (np.abs(starts.errors - truth) > 4 * starts.stderrs).all()
     else:
         assert starts.evidence_of(refitted) < starts.evidence + 3
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fitting import EstimationError
 from fitting._criteria import DEFAULT
 from fitting.discovery import _measurement as module
 from fitting.discovery._measurement import StartErrors, slip_estimates, starts_are_unknown, with_start_u
@@ -132,6 +133,56 @@ class TestStartErrors:
         starts = StartErrors.__new__(StartErrors)
         starts.base, starts.evidence, starts.fall = fit(100.0, 0.4, 0.6), 20.0, 24.0
         assert starts.evidence_of(fit(deviance, 2.0, 3.0)) == pytest.approx(20.0 + gain)
+
+
+class TestRefit:
+    """The size of the errors about each refit, and the sizes of the fits that it leads to."""
+
+    def refit(self, monkeypatch, first, sizes, fails_at=None):
+        asked = []
+
+        def with_start_u(base, u):
+            if len(asked) == fails_at:
+                raise EstimationError("singular")
+            asked.append(u)
+            return f"fit {len(asked)}"
+
+        monkeypatch.setattr(module, "with_start_u", with_start_u)
+        monkeypatch.setattr(module, "_with_parameters", lambda base, other: (base, other))
+        found = iter(sizes)
+        monkeypatch.setattr(
+            module, "StartErrors", lambda about, criteria: SimpleNamespace(u=next(found), about=about)
+        )
+        starts = StartErrors.__new__(StartErrors)
+        starts.base, starts.criteria, starts.u = "base", DEFAULT, first
+        fitted, errors = starts.refit()
+        return starts, fitted, errors, asked
+
+    @pytest.mark.parametrize(
+        ("sizes", "asked"),
+        [
+            ([1.9e-3], [1e-3]),
+            ([0.51e-3], [1e-3]),
+            ([2.1e-3, 2.2e-3], [1e-3, 2.1e-3]),
+            ([0.49e-3, 0.5e-3], [1e-3, 0.49e-3]),
+            ([3e-3, 9e-3, 27e-3], [1e-3, 3e-3, 9e-3]),
+        ],
+    )
+    def test_it_is_repeated_while_the_size_changes_by_a_factor_of_two(self, monkeypatch, sizes, asked):
+        _, fitted, errors, used = self.refit(monkeypatch, 1e-3, sizes)
+        assert used == asked
+        assert fitted == f"fit {len(asked)}"
+        assert errors.about == ("base", fitted)
+
+    def test_without_a_refit_the_errors_are_those_about_the_base(self, monkeypatch):
+        starts, fitted, errors, _ = self.refit(monkeypatch, 1e-3, [], fails_at=0)
+        assert fitted is None
+        assert errors is starts
+
+    def test_a_later_refit_that_fails_leaves_the_one_before(self, monkeypatch):
+        _, fitted, errors, _ = self.refit(monkeypatch, 1e-3, [9e-3], fails_at=1)
+        assert fitted == "fit 1"
+        assert errors.u == 9e-3
 
 
 def test_a_fit_with_stated_starts_keeps_its_choices(monkeypatch):

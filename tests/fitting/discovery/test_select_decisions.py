@@ -503,12 +503,14 @@ class TestRank:
     def test_errors_of_starts_as_a_candidate(self, monkeypatch, p, refitted):
         starts = SimpleNamespace(
             p_value=p, fall=12.0, evidence=9.0, estimates={"camera.start.dt": estimate()}, score=score(START, 12.0),
-            refit=lambda: "refitted", evidence_of={"refitted": 14.0}.get,
+            refit=lambda: ("refitted", SimpleNamespace(estimates={"camera.start.dt": estimate(2.0)})),
+            evidence_of={"refitted": 14.0}.get,
         )  # fmt: skip
         monkeypatch.setattr(module, "StartErrors", lambda base, criteria: starts)
         found = module._start_candidate(None, lambda p, weights: float(p @ weights), DEFAULT)
         assert (found.effect, found.score, found.p_value) == (START, 12.0, p)
         assert found.delta_bic == (-14.0 if refitted else -9.0)
+        assert (found.estimates["camera.start.dt"].value == 2.0) is refitted
         assert (found.fit, found.significant) == ("refitted" if refitted else None, refitted)
         starts.fall = -3.0
         found = module._start_candidate(None, lambda p, weights: float(p @ weights), DEFAULT)

@@ -96,5 +96,5 @@ def test_intervals_cover_the_constants(gyrotrack, tmp_path, series):
     # the standard error of an rms over 24 values is 14 %, over 12 values 20 %
     assert (rms < (1.45 if series in SLOW else 1.3)).all(), rms
     assert (rms > (0.4 if "one" in series or "once" in series else 0.6)).all(), rms
-    assert (np.abs(z) < 1.96).mean() > 0.88
+    assert (np.abs(z) < 1.96).mean() > (0.82 if series in SLOW else 0.88)
     assert sum(verdict == "lack_of_fit" for _, verdict in found) <= 2
