@@ -117,8 +117,8 @@ def answer(fault: str, number: int, folder: Path) -> dict[str, Any]:
         words += ["--rotor" if k else "--casing", str(path)]
     case = str(folder / "case.h5")
     began = time.monotonic()
-    imported = _gyrotrack(*words, "-o", case)
-    said = json.loads(_gyrotrack("diagnose", case, "--json").stdout or "{}")
+    imported = gyrotrack(*words, "-o", case)
+    said = json.loads(gyrotrack("diagnose", case, "--json").stdout or "{}")
     if "verdict" not in said:
         raise RuntimeError((imported.stderr + json.dumps(said))[-300:])
     line = {k: said[k] for k in ("verdict", "sentence")}
@@ -129,7 +129,7 @@ def answer(fault: str, number: int, folder: Path) -> dict[str, Any]:
     return line | {"seconds": time.monotonic() - began, "commit": commit()}
 
 
-def _gyrotrack(*words: str) -> subprocess.CompletedProcess[str]:
+def gyrotrack(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "gyrotrack", *words], capture_output=True, text=True, check=False
     )
