@@ -1,6 +1,6 @@
 """From films of rotating bodies to their equations of motion.
 
-From film to case::
+Make a case from films::
 
     import gyrotrack
 

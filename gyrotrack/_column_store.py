@@ -1,8 +1,8 @@
 """Long columns in an anonymous memory-mapped file, so that memory use does not grow with the length of the film.
 
 The columns are ordinary arrays, but only the pages in use occupy memory: `release_pages` releases them, and the
-operating system reads them from the file again on the next access. Columns of short films, and all columns where the
-system does not support such files, are plain arrays.
+operating system reads them from the file again on the next access. Columns of short films are plain arrays, as are all
+columns on systems without support for such files.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 
 LEAST_BYTES = 1 << 18  # smallest size of a table that is stored in a file [bytes]
-BLOCK_ROWS = 4096  # rows of a block, in which columns are processed
+BLOCK_ROWS = 4096  # number of rows of a block; columns are processed in blocks
 _BLOCKS_PER_RELEASE = 8  # blocks of rows between two releases of pages; each release takes time
 MOST_FILES = 128  # largest number of files; each needs a file handle
 _ALIGNMENT = 64
@@ -32,7 +32,7 @@ _files: WeakSet[mmap.mmap] = WeakSet()
 
 
 def new_columns(rows: int, kinds: Mapping[str, tuple[tuple[int, ...], npt.DTypeLike]]) -> dict[str, Array]:
-    """Return columns of a length with undefined values; `kinds` has shape of one row and type by name."""
+    """Return columns with `rows` undefined values; `kinds` contains shape of one row and type by name."""
     places, end = {}, 0
     for name, (shape, kind) in kinds.items():
         places[name] = end
@@ -80,7 +80,7 @@ def release_memory() -> None:
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of <malloc.h>
-# size from which a freed block is returned, and free memory at the end of the heap that is kept [bytes]: larger than
+# smallest size of a freed block that is returned, and free memory kept at the end of the heap [bytes]: larger than
 # temporary arrays of a batch of frames; the largest that glibc sets by itself
 _TRACKING, _AFTERWARDS = (1 << 20, 1 << 22), (1 << 25, 1 << 26)
 
@@ -89,9 +89,9 @@ _TRACKING, _AFTERWARDS = (1 << 20, 1 << 22), (1 << 25, 1 << 26)
 def large_blocks_returned() -> Iterator[None]:
     """Let glibc return large blocks to the system as soon as they are freed while a film is tracked.
 
-    By default glibc raises the size from which it does so to that of the largest freed block, up to 32 MB. Pictures and
-    the buffers of trackers would then fragment its heap. Afterwards that size is 32 MB: the system would otherwise have
-    to clear each large array of a fit, which takes half as long as the fit.
+    By default glibc raises the threshold size for this to the size of the largest freed block, up to 32 MB. Pictures
+    and the buffers of trackers would then fragment the heap. After tracking, the threshold is set to 32 MB: otherwise
+    the system would have to clear each large array of a fit, which takes half as long as the fit.
     """
     _set_thresholds(*_TRACKING)
     try:
@@ -112,7 +112,7 @@ _LEAST_READ = 8 << 20  # bytes of pictures that are read between two releases of
 
 
 class StoredPictures(Sequence[Array]):
-    """Pictures (m, height, width), the rows `places` of a column of `new_columns`, in a file instead of memory."""
+    """Pictures (m, height, width) in a file instead of memory: the rows `places` of a column of `new_columns`."""
 
     def __init__(self, pictures: Array, places: Array) -> None:
         self._pictures, self._places = pictures, places
@@ -121,7 +121,7 @@ class StoredPictures(Sequence[Array]):
 
     @classmethod
     def of(cls, count: int, pictures: Iterable[Array]) -> StoredPictures:
-        """Store at most `count` pictures as they come."""
+        """Store at most `count` pictures of an iterator."""
         stored, number = np.empty((0, 0, 0), np.uint8), 0
         for number, picture in zip(range(1, count + 1), pictures, strict=False):
             if number == 1:
@@ -160,7 +160,7 @@ def _mapped(size: int) -> mmap.mmap | None:
         return None
     try:
         with TemporaryFile(prefix="gyrotrack-") as stream:
-            # without reserved space, writing to a page on a full disk would end the process (SIGBUS)
+            # reserve space: otherwise writing to a page on a full disk would end the process (SIGBUS)
             os.posix_fallocate(stream.fileno(), 0, size)
             file = mmap.mmap(stream.fileno(), size)
     except OSError:

@@ -4,9 +4,9 @@ The errors of neighbouring frames of a film are correlated. The covariance of th
 
     K = s^2 [diag(sigma^2) + q exp(-|t - t'| / tau) + p cos(psi - psi') exp(-|t - t'| / T)].
 
-The last term is for a body of known angle psi whose hub, or camera, moves slowly: a harmonic of the angle with a slowly
-varying amplitude. q, tau, p and T are averaged over their posterior on a grid, s^2 is estimated by restricted maximum
-likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 1977).
+The last term, a harmonic of the angle with a slowly varying amplitude, applies to a body of known angle psi whose hub
+or camera moves slowly. q, tau, p and T are averaged over their posterior on a grid, s^2 is estimated by restricted
+maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 1977).
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _MIN_BINS_PER_TURN = 8
 class Estimate:
     """Coefficients of a linear model, their covariance, and two information criteria of the model.
 
-    With k coefficients and n bins, the penalties are k ln(n) in the Bayesian `criterion`, which looks for the true
-    model, and 2 k ln(ln(n)) in that of Hannan and Quinn (J. R. Stat. Soc. B 41, 190 (1979)).
+    With k coefficients and n bins, the penalties are k ln(n) in the Bayesian `criterion`, which selects the true
+    model, and 2 k ln(ln(n)) in the criterion of Hannan and Quinn (J. R. Stat. Soc. B 41, 190 (1979)).
     """
 
     value: Floats
@@ -60,7 +60,7 @@ def correlated_least_squares(
 
     `t` are times [s], `sigma` relative standard uncertainties; `models` lists the indices of the columns of each model,
     `prior` (p,) the standard deviations of Gaussian priors about zero, infinite for free coefficients. With the smooth
-    angle `psi` [rad], noise that is harmonic in the angle is considered.
+    angle `psi` [rad], the noise model includes noise that is harmonic in the angle.
     """
     x, z, white, when = _binned(t, design, y, sigma)
     n = len(z)
@@ -77,7 +77,7 @@ def correlated_least_squares(
         products.append(solved.T @ solved)
         logs.append(2 * np.sum(np.log(np.diag(root))))
         scatter.append(plain @ noise @ plain.T)
-    # of each noise model: products of columns and values, log-determinant, covariance of the products `plain` @ y
+    # for each noise model: products of columns and values, log-determinant, covariance of the products `plain` @ y
     grams, log_noise, noise_of_plain = np.array(products), np.array(logs), np.array(scatter)
     plain_products = plain @ both
     estimates = []
@@ -101,8 +101,8 @@ def correlated_least_squares(
         likelihood = -0.5 * (n * np.log(size * free / n) + log_noise)
         log_normal = np.linalg.slogdet(precision)[1]
         restricted = -0.5 * (free * np.log(size) + log_noise + log_normal)
-        # the coefficients are those of weighted least squares, independent of the noise model; their covariance
-        # is that under this noise model
+        # the coefficients are those of weighted least squares, independent of the noise model; their covariance is
+        # computed for this noise model
         of_noise, plain_normal = noise_of_plain[:, square[0], square[1]], plain_products[square]
         weak = 1e-12 * np.trace(plain_normal) * one
         inflation = np.trace(np.linalg.solve(plain_normal + weak, of_noise), axis1=1, axis2=2) / len(model)
@@ -125,14 +125,14 @@ def correlated_least_squares(
 
 
 def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) -> float:
-    """Return the spectral density of residuals at a low frequency over that of white noise of unit variance.
+    """Return the spectral density of residuals at a low frequency over the density of white noise of unit variance.
 
     `residual` (n,) and the fitted columns of `design` (n, p) are in units of the uncertainty; `period` and `t` in s.
     The degrees of freedom of the columns are accounted for. The density is at least 1; with times in bins it is
 
         s^2 (1 + q sinh(1 / tau) / (cosh(1 / tau) - cos(2 pi / period))),
 
-    averaged geometrically over the posterior of q and tau, which has a long tail.
+    averaged geometrically over the posterior of q and tau, because this posterior has a long tail.
     """
     x, z, white, when = _binned(t, design, residual, np.ones(len(t)))
     scale = np.linalg.norm(x, axis=0)
@@ -191,7 +191,7 @@ def _noise_models(
 
 
 def _weights(logs: Floats, families: Sequence[int]) -> Floats:
-    """Return the posterior of the noise models; the prior probability of white noise is that of all others together."""
+    """Return the posterior of the noise models; a priori, white noise is as probable as all others together."""
     count = np.bincount(families)
     prior: Floats = 1.0 / count[np.asarray(families)]
     prior[1:] /= max(int(np.count_nonzero(count)) - 1, 1)

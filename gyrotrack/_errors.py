@@ -19,14 +19,14 @@ from __future__ import annotations
 
 
 class GyrotrackError(Exception):
-    """A fault of the input or of the environment; ``str(error)`` is the message and the hint.
+    """An error of the input or of the environment; ``str(error)`` is the message and the hint.
 
     Parameters
     ----------
     message : str
-        What is wrong, with the name of the file and the location in it.
+        Description of the error, with the name of the file and the location in the file.
     hint : str
-        What to do next; may be empty.
+        Recommended action; may be empty.
     """
 
     code = "error"
@@ -69,7 +69,7 @@ class DatasetError(GyrotrackError):
 
 
 class SyncError(GyrotrackError):
-    """Clips that do not belong to one run, or cannot be put on one clock."""
+    """Clips that do not belong to one run, or cannot be synchronised."""
 
     code = "sync"
 

@@ -4,7 +4,8 @@ As in the paper, angular velocities are central differences of the running media
 by a second such median, without the first and last 50 points.
 
 On a non-uniform time base, the path of a body is a fit of local parabolas in time to the coarse angles. The residuals
-of a marker from it are small: each is assigned to the nearest point of a uniform grid and smoothed there with the path.
+of a marker from this path are small: each residual is assigned to the nearest point of a uniform grid and smoothed
+there with the path.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ Mask = npt.NDArray[np.bool_]
 WIDTH = 51  # points of the paper's running medians
 # half width of the window in which the motion of a body is approximated by a parabola [frames]
 HALF_WINDOW = 20
-FAR = 6.0  # standard deviations beyond which an observation is an outlier
-FEWEST = 8  # smallest number of residuals of which a scatter is estimated
-_MIN_PATH = 6  # smallest number of known angles of which a path is made
-_SIGNIFICANT = 3.5  # standard deviations beyond which a correlation is significant
+FAR = 6.0  # largest deviation of an inlier [standard deviations]
+FEWEST = 8  # smallest number of residuals for an estimate of their scatter
+_MIN_PATH = 6  # smallest number of known angles for a path
+_SIGNIFICANT = 3.5  # smallest significant correlation [standard deviations]
 _MIN_NU, _MAX_NU = 5.0, 1e3
 # degrees of freedom of an uncertainty that was taken from other bodies (relative uncertainty about 1/3)
 BORROWED_NU = 4.0
 _BLOCK = 1024
-_MANY = 200_000  # points from which a running quantile of them takes longer than the import of a faster one
+_MANY = 200_000  # number of points above which a faster running quantile, which has a slow import, saves time
 _MIN_JITTER_SHARE = 0.5
 _MAX_SHARE_SIGMA = 0.2
 
@@ -46,12 +47,12 @@ def local_fit(
     """Fit a polynomial about every point of a uniformly sampled series, over `half` points to both sides.
 
     The weights of the window are 1 - (x/(half + 1))^2 times those of the points, 0 where there is no value (it may be
-    NaN). Points up to the distance `hole` are excluded, to predict each point from the others. Returned are the fitted
-    value, and the weight of a point in its own fitted value; NaN where the window contains too few points.
+    NaN). Points up to the distance `hole` are excluded, to predict each point from the others. The results are the
+    fitted value, and the weight of a point in its own fitted value; NaN if the window contains too few points.
     """
     n = len(value)
     smooth, leverage = np.empty(n), np.empty(n)
-    for part in row_blocks(n):  # in blocks: a fit stores dozens of numbers per point
+    for part in row_blocks(n):  # in blocks, because a fit stores dozens of numbers per point
         around = slice(max(part.start - half, 0), min(part.stop + half, n))
         beyond = (half - (part.start - around.start), half - (around.stop - part.stop))
         padded = np.pad(value[around], beyond), np.pad(weight[around], beyond)
@@ -73,12 +74,12 @@ def median_of(values: Floats) -> float:
 
 
 def core_scatter(off: Floats, otherwise: float) -> float:
-    """Return the robust standard deviation of residuals; `otherwise` if there are too few of them."""
+    """Return the robust standard deviation of residuals; `otherwise` for too few residuals."""
     return max(spread(off), 1e-5) if np.isfinite(off).sum() >= FEWEST else otherwise
 
 
 def excess(off: Floats) -> float:
-    """Return the rms of normalised residuals, clipped at `FAR`, between 0.5 and 3; 1 if these are too few."""
+    """Return the rms of normalised residuals, clipped at `FAR`, between 0.5 and 3; 1 for too few residuals."""
     known = off[np.isfinite(off)]
     if len(known) < FEWEST:
         return 1.0
@@ -89,10 +90,10 @@ def excess(off: Floats) -> float:
 def tail_factor(off: Floats) -> Floats:
     """Return the factor by which each residual increases its own uncertainty if the distribution has long tails, (n,).
 
-    The noise is normal with an inverse-gamma distributed variance in each frame: residuals, here of unit root mean
-    square, then follow Student's t with nu degrees of freedom, their excess kurtosis is 6 / (nu - 4), and given a
-    residual of r standard deviations the expected variance is (nu - 2 + r^2) / (nu - 1) of the mean one. Where there is
-    no residual (NaN) the factor is 1.
+    The noise is normal with an inverse-gamma distributed variance in each frame. Residuals, here of unit root mean
+    square, then follow Student's t distribution with nu degrees of freedom, and their excess kurtosis is 6 / (nu - 4).
+    Given a residual of r standard deviations, the expected variance over the mean variance is (nu - 2 + r^2) / (nu -
+    1). The factor is 1 where the residual is NaN.
 
     Examples
     --------
@@ -110,8 +111,8 @@ def tail_factor(off: Floats) -> Floats:
 def correlation_factor(residual: Floats) -> float:
     """Return the variance inflation of averages by correlation: 1 + 2 times the sum of the autocorrelations.
 
-    The sum ends at the first pair of lags that is not positive (Geyer's initial sequence); a factor within 3.5 sigma
-    of that of independent samples is replaced by 1.
+    The sum is truncated at the first pair of lags with a sum that is not positive (Geyer's initial sequence). A factor
+    within 3.5 sigma of 1, the value for independent samples, is replaced by 1.
     """
     size = len(residual)
     power = np.abs(np.fft.rfft(residual - residual.mean(), 2 * size))
@@ -129,11 +130,11 @@ def correlation_factor(residual: Floats) -> float:
 def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> float:
     """Return the fraction, 0 to 1, of the expected repeatable errors that the residuals of a body confirm.
 
-    Errors that repeat with the angle appear as residuals `off` from the smooth motion (NaN where there is none), beside
-    their uncertainty without such errors, `sigma`, and the expected standard deviation `floor` [rad]. These residuals
-    and the expected value are two estimates of one variance, each with its degrees of freedom: `places` is the number
-    of independent repeatable errors on the arc, less those that the smooth motion can absorb. Larger residuals may be
-    motion and do not increase the fraction above 1.
+    Errors that repeat with the angle appear in the residuals `off` from the smooth motion (NaN without a residual).
+    `sigma` is the uncertainty of the residuals without such errors, and `floor` the expected standard deviation of
+    these errors [rad]. The residuals and the expected value are two estimates of one variance, each with its degrees
+    of freedom. `places` is the number of independent repeatable errors on the arc, less the number that the smooth
+    motion can absorb. Larger residuals may be motion and do not increase the fraction above 1.
     """
     known = np.isfinite(off) & np.isfinite(sigma)
     if known.sum() < FEWEST or floor <= 0.0 or places <= 0.0:
@@ -144,7 +145,7 @@ def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> f
 
 
 def smooth_path(coarse: Floats) -> Floats:
-    """Smooth a coarse path by local parabolas, without values over 0.3 rad from it, which keeps the number of turns."""
+    """Smooth a coarse path by local parabolas, without values more than 0.3 rad away, and keep the number of turns."""
     known = np.isfinite(coarse)
     if known.sum() < FEWEST:
         return coarse
@@ -155,10 +156,11 @@ def smooth_path(coarse: Floats) -> Floats:
 
 
 def learning_window(path: Floats) -> tuple[int, int]:
-    """Return half width and degree of the local polynomials from which repeatable errors are estimated.
+    """Return half width and degree of the local polynomials for the estimate of repeatable errors.
 
-    The window extends 1.2 turns to each side, so that it averages errors that repeat with the turn. It has a minimum
-    length, because such errors vary slowly if the ratio of rotation and frame rate is close to a rational number.
+    The window extends 1.2 turns to each side, so that errors that repeat with the turn average out. The window has a
+    minimum length, because such errors vary slowly if the ratio of rotation rate to frame rate is close to a rational
+    number.
     """
     step = np.abs(np.diff(path))
     step = step[np.isfinite(step)]
@@ -168,7 +170,7 @@ def learning_window(path: Floats) -> tuple[int, int]:
 
 
 def whole_turns(path: Floats, half: int) -> Mask:
-    """Return where `half` frames to both sides contain a whole turn; False everywhere in less than two turns."""
+    """Return a mask of frames with a whole turn within `half` frames to both sides; all False below two turns."""
     known = path[np.isfinite(path)]
     if len(known) == 0 or np.ptp(known) < 4.0 * np.pi:
         return np.zeros(len(path), dtype=np.bool_)
@@ -189,7 +191,7 @@ def line_through(path: Floats) -> Floats:
 
 
 def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
-    """Return the running median over an odd number of points, extended by its end points; NaN are ignored and stay."""
+    """Return the running median over an odd number of points, extended by its end points; NaN values are kept."""
     if width < 1 or width % 2 == 0:
         raise ValueError(f"the width of a median must be odd and positive, not {width}")
     series = np.asarray(x, dtype=float)
@@ -205,7 +207,7 @@ def running_quantile(x: npt.NDArray[Any], width: int, rank: int) -> npt.NDArray[
     if len(x) and x.min() == x.max():
         return x.copy()
     if len(x) > _MANY and np.isfinite(x).all():
-        from scipy.ndimage import rank_filter  # the same four times as fast, but its import takes 0.2 s
+        from scipy.ndimage import rank_filter  # four times as fast, but its import takes 0.2 s
 
         return np.asarray(rank_filter(x, rank, size=width, mode="nearest"))
     around = sliding_window_view(np.pad(x, width // 2, mode="edge"), width)
@@ -220,11 +222,11 @@ def angular_velocity(
 ) -> tuple[Floats, Floats]:
     """Return the angular velocity of a record without large gaps, smoothed as in the paper, and its uncertainty.
 
-    The uncertainty [rad s-1] is that of a running median of central differences d_i = (x_{i+1} - x_{i-1}) / 2 dt with a
-    trend from one to the next: var = N / D^2, with D the sum of the densities of d_i at the median and N the sum of the
-    covariances of the events d_i < median; d_i and d_{i+2} share one angle and have the correlation -1/2. Without trend
-    this is (pi / 6 n) var(d). The noise of the unwrapped angles [rad] must be independent. The first and last ``width -
-    1`` points are NaN.
+    The uncertainty [rad s-1] is the uncertainty of a running median of central differences d_i = (x_{i+1} - x_{i-1}) /
+    2 dt with a linear trend: var = N / D^2, where D is the sum of the densities of d_i at the median and N the sum of
+    the covariances of the events d_i < median. d_i and d_{i+2} have one angle in common, and therefore the correlation
+    -1/2. Without trend this is (pi / 6 n) var(d). The noise of the unwrapped angles [rad] must be independent. The
+    first and last ``width - 1`` points are NaN.
     """
     t, x, s = (np.asarray(a, dtype=float) for a in (time, angle, sigma))
     omega, omega_sigma = np.full_like(t, np.nan), np.full_like(t, np.nan)
@@ -247,11 +249,11 @@ def angular_velocity(
 
 
 def smoothing_width(angle: npt.ArrayLike, sigma: npt.ArrayLike, most: int = WIDTH) -> int:
-    """Return the odd number of points, 3 to `most`, of the medians that leave the motion of a body as it is.
+    """Return the odd number of points, 3 to `most`, of medians that do not change the motion of a body.
 
-    For a body that turns in one sense this is `most`. For one that turns back, for example a pendulum, a median over
-    much of its period would remove the motion: the width is halved until the smoothed angle differs by less than 2 % of
-    the motion, rms, or less than two standard uncertainties.
+    For a body that turns in one sense the result is `most`. For a body that turns back, for example a pendulum, a
+    median over a large part of the period would remove the motion. The width is therefore halved until the smoothed
+    angle differs by less than 2 % of the motion, rms, or less than two standard uncertainties.
     """
     x, s = np.asarray(angle, dtype=float), np.asarray(sigma, dtype=float)
     if len(x) <= 2 * most:
@@ -278,9 +280,10 @@ def _median_sigma(sigma: Floats, trend: Floats, width: int) -> Floats:
 
 @cache
 def _median_table(width: int) -> tuple[Floats, Floats]:
-    """Return the sigma of a median by the trend, both in units of the sigma of one difference.
+    """Return the sigma of a median as a function of the trend, both in units of the sigma of one difference.
 
-    Linear interpolation has a relative error below 1e-5; from a trend of 8 on only the middle difference counts.
+    Linear interpolation has a relative error below 1e-5; for a trend above 8, only the middle difference has
+    influence.
     """
     trend = 8.0 * np.linspace(0.0, 1.0, 8001) ** 2
     half = width // 2
@@ -311,7 +314,7 @@ class TimeBase:
         return np.asarray(np.rint(self.place), dtype=np.int64)
 
     def path(self, coarse: Floats) -> tuple[Floats, Floats]:
-        """Smooth a coarse path: values at the frames (n,), NaN where it is unknown, and on the uniform grid [rad]."""
+        """Return a smoothed coarse path at the frames (n,), NaN where unknown, and on the uniform grid [rad]."""
         known = np.isfinite(coarse)
         if known.sum() < _MIN_PATH:
             return coarse, np.zeros(int(self._slot[-1]) + 1)
@@ -338,8 +341,8 @@ class TimeBase:
     ) -> tuple[Floats, Floats]:
         """Fit polynomials in time to residuals about a path; return their values and leverages at the frames.
 
-        `off` are residuals [rad] with their weights, 0 for a missing one; `bend` is the path on the uniform grid, less
-        a straight line [rad]; `half` [periods] and `degree` as for `local_fit`.
+        `off` are residuals [rad] with their weights, 0 for a missing residual; `bend` is the path on the uniform grid,
+        less a straight line [rad]; `half` [periods] and `degree` as for `local_fit`.
         """
         total = np.bincount(self._slot, weight, len(bend)).astype(np.float64)
         clean = np.where(weight > 0.0, off, 0.0) * weight
@@ -370,12 +373,12 @@ def local_parabola(place: Floats, value: Floats) -> tuple[Floats, Floats]:
 
 
 def jitter_is_real(place: Floats, smooth: Floats, angle: Floats) -> bool:
-    """Return whether the jitter of the timestamps is that of the exposures: whether the angle [rad] follows it.
+    """Return whether the jitter of the timestamps is real, which is the case if the angle [rad] follows the jitter.
 
     `smooth` are the times of the frames `place` without jitter. The residual of an angle from a parabola in the smooth
     times is b w (place - smooth), with w the angular rate. The least-squares estimate of b is close to 1 if the
-    exposure was late, and to 0 if only the timestamp was. Where its standard uncertainty exceeds 0.2, the timestamps
-    are used.
+    exposure was late, and close to 0 if only the timestamp was late. If the standard uncertainty of b exceeds 0.2, the
+    timestamps are used.
     """
     known = np.isfinite(angle)
     if known.sum() < 2 * HALF_WINDOW:

@@ -1,4 +1,4 @@
-"""TOML files written by users: limited in size, validated, every error reported with line and key."""
+"""TOML files written by users: the size is limited, the content validated, and every error has line and key."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _KEY = re.compile(
 
 
 def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
-    """Return the line (from 1) of the key at `location`, or of the nearest table around it that has one.
+    """Return the line (from 1) of the key at `location`, or of the nearest enclosing table with a line.
 
-    A location is keys, and indices in arrays of tables: ``("clip", 1, "file")``. This is a scan by line, not a parser:
-    for keys of inline tables the line of the table is returned, and a line within a multi-line string may be mistaken
-    for a key.
+    A location consists of keys, and of indices in arrays of tables: ``("clip", 1, "file")``. The function scans lines
+    and is not a parser: for keys of inline tables the line of the table is returned, and a line within a multi-line
+    string may be mistaken for a key.
     """
     places: dict[tuple[int | str, ...], int] = {}
     counts: dict[tuple[str, ...], int] = {}
@@ -67,11 +67,11 @@ _MOST_FAULTS = 8
 def read_document(
     path: Path, model: type[Model], *, what: str, error: type[GyrotrackError] = ConfigurationError
 ) -> Model:
-    """Read a TOML file of at most 1 MB against a schema; the error, of a given class, lists wrong keys with lines."""
+    """Read a TOML file of at most 1 MB and validate it; the error, of a given class, lists invalid keys with lines."""
     text = read_text(path, what=what, error=error)
     try:
         data = tomllib.loads(text)
-    except (ValueError, RecursionError) as fault:  # also a number of thousands of digits
+    except (ValueError, RecursionError) as fault:  # a number with thousands of digits is also a ValueError
         raise error(f"{path} is not valid TOML: {str(fault)[:200]}.", "Correct this line.") from fault
     return check(data, model, what=what, where=str(path), text=text, error=error)
 
@@ -80,7 +80,7 @@ def read_text(path: Path, *, what: str, error: type[GyrotrackError]) -> str:
     """Return the text of a file of moderate size; errors as for `read_document`."""
     try:
         status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # reading a named pipe could block for ever
+        if not stat.S_ISREG(status.st_mode):  # reading a named pipe could block forever
             raise error(f"{path} is not a regular file.", f"Give a {what} in TOML.")
         if status.st_size > MOST_BYTES:
             raise error(f"{path} is too large to be a {what}.", "Check the name of the file.")

@@ -1,4 +1,4 @@
-"""The settings of tracking: every number that decides, with its unit, meaning and origin (`fitting._settings`)."""
+"""The settings of tracking: every number of a decision, with unit, meaning and origin (`fitting._settings`)."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ LIBRARIES = (
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the program, of Python with its platform, and of the libraries that are installed."""
+    """Return the versions of the program, of Python with its platform, and of the installed libraries."""
     found = {
         "gyrotrack": __version__,
         "python": platform.python_version(),

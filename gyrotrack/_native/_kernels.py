@@ -4,8 +4,8 @@ Each kernel has a signature like ``"f8[n,m] f8[k] -> f8[n,5]"``: element type an
 a letter denotes the same length wherever it occurs. An array of another type, number of dimensions or length, or in
 non-contiguous memory, raises `ValueError` before anything is computed. Arrays after the arrow are written to.
 
-`COMPILED` is true where the extension is in use. The reference of each kernel is the function of the same name with an
-underscore; it writes to its last arguments, as the compiled one in `kernels.c` does.
+`COMPILED` is true if the extension is in use. The reference of each kernel is the function of the same name with an
+underscore; it writes to its last arguments, like the compiled kernel in `kernels.c`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def _extension() -> Any:
 
 
 _compiled = _extension()
-# True where the compiled extension is in use, False where the NumPy reference is
+# True if the compiled extension is in use, False if the NumPy reference is in use
 COMPILED = _compiled is not None
 
 _TERM = re.compile(r"([a-z]\d)\[([^\]]*)\]")
@@ -45,7 +45,7 @@ _TERM = re.compile(r"([a-z]\d)\[([^\]]*)\]")
 
 @cache
 def _terms(signature: str) -> tuple[tuple[str, tuple[str, ...], bool], ...]:
-    """Return element type, dimensions and whether it is written to, of each array of a signature."""
+    """Return element type, dimensions and a flag (output or not) of each array of a signature."""
     inputs, _, outputs = signature.partition("->")
     return tuple(
         (kind, tuple(dimensions.split(",")), written)
@@ -107,8 +107,8 @@ def match(
     `curve`, `slope` (m + 2 pad,) are the template and its derivative per sample, extended by `pad` >= `limit` + 2
     samples at both ends; `start` (n,) the initial displacement; `seen` (n, m) marks samples that are not occluded;
     `limit` and `stride` are the largest displacement and step; the template is evaluated at multiples of 1/`fineness`
-    samples. Returned are (n, 5): displacement [samples], gain, offset, sum of squared residuals, and the last diagonal
-    element of the inverse normal matrix.
+    samples. The result is (n, 5): displacement [samples], gain, offset, sum of squared residuals, and the last
+    diagonal element of the inverse normal matrix.
     """
     out = np.empty((len(profile), 5))
     profile, seen, start = (
@@ -132,9 +132,9 @@ def bands(
 ) -> Array:
     """Return averages of (light * window - offset) * scale over bands of rows, or columns (`across`), of windows.
 
-    `windows` (k, rows, columns), of which the n indices `which` are averaged; `light` (n, columns) is a factor on each
+    `which` (n,) are the indices of the averaged `windows` (k, rows, columns); `light` (n, columns) is a factor on each
     column, `offset` (n,) is in units of the window; `mixing` (bands, rows) or (bands, columns) are the weights of each
-    band, of sum 1. Returned are (n, bands, columns) or (n, bands, rows).
+    band, with sum 1. The result has the shape (n, bands, columns) or (n, bands, rows).
     """
     count, parts = len(which), len(mixing)
     out = np.empty((count, parts, windows.shape[1] if across else windows.shape[2]))
@@ -149,10 +149,10 @@ def bands(
 
 
 def crossings(curves: Array, first: int, step: int, level: float, least: float) -> Array:
-    """Return where curves (n, k, m) fall below a level, in samples from `first`; NaN if never or from the start.
+    """Return positions at which curves (n, k, m) fall below a level, in samples from `first`; NaN if never or at once.
 
-    `step` (1 or -1) is the direction of the search; the crossing is interpolated linearly, with `least` the lower limit
-    of the decrease between two samples, a divisor.
+    `step` (1 or -1) is the direction of the search; the crossing is interpolated linearly. `least` is the lower limit
+    of the decrease between two samples, which is a divisor.
     """
     out = np.empty(curves.shape[:2])
     curves = np.ascontiguousarray(curves)
@@ -167,9 +167,9 @@ def local_polynomials(
 ) -> None:
     """Fit a polynomial about each point of an evenly sampled series, with weights 1 - (x / (half + 1))^2.
 
-    `value`, `weight` (n + 2 half,) with the weight 0 where there is no value; `degree` 0 to 3; points up to the
-    distance `hole` are excluded, none with -1. Written to are `smooth` and `leverage` (n,): fitted value, and its
-    derivative with respect to the value at the point itself; NaN where the window contains too few points.
+    `value`, `weight` (n + 2 half,); the weight is 0 without a value; `degree` is 0 to 3; points up to the distance
+    `hole` are excluded, none with -1. The outputs are `smooth` and `leverage` (n,): fitted value, and its derivative
+    with respect to the value at the point itself; NaN if the window contains too few points.
     """
     lengths = _check("f8[m] f8[m] -> f8[n] f8[n]", (value, weight, smooth, leverage))
     fits = lengths["m"] == lengths["n"] + 2 * half and 1 <= half <= 1 << 20
@@ -196,7 +196,8 @@ def locate(windows: Array, column: Array, rows: tuple[int, int, int], half: int,
     """Return displacement [columns] and mean score (n, 2) of a marker about its expected column; score 0 at the limit.
 
     `windows` (n, rows, columns) are contiguous in every row; `column` (n,) is the first column of the search; `rows`
-    are start, stop and step of the rows to average; `half` is the half width of the marker, `reach` that of the search.
+    are start, stop and step of the rows to average; `half` is the half width of the marker, `reach` the half width of
+    the search.
     """
     windows, column = np.ascontiguousarray(windows), np.ascontiguousarray(column)
     out = np.empty((len(windows), 2))

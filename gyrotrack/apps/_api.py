@@ -1,4 +1,4 @@
-"""The public functions from film to case: extract, sync, read."""
+"""The public functions that make a case from films: extract, sync, read."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ def extract(
     output : str or Path, optional
         HDF5 file to write; without it nothing is written, and `resume` and `force` have no effect.
     capture_fps : float, optional
-        Capture rate of the camera [1/s]; by default that of the profile, of the camera's tag, or of the container.
+        Capture rate of the camera [1/s]; by default the rate in the profile, in the camera's tag, or in the container.
     profile : Profile, str or Path, optional
-        Markers and colours, or the TOML file with them; by default those of the paper.
+        Markers and their colours, or a TOML file that defines them; by default the markers of the paper.
     body : {"casing", "rotor", "both"}, optional
-        Track this body only; by default every body in view.
+        Body to track; by default every body in view.
     times : {"auto", "stamps", "frames"}
-        Count frames, or use the timestamps of the film; "auto" uses these where the camera's rate varied.
+        Count frames, or use the timestamps of the film; "auto" uses the timestamps if the camera's rate varied.
     workers : int or None
-        Processes that share the film; None: one for each core. A script that starts more than one needs the guard
-        ``if __name__ == "__main__":``.
+        Number of processes that track parts of the film; None: one per core. A script that starts several needs the
+        guard ``if __name__ == "__main__":``.
     resume : bool
-        Continue an interrupted run of the same film and settings; a complete output is read and returned.
+        Continue an interrupted run of the same film and settings; if the output is complete, read and return it.
     force : bool
         Replace an existing output.
     progress : callable, optional
@@ -72,7 +72,7 @@ def extract(
     VideoError
         The film cannot be decoded, or its capture rate is unknown.
     TrackingError
-        No markers, or not the requested body.
+        No markers are found, or the requested body is not in view.
     OutputError
         The output exists (see `force`) or cannot be written.
 

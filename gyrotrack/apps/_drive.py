@@ -1,12 +1,12 @@
-"""A driven body: whether its speed rises, and its first-order response to the drive.
+"""Detection of a driven body, whose speed rises, and its first-order response to the drive.
 
-Friction never makes a body faster. Where the speed rises by more than its uncertainty and a share of its largest value,
-averaged over whole turns (within one turn an unbalance makes it rise and fall), the body is driven, and a law of
-friction fitted to the record would describe the drive. What such a record shows is the response
+Friction never makes a body faster. A body is driven if its speed, averaged over whole turns, rises by more than its
+uncertainty and a share of its largest value. The average is needed because an unbalance makes the speed rise and fall
+within one turn. A law of friction fitted to such a record would describe the drive. The record shows the response
 
     tau d(omega)/dt = gain u(t - delay) + offset - omega
 
-to a measured input u, which is constant between two samples, or to a constant drive.
+to a measured input u, taken as constant between two samples, or to a constant drive.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from gyrotrack.io.readers._plausibility import rises
 from gyrotrack.io.readers._pulses import varies_both_ways
 
 _LEAST_RISE = 0.05  # smallest rise of the speed of a driven body [largest speed]
-_SIGNIFICANT = 6.0  # the same in standard uncertainties
-_FEWEST_TURNS = 8  # with fewer turns, a rise may be that of an unbalance
+_SIGNIFICANT = 6.0  # smallest change of the speed that is significant [standard uncertainties]
+_FEWEST_TURNS = 8  # in fewer turns, an unbalance may cause the rise
 _BLOCKS = 100  # largest number of intervals in which mean speeds are compared
-_LEAST_LEVEL = 0.05  # smallest median of an input that drives, over its largest value
-_EXPLAINED = 0.9  # smallest share of the variance of the speed of a first-order response
+_LEAST_LEVEL = 0.05  # smallest median of an input that drives the body [its largest value]
+_EXPLAINED = 0.9  # smallest share of the variance of the speed that a first-order response explains
 _REST = 0.02  # speed of a body at rest before a constant drive [range of the speed]
-_GRID = 24  # time constants, and half as many delays, among which the best is searched
+_GRID = 24  # number of time constants in the search grid; the number of delays is half of it
 _LONGEST_DELAY = 0.1  # [length of the record]
 _FEWEST = 12
 
@@ -44,18 +44,18 @@ class Response:
     input: str  # name of the input; "" for a constant drive
     unit: str  # its unit in the file
     time_constant: Value  # [s]
-    delay: Value | None  # dead time of the response to a step of the input [s]; None if none is seen
+    delay: Value | None  # dead time of the response to a step of the input [s]; None if no delay is found
     # change of the final speed per unit of the input [rad/s]; None for an input of one level
     gain: Value | None
     final: Value  # speed that the body approaches with the last value of the input [rad/s]
-    explained: float  # share of the variance of the speed
+    explained: float  # explained share of the variance of the speed
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What shows that a body is driven, and its response."""
+    """Evidence that a body is driven, and its response to the drive."""
 
-    reason: str  # as the end of a sentence
+    reason: str  # the evidence, as the end of a sentence
     # mean speed over the "first" and the "last" turn, and their standard uncertainties [rad/s]; None for few turns
     omega: dict[str, float] | None
     omega_u: dict[str, float] | None
@@ -65,7 +65,7 @@ class Drive:
 def drive_of(
     series: Series, quantity: str, inputs: Sequence[Driver], *, pulses: bool = False
 ) -> Drive | None:
-    """Return the drive of a body that is not at rest; None if it may be free.
+    """Return the drive of a moving body; None if the motion may be free.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _drives(value: Floats) -> bool:
 
 
 def _speed_of_turns(series: Series, quantity: str) -> tuple[Floats, Floats] | None:
-    """Return mean speeds over whole turns, or equal numbers of them, and their standard uncertainties [rad/s]."""
+    """Return mean speeds over intervals of equal numbers of whole turns, and their standard uncertainties [rad/s]."""
     time, angle = series.time, series.angle
     turns = float(np.ptp(angle)) / TURN
     if turns < _FEWEST_TURNS:
@@ -132,7 +132,7 @@ def _speed_of_turns(series: Series, quantity: str) -> tuple[Floats, Floats] | No
 
 def _response(series: Series, quantity: str, cause: Driver | None) -> Response | None:
     """Fit the response to an input, or to a constant drive from the end of rest."""
-    from scipy.signal import lfilter  # half of the start of the command, for a few inputs
+    from scipy.signal import lfilter  # slow import, needed by few motions
 
     time = series.time
     measured = series.omega if quantity == "omega" else series.angle
@@ -164,7 +164,7 @@ def _response(series: Series, quantity: str, cause: Driver | None) -> Response |
         return float(rest @ rest)
 
     log_tau = np.linspace(math.log(2 * step), math.log(3 * span), _GRID)
-    # without a step of the input a delay is not seen
+    # a delay cannot be determined without a step of the input
     delays = (
         np.concatenate([[0.0], np.geomspace(step, _LONGEST_DELAY * span, _GRID // 2)])
         if several
@@ -210,7 +210,7 @@ def _response(series: Series, quantity: str, cause: Driver | None) -> Response |
 
 
 def _end_of_rest(series: Series) -> int:
-    """Return the last sample before the speed changes; smoothed speeds are not known at the ends of a record."""
+    """Return the last sample before the speed changes, without the ends of the record that have no smoothed speed."""
     known = np.flatnonzero(np.isfinite(series.omega) & np.isfinite(series.omega_sigma))
     if not len(known):
         return 0
@@ -221,7 +221,7 @@ def _end_of_rest(series: Series) -> int:
 
 
 def _delayed(value: Floats, rows: float) -> Floats:
-    """Return an input delayed by a number of rows; a fraction is the mean of two rows, weighted."""
+    """Return an input delayed by a number of rows, interpolated linearly for a fraction of a row."""
     whole = int(rows)
     part = rows - whole
     shifted = [np.concatenate([np.full(k, value[0]), value[: len(value) - k]]) for k in (whole, whole + 1)]
@@ -235,7 +235,7 @@ def _integrated(time: Floats, speed: Floats) -> Floats:
 def _inflation(rest: Floats) -> float:
     """Return the factor by which correlated residuals increase a variance: 1 + 2 times the sum of correlations.
 
-    The sum ends at the first correlation that is not positive (R. Priestley's initial positive sequence).
+    The sum is truncated at the first correlation that is not positive (R. Priestley's initial positive sequence).
     """
     size = float(rest @ rest)
     if not size:

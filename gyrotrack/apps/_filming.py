@@ -1,9 +1,10 @@
-"""Films like those of a case: its scene, as it was tracked, with a motion of a fit.
+"""Rendered films like the films of a case: the tracked scene of the case, with the motion of a fit.
 
-Size, frame rates, starts, centre and tilt are those of the recordings. The markers have the radii, widths, mount angles
-and colours that `extract` measured. The exposure follows from the motion blur of the rotor's markers, which widens them
-by half of speed times exposure on each side. The image noise is chosen so that the tracked angles scatter as in the
-recordings. Metal, table, lamps and lens are those of the package's renderer: they are not measured.
+Image size, frame rates, start times, centre and tilt are taken from the recordings. The markers have the radii,
+widths, mount angles and colours that `extract` measured. The exposure follows from the motion blur of the rotor's
+markers, which widens a marker by half of speed times exposure on each side. The image noise is chosen so that the
+tracked angles scatter as in the recordings. Metal, table, lamps and lens are the defaults of the package's renderer,
+because they are not measured.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from gyrotrack.io._records import Case, Recording
 from gyrotrack.synthetic._film import render_clip
 from gyrotrack.synthetic._scene import PAPERS, WHITE, Camera, Colour, Light, Marker, Motion, Scene
 
-# a marker without colour differs in luma alone; grey level of a coloured one, whose luma is not stored
+# chroma below which a marker has no colour; luma of coloured markers, because it is not stored [grey levels]
 _COLOURLESS, _LUMA = 5.0, 110.0
-# exposure relative to the frame period where no smear shows it, and its limits
+# exposure if the motion blur does not determine it, and limits of the exposure [frame period]
 _USUAL_EXPOSURE, _EXPOSURES = 0.4, (0.02, 0.95)
-# frames of the trial that determines the noise of the picture, the noise of the trial and its limits [grey levels]
+# trial film that determines the image noise: its number of frames, its noise, limits of the result [grey levels]
 _TRIAL, _TRIAL_NOISE, _NOISES = 1200, 2.0, (0.3, 12.0)
 _OUTER = max(p.near + p.length for p in PAPERS if p.body == "casing")  # mm
 
@@ -35,14 +36,14 @@ Command = Callable[[Sequence[str]], Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Filming:
-    """Scene and cameras of a case: of the casing's film, then of each film of the rotor.
+    """Scene of a case, and its cameras: the camera of the casing's film, then the camera of each rotor film.
 
     Attributes
     ----------
     scene : Scene
         Bodies and markers.
     cameras : tuple of Camera
-        Their start is the time of the first frame on the clock of the case.
+        The start of a camera is the time of its first frame on the clock of the case.
     frames : tuple of int
         Number of frames of each film.
     sigma : tuple of float
@@ -56,7 +57,7 @@ class Filming:
 
     @classmethod
     def of(cls, case: Case) -> Filming:
-        """Return scene and cameras of a case that `sync` made from films.
+        """Return the scene and the cameras of a case that `sync` made from films.
 
         Parameters
         ----------
@@ -66,7 +67,7 @@ class Filming:
         Raises
         ------
         DatasetError
-            It has no films of two bodies, or they hold no measured markers.
+            The case has no films of two bodies, or the films contain no measured markers.
         """
         names = sorted(n for n in case.recordings if n.startswith("rotor_"))
         if case.bodies != "two" or "casing" not in case.recordings or not names:
@@ -81,20 +82,20 @@ class Filming:
         cameras = tuple(_camera(f, s, scale, share) for f, s in zip(films, starts, strict=True))
         bodies = ["casing", *["rotor"] * len(names)]
         sigma = tuple(float(np.median(f.bodies[b].sigma)) for f, b in zip(films, bodies, strict=True))
-        # the exposure of the first and the last frame lies within the motion
+        # the exposures of the first and the last frame are within the duration of the motion
         return cls(scene, cameras, tuple(f.frames_decoded - 2 for f in films), sigma)
 
     def with_measured_noise(self, motion: Motion, folder: Path, run: Command, seed: int) -> Filming:
-        """Return the same with the noise of the pictures at which a trial scatters like the recordings.
+        """Return a copy with the image noise for which the angles of a trial film scatter as in the recordings.
 
         Parameters
         ----------
         motion : Motion
             Motion of both bodies on the clock of the case.
         folder : Path
-            Where the trial is rendered and tracked.
+            Folder in which the trial is rendered and tracked.
         run : callable
-            Runs a command of the program, and returns its exit code and document.
+            Runs a command of the program, and returns its exit code and JSON document.
         seed : int
             Seed of the trial.
         """
@@ -147,7 +148,7 @@ def _paper(film: Recording, body: str) -> dict[str, Any]:
     papers = film.extra.get("papers") or {}
     found = [papers[n] for n, m in film.markers.items() if m.body == body and n in papers]
     if not found:
-        what = f"{film.source} holds no measured marker of the {body}."
+        what = f"{film.source} contains no measured marker of the {body}."
         raise DatasetError(what, "Track the film with markers, or omit --film.")
     return dict(found[0])
 
@@ -185,8 +186,8 @@ def _colour(cb: float, cr: float) -> Colour:
 def _exposure(casing: Recording, rotor: Sequence[Recording]) -> float:
     """Return the exposure of the casing's film from the smear of the rotor's markers [s].
 
-    Their width was measured in the sharpest frames, in which the rotor is slowest. In the faster film the smear is
-    smaller by the ratio of the periods.
+    The width of the markers was measured in the sharpest frames, in which the rotor is slowest. In the film with the
+    higher frame rate the smear is smaller by the ratio of the frame periods.
     """
     period = 1 / casing.capture_fps
     slow, fast = (film.extra.get("papers") or {} for film in (casing, rotor[0]))

@@ -23,37 +23,38 @@ Floats = npt.NDArray[np.float64]
 
 TURN = 2 * math.pi
 # prior standard deviations of the first three harmonics of the angle [rad]: a hub displaced by 2 % of the radius, a
-# camera tilt of 0.28 rad, and its perspective
+# camera tilt of 0.28 rad, and the perspective of this tilt
 VIEW = (0.02, 0.02, 0.005)
-_FEWEST_SAMPLES = 10  # of a motion: a quadratic in time has seven degrees of freedom left
+_FEWEST_SAMPLES = 10  # of a motion: the fit of a quadratic in time has seven degrees of freedom
 _MIN_SAMPLES = 12  # of a window
-_ROUNDING = 1e-6  # range of a harmonic of the angle that is more than rounding
+_ROUNDING = 1e-6  # smallest range of a harmonic of the angle that exceeds rounding errors
 _ORDERS = range(2, 17)
 _SPEED_ORDERS = range(1, 16)
-# highest degree for the speed in a record of few turns: a polynomial of degree n has n / 2 periods, and errors that
-# repeat with the angle have one or more per turn
+# highest degree for the speed in a record of few turns: a polynomial of degree n resembles n / 2 periods, and errors
+# that repeat with the angle have one or more periods per turn
 _FEWEST_DEGREES = 5.0
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
-# difference of their criteria up to which the data do not separate two of them (R. Kass, A. Raftery, 1995)
+# largest difference of the criteria of two degrees that the data do not separate (R. Kass, A. Raftery, 1995)
 _INSEPARABLE = 10.0
 # degrees for the fit in growing windows; polynomials of higher degree extrapolate badly
 _TRACKED_ORDERS = _WAVE_ORDERS[2]
 # highest degree of the polynomials for times and durations of passages through a light gate
 _PASSAGE_ORDER = 4
-_END = 0.05  # share of a record from which the angular velocity at its ends is determined
-# a fluctuating speed: smallest number of turns, rises over the largest speed and in standard errors, and their number
+_END = 0.05  # part at each end of a record that determines the angular velocity there [duration]
+# a fluctuating speed: smallest number of turns, smallest rise [largest speed] and [standard errors], number of rises
 _FLUCTUATING_TURNS, _RISE, _RISE_SIGMA, _FEWEST_RISES = 2.0, 0.05, 6.0, 2
-_ALIKE = 4  # neighbouring deviations from a mean speed that count as one
+_ALIKE = 4  # neighbouring deviations from a mean speed that are counted as one, because they are correlated
 _MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
 _FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
-# a motion that is not a damped oscillation reverses repeatedly if it passes the middle of its range upwards this often,
-# with a hysteresis of this share of the range, which is at least this number of standard uncertainties of an angle
+# a motion that is not a damped oscillation reverses repeatedly if it passes the middle of its range upwards: smallest
+# number of passages, hysteresis [range], smallest range [standard uncertainties of an angle]
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
-# share of the variance of an angle that a damped oscillation leaves beyond noise, through few and several periods:
-# harmonics of a pendulum with an amplitude of 176 degrees are 0.023; the first link of two double pendulums leaves 0.06
-# and 0.11 of few periods; an oscillation that was disturbed in its eight periods leaves 0.07
+# largest share of the variance of an angle in the residuals of a damped oscillation, without noise; for few and for
+# several periods. The harmonics of a pendulum with an amplitude of 176 degrees have 0.023. Through few periods the
+# first links of two double pendulums have 0.06 and 0.11; an oscillation that was disturbed within eight periods has
+# 0.07
 _UNEXPLAINED, _SEVERAL_PERIODS, _UNEXPLAINED_OF_SEVERAL = 0.04, 4.0, 0.2
 
 
@@ -71,7 +72,7 @@ class BodyMotion:
 
     # kind of motion: "spin-down", "spin-up", "steady", "oscillation", "reversing", "fluctuating" or "driven"
     kind: str
-    # range of the angle [turns]; nan, as all values of the angle, if only passages of light gates were measured
+    # range of the angle [turns]; nan, like all values from angles, if only passages of light gates were measured
     turns: float
     omega: dict[str, float]  # angular velocity at the "first" and the "last" sample [rad/s]
     omega_mean: Value  # mean angular velocity [rad/s]
@@ -95,19 +96,19 @@ class BodyMotion:
 
 
 def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
-    """Describe a motion from times [s], unwrapped angles and their standard uncertainties [rad]; at least 10 samples.
+    """Describe a motion from at least 10 times [s], unwrapped angles and standard uncertainties of the angles [rad].
 
     A rotation is fitted by a polynomial in time (of degree 2 to 16, by the criterion of Hannan and Quinn) and three
     harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
-    widths `VIEW`: over less than two turns, where they are nearly collinear with the polynomial, they contribute to the
-    uncertainty with a plausible size. A rotation is steady if the angular acceleration is consistent with zero (three
-    standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift; phase and
-    logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects it, and period,
-    amplitude and decay rate are those at the middle of the record. A motion that passes the middle of its range
-    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. One that turns
-    back, and is recorded through too few periods for either, is "reversing". A rotation whose speed rises and falls
-    repeatedly, which neither friction nor a view does, is "fluctuating": its ends are local, and its mean is that of
-    the angles.
+    widths `VIEW`. Over less than two turns they are nearly collinear with the polynomial, and the priors limit their
+    contribution to the uncertainty. A rotation is steady if the angular acceleration is consistent with zero (three
+    standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift. Phase and
+    logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects this degree. Period,
+    amplitude and decay rate are given for the middle of the record. A motion that passes the middle of its range
+    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. A motion that
+    turns back, but is recorded through too few periods for these decisions, is "reversing". A rotation whose speed
+    rises and falls repeatedly, without explanation by friction or by the view, is "fluctuating": the speeds at its
+    ends are local slopes, and the mean speed is the turned angle over the time.
     """
     if len(time) < _FEWEST_SAMPLES:
         what = f"The motion has {len(time)} samples; {_FEWEST_SAMPLES} are needed."
@@ -141,7 +142,7 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
 
 
 def _kind(omega: dict[str, float], omega_u: dict[str, float], mean: Value, alpha: Value) -> str:
-    """Return the kind of a rotation by its acceleration and the speeds at its ends, which must not contradict it."""
+    """Return the kind of a rotation: "steady" without a significant change of speed, else "spin-up" or "spin-down"."""
     change = abs(omega["last"]) - abs(omega["first"])
     apart = abs(change) > 3 * math.hypot(omega_u["first"], omega_u["last"])
     if abs(change) < 0.01 * abs(mean.value) or (abs(alpha.value) < 3 * alpha.stderr and not apart):
@@ -152,10 +153,10 @@ def _kind(omega: dict[str, float], omega_u: dict[str, float], mean: Value, alpha
 def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
     """Return whether the speed of a rotation in one sense rises repeatedly, for example with a motor.
 
-    Friction never makes a body faster. Harmonics of the angle, from an unbalance, a displaced hub or a tilted camera,
-    do, with an amplitude that changes slowly: the speed must rise with them and without them. Two rises by more than
-    5 % of the largest speed and 6 standard errors are required, of mean speeds over windows of a fiftieth of the
-    record.
+    Friction never makes a body faster. An unbalance, a displaced hub and a tilted camera cause harmonics of the angle
+    with slowly varying amplitudes, in which the speed rises. The speed must therefore rise both with the harmonics and
+    without them. Two rises by more than 5 % of the largest speed and 6 standard errors are required; the speeds are
+    means over windows of a fiftieth of the record.
     """
     if np.ptp(angle) < _FLUCTUATING_TURNS * TURN or not _rises_repeatedly(time, angle, sigma):
         return False
@@ -166,7 +167,7 @@ def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
     rows = np.stack([*waves, *(even**k for k in range(7))], axis=1)
     if len(angle) < 4 * rows.shape[1]:
         return False
-    # over few turns they resemble the motion, and without them the speed shows rises that are not there
+    # over few turns the harmonics resemble the motion, and their subtraction causes spurious rises of the speed
     found = np.linalg.lstsq(rows, angle - smooth, rcond=None)[0]
     return _rises_repeatedly(time, angle - rows[:, : len(waves)] @ found[: len(waves)], sigma)
 
@@ -189,13 +190,13 @@ def _slope_at(t: Floats, angle: Floats, place: int) -> Value:
     near = slice(0, count) if place == 0 else slice(len(t) - count, len(t))
     (slope, _), covariance = np.polyfit(t[near], angle[near], 1, cov="unscaled")
     rest = angle[near] - np.polyval(np.polyfit(t[near], angle[near], 1), t[near])
-    # the deviations from a constant speed are not noise: neighbours have the same sign
+    # neighbouring deviations from a constant speed are correlated
     variance = float(rest @ rest) / max(count - 2, 1) * min(count, _ALIKE)
     return Value(float(slope), math.sqrt(float(covariance[0, 0]) * variance))
 
 
 def _mean_speed(time: Floats, angle: Floats, sigma: Floats) -> Value:
-    """Return the turned angle over the time, with the uncertainties of both angles."""
+    """Return the turned angle over the time, with the uncertainties of the first and the last angle."""
     length = float(time[-1] - time[0])
     error = math.hypot(sigma[0], sigma[-1], math.sqrt(2.0) * VIEW[0])
     return Value(float(angle[-1] - angle[0]) / length, error / length)
@@ -210,8 +211,8 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     """Describe a motion from measured angular velocities and their standard uncertainties [rad/s].
 
     The speeds of a rotation are fitted by a polynomial in time (of degree 1 to 15, by the criterion of Hannan and
-    Quinn). Their integral, `angle`, whose errors accumulate, shows the kind of motion, and the period and decay
-    of an oscillation.
+    Quinn). The integral of the speeds, `angle`, determines the kind of motion, and the period and decay of an
+    oscillation; the errors of this integral accumulate.
     """
     step = np.append(np.diff(time), time[-1] - time[-2])
     whole = motion_of(time, angle, np.full(len(time), float(np.median(sigma * step))))
@@ -243,10 +244,11 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
 def motion_of_passages(passages: Passages) -> BodyMotion:
     """Return the period and the decay rate of a pendulum from its passages through light gates.
 
-    Pairs of neighbouring passages, one in each direction, are averaged: the distance of the gates from the equilibrium
-    delays one and advances the other. The times of the pairs, and the logarithms of their durations, which are
-    inversely proportional to the amplitude, are polynomials in the number of the passage. Period and decay rate are
-    those at the middle of the record. A DatasetError is raised if too few passages are in immediate succession.
+    Pairs of neighbouring passages in opposite directions are averaged, because a distance of the gates from the
+    equilibrium delays one passage and advances the other. The durations of the passages are inversely proportional to
+    the amplitude. The times of the pairs, and the logarithms of the durations, are fitted by polynomials in the number
+    of the passage. Period and decay rate are given for the middle of the record. A DatasetError is raised if too few
+    passages are consecutive.
     """
     t, duration = passages.time, passages.duration
     half = 0.5 * float(np.median(t[2:] - t[:-2]))
@@ -295,9 +297,9 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     half = max(abs(t[0]), abs(t[-1]))
     x = t / half
     psi = angle - angle[len(angle) // 2]
-    # harmonics of the smooth angle: those of the measured angle would be correlated with its noise
+    # harmonics of the smooth angle: harmonics of the measured angle would be correlated with its noise
     smooth = np.polynomial.Polynomial.fit(x, psi, min(6, len(t) // 3))(x)
-    # pulses at whole multiples of a period of a harmonic contain no information on it
+    # pulses at whole multiples of the period of a harmonic contain no information on this harmonic
     orders = [
         k
         for k in range(1, len(VIEW) + 1)
@@ -322,14 +324,14 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     ends = [averaged(_derivatives(most + 1, 1, place) / half) for place in (x[0], x[-1])]
     best = min(fits, key=lambda fit: fit.hannan_quinn)
     smoothed = angle
-    # over fewer turns harmonics are not separable from the motion
+    # over fewer turns the harmonics cannot be separated from the motion
     if np.ptp(angle) > _FLUCTUATING_TURNS * TURN:
         smoothed = angle - design[:, :view] @ best.value[:view]
     for i, place in enumerate((0, -1)):
         local = _speed_at(t, smoothed, sigma, place)
         # a polynomial through the whole record may oscillate at its ends
         if abs(local.value - ends[i].value) > 3 * local.stderr:
-            # which of both is wrong is not known: harmonics of the angle are in the local one alone
+            # the local speed may be wrong too, because it includes the harmonics of the angle: add both uncertainties
             ends[i] = Value(local.value, math.hypot(local.stderr, ends[i].stderr))
     mean = averaged((legvander(x[-1:], most + 1)[0] - legvander(x[:1], most + 1)[0]) / (t[-1] - t[0]))
     alpha = averaged(_derivatives(most + 1, 2, 0.0) / half**2)
@@ -337,7 +339,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
 
 
 def _free_degrees(turns: float) -> float:
-    """Return the highest degree of a polynomial for the speed that is slower than the harmonics of the angle."""
+    """Return the highest degree of a polynomial for the speed that varies more slowly than the harmonics."""
     return max(_FEWEST_DEGREES, turns)
 
 
@@ -346,15 +348,16 @@ def _highest(orders: range, most: float) -> int:
 
 
 def _derivatives(most: int, order: int, place: float) -> Floats:
-    """Return a derivative of the Legendre polynomials of degree 0 to `most` at a place, (most + 1,)."""
+    """Return derivatives of the Legendre polynomials of degree 0 to `most` at a place, (most + 1,)."""
     return np.asarray([float(Legendre.basis(k).deriv(order)(place)) for k in range(most + 1)])
 
 
 def _next_coefficient(fits: Sequence[Estimate]) -> float:
     """Return the plausible size of the first coefficient beyond the polynomial of highest degree; 0 if none is needed.
 
-    The coefficients of a smooth motion decrease geometrically: the next one is c_n^2 / c_(n-1), and at most c_n. It is
-    needed if the highest degree is the best one: then further ones would be.
+    The coefficients of a smooth motion decrease geometrically: the next coefficient is c_n^2 / c_(n-1), and at most
+    c_n. This coefficient is needed if the highest degree is the best one, because further degrees may then be
+    significant.
     """
     if len(fits) < 2 or fits[-1].hannan_quinn > min(fit.hannan_quinn for fit in fits):
         return 0.0
@@ -365,9 +368,9 @@ def _next_coefficient(fits: Sequence[Estimate]) -> float:
 def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:
     """Return a combination of coefficients, averaged over models with weights exp(-HQ / 2).
 
-    HQ is the criterion of Hannan and Quinn. No polynomial is the true motion, and the Bayesian criterion drops a term
-    that is still noticeable at the ends of the record. The variance is the mean variance plus that of the values: the
-    degree of a polynomial is not known (J. Hoeting et al., Stat. Sci. 14, 382 (1999)).
+    HQ is the criterion of Hannan and Quinn. The motion is not exactly a polynomial, and the Bayesian criterion drops
+    terms that are still noticeable at the ends of the record. The variance is the mean variance plus the variance of
+    the values, because the degree is unknown (J. Hoeting et al., Stat. Sci. 14, 382 (1999)).
     """
     criterion = np.array([fit.hannan_quinn for fit in fits])
     weight = np.exp(-0.5 * (criterion - criterion.min()))
@@ -380,8 +383,8 @@ def _averaged(fits: Sequence[Estimate], rows: Sequence[Floats]) -> Value:
 def _speed_at(t: Floats, angle: Floats, sigma: Floats, place: int) -> Value:
     """Return the angular velocity at the first (0) or last (-1) sample.
 
-    From a cubic through that end of the record, which is shortened while a quartic describes it better. The noise may
-    be correlated.
+    A cubic is fitted to this end of the record. The fitted part is shortened while a quartic describes it better. The
+    noise may be correlated.
     """
     count = int((np.abs(t - t[place]) < _END * (t[-1] - t[0])).sum())
     cubic, quartic = list(range(4)), list(range(5))
@@ -404,12 +407,12 @@ def _speed_at(t: Floats, angle: Floats, sigma: Floats, place: int) -> Value:
 class _Wave:
     """A damped oscillation about a drifting mean.
 
-    With t = 0 at the middle of the record and x = t / half
+    With t = 0 at the middle of the record, and x = t / half of the record, the angle is
 
         exp(-d t - sum d_k x^k) [a cos phi + b sin phi] + m + n t,  phi = 2 pi f t + sum c_k x^k,
 
-    k from 2 to `phase` in phi and to `envelope` in the exponent. Frequency and decay rate depend on the amplitude if
-    the restoring torque or the friction is not linear.
+    with k from 2 to `phase` in phi, and from 2 to `envelope` in the exponent. Frequency and decay rate depend on the
+    amplitude if the restoring torque or the friction is not linear.
     """
 
     half: float
@@ -446,10 +449,10 @@ class _Wave:
     ) -> tuple[float, tuple[float, float, float]]:
         """Return the Bayesian information criterion, and the uncertainties of frequency, decay rate and amplitude.
 
-        What the model does not describe changes slowly in amplitude and in phase. The residuals are demodulated: in
-        windows of whole periods their components in phase with the oscillation and in quadrature, which determine the
-        amplitude and the phase separately, each with its own correlated noise. In fewer than `_MIN_WINDOWS` periods
-        the correlated noise is that of a harmonic of the phase with a slowly varying amplitude.
+        Model errors change slowly in amplitude and in phase. The residuals are therefore demodulated in windows of
+        whole periods. The component in phase with the oscillation determines the amplitude, the component in
+        quadrature determines the phase, and each component has its own correlated noise. For fewer than `_MIN_WINDOWS`
+        periods the correlated noise is a harmonic of the phase with a slowly varying amplitude.
         """
         jacobian, one = self.jacobian(c, t), np.eye(self.size)
         size = max(float(np.hypot(c[2], c[3])), 1e-300)
@@ -460,7 +463,7 @@ class _Wave:
         count = min(int(abs(phase[-1] - phase[0]) / TURN), _MAX_WINDOWS)
         free = np.full(self.size, np.inf)
         edges = (phase[-1] - phase[0]) * np.arange(count) / max(count, 1)
-        # a phase that turns back, of a model that does not describe the motion, has few windows
+        # the phase of a model that does not describe the motion may decrease: then there are few windows
         first = np.unique(np.searchsorted(np.maximum.accumulate(phase - phase[0]), edges))
         if len(first) < _MIN_WINDOWS:
             models = [list(range(self.size))]
@@ -503,7 +506,7 @@ class _Wave:
         return np.concatenate([c[:6], phase, envelope])
 
     def fitted(self, c: Floats, t: Floats, angle: Floats, sigma: Floats) -> Floats:
-        """Return the least-squares parameters, with the initial values `c`."""
+        """Return the least-squares parameters from the initial values `c`."""
         span = np.ptp(t)
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         lower[:2], upper[:2] = (0.5 * c[0], -5.0 / span), (2.0 * c[0], 20.0 / span)
@@ -526,7 +529,7 @@ def _oscillation(
 ) -> tuple[Value, Value, Value, dict[str, float], Floats] | None:
     """Fit a damped oscillation about a drifting mean; None if the record is too short for one.
 
-    Returned are period, amplitude, decay rate, the angular velocities at the ends, and the fitted curve.
+    The result contains period, amplitude, decay rate, the angular velocities at the ends, and the fitted curve.
     """
     start = _frequency(t, angle)
     if start is None:
@@ -561,17 +564,17 @@ def _oscillation(
 
 
 def _with_rivals(value: Value, rivals: Sequence[Value]) -> Value:
-    """Return a value with the difference from those of models that the data do not separate in its uncertainty.
+    """Return a value with its uncertainty increased by the differences from models that the data do not separate.
 
-    Only the part of a difference beyond two standard uncertainties of the rival counts, since the values of a model
-    with more parameters scatter more.
+    Only the part of a difference beyond two standard uncertainties of the other model is added, since the values of a
+    model with more parameters scatter more.
     """
     beyond = max(max(abs(r.value - value.value) - 2 * r.stderr, 0.0) for r in rivals)
     return replace(value, stderr=math.hypot(value.stderr, beyond))
 
 
 def _frequency(t: Floats, angle: Floats) -> float | None:
-    """Return the frequency of the largest peak of the spectrum above 0.7 periods per record; None without one."""
+    """Return the frequency [Hz] of the largest spectral peak above 0.7 periods per record; None without a peak."""
     even = np.linspace(t[0], t[-1], len(t))
     value = np.interp(even, t, angle)
     value = value - np.polyval(np.polyfit(even, value, 1), even)
@@ -593,7 +596,8 @@ def _tracked_oscillation(
 ) -> Floats | None:
     """Fit an oscillation in a window about the middle of the record that grows to both ends; None if it is too short.
 
-    In a window of a few periods the phase is unambiguous, also where frequency and amplitude change later.
+    In a window of a few periods the phase is unambiguous, even if frequency and amplitude change outside of the
+    window.
     """
     reach = _FIRST_PERIODS / frequency
     first = _Wave(wave.half, 1, 1)
@@ -612,10 +616,11 @@ def _tracked_oscillation(
 def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     """Return the first sample of the free motion, after a drive by hand or motor.
 
-    A rotation is driven up to the maximum of its speed (means over 1/50 of the record, at least 5 samples) if it is in
-    the first half and exceeds the initial speed by more than 5 % and 5 standard errors, and if the speed does not rise
-    by half as much again later, which a motor causes. The end of the drive is then found to the sample. An
-    oscillation is free where its periods and amplitudes are those of a free one.
+    The speeds of a rotation are means over 1/50 of the record, at least 5 samples. The rotation is driven up to the
+    maximum of its speed if the maximum is in the first half of the record, exceeds the initial speed by more than 5 %
+    and 5 standard errors, and is not followed by another rise of half that size, which would indicate a motor. The end
+    of the drive is then located to the sample. The free part of an oscillation is determined by
+    `start_of_oscillation`.
     """
     windows = _speeds(time, angle, sigma)
     if windows is None:
@@ -631,7 +636,7 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
         return 0
     if rises(size[top:], max(_AGAIN * float(size[top] - size[0]), 5 * error)):
         return 0
-    # the window before may be free in part, and the first one driven in part
+    # the window before the maximum may be partly free, and the window of the maximum partly driven
     width = int(edges[1] - edges[0])
     first, last = int(edges[top - 1]), min(int(edges[top]) + (_FREE + 1) * width, len(time))
     start = last - _joins(time[first:last][::-1], angle[first:last][::-1], _FREE * width)
@@ -639,12 +644,12 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
 
 
 def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
-    """Return the sample from which a body is at rest to the end, else the number of samples.
+    """Return the sample from which a body is at rest until the end; without rest, the number of samples.
 
-    A body that turns back rests by `end_of_oscillation`. Of another one, at rest the speed over every window of a
-    fiftieth of the record is below 2 % of its largest, or below 5 standard errors. Rest of less than a twentieth of the
-    record counts as motion. A body that is stopped, whose speed falls to rest within one window, moves freely up to the
-    sample before.
+    For a body that turns back, `end_of_oscillation` decides. Any other body is at rest if its speed over every window
+    of a fiftieth of the record is below 2 % of the largest speed, or below 5 standard errors. Rest of less than a
+    twentieth of the record is ignored. If the speed falls to rest within one window, the body was stopped, and the
+    motion is free up to the last sample before the stop.
     """
     windows = _speeds(time, angle, sigma)
     if windows is None:
@@ -666,16 +671,19 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     return last
 
 
-# windows from which a free motion is extrapolated; speed before a stop over the largest one
+# number of windows from which a free motion is extrapolated; smallest speed before a stop [largest speed]
 _FREE, _ABRUPT = 3, 0.1
-_AGAIN = 0.5  # later rise of the speed over the first one, from which the first one is not a drive by hand
+_AGAIN = (
+    0.5  # smallest later rise of the speed that indicates a motor instead of a drive by hand [first rise]
+)
 
 
 def _joins(time: Floats, angle: Floats, known: int) -> int:
-    """Return the number of samples on the smooth motion of the first `known` ones, with these; 0 if they are too few.
+    """Return the number of samples that continue the motion of the first `known` samples; 0 if these are too few.
 
-    The motion is a cubic. A sample is off if it deviates by more than 6 standard uncertainties of the extrapolation
-    from the first ones, or from all those before it, and with it all later ones.
+    The motion is a cubic, and the result includes the first `known` samples. The motion ends before the first sample
+    that deviates by more than 6 standard uncertainties of the extrapolation, either from the first `known` samples or
+    from all samples before it.
     """
     if known < _MIN_SAMPLES or known > len(time):
         return 0
@@ -687,7 +695,7 @@ def _joins(time: Floats, angle: Floats, known: int) -> int:
 
 
 def _continued(time: Floats, angle: Floats, known: int) -> int:
-    """Return how many of the samples after the first `known` ones are on the cubic of these."""
+    """Return the number of samples after the first `known` samples that agree with the cubic through these samples."""
     x = (time - time[0]) / (time[known - 1] - time[0])
     rows = x[:, None] ** np.arange(4)
     found = np.linalg.lstsq(rows[:known], angle[:known], rcond=None)[0]
@@ -700,19 +708,19 @@ def _continued(time: Floats, angle: Floats, known: int) -> int:
 
 
 def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.int64], Floats, float] | None:
-    """Return first samples of windows, the speeds in them [rad/s], and their standard error; None for few samples."""
+    """Return first samples of windows, speeds in them [rad/s], and the error of a speed; None for few samples."""
     width = max(5, len(time) // 50)
     edges = np.arange(0, len(time) - width + 1, width)
     if len(edges) < 8:
         return None
     speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
     duration = float(np.median(np.diff(time))) * width
-    # an uncertainty that all angles share, for example that of the hub, is not an error of a difference
+    # an error common to all angles, for example that of the hub, cancels in differences
     noise = np.fmin(float(np.median(sigma)), white_noise(angle, time))
     return edges, speed, float(noise) * math.sqrt(12 / width) / duration
 
 
 def _turns_back(speed: Floats, error: float) -> bool:
-    """Return whether a body turns in both senses, beyond errors and a fifth of its largest speed."""
+    """Return whether a body turns in both senses with more than 5 standard errors and a fifth of its largest speed."""
     fastest = float(np.abs(speed).max())
     return bool(min(-speed.min(), speed.max()) > max(5 * error, 0.2 * fastest))

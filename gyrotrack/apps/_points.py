@@ -1,4 +1,4 @@
-"""Points of a film: their record, the uncertainty of their motion by the pivot, and a picture."""
+"""Tracked points of a film: their record, the uncertainty of their motion caused by the pivot, and a picture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from gyrotrack.tracking._point_tracker import PointPath
 
 Floats = npt.NDArray[np.float64]
 
-_STEEPEST = 75.0  # largest tilt that can be corrected [degrees]: a circle is four times as long as wide
+_STEEPEST = (
+    75.0  # largest tilt that can be corrected [degrees]: there a circle appears four times as long as wide
+)
 _PATH, _HUB, _PATCH = (0, 200, 255), (0, 0, 255), (0, 255, 0)
 
 
@@ -33,9 +35,9 @@ def point_track(
     film: Film,
     scale: float | None,
 ) -> PointTrack:
-    """Return the record of a point, with the times [s] of its frames and the numbers of all frames of the film.
+    """Return the record of a point.
 
-    `scale` is the length of a pixel [m].
+    `time` [s] belongs to the frames of the path, `number` to all tracked frames; `scale` is the length of a pixel [m].
     """
     if isinstance(path, TrackedPoint):
         sigma, radius = path.place_sigma, path.path.radius
@@ -62,10 +64,11 @@ def point_track(
 def with_pivot_errors(
     motion: BodyMotion, series: Series, recording: Recording, point: TrackedPoint
 ) -> BodyMotion:
-    """Add the errors of the pivot, which all angles share, to the uncertainties of a motion.
+    """Add the error of the pivot, which is common to all angles, to the uncertainties of a motion.
 
-    The motion is measured about pivots that are displaced by one standard deviation along each principal axis of its
-    covariance; the changes of a quantity are its uncertainties by them. The tilt of the camera scales all angles.
+    The motion is recomputed about pivots that are displaced by one standard deviation along each principal axis of the
+    covariance of the pivot. The changes of a quantity are its uncertainties caused by the pivot. The tilt of the
+    camera scales all angles.
     """
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     others = [motion_of(series.time, recording.sense * a[taken], series.sigma) for a in point.displaced()]
@@ -113,12 +116,12 @@ def write_point_picture(path: Path, film: Film, point: TrackedPoint, *, force: b
         cv2.circle(tile, line[k].tolist(), max(round(point.path.radius / 1.35), 2), _PATCH, 1)
         tiles.append(tile)
     x, y = point.hub
-    text = f"path of a point, its patch, and the line to the pivot ({x:.1f}, {y:.1f}) px ({point.way})."
+    text = f"path of a point, the patch around it, and the line to the pivot ({x:.1f}, {y:.1f}) px ({point.way})."
     write_tiles(path, tiles, text, force=force)
 
 
 def read_tilt(text: str) -> Tilt:
-    """Read a tilt like "30" or "30,90": its angle, and the direction of the short axis of the ellipse [degrees]."""
+    """Read a tilt like "30" or "30,90": the tilt angle, and the direction of the ellipse's minor axis [degrees]."""
     try:
         angle, azimuth = (float(part) for part in (*text.split(","), "90")[:2])
     except ValueError as error:
@@ -131,7 +134,7 @@ def read_tilt(text: str) -> Tilt:
 
 
 def read_point(text: str, option: str = "--point") -> tuple[float, float]:
-    """Read a position like "320,240"."""
+    """Read a position like "320,240" [px]."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError as error:

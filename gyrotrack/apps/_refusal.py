@@ -1,4 +1,4 @@
-"""A refused film: a picture of its best candidate, and what the error says about it."""
+"""A refused film: a picture of its best candidate hub, and the error message that names the picture."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HUB = (0, 0, 255)
 def pictured_refusal(target: Path) -> Iterator[None]:
     """Write a picture beside `target` if the film is refused in this context, and name it in the hint of the error.
 
-    TARGET.refused.png shows frames of the film and the best hub. An earlier one is replaced.
+    TARGET.refused.png shows frames of the film and the best hub. An earlier picture is replaced.
     """
     try:
         yield

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def sample_folder() -> Path | None:
-    """Return the folder of the sample films, that of a checkout if there is one; None if they are not installed."""
+    """Return the folder of the sample films (the checkout has priority); None if the films are not installed."""
     here = Path(__file__).resolve()
     places = (here.parents[2] / "sample_clips", here.parents[1] / "sample_clips")
     return next((p for p in places if (p / "study.toml").is_file()), None)

@@ -1,8 +1,8 @@
 """Simulated runs as case files and films, and sealed challenges: runs with a hidden effect.
 
 The commitment to an answer is the SHA-256 of a random salt and the text of the answer; it is stored in the case file
-and in the seal, so that neither can be changed afterwards. The seal contains the answer, XORed with a stream derived
-from the salt: this prevents reading it by accident, not on purpose.
+and in the seal, so that a later change of either file is detected. The seal contains the answer, XORed with a stream
+derived from the salt; this prevents accidental, but not deliberate reading.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _EXPOSURE = 0.4
 _STORED_FPS = 25.0
 _TILT = 0.06
 _POINTS_PER_SECOND = 500
-_CASING_SPEED = 100.0  # rad/s at which an added effect has the requested torque
+_CASING_SPEED = 100.0  # [rad/s]; the requested torque of an added effect is its torque at this speed
 
 
 def write_record(
@@ -159,7 +159,7 @@ class SimulatedRun:
         )
 
     def film_files(self, folder: Path) -> list[Path]:
-        """Return the paths of the films: that of the casing, then those of the rotor.
+        """Return the paths of the films: first the film of the casing, then the films of the rotor.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class _Clip:
 
     @property
     def frames(self) -> int:
-        # the first frame is one period after the start; the exposure of the last one must end in time
+        # the first frame is one period after the start; the exposure of the last frame must end within the length
         return int(self.length * self.fps) - 2
 
     @property
@@ -266,7 +266,7 @@ def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -
 
 
 FORMAT = "gyrotrack seal"
-# laws that are not in the library: the correct answer is "unexplained", or a user-defined law
+# laws that are not in the library: the correct answer is "unexplained", or the law itself
 OUTSIDE = (
     "casing: -k*omega_c**3",
     "casing: -k*exp(-((omega_c - 110)/12)**2)",
@@ -287,7 +287,7 @@ class Hidden:
     seed: int
 
     def seal(self, path: Path, numbers: Mapping[str, float], *, force: bool = False) -> str:
-        """Write the effect with its parameters, a part of `numbers`, to a seal; return the commitment."""
+        """Write the effect, with its parameters from `numbers`, to a seal; return the commitment."""
         own = {k: v for k, v in numbers.items() if k.startswith(f"{self.effect.name}.")}
         return seal(path, self.effect.name, own, force=force)
 
@@ -311,7 +311,7 @@ class Score:
 
 
 def draw_effect(present: Sequence[str], random: Any) -> Effect:
-    """Draw an effect of the library (not those present, nor any shown by reversals only) or, at 20 %, another one."""
+    """Draw an effect of the library that is absent and needs no reversals; with a probability of 20 %, another law."""
     if random.random() < _P_OUTSIDE:
         return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
     drawn = [n for n, e in LIBRARY.items() if e.kind == "physical" and e.searched and not e.restoring]
@@ -344,7 +344,7 @@ def seal(path: Path, effect: str, parameters: Mapping[str, float], *, force: boo
 
 
 def unseal(path: Path) -> Seal:
-    """Open a seal; a DatasetError says that the file is none, or that its answer does not match the commitment."""
+    """Open a seal; raise a DatasetError if the file is not a seal, or the answer does not match the commitment."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         sealed = base64.b64decode(document["sealed"], validate=True)
@@ -360,18 +360,18 @@ def unseal(path: Path) -> Seal:
         raise DatasetError(what, "Sealed files are made by `gyrotrack simulate --hide`.") from None
     if hashlib.sha256(f"{salt}{answer}".encode()).hexdigest() != commitment:
         what = f"{path} was changed: the answer does not match its commitment."
-        raise DatasetError(what, "Ask for the original file.")
+        raise DatasetError(what, "Use the original file.")
     return Seal(effect, parameters, commitment)
 
 
-# the second one is that of earlier versions
+# earlier versions used the second form
 _WITHOUT_MISFIT = ("no_lack_of_fit", "adequate")
 
 
 def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[float, float]]]:
     """Return the effects that a history of fits added, and the parameters of the last fit with standard errors.
 
-    If the last fit has significant lack of fit, no effect is returned: those that were added are hypotheses.
+    If the last fit has significant lack of fit, no effect is returned, because the added effects are hypotheses.
     """
     first, last = entries[0].document, entries[-1].document
     passes = last["verdict"] in _WITHOUT_MISFIT
@@ -380,7 +380,7 @@ def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[floa
 
 
 def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, float]]) -> Score:
-    """Grade an answer: the effect and those indistinguishable from it (nothing for "none"), with values and errors."""
+    """Grade an answer: an effect, then the effects indistinguishable from it; `found` has values and errors."""
     outside = truth.effect not in LIBRARY
     equivalent = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
     word = "right class" if set(named) & equivalent or (outside and not named) else "wrong"

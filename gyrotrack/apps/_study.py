@@ -39,7 +39,7 @@ class Study:
     ledger : Ledger
         Their fits, and those of other sets of cases in the same file.
     prior : Prior, optional
-        Parameters of another study, used for new fits; without it, a fit has the prior of the fit that it starts from.
+        Parameters of another study, used for new fits; by default a fit has the prior of the fit from which it starts.
     """
 
     data: tuple[CaseData, ...]
@@ -64,7 +64,7 @@ class Study:
         return entries[-1] if entries else None
 
     def model(self, names: Iterable[str]) -> Model:
-        """Return the model with those of these effects that apply to the bodies of the recordings.
+        """Return the model with the given effects, without effects that do not apply to the recorded bodies.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class Study:
     def diagnosis(
         self, fit_id: str | None, fit: Fit, extra: Sequence[Effect] = (), *, workers: WorkerPool | None = None
     ) -> Diagnosis:
-        """Return the diagnosis of the first fit of a history: the stored one, or a new one that is then stored.
+        """Return the stored diagnosis of the first fit of a history, or make and store a new diagnosis.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class Study:
     def answered(
         self, fit_id: str | None, extra: Sequence[Effect] = (), *, workers: WorkerPool | None = None
     ) -> tuple[Diagnosis, str]:
-        """Return the diagnosis that a report shows, of the first fit of a history, and the name of this fit.
+        """Return the diagnosis that a report shows, and the name of the diagnosed fit, the first of a history.
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ class Study:
 
 @dataclass
 class Recorder:
-    """Stores each step of a search in the ledger immediately, so that an interrupted search loses none."""
+    """Stores each step of a search in the ledger immediately, so that an interrupted search loses no step."""
 
     ledger: Ledger  # the history of fits
     entries: list[Entry]  # the entries, oldest first
@@ -245,15 +245,15 @@ def open_study(
     ledger : Path or None
         File of the fits; by default next to the first case.
     data : {"angle", "velocity"}, optional
-        Fit the measured angles, or smoothed velocities as in the paper.
+        Fit the measured angles, or smoothed angular velocities as in the paper.
     rotor : {"windows", "generated"}
-        Fit the rotor data as measured, or one curve through them as in the paper.
+        Fit the measured rotor data, or one generated curve through these data as in the paper.
     prior : Path, optional
         Case or ledger of another study; the parameters of its latest fit are a prior for this one.
     prior_rotor : Path, optional
-        A study of the single body that is the rotor here.
+        A study of the rotor as a single body.
     read : tuple of CaseData
-        The cases, if they have been read.
+        The cases, if they have already been read.
     """
     from fitting.inference._prior import Prior
     from fitting.study._history import Ledger
@@ -275,7 +275,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
     (entry,) = latest_fits([path]).values()
     own = {d.record.digest for d in data}.intersection(entry.digests)
     if own:
-        what = f"{path} is a fit of the same data, which would be used twice."
+        what = f"{path} is a fit of the same data; as a prior, it would use these data twice."
         raise UsageError(what, "Give --prior a study of other recordings.")
     prior = entry.as_prior(path.name)
     units = Units.common(d.record.units for d in data)
@@ -332,9 +332,9 @@ def read_cases(
 
 
 def latest_fits(runs: Sequence[Path], effects: Sequence[str] | None = None) -> dict[str, Entry]:
-    """Return the latest fit of each run, a case with a ledger next to it or a ledger, by name of the run.
+    """Return the latest fit of each run by name of the run; a path is a case with a ledger next to it, or a ledger.
 
-    `effects` are the sorted names of those of its model, if any model will not do.
+    `effects`, if given, are the sorted names of the effects in the model of the fit.
     """
     from fitting.study._history import Ledger
 
@@ -365,7 +365,7 @@ def latest_fits(runs: Sequence[Path], effects: Sequence[str] | None = None) -> d
 
 
 def with_ledgers(cases: Sequence[Path], *others: Path | None) -> list[Path | None]:
-    """Return cases, the ledgers next to them, and other files: those that no output may replace."""
+    """Return the files that no output may replace: cases, the ledgers next to them, and other files."""
     return [*cases, *(case.with_name(f"{case.stem}.fits.json") for case in cases), *others]
 
 
@@ -467,18 +467,19 @@ class FitRequest:
         try:
             found = robust_fit(wanted, data, self.loss, start=start, **options)
         except FittingError:
-            # the values of the previous fit can be poor initial values of the new model: use the defaults
+            # the values of the previous fit can be poor initial values for the new model: use the defaults
             if start is None:
                 raise
             return robust_fit(wanted, data, self.loss, **options)
         if start is None or not any(e.inputs for e in wanted.effects) or not found.fails():
             return found
-        # without the right drag, the parameters of a driven body describe the drive: a search from there may fail
+        # without the right drag, the parameters of a driven body describe the drive, and a search from these values
+        # may fail
         other = robust_fit(wanted, data, self.loss, **options)
         return other if other.deviance < found.deviance else found
 
     def _choices(self, entry: Entry | None, wanted: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the shared and the per-case parameters: those of the modified fit, unless requested otherwise."""
+        """Return the shared and the per-case parameters; by default they are the same as in the modified fit."""
         if entry is None:
             return self.share, self.per_case
         from fitting.inference._parameters import covers
@@ -501,7 +502,7 @@ class FitRequest:
         return " ".join(steps) or (self.model or "")
 
     def _wanted(self, study: Study, start: str | None) -> tuple[Model, Entry | None]:
-        """Return the model, and the entry of the ledger that it modifies."""
+        """Return the model, and the entry of the ledger that the request modifies."""
         from fitting.effects._library import REDUCED
 
         follows = self.model is None and (self.add or self.drop or start)

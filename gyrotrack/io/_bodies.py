@@ -1,8 +1,8 @@
 """Bodies of a case and their file: series with their error modes, clocks and joints (layout 2).
 
-`/body/<name>/series/fused` is the series that is fitted. Its datasets are those of `/casing` and `/rotor` under other
-names, which older scripts read. An error mode is an error that samples share: the columns of its `basis`, (samples,
-amplitudes), times amplitudes of the stated covariance.
+`/body/<name>/series/fused` is the fitted series. `/casing` and `/rotor` contain the same datasets under other names,
+for older scripts. An error mode is an error common to several samples: the columns of its `basis`, (samples,
+amplitudes), times amplitudes with the stored covariance.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from gyrotrack.io._records import Case, ErrorMode, Series, from_angles, from_spe
 from gyrotrack.io._tables import write_attributes, write_table
 
 _NAME = re.compile(r"[^/\\\0]{1,100}")
-# series of a case and the roles of their bodies, and joints with their kind and bodies, by the number of bodies
+# by the number of bodies: series of a case with the roles of their bodies; joints with their kinds and bodies
 _ROLES = {"one": {"casing": "body"}, "two": {"casing": "casing", "rotor": "rotor"}}
 _JOINTS = {
     "one": (("support", "contact", "casing", "ground"),),
     "two": (("bearing", "bearing", "rotor", "casing"), ("touchpoint", "contact", "casing", "ground")),
 }
-# columns of a series beside time, value and uncertainty, by the role of the body
+# columns of a series in addition to time, value and uncertainty, by the role of the body
 _COLUMNS = {"rotor": {"segment": "window"}}
 
 
 def _refuse(subject: str, defect: Defect | None) -> None:
-    """Raise a UsageError of a defect, if there is one."""
+    """Raise a UsageError if there is a defect."""
     if defect:
         raise UsageError(f"{subject}: {defect.what}.", f"{defect.hint[0].upper()}{defect.hint[1:]}.")
 
@@ -42,7 +42,7 @@ def _refuse(subject: str, defect: Defect | None) -> None:
 def write_bodies(file: Any, case: Case) -> None:
     """Write the groups of bodies, clocks and joints beside `/casing` and `/rotor` of a case.
 
-    A UsageError says what could not be read again.
+    A UsageError names a value that could not be read again.
     """
     _refuse(f"Case '{case.label[:40]}'", defect_of_inertias(vars(case)))
     quantity = {old: new for new, old in layout.QUANTITIES.items()}[case.quantity]
@@ -76,12 +76,12 @@ def write_bodies(file: Any, case: Case) -> None:
 
 
 def _write_clocks(file: Any, case: Case) -> None:
-    """Write offset and rate of each clip's clock with their covariance; the case's own clock has none."""
+    """Write offset and rate of each clip's clock with their covariance; the clock of the case has no uncertainty."""
     known = case.extra.get("sync_covariance", {})
     for name, placement in case.placements.items():
         covariance = np.diag([placement.clock_offset_sigma**2, placement.clock_rate_sigma**2])
         if name in known:
-            # the correlation is that of the synchronisation, the variances are those that are stated
+            # the correlation is taken from the synchronisation, the variances from the stated uncertainties
             found = np.array(known[name], dtype=float)[:2, :2]
             scale = np.sqrt(np.diag(covariance) / np.maximum(np.diag(found), 1e-300))
             covariance = found * np.outer(scale, scale)
@@ -91,9 +91,10 @@ def _write_clocks(file: Any, case: Case) -> None:
 
 
 def series_from(stored: StoredSeries, quantity: str) -> Series:
-    """Return a series as it is stored.
+    """Return a series from its stored datasets.
 
-    In a file of bodies alone, angular velocities follow from the angles, or the angles from them.
+    In a file that contains only bodies, angular velocities are computed from angles, or angles from angular
+    velocities.
     """
     modes = tuple(ErrorMode(**vars(mode)) for mode in stored.modes)
     if stored.columns:

@@ -1,4 +1,4 @@
-"""The end of a command: until then its new outputs are marked, and the same command may replace them after a kill."""
+"""Marks of new outputs until the end of a command: if it is killed, the same command may replace marked outputs."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ class Mark(Protocol):
         """Remove the mark."""
 
     def close(self) -> None:
-        """Release its lock."""
+        """Release the lock of the mark."""
 
 
 _MARKS: ContextVar[dict[Path, Mark] | None] = ContextVar("marks", default=None)
 
 
 def marks() -> dict[Path, Mark] | None:
-    """Return the marks of the running command, by the absolute paths of its outputs; None outside of a command."""
+    """Return the marks of the running command by absolute path of the output; None outside of a command."""
     return _MARKS.get()
 
 
 @contextmanager
 def marking() -> Iterator[dict[Path, Mark]]:
-    """Keep the marks of new outputs until the context ends, or until the outer one ends."""
+    """Keep the marks of new outputs until the context ends; in nested contexts, until the outermost context ends."""
     outer = _MARKS.get()
     if outer is not None:
         yield outer
@@ -51,7 +51,7 @@ T = TypeVar("T")
 
 
 def unmarked(command: Callable[P, T]) -> Callable[P, T]:
-    """Let a command that runs until it is stopped mark none of its outputs."""
+    """Decorate a command that runs until it is stopped: its outputs are not marked."""
 
     @wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> T:

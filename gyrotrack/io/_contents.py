@@ -1,4 +1,4 @@
-"""Contents of a file: consistency check (`info`), and export to other programs.
+"""Contents of a file: consistency check (`info`) and export to other programs.
 
 The export formats are CSV, Parquet, netCDF, JSON, and text and projects of OSP Tracker; `import` reads all of them.
 """
@@ -108,7 +108,7 @@ def describe_case(case: Case) -> dict[str, Any]:
 
 
 def _describe_input(i: Input) -> dict[str, Any]:
-    """Return unit, samples, ranges, interpolation and delay of a recorded input."""
+    """Return unit, number of samples, ranges, interpolation and delay of a recorded input."""
     known = i.u[np.isfinite(i.u)]
     return {
         **stated_attributes(i, INPUT.attributes),
@@ -152,7 +152,7 @@ def _recording_problems(recording: Recording) -> list[str]:
             found.append(f"marker '{name}' has a status that is not defined")
     for name, body in recording.bodies.items():
         found += _motion_problems(name, body)
-    return found or ([] if recording.bodies else ["there is no angle of a body"])
+    return found or ([] if recording.bodies else ["no body has an angle"])
 
 
 def _case_problems(case: Case) -> list[str]:
@@ -189,7 +189,7 @@ def _time_problems(name: str, time: Floats) -> list[str]:
 
 
 def _datasets(group: Any, seen: set[int]) -> Iterator[Any]:
-    """Yield all datasets below `group`, following hard links only, each group once."""
+    """Yield all datasets below `group`; only hard links are followed, and each group is visited once."""
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             continue
@@ -225,7 +225,7 @@ def export_file(source: Path, target: Path, *, table: str = "motion", force: boo
         project of OSP Tracker: a point on the unit circle for each body) or ``.nc`` (netCDF-4 with the complete
         contents).
     table : str
-        Table of `columns`; netCDF contains all of them.
+        Table of `columns`; netCDF contains all tables.
     force : bool
         Replace an existing file.
 
@@ -319,7 +319,7 @@ def _zipped_project(made: Sequence[Column], stream: BinaryIO) -> None:
 
 
 def _tracker(made: Sequence[Column], stream: BinaryIO) -> None:
-    """Write a track of each body, (cos, sin) of its angle about the track "origin", at the times of all bodies."""
+    """Write a track for each body, (cos, sin) of its angle about the track "origin", at the times of all bodies."""
     bodies = _angles_of_bodies(made)
     times = np.unique(np.concatenate([time for _, time, _ in bodies]))
     places = np.full((len(times), 2 * len(bodies)), np.nan)

@@ -1,8 +1,8 @@
 """Writes and reads recordings and cases according to the schema.
 
-HDF5 ends the process if a write fails, or if Python raises an error during a write. Therefore writes do not fail here:
-the first error of the disk is stored, later writes go to memory until the library has closed the file, and an interrupt
-by the user is deferred until then. Every file ends with a checksum line.
+HDF5 ends the process if a write fails, or if Python raises an error during a write. Writes therefore never fail here:
+the first error of the disk is stored, later writes go to memory until the library has closed the file, and an
+interrupt by the user is deferred until the file is closed. Every file ends with a checksum line.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class WriteBuffer:
         self._stream: RawIOBase | BytesIO = raw
 
     def seek(self, position: int, whence: int = 0) -> int:
-        """Set the position."""
+        """Set the position [bytes] and return it."""
         return self._stream.seek(position, whence)
 
     def tell(self) -> int:
@@ -105,12 +105,12 @@ def deferred_interrupts() -> Iterator[None]:
             before(*received[0])
 
 
-LIBVER = ("v110", "v110")  # the first with checksums of the metadata
+LIBVER = ("v110", "v110")  # the first version with checksums of the metadata
 
 
 @contextmanager
 def new_hdf5(path: Path, *, force: bool = False) -> Iterator[Any]:
-    """Yield an empty HDF5 file, and move it to `path` when the context ends without an error, as `_atomic.new_path`."""
+    """Yield an empty HDF5 file; move it to `path` when the context ends without an error (see `_atomic.new_path`)."""
     with new_file(path, force=force) as stream:
         buffer = WriteBuffer(stream.raw)  # type: ignore[attr-defined]
         try:
@@ -188,7 +188,7 @@ def load_recording(group: Any) -> Recording:
 
 
 def _load(group: Any, table: layout.Table) -> dict[str, Any]:
-    """Return the columns of a table, kept in a file (`gyrotrack._column_store`), and its attributes."""
+    """Return the columns of a table, stored in a file (`gyrotrack._column_store`), and the attributes of the table."""
     return {**in_file(READER.table(group, table)), **READER.attributes(group, table.attributes)}
 
 
@@ -223,7 +223,7 @@ def write_case(
     Raises
     ------
     OutputError
-        The file exists and `force` is not given, or it cannot be written.
+        The file exists and `force` is not given, or the file cannot be written.
     UsageError
         The file could not be read again: an inertia, an uncertainty or an error mode is not valid.
     """
@@ -257,13 +257,13 @@ def write_case(
 
 @dataclass(frozen=True)
 class LoadedCase:
-    """The contents of a case file, as they are stored."""
+    """The stored contents of a case file."""
 
     stored: StoredCase
     others: dict[str, Any]  # fields of `Case` that are read without the series
 
     def case(self) -> Case:
-        """Return the case; angles or speeds that the file lacks are computed."""
+        """Return the case; angles or speeds that the file does not contain are computed."""
         casing, rotor, quantity = self.stored.casing, self.stored.rotor, self.stored.attributes["quantity"]
         return Case(
             **self.stored.attributes,

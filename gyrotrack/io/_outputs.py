@@ -1,4 +1,4 @@
-"""The outputs of one command: checked before the work begins, and all written or none."""
+"""The outputs of one command: they are checked before the work begins, and either all or none are written."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from gyrotrack.io._command_end import marking
 
 @contextmanager
 def new_outputs(*outputs: Path | None, force: bool, reads: Iterable[Path | None] = ()) -> Iterator[None]:
-    """Check the outputs of a command as `refuse_existing`; if the context ends with an error, remove the new ones."""
+    """Check the outputs of a command with `refuse_existing`; if the context ends with an error, remove new outputs."""
     paths = [path for path in outputs if path is not None]
     sources = list(reads)
     for k, path in enumerate(paths):
         if path.resolve() in {other.resolve() for other in paths[:k]}:
             raise UsageError(f"{path} is the name of two outputs.", "Give different names.")
-    for path in paths:  # before anything is written
+    for path in paths:  # check all outputs before the first is written
         refuse_existing(path, force=force, reads=sources)
     with marking() as marks:
         earlier = set(marks)

@@ -1,7 +1,7 @@
-"""Recordings and cases in memory, and the moments of inertia that belong to them.
+"""Recordings and cases in memory, and their moments of inertia.
 
 A `Recording` is one clip: frames, markers, and the angle of each body. A `Case` is one experiment: casing and rotor as
-`Series` on the clock of the casing camera, with their recordings and the `Placement` of each on that clock. An
+`Series` on the clock of the casing camera, with the recordings and the `Placement` of each recording on this clock. An
 `Inertia` is read from a text with optional unit and standard uncertainty. SI units; angles in rad, increasing in the
 sense of rotation; lengths in the image in px. Missing values are NaN.
 """
@@ -31,13 +31,13 @@ class _Tabular:
     """Content that can be exported as tables."""
 
     def to_dataframe(self, table: str = "motion") -> Any:
-        """Return a table as a pandas DataFrame; ``attrs["units"]`` has the units of its columns.
+        """Return a table as a pandas DataFrame; ``attrs["units"]`` contains the units of the columns.
 
         Parameters
         ----------
         table : {"motion", "markers", "frames", "inputs", "points", "errors"}
-            Motion of the bodies, every marker, every frame, recorded inputs, the points that were followed, or the
-            errors that samples share.
+            Motion of the bodies, every marker, every frame, recorded inputs, tracked points, or errors common to
+            samples.
 
         Raises
         ------
@@ -73,7 +73,7 @@ class MarkerTrack:
         Mean angle of the corners, wrapped [rad], and its uncertainty as in the paper,
         sqrt((30 u_r)^2 + (150 u_1)^2 + (150 u_2)^2) [rad].
     u_r, u_1, u_2 : ndarray, shape (n,)
-        The three parts of that uncertainty [1, rad, rad].
+        The three parts of this uncertainty [1, rad, rad].
     status : ndarray of int8, shape (n,)
         A value of `STATUS`.
     angle_fine, sigma_calibrated : ndarray, shape (n,)
@@ -108,13 +108,13 @@ class BodyTrack:
     time, angle : ndarray, shape (m,)
         Time on the clock of the clip [s], and the unwrapped angle [rad].
     sigma, sigma_paper : ndarray, shape (m,)
-        The calibrated uncertainty of the angle, and that of the paper's formula [rad].
+        The calibrated uncertainty of the angle, and the uncertainty by the paper's formula [rad].
     n_markers : ndarray of int64, shape (m,)
         Number of markers combined.
     omega, omega_sigma : ndarray, shape (m,)
         Angular velocity, smoothed by running medians, and its uncertainty [rad s-1].
     smoothing_width : int
-        Points of the medians.
+        Number of points of the medians.
     correlated_sigma, correlated_time : float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
     correlated_profile : tuple of (float, float)
@@ -143,7 +143,7 @@ class BodyTrack:
 
 @dataclass(frozen=True)
 class PointTrack:
-    """The path of one point; frames in which it was not found are omitted.
+    """The path of one point; frames without the point are omitted.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class PointTrack:
     x, y, sigma_x, sigma_y : ndarray, shape (m,)
         Position and its standard uncertainty [px].
     radius : float
-        Radius of the patch that was followed [px].
+        Radius of the tracked patch [px].
     m_per_px : float
         Length of a pixel [m]; NaN if it is not given.
     """
@@ -216,20 +216,20 @@ class Recording(_Tabular):
 
 @dataclass(frozen=True)
 class ErrorMode:
-    """An error that the samples of a series share: basis @ a, with amplitudes a of mean zero.
+    """An error common to the samples of a series: basis @ a, with amplitudes a of mean zero.
 
     Attributes
     ----------
     name : str
-        Its name, for example "tilt".
+        Name of the error, for example "tilt".
     basis : ndarray, shape (n, m)
         Error of each sample for unit amplitudes.
     covariance : ndarray, shape (m, m)
         Covariance of the amplitudes.
     group : str
-        Name of the amplitudes, if several series share them.
+        Name of the amplitudes, if they are common to several series.
     origin, long_name : str
-        Where it comes from ("axis", "tilt", "start" ...), and its meaning.
+        Origin of the error ("axis", "tilt", "start" ...), and its meaning.
     """
 
     name: str
@@ -266,8 +266,7 @@ class Series:
         Standard uncertainty of an error once and twice per turn, of constant amplitude [rad]; 0 without one.
     harmonic_sigma : float
         Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
-    modes : tuple of ErrorMode
-        Errors that samples share.
+    modes : tuple of ErrorMode Errors common to samples.
     """
 
     time: Floats
@@ -287,7 +286,7 @@ class Series:
 
 
 def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measured") -> Series:
-    """Concatenate motions with time, angle, sigma, omega and omega_sigma, each as a window; `sense` is a factor."""
+    """Concatenate motions with time, angle, sigma, omega and omega_sigma, each as a window; `sense` is the sign."""
     names = ("time", "angle", "sigma", "omega", "omega_sigma")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     joined |= {name: sense * joined[name] for name in ("angle", "omega")}
@@ -324,7 +323,7 @@ def from_angles(time: Floats, angle: Floats, sigma: Floats) -> Piece:
 
 
 def from_speeds(time: Floats, omega: Floats, sigma: Floats) -> Piece:
-    """Return a motion from angular velocities [rad/s], integrated by the trapezoidal rule; their errors accumulate."""
+    """Return a motion from angular velocities [rad/s]; the angle is their trapezoidal integral, whose errors grow."""
     step = np.diff(time)
     angle = np.concatenate([[0.0], np.cumsum((omega[1:] + omega[:-1]) / 2 * step)])
     share = np.concatenate([step[:1], step]) * sigma if len(step) else sigma
@@ -342,7 +341,7 @@ def windows_of(series: Series) -> Integers:
     return series.window if series.window is not None else np.zeros(len(series.time), dtype=np.int64)
 
 
-# relative difference of two speeds below which they are equal
+# largest relative difference of equal speeds
 _EQUAL_SPEEDS = 0.003
 
 
@@ -354,8 +353,9 @@ def doubts_of(recording: Recording) -> tuple[str, ...]:
 def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy: str) -> list[str]:
     """Return warnings about a casing that is faster than the rotor, or has the same motion, in all windows.
 
-    Friction between them can neither accelerate the casing beyond the rotor nor, but at the end of a run, make both
-    turn together: the bodies may be exchanged, or one of them was measured twice. `remedy` is what to do if so.
+    Friction between the bodies cannot accelerate the casing beyond the rotor, and makes both turn together only at the
+    end of a run. Otherwise the bodies may be exchanged, or one body was measured twice. `remedy` is the recommended
+    action.
     """
     windows = windows_of(rotor) if isinstance(rotor, Series) else np.zeros(len(rotor.time), dtype=np.int64)
     speeds = []
@@ -405,13 +405,13 @@ class Input:
     Attributes
     ----------
     name : str
-        Its name in laws.
+        Name of the input in laws.
     time, value, u : ndarray
-        Times [s], values and their standard uncertainties by calibration [unit]; NaN without one.
+        Times [s], values, and standard uncertainties of the values by calibration [unit]; NaN without one.
     unit : str
         SI unit: "A", "V", "N m", "K", "1".
     interpolation : {"linear", "hold"}
-        Value between two samples: linear, or that of the last one.
+        Value between two samples: linear, or the value of the last sample.
     delay : float
         Dead time after which the input acts [s].
     """
@@ -434,17 +434,17 @@ class Case(_Tabular):
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     I_rotor_u, I_casing_u : float
-        Their standard uncertainties [kg m2]; NaN if not given.
+        Standard uncertainties of the moments of inertia [kg m2]; NaN if not given.
     start_u : float
         Standard uncertainty of the start of each rotor window on the clock of the casing [s]; NaN if not given.
     quantity : {"angle", "omega"}
         Measured quantity; with "omega" the angle is its integral.
     bodies : {"two", "one"}
-        With "one" the series `casing` is that of the single body, and `rotor` is empty.
+        With "one", the series `casing` is the series of the single body, and `rotor` is empty.
     body_name : str
         Name of the single body, for example "wheel"; empty without one.
     per_inertia : int
-        1 if no moment of inertia is known: `I_casing` is 1, and torques are per unit of inertia [rad/s2].
+        1 if no moment of inertia is known: `I_casing` is then 1, and torques are per unit of inertia [rad/s2].
     inputs : tuple of Input
         Recorded inputs of the motion.
     """
@@ -471,7 +471,7 @@ class Case(_Tabular):
 
     @property
     def main_body(self) -> str:
-        """Name of the body of the series `casing`: "casing", or that of a single body."""
+        """Name of the body of the series `casing`: "casing", or the name of a single body."""
         return "casing" if self.bodies == "two" else self.body_name or "body"
 
     def __repr__(self) -> str:
@@ -516,11 +516,11 @@ _READABLE = {"rad s-1": "rad/s"}
 def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, ...]:
     """Return a recording or a case as columns of equal length: times in s, angles in rad, speeds in rad s-1.
 
-    Lengths are in px, those of points with a scale in m. The table is "motion" (angles and speeds of the bodies),
-    "markers" (every marker in every frame), "frames" (of each clip), "inputs" (recorded inputs of a case, each in its
-    unit), "points" (paths of points) or "errors" (standard uncertainty of each sample by each of the errors
-    that samples share, in rad or rad s-1). Several bodies, markers, points or clips are concatenated and identified by
-    the first columns; NaN where not measured. A UsageError says that the table is unknown or empty.
+    Lengths are in px; lengths of points with a scale are in m. The table is "motion" (angles and speeds of the
+    bodies), "markers" (every marker in every frame), "frames" (of each clip), "inputs" (recorded inputs of a case,
+    each in its unit), "points" (paths of points) or "errors" (standard uncertainty of each sample by each error common
+    to samples, in rad or rad s-1). Several bodies, markers, points or clips are concatenated and identified by the
+    first columns; NaN where not measured. A UsageError is raised if the table is unknown or empty.
     """
     if table not in TABLES:
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
@@ -528,9 +528,9 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
     if not parts:
         hints = {
             "inputs": "`import --input` records them.",
-            "errors": "A file has them if its source states errors that samples share.",
+            "errors": "A file contains errors if its source states errors common to samples.",
         }
-        hint = hints.get(table, "Only recordings of films contain them.")
+        hint = hints.get(table, "Only recordings of films contain this table.")
         raise UsageError(f"The file contains no {table}.", hint)
     return tuple(
         Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
@@ -605,9 +605,9 @@ def _error(body: str, time: Floats, words: tuple[str, str, str], u: Floats, unit
 
 
 def _stated_errors(series: BodyTrack | Series) -> Iterator[tuple[str, Floats]]:
-    """Yield the errors that tracking states with scalars, and the standard uncertainty of each sample [rad].
+    """Yield the errors that tracking states as scalars, and the standard uncertainty of each sample [rad].
 
-    Cosine and sine of each order of an error that repeats with the turn have amplitudes of the same variance.
+    For an error that repeats with the turn, the amplitudes of cosine and sine of each order have the same variance.
     """
     if series.correlated_sigma > 0:
         profile = np.array(series.correlated_profile or ((0.0, series.correlated_sigma),))
@@ -627,7 +627,7 @@ def _points(content: Recording | Case) -> list[list[Column]]:
 
 
 def _scaled(column: Column, m_per_px: float) -> Column:
-    """Return a column of lengths in m, if the length of a pixel is known."""
+    """Return a column of lengths in m if the length of a pixel is known, else in px."""
     if column.unit != "px" or math.isnan(m_per_px):
         return column
     return Column(column.name, "m", column.values * m_per_px)
@@ -670,7 +670,7 @@ _INERTIA = re.compile(
     rf"\(?\s*(?P<value>{_VALUE})\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*(?P<percent>%)?\s*)?\)?\s*(?P<unit>[a-zµ].*)?",
     re.IGNORECASE,
 )
-# the uncertainty after the unit, with the same unit, without one, or in per cent
+# the uncertainty after the unit: with the same unit, without a unit, or in per cent
 _UNIT_FIRST = re.compile(
     rf"(?P<value>{_VALUE})\s*(?P<unit>(?:kg|mg|g)[^+±]*?)\s*(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*(?P<percent>%)?\s*(?P<again>[a-z].*)?",
     re.IGNORECASE,
@@ -679,7 +679,7 @@ _MASS = {"kg": 1.0, "g": 1e-3, "mg": 1e-6}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _UNIT = re.compile(r"(kg|g|mg)\s*[*·. ]?\s*(m|cm|mm)\s*(?:\^|\*\*)?\s*(?:2|²)")
 _INERTIA_EXAMPLE = (
-    'Write it as "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2 +- 6"; the uncertainty is optional.'
+    'Write for example "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2 +- 6"; the uncertainty is optional.'
 )
 
 # limits of plausible values of a moment of inertia: 1 mg at a radius of 1 mm, 1 t at 10 m
@@ -698,8 +698,8 @@ class Inertia:
         """Read a moment of inertia: a number in kg m2, or a text with optional uncertainty and unit.
 
         Forms: "5.54e-5 +- 0.06e-5", "554 g cm2", "(554 +- 6) g cm2", "554 g cm2 +- 6", "554 g cm2 +- 1 %"; masses in
-        kg, g, mg; lengths in m, cm, mm. A UsageError says that it cannot be parsed, or is not plausible (`SMALLEST`,
-        `LARGEST`).
+        kg, g, mg; lengths in m, cm, mm. A UsageError is raised if the text cannot be parsed, or the value is not
+        plausible (`SMALLEST`, `LARGEST`).
 
         Examples
         --------
@@ -722,7 +722,7 @@ class Inertia:
         u = float(f"{float(found['u']) * share:.15g}") if found["u"] else math.nan
         if not SMALLEST <= value <= LARGEST:
             what = f"A moment of inertia of {value:g} kg m2 is not possible for the {body}."
-            raise UsageError(what, "Check number and unit; without a unit it is in kg m2.")
+            raise UsageError(what, "Check number and unit; a number without a unit is in kg m2.")
         if u >= value:
             what = f"The uncertainty of the moment of inertia of the {body} is not smaller than its value."
             raise UsageError(what, _INERTIA_EXAMPLE)

@@ -1,4 +1,4 @@
-"""Temporary folders, which are removed also if their process is killed: by the next one that needs a folder."""
+"""Temporary folders. The folder of a killed process is removed by the next process that needs a folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LOCK = "lock"
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Yield an empty folder for the duration of the context; an OSError says that none can be made."""
+    """Yield an empty folder for the duration of the context; an OSError is raised if no folder can be made."""
     root = Path(tempfile.gettempdir())
     with suppress(OSError):
         for path in root.glob(f"{_PREFIX}*"):
@@ -32,7 +32,9 @@ def _remove_if_left(path: Path) -> None:
     """Remove a folder of this user that no process uses."""
     found = path.lstat()
     own = not hasattr(os, "getuid") or found.st_uid == os.getuid()
-    if not (own and stat.S_ISDIR(found.st_mode) and (path / _LOCK).exists()):  # a new folder has no lock yet
+    if not (
+        own and stat.S_ISDIR(found.st_mode) and (path / _LOCK).exists()
+    ):  # a folder without a lock may be new
         return
     with suppress(Timeout, OSError), FileLock(path / _LOCK, timeout=0, thread_local=False):
         shutil.rmtree(path, ignore_errors=True)

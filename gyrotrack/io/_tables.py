@@ -1,4 +1,4 @@
-"""Writing of tables and attributes of the schema, and a reader (`fitting._dataset`) with this package's errors."""
+"""Writing of tables and attributes of the schema; the reader `fitting._dataset` with the errors of `gyrotrack`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def write_table(
 ) -> None:
     """Write `table` from attributes of `record` and `extra`, with units, dimension scales and NXdata attributes.
 
-    `scales` are dimension scales of other groups.
+    `scales` are dimension scales in other groups.
     """
     arrays = {
         f.name: np.asarray(extra[f.name] if f.name in extra else getattr(record, f.name), dtype=f.dtype)
@@ -116,5 +116,5 @@ def to_json(value: Any) -> str:
 
 
 def valid(text: str) -> str:
-    """Return a text that HDF5 can store, because names of files may contain bytes that are not UTF-8."""
+    """Return a text that HDF5 can store; file names may contain bytes that are not UTF-8."""
     return text.encode("utf-8", "replace").decode().replace("\0", "?")

@@ -1,7 +1,7 @@
 """Projects of OSP Tracker: a point on a unit circle for each body, in the frames of one film.
 
-A project has frames at equal intervals and no times of its own: a record whose times are not on such a grid cannot be a
-project.
+A project has frames at equal intervals and no times of its own, so that only records with times on such a grid can be
+exported.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def write_project(
         stream.write(content)
         return
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        # the same content makes the same file
+        # equal contents give identical files
         archive.writestr(zipfile.ZipInfo(_MEMBER, (1980, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
 
 
@@ -41,11 +41,11 @@ def _document(bodies: Sequence[tuple[str, Floats, Floats]]) -> str:
     times = np.unique(np.concatenate([time for _, time, _ in bodies]))
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     place = (times - times[0]) / step if step > 0 else np.zeros(len(times))
-    # the interval over the whole record, where that of neighbours is rounded
+    # the mean interval of the whole record, because intervals of neighbours are rounded
     step = float(times[-1] - times[0]) / max(float(np.rint(place[-1])), 1.0) if step > 0 else 0.0
     place = (times - times[0]) / step if step > 0 else place
     if not step or np.abs(place - np.rint(place)).max() > _OFF_GRID or place[-1] > _MOST_FRAMES:
-        what = "The times are not at equal intervals, and a project of OSP Tracker has no others."
+        what = "The times are not at equal intervals, as a project of OSP Tracker requires."
         raise UsageError(what, "Export text of OSP Tracker: -o FILE.txt.")
     last = int(np.rint(place[-1])) + 1
     axes = {"xorigin": _ORIGIN[0], "yorigin": _ORIGIN[1], "xangle": 0.0, "xscale": _RADIUS, "yscale": _RADIUS}

@@ -45,9 +45,9 @@ _STEPS = (GREEN, PURPLE, SKY, "#555555")
 _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
 _RPM = 60 / (2 * np.pi)
-# a torque is not drawn if its standard uncertainty exceeds the smallest one by this factor
+# largest standard uncertainty of a torque that is drawn [smallest standard uncertainty]
 _UNDETERMINED = 3.0
-# intervals of the deflection in which the unmodelled torque is averaged, smallest number of points in one
+# number of intervals of the deflection for means of the unmodelled torque, smallest number of points per interval
 _INTERVALS, _FEWEST = 24, 4
 # a residual beyond _LARGE [σ] is drawn on a scale that is linear up to _LINEAR and logarithmic beyond
 _LARGE, _LINEAR = 20.0, 3.0
@@ -122,7 +122,7 @@ def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> C
 
 
 def difference_chart(view: CaseView, names: Sequence[str] = NAMES) -> list[Chart]:
-    """Return the chart of the casing speed of the last model minus that of the first; empty for one model."""
+    """Return the chart of the casing speed of the last model minus the speed of the first; empty for one model."""
     if len(view.models) < 2:
         return []
     first, last = view.models[0].casing, view.models[-1].casing
@@ -151,7 +151,7 @@ def residual_finding(groups: Sequence[Sequence[Residual]], called: str) -> str:
 
 
 def normalised_chart(view: CaseView, names: Sequence[str] = NAMES) -> Chart:
-    """Return the chart of the residuals of all models in units of the noise of the last one."""
+    """Return the chart of the residuals of all models in units of the noise of the last model."""
     noise = view.models[-1].casing_residual.sigma
     known = noise > 0
     scale = np.where(known, noise, 1.0)
@@ -179,7 +179,7 @@ def _torque_scale(view: CaseView, body: str) -> tuple[float, str]:
 
 
 def _determined(torque: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return torque and standard uncertainty, NaN where the data do not determine them."""
+    """Return torque and standard uncertainty, NaN where the data do not determine the torque."""
     known = sigma <= _UNDETERMINED * sigma.min()
     return np.where(known, torque, np.nan), np.where(known, sigma, np.nan)
 
@@ -249,14 +249,14 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
 
 
 def torque_law_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
-    """Return the unmodelled torque against what it may depend on: the deflection of an oscillation, else the speed."""
+    """Return the chart of the unmodelled torque against the deflection for an oscillation, else against the speed."""
     if view.deflection is None:
         return torque_speed_chart(view, names, alternatives=alternatives)
     return _torque_deflection_chart(view, view.deflection, names)
 
 
 def _torque_deflection_chart(view: CaseView, deflection: Curve, names: Sequence[str]) -> Chart:
-    """Return the chart of the unmodelled torque on a body that oscillates against its angle from the equilibrium."""
+    """Return the chart of the unmodelled torque on an oscillating body against its angle from the equilibrium."""
     factor, prefix = _torque_scale(view, "casing")
     traces = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
@@ -281,7 +281,7 @@ def _torque_deflection_chart(view: CaseView, deflection: Curve, names: Sequence[
 
 
 def _means(x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return the means of x and y, and the standard error of the latter, in equal intervals of x with enough points."""
+    """Return the means of x and y, and the standard error of the mean of y, in equal intervals with enough points."""
     if not len(x):
         return (np.zeros(0),) * 3
     place = np.digitize(x, np.linspace(x.min(), x.max(), _INTERVALS + 1)[1:-1])
@@ -317,7 +317,7 @@ def torque_angle_charts(
 
 
 def _branches(speed: Array) -> list[NDArray[np.intp]]:
-    """Return the indices before and after the peak of the speed, by increasing speed; one list if either is short."""
+    """Return indices before and after the peak of the speed, in order of speed; one list if one part is short."""
     peak = int(np.argmax(np.abs(speed)))
     parts = [np.arange(peak + 1), np.arange(peak, len(speed))]
     if min(map(len, parts)) < 3:
@@ -383,7 +383,7 @@ def tracking_charts(tracks: Tracks) -> list[Chart]:
     caption = "From the consistency of the markers and their sharpness."
     title, finding = "Uncertainty of the angles", sigma_finding(tracks.sigmas)
     charts = [Chart("sigma", title, "mrad", tuple(sigma), finding, caption=caption)] if sigma else []
-    caption = "Centre in the image, relative to its median; tracking corrects the angles for it."
+    caption = "Centre in the image, relative to its median; tracking corrects the angles for this motion."
     title, finding = "Motion of the centre", centre_finding(tracks.centres)
     return [*charts, Chart("centre", title, "px", tuple(centre), finding, caption=caption)]
 

@@ -1,7 +1,8 @@
 """Charts, drawn by matplotlib (files, PDF) or by uPlot (browser), and the style of all figures: colours, sizes, themes.
 
-A `Chart` consists of traces (numbers, label, colour), independent of the backend. Its vertical scale follows the data:
-traces for comparison only, and bands much wider than the curves (due to an undetermined parameter), have no influence.
+A `Chart` consists of traces (numbers, label, colour), independent of the backend. Its vertical scale is determined by
+the data: traces for comparison, and bands much wider than the curves (due to an undetermined parameter), have no
+influence.
 """
 
 from __future__ import annotations
@@ -139,14 +140,14 @@ def markup(figure: Figure, name: str, finding: str, *, tight: bool = False) -> s
 
 
 def plain(text: str, most: int = 34) -> str:
-    """Return text of users for a figure: without mathematics and unknown characters, at most `most` characters long."""
+    """Return a user's text for a figure: no mathematics, no unknown characters, at most `most` characters."""
     text = "".join(c if 32 <= ord(c) < 127 or c in _DRAWN else "?" for c in text)
     text = text if len(text) <= most else text[: most - 3] + "..."
     return text.replace("$", r"\$")
 
 
 def in_lines(text: str, width: int = 26) -> str:
-    """Return words for a label of a figure in at most two lines, which break between words."""
+    """Return words for a label of a figure in at most two lines, broken between words."""
     lines = wrap(plain(text, 2 * width + 10), width)
     return "\n".join(lines if len(lines) < 3 else [lines[0], " ".join(lines[1:])])
 
@@ -197,12 +198,12 @@ def themed(svg: str) -> str:
 
 Array = NDArray[np.float64]
 TIME = "time [s]"
-# a band wider than this many spans of the curves of its chart is not drawn
+# largest width of a drawn band [span of the curves of its chart]
 _MAX_BAND = 2.0
 # 16-bit integers: the resolution of 1/65000 of the range is less than 0.1 pixel on a screen
 _STEPS = 32767
 _REGULAR = 1e-6
-_MOST_MARKED = 300  # points of a curve up to which each has a marker, as in charts.js
+_MOST_MARKED = 300  # largest number of points of a curve with markers, as in charts.js
 # characters that could end a script element are written as JSON escapes
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
@@ -216,7 +217,7 @@ class Trace:
     x: Array
     value: Array
     colour: str  # colour for CSS and matplotlib
-    # shape (n,); standard uncertainty; a band of plus and minus two of them is drawn
+    # shape (n,); standard uncertainty; a band of +-2 standard uncertainties is drawn
     sigma: Array | None = None
     kind: Literal["line", "points", "band"] = "line"  # a line, points joined by a line, or the band alone
     width: float = 1.5  # width of the line [px]
@@ -252,7 +253,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Interval:
-    """A shaded time interval [s] with a short text; `body` is the body that it refers to."""
+    """A shaded time interval [s] with a short text; `body` is the body to which the interval refers."""
 
     start: float
     stop: float
@@ -276,14 +277,14 @@ def _range(values: Sequence[Array]) -> tuple[float, float]:
 
 
 def _span(traces: Sequence[Trace]) -> float:
-    """Return the range of the reference traces, or else of all traces that influence the scale."""
+    """Return the range of the reference traces; without them, of all traces that influence the scale."""
     values = [t.value for t in traces if t.scale == "reference" and t.kind != "band"]
     low, high = _range(values or [t.value for t in traces if t.scale != "none" and t.kind != "band"])
     return high - low
 
 
 def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
-    """Return the traces of a chart without those parts of bands of +-2 sigma that are wider than the chart."""
+    """Return the traces of a chart without the parts of +-2 sigma bands that are wider than the chart."""
     span = _span(traces)
     found = []
     for t in traces:
@@ -302,8 +303,8 @@ def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
 def vertical_limits(traces: Sequence[Trace]) -> tuple[float, float]:
     """Return the vertical limits of traces.
 
-    The values of reference traces, or else of all traces with influence on the scale, determine the height; all others,
-    including bands, extend it by at most that height on either side.
+    The values of the reference traces determine the height; without reference traces, all traces with influence on the
+    scale do. Other traces and bands extend the limits by at most this height on either side.
     """
     main = [t for t in traces if t.scale == "reference"] or [t for t in traces if t.scale == "normal"]
     low, high = _range([t.value for t in main if t.kind != "band"] or [t.value for t in main])
@@ -319,7 +320,7 @@ def vertical_limits(traces: Sequence[Trace]) -> tuple[float, float]:
 
 
 def thin(x: Array, value: Array, most: int = 2000) -> tuple[Array, Array]:
-    """Return at most `most` points of a curve: minimum and maximum of each bin, so that no peak is lost."""
+    """Return at most `most` points of a curve, the minimum and maximum of each bin, so that no peak is lost."""
     if len(x) <= most:
         return x, value
     edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
@@ -332,7 +333,7 @@ def thin(x: Array, value: Array, most: int = 2000) -> tuple[Array, Array]:
 def concatenated(
     label: str, curves: Sequence[tuple[Array, Array, Array | None]], colour: str, **options: Any
 ) -> Trace:
-    """Concatenate curves (x, value, sigma) that do not overlap to one trace with interruptions."""
+    """Concatenate curves (x, value, sigma) that do not overlap into one trace with interruptions."""
     parts = [np.zeros((3, 0))]
     for i, (t, v, s) in enumerate(curves):
         parts.append(np.stack([t, v, np.zeros_like(v) if s is None else s]))
@@ -404,7 +405,7 @@ def draw(
     ax.set_ylabel(f"{chart.title} [{chart.unit}]")
 
 
-# width of the key of a legend with its spacing, mean width of a character, and width left of the axes [inch]
+# width of the symbol of a legend with its spacing, mean width of a character, and width left of the axes [inch]
 _KEY, _CHARACTER, _LEFT = 0.4, 0.07, 0.8
 _SHORT = 27  # characters of a short label
 
@@ -457,7 +458,7 @@ def _trace(t: Trace) -> dict[str, Any]:
 
 
 def _abscissa(x: Array) -> dict[str, Any]:
-    """Return start and step of regularly spaced values, or else 32-bit values relative to the first."""
+    """Return start and step of regularly spaced values; for other values, 32-bit values relative to the first."""
     if len(x) > 2:
         step = float(x[-1] - x[0]) / (len(x) - 1)
         if step > 0 and np.abs(x - x[0] - step * np.arange(len(x))).max() < _REGULAR * step:
@@ -504,7 +505,7 @@ def as_data(document: Any) -> str:
     return json.dumps(document, allow_nan=False, separators=(",", ":")).translate(_ESCAPES)
 
 
-# of a page whose own policy names its scripts
+# policy of a page without the hashes of its scripts
 PAGE_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'"
@@ -512,7 +513,7 @@ PAGE_POLICY = (
 
 
 def content_policy(scripts: Sequence[str], *, connect: bool = False) -> str:
-    """Return a content security policy that allows these inline scripts only, and optionally its own server."""
+    """Return a content security policy that allows only these inline scripts, and optionally the page's own server."""
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"
     parts = [

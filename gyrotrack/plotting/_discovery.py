@@ -50,7 +50,7 @@ _MAX_CANDIDATES = 12
 _CLASSES = (GREEN, ORANGE, PURPLE, SKY)
 # smallest ratio of a figure of merit to its noise limit for a logarithmic axis
 _LOGARITHMIC = 20.0
-_CLEAR_CHANGE = 0.05  # relative
+_CLEAR_CHANGE = 0.05  # smallest relative change of a figure of merit that is stated
 
 
 def candidates_picture(view: StudyView) -> Picture | None:
@@ -180,7 +180,7 @@ def history_picture(view: StudyView) -> Picture:
 def figures_of_merit(
     ax: Axes, values: np.ndarray[tuple[int], np.dtype[np.float64]], limit: float | None, texts: list[str]
 ) -> None:
-    """Draw a bar per fit, from zero or, on a logarithmic axis, from the noise limit, with `texts` or the numbers."""
+    """Draw one bar per fit, from zero or, on a logarithmic axis, from the noise limit, with `texts` or numbers."""
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     sizes = np.where(np.isfinite(values), np.abs(values), 0.0)

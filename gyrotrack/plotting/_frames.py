@@ -1,4 +1,4 @@
-"""Frames of films with what was found in them: detections, markers of a proposed profile, or a body and its hub.
+"""Frames of films with an overlay: detections, markers of a proposed profile, or a body and its hub.
 
 A frame is identified by its timestamp in the recording: the film is decoded from the preceding key frame. If timestamps
 repeat or are missing, the frame is not found, so that no wrong frame is shown.
@@ -99,14 +99,14 @@ def _point(place: npt.NDArray[np.float64]) -> tuple[int, int]:
     return round(float(place[0])), round(float(place[1]))
 
 
-_MAX_AHEAD = 24  # frames that are skipped by decoding instead of seeking
-# frames before the wanted one that are decoded with it and kept, so that a step back needs no seek; their size [bytes]
+_MAX_AHEAD = 24  # largest number of frames that are skipped by decoding instead of seeking
+# frames before the requested frame that are kept, so that a step back needs no seek: number, and size [bytes]
 _BEHIND, _HELD = 12, 48 * 2**20
 _MAX_HASHED = 256 * 2**20  # bytes
 
 
 def find_film(recording: Recording, folders: list[Path]) -> Path | None:
-    """Return a recording's film in these folders or the samples, by SHA-256 or, over 256 MiB, by size and frames."""
+    """Find a recording's film in folders or the samples, by SHA-256; above 256 MiB, by frame size and number."""
     name = Path(recording.source).name
     here = Path(__file__)
     places = [*folders, here.parents[2] / "sample_clips", here.parents[1] / "sample_clips"]
@@ -128,7 +128,7 @@ def _is_film_of(path: Path, recording: Recording) -> bool:
 
 
 class Film:
-    """Random access to the frames of a film, with the detections of its recording, if one is given."""
+    """Random access to the frames of a film, with the detections of its recording (optional)."""
 
     def __init__(self, path: Path, recording: Recording | None = None) -> None:
         self.recording = recording
@@ -204,7 +204,7 @@ class Film:
             del self._held[next(iter(self._held))]
 
     def _decoded(self, first: int) -> Iterator[Any]:
-        """Decode from here on; before the timestamp `first` only reference frames."""
+        """Decode from the current position on; before the timestamp `first`, only reference frames."""
         decoder = self._stream.codec_context
         # other codecs may use such frames as references
         can_skip = decoder.codec.name == "h264"
@@ -367,7 +367,7 @@ _RING, _HAND = (0, 200, 255), (0, 0, 255)
 def write_picture(
     path: Path, proposal: Proposal, *, body: tuple[TrackedFilm, Tracked] | None = None, force: bool = False
 ) -> None:
-    """Write a PNG of the frame with most markers and all that was chosen, and of a `body` that turns about a hub."""
+    """Write a PNG of the frame with most markers, with all proposals, and of a `body` that turns about a hub."""
     index = int(np.argmax(np.sum([m.clear for m in proposal.markers], axis=0)))
     frame = proposal.samples.frames[index]
     picture = colour_picture(frame)

@@ -1,7 +1,7 @@
 """Figures of the commands `laws`, `plan` and `compare`.
 
 `laws`: unmodelled torque against its variable with the laws, explained shares, ranking. `plan`: detection limits, upper
-limits, power curves, next run. `compare`: each parameter in each run, as a difference from the mean; of many runs
+limits, power curves, next run. `compare`: each parameter in each run, as a difference from the mean; for many runs,
 against the time of the run.
 """
 
@@ -67,7 +67,7 @@ _NAMES = {
     "psi_r": "ψ rotor",
 }
 _ON = {"casing": "on the casing", "rotor": "on the rotor", "bearing": "in the bearing"}
-# share from which on the number stands in its bar [%]
+# smallest share whose number is written within its bar [%]
 _WIDE = 60
 
 
@@ -84,7 +84,7 @@ def write_picture(found: Laws | Plan | Comparison, path: Path, *, force: bool = 
 
 
 def _shown(found: Laws) -> Dependence | None:
-    """Return the curve to draw: that of the variable of the best law, or else the most significant one."""
+    """Return the curve to draw: the curve of the best law's variable; without a law, the most significant curve."""
     curves = [d for d in found.depends_on if len(d.value)]
     if found.laws:
         effect = found.laws[0].effects[0]
@@ -135,7 +135,9 @@ def _law_curve(law: Law, d: Dependence) -> Any:
         own = {p.symbol for p in e.parameters}
         if e.joint != d.body or e.state is not None or symbols(e.expression) - own != {d.variable}:
             return None
-        keys = {k.partition("@")[0]: v.value for k, v in reversed(law.estimates.items())}  # of the first case
+        keys = {
+            k.partition("@")[0]: v.value for k, v in reversed(law.estimates.items())
+        }  # estimates of the first case
         numbers = {symbol: keys[f"{e.name}.{symbol}"] for symbol in own}
         total = total + np.asarray(Tape([e.expression])({d.variable: d.value, **numbers})[0])
     return d.comparable(total)
@@ -258,7 +260,7 @@ _MAX_PARAMETERS = 14
 
 
 def _population_figure(found: Population) -> Figure:
-    """Return a figure with one chart per parameter: its value in each run with bars of 2 u, against the run time.
+    """Return a figure with one chart per parameter: its value in each run, with bars of 2 u, against the run time.
 
     The line is the mean, or the drift or step if it is significant; the band is the spread between the runs.
     """

@@ -39,7 +39,7 @@ _MAX_ALTERNATIVES = 3
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve: time [s], value, and standard uncertainty (zero if there is none)."""
+    """A curve: time [s], value, and standard uncertainty (zero without one)."""
 
     time: Array
     value: Array
@@ -56,7 +56,7 @@ class Energy:
 
 @dataclass(frozen=True)
 class AddedTorque:
-    """Torque of a model minus that of the base model on each body [N m], along the motion of that model."""
+    """Torque of a model minus torque of the base model on each body [N m], along the motion of the model."""
 
     name: str
     time: Array
@@ -74,7 +74,7 @@ class CaseModel:
     """One case with one model."""
 
     casing: Curve  # modelled speed [rad/s] with its standard uncertainty due to the parameters
-    rotor: tuple[Curve, ...]  # the same in each window
+    rotor: tuple[Curve, ...]  # modelled speed in each rotor window
     # measured minus modelled speed
     casing_residual: Residual
     rotor_residual: tuple[Residual, ...]
@@ -93,10 +93,12 @@ class CaseView:
     # measured speed, smoothed by a running median [rad/s]
     casing: Curve
     rotor: tuple[Curve, ...]
-    smoothing_width: int  # points of its running median
+    smoothing_width: int  # number of points of the running median
     models: tuple[CaseModel, ...]  # the base model and, if it differs, the final model
-    added: AddedTorque | None  # torque of the final model minus that of the base model
-    alternatives: tuple[AddedTorque, ...]  # the same for the best other candidate effects, each after a refit
+    added: AddedTorque | None  # torque of the final model minus torque of the base model
+    alternatives: tuple[
+        AddedTorque, ...
+    ]  # added torques of the best other candidate effects, each after a refit
     energy: tuple[Energy, ...]  # energy balance of each step
     failures: tuple[Failure, ...]  # intervals with significant lack of fit of the base model
     # of an oscillation: measured angle from the equilibrium [rad], period [s]
@@ -111,8 +113,8 @@ class CaseView:
     def failing(self, failures: Sequence[Failure], model: CaseModel) -> tuple[Interval, ...]:
         """Return the intervals with lack of fit of one of `models`, for the charts.
 
-        These are the intervals of significant unmodelled torque, and further ones in which the residual of the speed is
-        outside of its band: an unmodelled torque changes the speed also at later times.
+        The intervals have a significant unmodelled torque, or a residual of the speed outside of its band, because an
+        unmodelled torque also changes the speed at later times.
         """
         found = []
         for f in failures:
@@ -123,11 +125,11 @@ class CaseView:
 
     @property
     def speed_intervals(self) -> tuple[Interval, ...]:
-        """Intervals in which only the residual of the speed is outside of its band, without an unmodelled torque."""
+        """Intervals with a residual of the speed outside of its band, but without an unmodelled torque."""
         return self.intervals[len(self.failures) :]
 
     def _outside_of_bands(self, model: CaseModel, covering: Sequence[Interval]) -> list[Interval]:
-        """Return the intervals in which the residual of a speed is outside of its band, without the covering ones."""
+        """Return the intervals in which a residual of a speed is outside of its band, without `covering` intervals."""
         noise, found = self.models[-1], []
         bodies = [("casing", self.body, model.casing_residual, noise.casing_residual)] + [
             ("rotor", "rotor", *both) for both in zip(model.rotor_residual, noise.rotor_residual, strict=True)
@@ -146,7 +148,7 @@ def _outside(
 ) -> list[tuple[float, float, float]]:
     """Return start, stop and largest |z| of the intervals in which a residual is outside of its band on one side.
 
-    The residual of an oscillation may change its side within half of its `period`.
+    For an oscillation, an interval may contain changes of the side within half a `period`.
     """
     ratio = residual.value / np.where(sigma > 0, sigma, np.inf)
     side = np.where(np.abs(ratio) > _BAND, np.sign(ratio), 0.0)
@@ -177,7 +179,7 @@ def case_view(
     torques: Sequence[tuple[ResidualTorque, ...]],
     index: int,
 ) -> CaseView:
-    """Return one case with the first and the last model of a history, whose unmodelled torques are given."""
+    """Return one case with the first and the last model of a history; `torques` are their unmodelled torques."""
     from fitting.inference._record import median_width, speeds
 
     base, final = history[0].fit, history[-1].fit
@@ -221,9 +223,9 @@ def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Case
 
 
 def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[AddedTorque, ...]:
-    """Return the torques of the best candidates that were refitted and are not in the final model.
+    """Return the torques of the best refitted candidates that are not in the final model.
 
-    There are none if the recordings differ in a parameter.
+    The result is empty if the recordings differ in a parameter.
     """
     found = [
         added_torque(base.name(c.effect).words, base, c.fit, index)
@@ -238,7 +240,7 @@ def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int
 
 
 def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
-    """Return the torque of another model minus that of the base, along the motion of that model; None if equal."""
+    """Return the torque of another model minus the torque of the base, along the other motion; None if equal."""
     from fitting.dynamics._collocation import Sampler
 
     old, new = base.problem.cases[index], other.problem.cases[index]
@@ -314,11 +316,11 @@ class StudyView:
 
     @property
     def misfit(self) -> tuple[float, ...]:
-        """The `misfit` of the base model and, if it differs, of the final one."""
+        """The `misfit` of the base model and, if it differs, of the final model."""
         return tuple(f.misfit for f in (self.base, self.final)[: len(self.cases[0].models)])
 
     def name(self, effect: Effect | str) -> EffectName:
-        """Return an effect or a parameter by its name, for a reader."""
+        """Return the readable name of an effect or a parameter."""
         return self.final.name(effect)
 
     @property

@@ -1,4 +1,4 @@
-"""Tracking of a case: uncertainty of the angles, motion of the centre, synchronisation of the clips, contact sheets."""
+"""Figures of tracking: uncertainty of the angles, motion of the centre, synchronisation, contact sheets."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Sigma:
 
     @property
     def median(self) -> float:
-        """Median; NaN if it is unknown."""
+        """Median [rad]; NaN if unknown."""
         known = self.value[np.isfinite(self.value)]
         return float(np.median(known)) if len(known) else float("nan")
 
@@ -75,7 +75,7 @@ class Tracks:
 
 
 def tracks_of(case: Case) -> Tracks | None:
-    """Return the tracking quality of the clips of a case; None if it has no clips."""
+    """Return the tracking quality of the clips of a case; None without clips."""
     sigmas, centres, spans = [], [], []
     for key, r in case.recordings.items():
         placement = case.placements.get(key)
@@ -199,7 +199,7 @@ class Sheet:
 def contact_sheets(
     case: Case, folders: Sequence[Path], intervals: Iterable[tuple[float, float]] = ()
 ) -> list[Sheet]:
-    """Return frames of the clips of a case whose films are found, also one of the middle of each interval [s]."""
+    """Return frames of the clips whose films are found, including the middle of each interval [s]."""
     wanted = list(intervals)
     sheets = []
     for key, r in list(case.recordings.items())[:_MAX_CLIPS]:
@@ -248,7 +248,7 @@ def jpeg(
 def _selected_frames(
     r: Recording, placement: Placement | None, intervals: Sequence[tuple[float, float]]
 ) -> list[int]:
-    """Return frames evenly distributed over the clip, some of them moved to the middle of intervals of interest."""
+    """Return frames evenly distributed over the clip; some are moved to the middle of intervals of interest."""
     spread = [int(i) for i in np.linspace(0, len(r.time) - 1, min(_FRAMES, len(r.time)))]
     if placement is None or not spread:
         return spread

@@ -1,6 +1,6 @@
 """Least squares for start, clock rate and direction of clips.
 
-In a window about the clip, the angle of the casing is a quintic spline psi(t). The casing camera measures
+Within a window about the clip, the angle of the casing is a quintic spline psi(t). The casing camera measures
 
     psi_A(t) = psi(t) + H_A,   H: first and second harmonics of the angle,
 
@@ -8,12 +8,12 @@ and the rotor camera, with its own clock, direction and harmonics,
 
     psi_B(s) + offset = psi(t0 + (1 + eps) s) + H_B.
 
-Spline and harmonics are linear; their elimination leaves a 3 x 3 normal matrix of (t0, eps, offset) for each clip. All
-clips of one camera are solved jointly by Gauss-Newton steps, with a common rate and optionally a common offset. chi2 is
-that of the clips, given the data of the casing camera.
+The model is linear in spline and harmonics; their elimination leaves a 3 x 3 normal matrix of (t0, eps, offset) for
+each clip. All clips of one camera are solved jointly by Gauss-Newton steps, with a common rate and optionally a common
+offset. chi2 includes the residuals of the clips only, given the data of the casing camera.
 
-The window is fixed while the start of the clip changes; a moving window would include and exclude samples, which makes
-chi2 discontinuous.
+The window is fixed while the start of the clip changes: in a moving window the set of samples would change, and chi2
+would be discontinuous.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Start:
 
 
 def with_common_direction(starts: Sequence[Start], turns: Sequence[int | None]) -> list[Start]:
-    """Give the clips with a number of turns a common direction, except for these turns."""
+    """Set a common direction for all clips that have a number of turns; the turns are added to this direction."""
     common = next(s.angle - TURN * m for s, m in zip(starts, turns, strict=True) if m is not None)
     return [
         s if m is None else replace(s, angle=common + TURN * m) for s, m in zip(starts, turns, strict=True)
@@ -71,13 +71,13 @@ BLOCKS = 60
 
 
 def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
-    """Return which residuals are within six robust standard deviations."""
+    """Return a mask of the residuals within six robust standard deviations."""
     spread = 1.4826 * float(np.median(np.abs(residual)))
     return np.asarray(np.abs(residual) < OUTLIER * max(spread, 1e-300))
 
 
 def block_means(residual: Floats, blocks: int = BLOCKS) -> tuple[Floats, int]:
-    """Return the means of about `blocks` blocks, and the length of a block."""
+    """Return the means of about `blocks` blocks of a residual, and the length of a block [samples]."""
     length = max(len(residual) // blocks, 2)
     count = len(residual) // length
     return residual[: count * length].reshape(count, length).mean(axis=1), length
@@ -121,7 +121,7 @@ class Curve:
 
 
 def casing_curve(recording: Recording, name: str) -> Curve:
-    """Return the angle of the casing in a recording; a SyncError says that it is shown in too few frames."""
+    """Return the angle of the casing in a recording; a SyncError is raised if too few frames show the casing."""
     body = recording.bodies.get("casing")
     if body is None:
         what = f"{name} does not show the casing."
@@ -145,7 +145,7 @@ def without_outliers(curve: Curve) -> Curve:
 
 
 def harmonics(angle: Floats) -> Floats:
-    """Return the first and second harmonics of an angle, which centre offset and tilt add to it: sin, cos; (n, 4)."""
+    """Return sine and cosine of the orders 1 and 2 of an angle (n, 4): the errors by a centre offset and a tilt."""
     return np.column_stack([np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle)])
 
 
@@ -197,7 +197,7 @@ def window(first: float, last: float) -> tuple[float, float]:
 
 
 def fit_casing(casing: Curve, edges: tuple[float, float], intervals: int) -> CasingFit:
-    """Fit spline and harmonics to the casing in a window; a LinAlgError says that there are too few samples."""
+    """Fit spline and harmonics to the casing in a window; a LinAlgError is raised for too few samples."""
     record = casing.between(*edges)
     if len(record.time) < 2 * DEGREE:
         raise np.linalg.LinAlgError("too few samples of the casing")
@@ -299,7 +299,7 @@ def casing_around(pair: Pair, start: Start) -> CasingFit:
 def normal(clip: Curve, start: Start, casing: CasingFit) -> Normal:
     """Return the normal equations of one clip at `start`, after elimination of spline and harmonics.
 
-    A LinAlgError says that the clip is not within the window of `casing`.
+    A LinAlgError is raised if the clip is not within the window of `casing`.
     """
     moment = start.casing_times(clip.time)
     design = casing.design(moment)
@@ -334,10 +334,10 @@ def solve(
 ) -> Solution:
     """Solve for the starts of several clips, from initial values.
 
-    `rate_sigma` is the prior standard deviation of the clock rate about 1, which all clips have in common if
-    `common_rate` is set. Clips with a number in `turns` have a common direction, except for this number of turns; those
-    with None have individual directions. `windows` are the starts at which the windows are centred, by default
-    `starts`. A LinAlgError says that a clip is not within its window, or a parameter is not determined.
+    `rate_sigma` is the prior standard deviation of the clock rate about 1; with `common_rate` all clips have the same
+    rate. Clips with a number in `turns` have a common direction, except for this number of turns; clips with None have
+    individual directions. `windows` are the starts at which the windows are centred, by default `starts`. A
+    LinAlgError is raised if a clip is not within its window, or if a parameter is not determined.
     """
     shared = [turn is not None for turn in turns or [None] * len(pairs)]
     link = link_matrix(common_rate=common_rate, shared_angle=shared)
@@ -371,13 +371,13 @@ class _Combined:
 def _line_search(
     parts: Sequence[_Part], point: list[Start], step: Floats, chi2: float, rate_sigma: float, link: Floats
 ) -> tuple[list[Start], _Combined] | None:
-    """Reduce a step until chi2 decreases; None if it does not."""
+    """Reduce a step until chi2 decreases; None if chi2 does not decrease."""
     length = min(1.0, MAX_STEP / max(float(np.max(np.abs(step[::3]))), 1e-300))
     for _ in range(MAX_REDUCTIONS):
         there = moved(point, length * step)
         try:
             stacked = _combined(parts, there, rate_sigma, link)
-        except np.linalg.LinAlgError:  # too far
+        except np.linalg.LinAlgError:  # the step leaves the window
             stacked = None
         if stacked is not None and stacked.chi2 < chi2:
             return there, stacked

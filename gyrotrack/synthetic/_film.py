@@ -1,4 +1,4 @@
-"""Rendering of a film together with its exact angles, corners and visibilities: colour planes, encoding, truth.
+"""Rendering of a film, with its exact angles, corners and visibilities: colour planes, encoding, truth.
 
 A chroma sample (i, j) is centred at the luma position x = 2 i, y = 2 j + 1/2, the default of H.264. The conversion is
 implemented here because common scalers differ by half a luma pixel.
@@ -73,7 +73,7 @@ def write_film(
     film: Film | None = None,
     force: bool = False,
 ) -> int:
-    """Encode RGB frames (height, width, 3) as mp4, atomically, at a rate that may be another; return their number."""
+    """Encode RGB frames (height, width, 3) atomically as mp4 with the rate `container_fps`; return their number."""
     film = film or Film()
     path = Path(path)
     with new_path(path, force=force) as part:
@@ -98,7 +98,7 @@ def _encode(
             "preset": film.preset,
             "g": str(film.keyframe),
             "bf": str(film.bframes),
-            "x264-params": "mbtree=0",  # with it, the same pictures give other bits in each run
+            "x264-params": "mbtree=0",  # with mbtree, equal pictures are encoded differently in each run
         }
         context = stream.codec_context
         context.thread_count, context.time_base = film.threads, 1 / rate
@@ -118,7 +118,9 @@ def _encode(
 
 Array = NDArray[np.float64]
 
-COVER_STEPS = 4096  # relative angles of rotor and casing at which the occlusion of a marker is computed
+COVER_STEPS = (
+    4096  # number of relative angles of rotor and casing at which the occlusion of a marker is computed
+)
 COVER_RADII = 96
 
 
@@ -127,7 +129,7 @@ class Truth:
     """The exact quantities in a film of n frames."""
 
     time: Array  # shape (n,); true time of the middle of each exposure in s
-    # shape (n,); the same on the clock of the camera, ``k / fps``; ``time = clock_offset + clock_rate * clip_time``
+    # shape (n,); time on the clock of the camera, ``k / fps``; ``time = clock_offset + clock_rate * clip_time``
     clip_time: Array
     # true time of frame 0 in s, and true seconds per second of the camera
     clock_offset: float
@@ -280,8 +282,8 @@ def render_clip(
     """Render a film of a scene with a known motion, and return its exact angles and corners.
 
     ``camera.start`` is the true time of the first of the frames. `truth` is a file (.npz or .json) to which the truth
-    is written; `progress` is called with (frames rendered, frames in total). A ValueError says that the motion is not
-    known for the whole film.
+    is written; `progress` is called with (frames rendered, frames in total). A ValueError is raised if the motion is
+    not known for the whole film.
 
     Examples
     --------

@@ -7,8 +7,8 @@ Edges are sharp edges convolved with a Gaussian (the ``psf`` of the camera) in c
 are correct at every angle.
 
 A pixel is the mean over the exposure of ``casing + (1 - cover) * rotor``. The means of casing, cover and rotor are
-exact. The mean of the product is exact where the cover does not change during the exposure; in the narrow zone that the
-edges of the bar sweep, it is a sum over sub-exposures.
+exact. The mean of the product is exact where the cover does not change during the exposure. In the narrow zone swept
+by the edges of the bar, the mean is a sum over sub-exposures.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class PolarPicture:
         return PolarPicture(np.ascontiguousarray(self.pixels[:, :, index : index + 1]), self.per_mm)
 
     def blurred(self, angle: float) -> Paint:
-        """Return two turns of the picture, blurred by a rotation by ``angle`` [rad]; cached, as it changes little."""
+        """Return two turns of the picture, blurred by a rotation by ``angle`` [rad]; cached: it changes little."""
         width = round(abs(angle) * self.per_rad / WIDTH_STEP) * WIDTH_STEP
         width = max(1.0, min(width, float(self.columns)))
         if width not in self._blurred:
@@ -91,7 +91,7 @@ class PolarPicture:
 
 
 def _box(pixels: Paint, width: float) -> Paint:
-    """Average over ``width`` = n + 2 f columns (n odd), centred and cyclic: n columns, and f of one at each end."""
+    """Average cyclically over ``width`` = n + 2 f columns, centred: n columns (n odd) and a part f at each end."""
     columns = pixels.shape[1]
     odd = int(width) if int(width) % 2 else int(width) - 1
     share = 0.5 * (width - odd)
@@ -136,8 +136,8 @@ class Window:
     # point of the table at each pixel [mm]
     u: Picture
     v: Picture
-    table: Picture  # intensity of the table, zero where the rotor covers it
-    # constant illumination per stored unit of a polar picture; the second is zero outside of the rotor
+    table: Picture  # intensity of the table, zero where the rotor covers the table
+    # constant illumination per stored unit of a polar picture; the second array is zero outside of the rotor
     lamps: Picture
     lamps_inside: Picture
     glint: Picture  # intensity of reflections on bare metal, per stored unit
@@ -236,7 +236,7 @@ class _Canvas:
 
 
 def paint_rotor(scene: Scene, camera: Camera) -> PolarPicture:
-    """Paint the rotor, opaque up to below the casing's ring: red, green, blue, and the fraction of bare metal."""
+    """Paint the rotor, opaque to below the ring of the casing: red, green, blue, and the fraction of bare metal."""
     canvas = _Canvas(scene, camera, scene.ring_outer + 4.0)
     lathe = 1.0 + scene.structure * (np.sin(3.1 * canvas.r) + 0.6 * np.sin(7.7 * canvas.r + 1.0))
     uneven = scene.structure * (
@@ -361,7 +361,7 @@ class Renderer:
         self._buffers: dict[str, NDArray[np.generic]] = {}
 
     def frames(self, count: int) -> Iterator[Frame]:
-        """Yield ``count`` frames, (height, width, 3) RGB, 8 bits; a ValueError if the motion is not known then."""
+        """Yield ``count`` frames, (height, width, 3) RGB, 8 bits; a ValueError if the motion is unknown."""
         times = self.camera.times(count)
         reach = 0.5 * self.camera.exposure + abs(self.camera.readout)
         if count and (times[0] - reach < self.motion.start or times[-1] + reach > self.motion.stop):

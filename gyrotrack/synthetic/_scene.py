@@ -48,8 +48,8 @@ class Camera:
     # the middle of the exposure of frame k
     start: float = 0.0
     rate: float = 1.0
-    # true time in s from the first to the last row (rolling shutter); 0 is a global shutter. The nominal time is
-    # that of the row of ``rest``
+    # true time in s from the first to the last row (rolling shutter); 0 is a global shutter. The nominal time is the
+    # time of the row of ``rest``
     readout: float = 0.0
     sense: int = -1  # -1: the bodies turn clockwise in the image, as in the paper
     psf: float = 0.6  # standard deviation in px of the point spread function (lens and pixel)
@@ -138,7 +138,7 @@ class Light:
         return np.asarray(np.maximum(bright, 0.0), dtype=np.float64)
 
     def pulse(self, time: ArrayLike, exposure: float) -> Array:
-        """Return the mean brightness over exposures centred at ``time``, relative to the constant one.
+        """Return the mean brightness over exposures centred at ``time``, relative to constant brightness.
 
         The mean of 1 + a sin(2 pi f t + phi) over an exposure T is 1 + a sinc(f T) sin(2 pi f t_mid + phi).
         """
@@ -163,7 +163,7 @@ class Marker:
     name: str
     body: Literal["rotor", "casing"]
     colour: Colour  # linear red, green, blue
-    mount: float  # angle of the middle of its inner base on the body in rad
+    mount: float  # angle on the body of the middle of the inner base in rad
     # distance of the inner base from the axis, length along the radius, length of the inner base in mm
     near: float
     length: float
@@ -189,7 +189,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Wobble:
-    """A circular motion of the axis: ``radius`` [mm], ``frequency`` [Hz] as the bodies turn, ``phase`` [rad] at 0."""
+    """A circular motion of the axis: ``radius`` [mm], ``frequency`` [Hz], ``phase`` [rad] at time 0."""
 
     radius: float = 0.0
     frequency: float = 6.0
@@ -236,7 +236,7 @@ class Scene:
         return tuple(marker for marker in self.markers if marker.body == body)
 
     def casing_covers(self, x: Array, y: Array) -> NDArray[np.bool_]:
-        """Return which points (mm, frame of the casing) are occluded by bar, hub, ring or a marker of the casing."""
+        """Return a mask of points [mm, frame of the casing] occluded by bar, hub, ring or a marker of the casing."""
         r = np.hypot(x, y)
         covered = (r < self.hub_radius) | ((r >= self.ring_inner) & (r <= self.ring_outer))
         covered |= (np.abs(y) < 0.5 * self.bar_width) & (r <= self.ring_outer)
@@ -261,7 +261,7 @@ class Motion:
     # angular velocity in rad/s
     omega_rotor: Curve
     omega_casing: Curve
-    # limits of the time in which the motion is known [s]
+    # limits of the time for which the motion is known [s]
     start: float = -np.inf
     stop: float = np.inf
 
@@ -286,7 +286,7 @@ class Motion:
         psi_rotor: float = 0.0,
         psi_casing: float = 0.0,
     ) -> Motion:
-        """Angles from at least four speeds [rad/s] by an exactly integrated cubic spline, given at ``time[0]``."""
+        """Angles by integration of a cubic spline through at least four speeds [rad/s], from those at ``time[0]``."""
         t, rotor, casing = _splines(time, omega_rotor, omega_casing)
         angles = _curve(rotor.antiderivative(), psi_rotor), _curve(casing.antiderivative(), psi_casing)
         return cls(*angles, _curve(rotor), _curve(casing), float(t[0]), float(t[-1]))
@@ -361,8 +361,8 @@ def two_body_motion(
 
     Additional torques in N m are ``torque(t, omega_r, omega_c, psi_r, psi_c)``; `extra_bearing` acts on the casing, and
     with the opposite sign on the rotor. The motion ends before `duration` [s] if the casing comes to rest;
-    `sample_rate` [Hz] is that of the splines. DOP853 of SciPy with a relative tolerance of 1e-11: near a discontinuity
-    of a torque the error control reduces the step size.
+    `sample_rate` [Hz] is the rate of the splines. The integrator is DOP853 of SciPy with a relative tolerance of
+    1e-11; near a discontinuity of a torque the error control reduces the step size.
     """
     from scipy.integrate import solve_ivp
 

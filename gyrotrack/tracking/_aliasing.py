@@ -1,9 +1,9 @@
-"""Temporal aliasing: the rotations that one and the same film allows.
+"""Temporal aliasing: different rotations that are consistent with the same film.
 
-A picture of a body with an n-fold symmetry repeats after a period p = 2 pi / n. Frames show the rotation from one to
-the next only up to multiples of p: with a turn of d per frame, d - p describes the film as well. Tracking by continuity
-takes the smaller one in the first frames; a body that turns by more than p / 2 per frame seems to turn backwards, and
-its apparent speed grows while it slows down.
+A picture of a body with an n-fold symmetry repeats after a period p = 2 pi / n. Frames determine the rotation per
+frame only up to multiples of p: if a rotation by d per frame describes the film, d - p does as well. Tracking by
+continuity selects the smaller of the two in the first frames. A body that turns by more than p / 2 per frame therefore
+seems to turn backwards, and its apparent speed grows while it slows down.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ _MOST_FOLD = 48
 """Largest order of symmetry that is considered [1]. Chosen: a larger value takes fine texture for a symmetry, a smaller
 one overlooks wheels with many spokes."""
 _ALIKE = 0.5
-"""Correlation of a body's picture with itself after a period from which the other rotation is tried [1]. Chosen: a
-smaller value tries more rotations, which costs time; a larger one overlooks them."""
+"""Smallest correlation of a body's picture with itself after a period for which the other rotation is tried [1].
+Chosen: a smaller value tries more rotations, which costs time; a larger one overlooks them."""
 _FAST = 0.25
-"""Turn per frame, in periods, from which the other rotation is tried [1]. Chosen: slower motions leave only implausibly
-fast alternatives; a smaller value adds doubts, a larger one misses aliases."""
+"""Smallest turn per frame, in periods, for which the other rotation is tried [1]. Chosen: slower motions leave only
+implausibly fast alternatives; a smaller value adds doubts, a larger one misses aliases."""
 _EQUAL = 0.02
-"""Difference of the explained shares from which the pictures themselves decide [1]. Chosen: a smaller value decides by
+"""Smallest difference of the explained shares by which the pictures decide [1]. Chosen: a smaller value decides by
 noise, a larger one leaves clear cases to the change of speed."""
 _STEADY = 0.02
-"""Relative change of the speed that counts as speeding up or slowing down [1]. Chosen: a smaller value decides by
-noise, a larger one leaves slow decays undecided."""
+"""Smallest relative change of the speed that counts as speeding up or slowing down [1]. Chosen: a smaller value
+decides by noise, a larger one leaves slow decays undecided."""
 
 
 class Alias(NamedTuple):
-    """The rotation to take, and the warning if the film allows another one."""
+    """The selected rotation, and the warning if the film allows another rotation."""
 
     angle: Floats
     warning: str | None
 
 
 def symmetries(template: Template) -> list[int]:
-    """Return the orders n > 1 of the approximate symmetry of a learnt picture, turned by 2 pi / n, largest first."""
+    """Return the orders n > 1 of approximate rotational symmetry (by 2 pi / n) of a template, largest first."""
     ring = template.ring
     body = template.body - template.body.mean(axis=1, keepdims=True)
     weight = ring.area.astype(np.float64)
@@ -65,13 +65,13 @@ alternative; a smaller value tries one, a larger one leaves noisy rotations alia
 def unaliased(
     angle: Floats, frame: npt.NDArray[np.int64], template: Template, explained: Callable[[Floats], float]
 ) -> Alias:
-    """Return the rotation to take of those that a film allows.
+    """Select one of the rotations that are consistent with a film.
 
-    The one that explains more (`explained`) of the changes of brightness is taken. If two explain as much, it is the
-    one that slows down, as a free body does; if both are steady, the slower one, with a warning. Whole periods per
-    frame are subtracted first, unless the pictures contradict.
-    `angle` (n,) are angles followed by continuity, counter-clockwise [rad], in the frames `frame`, with which the
-    picture `template` was learnt.
+    The rotation that explains more (`explained`) of the changes of brightness is selected. If two explain equally
+    much, the rotation that slows down is selected, because a free body slows down. If both are steady, the slower
+    rotation is selected, with a warning. Whole periods per frame are subtracted first, unless the pictures contradict.
+    `angle` (n,) are angles tracked by continuity, counter-clockwise [rad], in the frames `frame`; the picture
+    `template` was averaged at these angles.
     """
     steps = np.diff(angle) / np.diff(frame)
     usual = float(np.median(steps))
@@ -80,7 +80,7 @@ def unaliased(
     if np.mean(sense * steps > 0) < _ONE_WAY:
         return Alias(angle, None)
     orders = symmetries(template)
-    # the first step may have been taken for one of a whole period more
+    # the first step may be too large by a whole period
     for period in (TURN / n for n in orders if abs(usual) > TURN / n):
         slower = angle - sense * math.floor(abs(usual) / period) * period * (frame - frame[0])
         if explained(slower) > explained(angle) - _EQUAL:
@@ -98,7 +98,7 @@ def unaliased(
         slows, other_slows = (_growth(a, frame) < -_STEADY for a in (angle, other))
         fastest = float(np.quantile(np.abs(steps), 0.99))
         if not other_slows or (slows and fastest < 0.5 * period):
-            # nothing decides between two steady rotations
+            # two steady rotations cannot be distinguished
             if fastest > 0.5 * period or not (slows or other_slows):
                 return Alias(angle, _warning(angle, other, frame, period, chosen="slower at first"))
             continue
@@ -107,14 +107,14 @@ def unaliased(
 
 
 _FEWEST = 10
-"""Number of angles that a change of the speed requires more than [frames]. Chosen: fewer decide by noise, more leave
-short films aliased."""
+"""Number of angles that must be exceeded to determine a change of the speed [frames]. Chosen: fewer decide by noise,
+more leave short films aliased."""
 
 
 def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
-    """Return the rotation with a turn per frame less if that slows down while `angle` speeds up; None otherwise.
+    """Return the rotation with one turn per frame less if it slows down while `angle` speeds up; None otherwise.
 
-    For markers, which leave only whole turns undetermined.
+    This applies to markers, for which only whole turns are ambiguous.
     """
     usual = float(np.median(np.diff(angle) / np.diff(frame))) if len(angle) > _FEWEST else 0.0
     if not _FAST * TURN < abs(usual) < TURN:
@@ -126,7 +126,7 @@ def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
 def doubtful(
     taken: Floats, other: Floats, frame: npt.NDArray[np.int64], *, chosen: str = "named first"
 ) -> str:
-    """Return the warning that a film of markers shows `other` as well as the rotation `taken`."""
+    """Return the warning that a film of markers is consistent with the rotation `other` as well as with `taken`."""
     remedy = "Film with a higher frame rate, or state the sense of rotation in the profile (`sense`)."
     return _warning(taken, other, frame, TURN, chosen=chosen, remedy=remedy)
 
@@ -141,7 +141,7 @@ def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
 
 
 def _growth(angle: Floats, frame: npt.NDArray[np.int64]) -> float:
-    """Return the relative change of the speed from the first to the last fifth; NaN where the sense changes."""
+    """Return the relative change of the speed from the first to the last fifth; NaN if the sense changes."""
     first, last = _ends(angle, frame)
     return math.nan if first * last <= 0 else abs(last) / abs(first) - 1.0
 
@@ -168,6 +168,6 @@ def _warning(
         else f"The body looks the same when rotated by {math.degrees(period):.0f} degrees. "
     )
     return (
-        f"{alike}The film shows a rotation of {words(taken)} as well as one of {words(other)}; the one "
-        f"{chosen} is taken. {remedy}"
+        f"{alike}The film fits a rotation of {words(taken)} and one of {words(other)}; the one "
+        f"{chosen} is used. {remedy}"
     )

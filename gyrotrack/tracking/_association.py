@@ -1,9 +1,9 @@
 """Association: one coarse, unwrapped angle per frame.
 
-The input is a score over all angles in each frame, large where the markers of the body match the picture. A lock
-determines angle and angular rate from several frames. Each of the following frames is searched only near its
-prediction, so that no other object of the same colour is tracked. When the body is lost, the motion is extrapolated
-until a new lock is found.
+The input is a score over all angles in each frame, which is large where the markers of the body match the picture. A
+lock determines angle and angular rate from several frames. Each later frame is searched only near the predicted angle,
+so that no other object of the same colour is tracked. When the body is lost, the motion is extrapolated until a new
+lock is found.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MEMORY = 128
 """Number of recent angles in the fit [frames]. Chosen: fewer give a noisy prediction, more include motion that a
 parabola does not describe."""
 FEWEST = 16
-"""Recent angles from which a motion is predicted [frames]. Chosen: more than twice the 7 parameters; fewer predict
+"""Smallest number of recent angles for a prediction [frames]. Chosen: more than twice the 7 parameters; fewer predict
 badly, more delay the fast search."""
 LONGEST_USE = 130
 """Frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; more extrapolates too far, less costs
@@ -38,8 +38,8 @@ of 0.45 rad; a smaller value ignores tilts, a larger one fits noise."""
 class Prediction:
     """Prediction of the angle of a body from its last angles, for a smooth motion seen by an oblique camera.
 
-    The angle at frame x is a + b x + c x^2 + d cos psi + e sin psi + f cos 2 psi + g sin 2 psi, with psi the parabola
-    alone. With X the rows of these functions, s the scatter about the fit and P the prior precision of d to g times
+    The angle at frame x is a + b x + c x^2 + d cos psi + e sin psi + f cos 2 psi + g sin 2 psi, where psi = a + b x +
+    c x^2. With X the rows of these functions, s the scatter about the fit and P the prior precision of d to g times
     s^2, the standard uncertainty is s sqrt(x' (X'X + P)^-1 x).
     """
 
@@ -62,7 +62,7 @@ class Prediction:
         self._frame, self._angle, self._origin = self._frame[:0], self._angle[:0], None
 
     def at(self, frame: Floats) -> tuple[Floats, float] | None:
-        """Return the angles at some frames and the largest of their uncertainties; None with too few angles."""
+        """Return the predicted angles at some frames, and their largest uncertainty [rad]; None for few angles."""
         if len(self._frame) < FEWEST:
             return None
         if self._origin is None or frame[-1] - self._origin > LONGEST_USE:
@@ -131,9 +131,9 @@ def find_lock(
     """Find the first run of frames in which the angle of the largest `score` (n, columns) advances steadily.
 
     The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]; frames in which another object is
-    brighter only reduce the sum. A lock requires that 70 % of the frames above the threshold are in phase. Of steps
-    that differ by whole turns the nearest to `hint` [rad / frame] is chosen. `place` (n,) are times in periods of the
-    camera.
+    brighter only reduce the sum. A lock requires that 70 % of the frames above the threshold are in phase. Among steps
+    that differ by whole turns, the step nearest to `hint` [rad / frame] is chosen. `place` (n,) are times in periods
+    of the camera.
     """
     columns = score.shape[1]
     best = np.argmax(score, axis=1)
@@ -166,7 +166,9 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
         phase = angle - np.outer(steps, frame)
         return np.asarray(np.hypot(np.cos(phase).sum(axis=1), np.sin(phase).sum(axis=1)))
 
-    even = bool((frame == np.rint(frame)).all())  # only then are steps that differ by a turn equivalent
+    even = bool(
+        (frame == np.rint(frame)).all()
+    )  # steps that differ by a turn are equivalent at whole frames only
     steps = np.linspace(-np.pi, np.pi, 16 * span, endpoint=False) + (0.0 if even else hint)
     step, width = float(steps[np.argmax(power(steps))]), float(steps[1] - steps[0])
     for _ in range(3):
@@ -186,9 +188,10 @@ def follow(
 ) -> tuple[Floats, npt.NDArray[np.bool_], Motion]:
     """Track a body from a known motion, the prediction for frame 0, through frames with a `score` (n, columns).
 
-    `advance` (n,) are periods of the camera to each frame from the previous one: more than 1 after missing frames, 0
-    for a repeated frame, not an integer where the rate varied. Returned are the unwrapped angles (n,) [rad], whether
-    the body was seen, and the prediction for frame n; after `LONGEST_COAST` frames without the body the angles are NaN.
+    `advance` (n,) is the number of camera periods from the previous frame to each frame: more than 1 after missing
+    frames, 0 for a repeated frame, not an integer where the rate varied. The results are the unwrapped angles (n,)
+    [rad], a mask of the frames in which the body was seen, and the prediction for frame n. After `LONGEST_COAST`
+    frames without the body the angles are NaN.
     """
     count, columns = score.shape
     scale = columns / (2.0 * np.pi)
@@ -240,8 +243,8 @@ larger one ignores short films."""
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
     """Return the factor (+1 or -1) that makes the angles increase: `given`, or by each body's rotation as seen [rad].
 
-    The casing determines it, which never turns by half a turn between frames, else the rotor, else clockwise as in the
-    paper.
+    The casing has priority, because it never turns by half a turn between frames; next is the rotor. The default is
+    clockwise, as in the paper.
     """
     if given is not None:
         return given
@@ -255,7 +258,7 @@ def unfold(angle: Floats, sense: int) -> tuple[Floats, bool]:
     """Resolve the aliasing of a body that seems to turn against the sense, by one turn per frame.
 
     A rotation by w between frames is indistinguishable from one by w - 2 pi. Friction drives both bodies in the same
-    sense, so that the rotor has the sense of the casing. Returns the angle, and whether it was changed.
+    sense, so the rotor has the sense of the casing. The results are the angle, and whether it was changed.
     """
     turn = net_turn(angle)
     steps = max(int(np.isfinite(angle).sum()) - 1, 1)

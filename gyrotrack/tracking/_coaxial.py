@@ -1,4 +1,4 @@
-"""Two bodies about one hub: what the rotation of the first leaves of the picture turns about its hub as well."""
+"""Two bodies about one hub: another rotation explains the changes that the first rotation does not explain."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _COARSE = 48.0
 """Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
 marks of the second body."""
 _OF_REST = 0.4
-"""Smallest share of the change left by the first rotation that the second one explains [1]. Measured: one body with
-light fixed in the image, or a displaced hub: less than 0.2."""
+"""Smallest share of the change not explained by the first rotation that a second rotation explains [1]. Measured: one
+body with light fixed in the image, or a displaced hub: less than 0.2."""
 _OF_ALL = 0.05
-"""Smallest share of the whole change that the second rotation explains [1]. Measured: one body with light fixed in the
+"""Smallest explained share of the whole change, for a second rotation [1]. Measured: one body with light fixed in the
 image, or a displaced hub: less than 0.03."""
 _LESS_OF_REST = 0.2
-"""The same share for a rotation that explains a large part of the whole, `_MORE_OF_ALL` [1]. Measured: a rendered rotor
-about which its casing turns slowly: 0.22."""
+"""As `_OF_REST`, for a rotation that explains at least `_MORE_OF_ALL` of the whole change [1]. Measured: a rendered
+rotor about which its casing turns slowly: 0.22."""
 _MORE_OF_ALL = 0.1
-"""Share of the whole change from which a second rotation explains a large part of it [1]. Measured: a rendered rotor
+"""Share of the whole change from which `_LESS_OF_REST` applies instead of `_OF_REST` [1]. Measured: a rendered rotor
 about which its casing turns slowly: 0.13; one body: less than 0.03."""
 _APART = 0.2
-"""Standard deviation of the difference of two angles over the larger one, from which the motions differ [1]. Measured:
-what a displaced hub leaves of one body turns with it, up to 0.1."""
+"""Smallest standard deviation of the difference of two angles, over the larger of both, for different motions [1].
+Measured: the residual picture of one body with a displaced hub turns with this body: up to 0.1."""
 _LEAST_RANGE = 2e-3
-"""Range of an angle below which nothing turns [rad]. Chosen: a smaller value takes noise for a body, a larger one
+"""Smallest range of an angle of a rotation [rad]. Chosen: a smaller value takes noise for a body, a larger one
 overlooks small oscillations."""
 
 
@@ -46,7 +46,8 @@ class SecondRotation:
     angle : ndarray, shape (n,)
         Its angle in each frame, clockwise as seen [rad].
     of_rest, of_all : float
-        Share that it explains of the change of brightness which the first body leaves, and of the whole.
+        Explained share of the change of brightness without the part explained by the first body, and of the whole
+        change.
     """
 
     angle: Floats
@@ -58,8 +59,8 @@ class SecondRotation:
         return (
             f"Another part of the picture turns about the same hub: over {np.ptp(self.angle):.3g} rad in "
             f"{len(first)} frames, in which the tracked body turns over {np.ptp(first):.3g} rad. It explains "
-            f"{100 * self.of_rest:.0f} % of the change of brightness that the tracked body leaves. --point X,Y follows "
-            "a detail of either body, --colour its colour; `gyrotrack extract` measures a rotor and its casing by "
+            f"{100 * self.of_rest:.0f} % of the change of brightness not explained by the tracked body. --point X,Y "
+            "follows a detail of either body, --colour its colour; `gyrotrack extract` measures rotor and casing by "
             "coloured markers. A torque law of one body does not describe bodies that act on each other."
         )
 
@@ -86,7 +87,7 @@ def second_rotation(
     angle : ndarray, shape (n,)
         Angle of the tracked body in each frame, clockwise as seen [rad].
     stretch : tuple of float, optional
-        Of the circles by a tilted axis (see `Ring`).
+        Stretch of the circles by a tilted axis (see `Ring`).
     separate : bool, optional
         Whether a fixed picture is part of the model of the tracked body.
     """
@@ -117,12 +118,12 @@ def second_rotation(
 
 
 def enough(of_rest: float, of_all: float) -> bool:
-    """Return whether a rotation explains enough of what a first one leaves, and of the whole change of brightness."""
+    """Return whether a second rotation explains enough of the remaining, and of the whole change of brightness."""
     clear = of_rest >= _OF_REST and of_all >= _OF_ALL
     return clear or (of_rest >= _LESS_OF_REST and of_all >= _MORE_OF_ALL)
 
 
 def differs_from(angle: Floats, other: Floats) -> bool:
-    """Return whether two angles (n,) [rad] are those of different motions."""
+    """Return whether two angles (n,) [rad] belong to different motions."""
     largest = max(float(np.std(angle)), float(np.std(other)), 1e-12)
     return bool(np.std(other - angle) > _APART * largest)

@@ -10,13 +10,14 @@ the clip. Ideally delta and rho are constant and beta is a right angle. Then
     sigma_k = sqrt((30 u_r)^2 + (150 u_1k)^2 + (150 u_2k)^2)             for each corner k
 
 with e_base along the base and e_right perpendicular to the radius. The angle is the mean of the angles of the corners.
-The components of its uncertainty are the root mean squares of those of the corners, and so, by the same formula, is the
-uncertainty: the errors of both corners have the same causes, so that averaging is not assumed to reduce them.
+The components of its uncertainty are the root mean squares of the components of the corners, and the same formula
+gives the uncertainty. Averaging does not reduce the uncertainty, because the errors of both corners have the same
+causes.
 
-In the unrolled ring a marker has two radial edges and a nearly tangential near edge. An edge is where the score crosses
-the level half way between the marker and the background beyond that edge, which may differ from edge to edge, as for a
-coloured bar under the marker. Lines are fitted through these crossings in several bands of rows and columns; the
-corners are their intersections.
+In the unrolled ring a marker has two radial edges and a nearly tangential near edge. At an edge, the score crosses the
+level half way between the marker and the background beyond this edge. The background may differ from edge to edge, for
+example beside a coloured bar under the marker. Lines are fitted through the crossings in several bands of rows and
+columns; the corners are the intersections of the lines.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ FACTOR_2 = 150.0
 
 @dataclass(frozen=True)
 class PaperAngle:
-    """The paper's quantities for n frames; NaN where a corner is missing. px and rad."""
+    """The paper's quantities for n frames [px, rad]; NaN where a corner is missing."""
 
     delta: Floats
     rho: Floats
@@ -77,7 +78,7 @@ def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> P
 
 
 def _seen_from(corner: Floats, centre: Floats) -> tuple[Complexes, Complexes, Complexes]:
-    """Return the corners about the centre (n, 2), their middle and the base between them (n,), as complex numbers."""
+    """Return the corners relative to the centre (n, 2), their midpoint and the base (n,), as complex numbers [px]."""
     v = corner - centre[:, None, :]
     z = v[..., 0] - 1j * v[..., 1]
     middle, base = z.mean(axis=1), z[:, 1] - z[:, 0]
@@ -144,11 +145,11 @@ def near_corners(
 
 
 _SIDE_FROM = 0.12
-"""Begin of the part of a marker in which its sides are fitted, in its lengths from the near edge [1]. Chosen: a smaller
-value includes the rounded corner, a larger one extrapolates farther."""
+"""Begin of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
+smaller value includes the rounded corner, a larger one extrapolates farther."""
 _SIDE_TO = 0.85
-"""End of the part of a marker in which its sides are fitted, in its lengths from the near edge [1]. Chosen: a larger
-value includes the far corner, a smaller one gives a noisy direction."""
+"""End of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
+larger value includes the far corner, a smaller one gives a noisy direction."""
 
 
 def _side_edges(
@@ -220,11 +221,11 @@ def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
 
 
 _DARKEST = -0.3
-"""Smallest score of what is beyond an edge, 0 on the background and 1 on the marker [1]. Chosen: a smaller value lets a
-shadow displace the edge, a larger one ignores dark surroundings."""
+"""Smallest score of the surroundings beyond an edge, 0 on the background and 1 on the marker [1]. Chosen: a smaller
+value lets a shadow displace the edge, a larger one ignores dark surroundings."""
 _BRIGHTEST = 0.6
-"""Largest score of what is beyond an edge [1]. Chosen: a larger value takes the marker itself for its surroundings, a
-smaller one ignores a coloured bar."""
+"""Largest score of the surroundings beyond an edge [1]. Chosen: a larger value takes the marker itself for its
+surroundings, a smaller one ignores a coloured bar."""
 
 
 def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:

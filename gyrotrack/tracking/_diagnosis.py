@@ -1,7 +1,7 @@
-"""Why a film cannot be tracked: it is cut, the camera moves, nothing moves, two bodies turn, or all is blurred.
+"""Why a film cannot be tracked: it is cut, the camera moves, nothing moves, two bodies turn, or the body is blurred.
 
-Few frames decide. Motion between neighbouring frames is that of features (B. Lucas, T. Kanade, IJCAI 1981), which rigid
-motions of the picture explain in turn (random sample consensus).
+A few pairs of near frames are examined. The motion between two frames is measured by features (B. Lucas, T. Kanade,
+IJCAI 1981). Rigid motions of the picture are fitted to the features one after the other (random sample consensus).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ Complexes = npt.NDArray[np.complex128]
 _PAIRS = 16
 """Pairs of frames that are compared [1]. Chosen: fewer decide by chance, more cost time."""
 _LAGS = (1, 2, 4, 8)
-"""Frames between the two of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
+"""Lags between the frames of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
 longer ones lose features of fast bodies."""
 _STEP = 1.0
-"""Displacement of a feature that counts as motion [px]. Chosen: a smaller value includes noise, a larger one needs
+"""Smallest displacement of a feature in motion [px]. Chosen: a smaller value includes noise, a larger one needs
 longer lags."""
 _AT_REST = 0.3
 """Largest displacement of a feature at rest [px]. Measured: features at rest in noisy films: up to 0.1 px."""
@@ -50,19 +50,19 @@ _WHOLE = 0.4
 """Smallest share of the picture within the features that move with the camera [1]. Chosen: a smaller value takes a
 large body for the camera, a larger one overlooks a camera before blank walls."""
 _NO_HUB = 0.3
-"""Residual (rms) of the displacements of the picture from those about one hub over their rms, from which it does not
-turn about a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held
-by hand."""
+"""Smallest rms residual of a rotation about one hub, over the rms displacement, of a picture that does not turn about
+a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held by
+hand."""
 MOSTLY_TRANSLATES = 0.7
-"""Residual as for `_NO_HUB` from which the picture is not that of a suspended body, whose hub moves less than its rim
-[1]. Measured: a real trifilar table that fills 40 % of the picture: 0.40; drawn and real cameras held by hand: 0.94 to
+"""Residual as for `_NO_HUB` of a picture that is not a suspended body, whose hub moves less than its rim [1].
+Measured: a real trifilar table that fills 40 % of the picture: 0.40; drawn and real cameras held by hand: 0.94 to
 0.97."""
 _SECOND = 0.25
-"""Smallest share of the features that move which the first motion does not explain [1]. Chosen: a smaller value finds a
-second body in outliers, a larger one overlooks a small one."""
+"""Smallest share of the moving features that are outliers of the first motion, for a second body [1]. Chosen: a
+smaller value finds a second body in outliers, a larger one overlooks a small one."""
 _EXPLAINED = 0.5
-"""Smallest share of the features left by the first motion that the second one explains [1]. Chosen: a smaller value
-finds a second body in outliers, a larger one overlooks a blurred one."""
+"""Smallest share of the outliers of the first motion that are inliers of the second motion [1]. Chosen: a smaller
+value finds a second body in outliers, a larger one overlooks a blurred one."""
 _OTHER_TURN = 0.3
 """Smallest relative difference of the rotations of two bodies [1]. Chosen: a smaller value divides a deformed picture,
 a larger one overlooks links of similar speed."""
@@ -70,14 +70,14 @@ _LEAST_TURN = 2e-3
 """Smallest rotation of each of two bodies [rad]. Chosen: a smaller value takes translation for rotation, a larger one
 overlooks slow bodies."""
 _LINKED = 0.25
-"""Spread of a fixed point from pair to pair over the reach of the features, from which the hub moves [1]. Chosen: a
+"""Smallest spread of the fixed point of a moving hub from pair to pair, over the reach of the features [1]. Chosen: a
 smaller value takes noise for a link, a larger one overlooks links."""
 _COAXIAL = 0.15
-"""Distance of two fixed points over the reach of the features, below which they coincide [1]. Chosen: a smaller value
+"""Smallest distance of two separate fixed points, over the reach of the features [1]. Chosen: a smaller value
 refuses rotor and casing as two hubs, a larger one joins neighbouring bodies."""
 _CUT = 2.5
-"""Change of a frame at a cut over the largest other one near it [1]. Chosen: a smaller value finds a cut in a flash, a
-larger one overlooks a cut."""
+"""Smallest change of a frame at a cut, over the largest other change near the cut [1]. Chosen: a smaller value finds a
+cut in a flash, a larger one overlooks a cut."""
 _CUT_REACH = 12
 """Distance within which the other changes are compared [frames]. Chosen: a smaller value compares few, a larger one
 includes other cuts."""
@@ -91,29 +91,29 @@ _SHOT = 12
 """Length of the shortest shot [frames]. Chosen: a smaller value averages too few frames, a larger one overlooks short
 titles."""
 _SMEARED = 0.12
-"""Detail along the circles of a ring over that across them, in noise-free gradients, below which the picture is smeared
+"""Smallest detail along the circles of a ring over the detail across them, in noise-free gradients, of a sharp picture
 [1]. Chosen: it names the cause of a refusal; a smaller value overlooks blur, a larger one calls discs with rings
 blurred."""
 FOLLOW_LINKS = (
-    "Follow the joint and a point of the second link, in this order, by their positions in the first frame: "
+    "Follow the joint and a point of the second link; give their positions in the first frame, in this order: "
     "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
 )
 _FAINT = 3.0
-"""Change (rms) of the picture in a ring below which it shows no detail, in standard deviations of the noise [1].
+"""Smallest change (rms) of the picture in a ring with detail, in standard deviations of the noise [1].
 Chosen: it names the cause of a refusal; a smaller value overlooks faint marks, a larger one blames them wrongly."""
 
 
 class RefusedFilmError(TrackingError):
-    """A film of a named kind that cannot be tracked as it is.
+    """A film that cannot be tracked, and the kind of its problem.
 
     Attributes
     ----------
     kind : str
         "cut", "moving camera", "no motion", "two bodies", "two links", "blurred" or "no rotation".
     evidence : dict of float
-        The numbers that show it.
+        The numbers that show the problem.
     frames : tuple of ndarray
-        Pictures that show it.
+        Pictures that show the problem.
     hub : tuple of float or None
         The best candidate for the hub (x, y) [px].
     """
@@ -143,19 +143,19 @@ class RigidMotion:
 
     a: complex
     b: complex
-    members: Bools  # which of the features of the pair move with it
+    members: Bools  # mask of the features of the pair with this motion
 
     @property
     def turn(self) -> float:
-        """Angle by which it turns, clockwise in the picture [rad]."""
+        """Angle of the rotation, clockwise in the picture [rad]."""
         return math.atan2(self.a.imag, self.a.real)
 
 
 @dataclass(frozen=True)
 class Pair:
-    """The features of a frame and their displacements to a later one."""
+    """The features of a frame and their displacements to a later frame."""
 
-    lag: int  # frames between the two
+    lag: int  # number of frames from the first to the second
     place: Complexes  # x + i y [px]
     step: Complexes  # [px]
 
@@ -190,7 +190,7 @@ def _xy(z: Complexes) -> npt.NDArray[np.float32]:
 
 
 def pairs_of(film: Film, usable: Frames) -> list[Pair]:
-    """Return the motion of the features in pairs of near frames from the whole film."""
+    """Return the displacements of features in pairs of near frames from the whole film."""
     if len(usable) <= max(_LAGS):
         return []
     starts = np.unique(np.linspace(0, len(usable) - 1 - max(_LAGS), _PAIRS).astype(int))
@@ -201,10 +201,10 @@ def pairs_of(film: Film, usable: Frames) -> list[Pair]:
 
 
 def pair_of(first: Plane, *later: Plane) -> Pair | None:
-    """Return the motion of the features of a frame to the first later one in which it is measurable, else to the last.
+    """Return the displacements of the features of a frame at the first lag at which they are measurable.
 
-    None without features. Where most features move together, a slow camera perhaps, their common motion must be
-    measurable, and not that of a few of them alone.
+    If no lag is sufficient, the last lag is used. The result is None without features. If most features move together,
+    for example with a slow camera, their common motion must be measurable, not only the motion of a few features.
     """
     places = features_of(first)
     pair = None
@@ -243,15 +243,15 @@ def refuse_cut(film: Film, usable: Frames) -> None:
 def refuse_moving_camera(
     film: Film, usable: Frames, pairs: Sequence[Pair], shape: tuple[int, ...], least: float = _NO_HUB
 ) -> None:
-    """Raise a RefusedFilmError if the picture moves as a whole, and not about a hub within the residual `least`."""
+    """Raise a RefusedFilmError if the whole picture moves, and a rotation about a hub has a residual above `least`."""
     camera = camera_motion(pairs, shape)
     if camera is not None and camera[2] >= least:
         step, share, off = camera
         some = film.some(usable[np.linspace(0, len(usable) - 1, 4).astype(int)])
         raise RefusedFilmError(
             f"The camera moves in {film.path.name}: {100 * share:.0f} % of the features move together by {step:.1f} px "
-            f"per frame, and a rotation about a hub does not explain it (residual {100 * off:.0f} %).",
-            "Film with the camera on a stand, or give the centre of rotation of a body that fills the picture with "
+            f"per frame, and a rotation about a hub does not explain this (residual {100 * off:.0f} %).",
+            "Film with the camera on a stand; if a body fills the picture, give its centre of rotation with "
             "--hub X,Y.",
             kind="moving camera",
             evidence={"step_px": step, "share": share, "no_hub": off},
@@ -260,10 +260,10 @@ def refuse_moving_camera(
 
 
 def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
-    """Return the frame at which another shot begins, its change, and the largest one around it [grey levels].
+    """Return the frame at which another shot begins, its change, and the largest change around it [grey levels].
 
-    A flash of light ends in the picture before it, a cut does not. Shots of fewer than `_SHOT` frames (a still at the
-    beginning) are left to the tracker.
+    After a flash of light the picture is the same as before, after a cut it is not. Shots of fewer than `_SHOT` frames
+    (a still at the beginning) are ignored here; the tracker handles them.
     """
     change = film.changes[usable]
     if len(change) < 2 * _SHOT:
@@ -283,10 +283,11 @@ def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
 
 
 def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float, float, float] | None:
-    """Return how the whole picture moves unless it turns about a hub, else None.
+    """Return the motion of the whole picture, or None if it turns about a hub.
 
-    Returned are the median displacement of the features per frame [px], the share of the features that move together,
-    and the rms residual of their displacements from those about the best hub, relative to their rms.
+    The result contains the median displacement of the features per frame [px], the share of the features that move
+    together, and the rms residual of the displacements after the fit of a rotation about the best hub, relative to
+    their rms.
     """
     steps, shares, left, right = [], [], [], []
     at_rest = 0
@@ -306,7 +307,7 @@ def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float,
         steps.append(size / pair.lag)
         shares.append(share)
         middle = complex(np.mean(pair.place[motion.members]))
-        # displacement of the middle of the features, and what a rotation about a hub h would make of it
+        # displacement of the middle of the features, and its value for a rotation about a hub h
         left.append(1.0 - motion.a)
         right.append(motion.b - (1.0 - motion.a) * middle)
     # a handheld camera causes parallax, which is not a rigid motion: such pairs count neither as motion nor as rest
@@ -314,7 +315,7 @@ def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float,
         return None
     one, moved = np.array(left), np.array(right)
     hub = np.vdot(one, moved) / max(float(np.vdot(one, one).real), 1e-12)
-    # a picture that turns about its middle hardly displaces it: the displacement at its edge is what counts
+    # a rotation of the picture about its middle hardly displaces the middle: use the displacement at the edge
     reach = 0.25 * float(sum(shape[:2]))
     size = math.sqrt(float(np.mean(np.abs(moved) ** 2 + (np.abs(one) * reach) ** 2)))
     off = math.sqrt(float(np.mean(np.abs(moved - one * hub) ** 2))) / max(size, 1e-9)
@@ -331,21 +332,21 @@ class TwoMotions:
     """Two bodies that turn differently: medians over the pairs of frames."""
 
     hubs: tuple[complex, complex]  # fixed points of both motions, x + i y [px]
-    spread: tuple[float, float]  # their median distance from these medians [px]
-    places: tuple[complex, complex]  # centroids of the features [px]
-    shares: tuple[float, float]  # of the features that move
+    spread: tuple[float, float]  # median distance of the fixed points of the pairs from these medians [px]
+    places: tuple[complex, complex]  # centroids of the features of both bodies [px]
+    shares: tuple[float, float]  # shares of the moving features
     ratio: float  # rotation of the second over that of the first
-    joined: bool = False  # whether both move a joint at a fixed distance from one of the hubs alike
+    joined: bool = False  # whether both move a joint, at a fixed distance from a hub, in the same way
 
     @property
     def moving(self) -> int:
-        """Number of hubs that move."""
+        """Number of moving hubs."""
         reach = max(abs(self.places[k] - self.hubs[k]) for k in (0, 1))
         return sum(spread > _LINKED * max(reach, 1.0) for spread in self.spread)
 
     @property
     def linked(self) -> bool:
-        """Whether one body turns about a hub and the other one about a joint on it, as in a double pendulum."""
+        """Whether one body turns about a hub and the other about a joint on this body, as in a double pendulum."""
         return self.moving == 1 and self.joined
 
     @property
@@ -398,14 +399,14 @@ def two_motions(pairs: Sequence[Pair]) -> TwoMotions | None:
 def refuse_two_motions(name: str, pairs: Sequence[Pair], frames: Sequence[Plane]) -> None:
     """Raise a RefusedFilmError, with some frames, if two bodies turn differently about different hubs or are links.
 
-    A hub that moves shows a second body only if it is the joint of two links.
+    A moving hub is evidence of a second body only if it is the joint of two links.
     """
     two = two_motions(pairs)
     if two is None or two.coaxial or (two.moving and not two.linked):
         return
     (p, q), (h, _), (s, t) = two.places, two.hubs, two.shares
     measured = (
-        f"{100 * s:.0f} % of the features that move, about ({p.real:.0f}, {p.imag:.0f}) px, turn together, and "
+        f"{100 * s:.0f} % of the moving features, about ({p.real:.0f}, {p.imag:.0f}) px, turn together, and "
         f"{100 * t:.0f} %, about ({q.real:.0f}, {q.imag:.0f}) px, by {two.ratio:.2g} times as much"
     )
     kind, what = "two bodies", f"Two bodies turn in {name}"
@@ -430,12 +431,12 @@ def refuse_blurred(film: Film, frames: Sequence[Plane], ring: Ring, noise: float
         return
     x, y = ring.hub
     why = (
-        f"its detail along the circles about ({x:.0f}, {y:.0f}) px is {100 * share:.0f} % of that across them"
+        f"its detail along the circles about ({x:.0f}, {y:.0f}) px is {100 * share:.0f} % of the detail across them"
         if share <= _SMEARED
-        else f"its picture changes by {change:.1f} standard deviations of the noise ({noise:.1f} grey levels) only"
+        else f"its picture changes by only {change:.1f} standard deviations of the noise ({noise:.1f} grey levels)"
     )
     raise RefusedFilmError(
-        f"The body that moves in {film.path.name} is blurred beyond use: {why}.",
+        f"The moving body in {film.path.name} is too blurred to be tracked: {why}.",
         "Film with a shorter exposure and a higher frame rate, or put a marker of high contrast on the body.",
         kind="blurred",
         evidence={"change_sigma": change, "detail": share},
@@ -445,10 +446,10 @@ def refuse_blurred(film: Film, frames: Sequence[Plane], ring: Ring, noise: float
 
 
 def detail(ring: Ring, frames: Sequence[Plane], noise: float) -> tuple[float, float]:
-    """Return the rms change of the picture in a ring over the noise, and its detail along the circles over that across.
+    """Return the rms change of the picture in a ring over the noise, and the ratio of detail along and across circles.
 
-    The detail is the rms gradient in px of each direction, less that of the noise; that of a body that turns by several
-    of its details during an exposure is smeared along the circles.
+    The detail is the rms gradient per px in each direction, less the gradient of the noise. If a body turns by several
+    of its details during an exposure, its detail along the circles is smeared.
     """
     polars = np.stack([ring.unwrap(frame) for frame in frames]).astype(np.float64)
     inside = np.broadcast_to(np.isfinite(polars), polars.shape)
@@ -456,7 +457,7 @@ def detail(ring: Ring, frames: Sequence[Plane], noise: float) -> tuple[float, fl
     step = (ring.outer - ring.inner) / ring.rows
     along = np.diff(polars, axis=2) / (ring.radius[:, None] * ring.step)
     across = np.diff(polars, axis=1) / step
-    # the noise of a difference of two samples, of which interpolation has averaged some
+    # noise of the difference of two samples; interpolation has averaged some samples
     floor = noise**2
     sizes = [
         math.sqrt(max(float(np.mean(g**2)) - floor / d**2, 0.0))

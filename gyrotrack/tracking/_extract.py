@@ -51,7 +51,7 @@ def marker_track(
     sense: int,
     size: tuple[int, int],
 ) -> MarkerTrack:
-    """Build the record of one marker; its corners are given only where it is unoccluded."""
+    """Build the record of one marker; corners are given only in frames in which the marker is unoccluded."""
     found = body.markers[marker.name]
     kinds = {"corner": ((2, 2), "f8"), "status": ((), "i1"), "angle_fine": ((), "f8")}
     own = new_columns(len(found.angle), kinds)
@@ -76,7 +76,7 @@ def marker_track(
 
 
 def _corners(seen: MarkerObservations) -> Floats:
-    """Return the near corners in the picture, (n, 2, 2) in px, the one with the lower angle as seen first."""
+    """Return the near corners in the picture, (n, 2, 2) [px], in the order of their angles as seen."""
     x = seen.centre[:, None, 0] + seen.corner_radius * np.cos(seen.corner_angle)
     y = seen.centre[:, None, 1] - seen.corner_radius * np.sin(seen.corner_angle)
     return np.stack([x, y], axis=-1)
@@ -87,8 +87,8 @@ def _status(
 ) -> Codes:
     """Return the status of a marker in each frame.
 
-    ok: unoccluded, with both corners. blurred: unoccluded, but its corners are not found. occluded: a part is occluded.
-    out_of_frame: a part is outside the picture. lost: not found where it is expected.
+    ok: unoccluded, with both corners. blurred: unoccluded, but without corners. occluded: a part is occluded.
+    out_of_frame: a part is outside the picture. lost: not found at the expected position.
     """
     status = np.full(len(used), STATUS["lost"], dtype=np.int8)
     status[np.isfinite(seen.angle) & ~seen.open] = STATUS["occluded"]
@@ -103,8 +103,8 @@ def body_track(
 ) -> BodyTrack:
     """Build the record of one body from the frames in which its angle is known.
 
-    `sigma_paper` is the paper's uncertainty of the mean of the unoccluded markers of a frame,
-    sqrt(sum sigma_m^2) / n, and NaN if there are none.
+    `sigma_paper` is the paper's uncertainty of the mean of the unoccluded markers of a frame, sqrt(sum sigma_m^2) / n,
+    and NaN without such markers.
     """
     use = np.isfinite(body.angle)
     angle, sigma = sense * body.angle[use], body.sigma[use]
@@ -141,7 +141,7 @@ def _profile(parts: Floats, time: Floats) -> tuple[tuple[float, float], ...]:
 
 
 def _paper_sigma(own: list[Floats]) -> Floats:
-    """Return sqrt(sum sigma_m^2) / n over the n markers whose uncertainty is known, (n,); NaN where there is none."""
+    """Return sqrt(sum sigma_m^2) / n per frame over the n markers with a known uncertainty; NaN without any."""
     out = np.empty(len(own[0]))
     for part in row_blocks(len(out)):
         sigma = np.stack([one[part] for one in own])
@@ -172,16 +172,17 @@ def extract(
 ) -> Recording:
     """Track the markers of a profile in a film.
 
-    Without `capture_fps` the rate is the profile's, the camera's tag, or the container's from 100 fps. `body`: "casing"
-    tracks the casing only; "rotor" and "both" fail if that body is not visible; with "rotor" the casing is tracked as
-    well if it is visible, because synchronisation needs it. `times`: counted frames over the capture rate ("frames"),
-    the timestamps of the film ("stamps"), or these if they show that the rate varied and the film is not in slow motion
-    ("auto"). The result does not depend on the number of `workers` (None: one for each core). The `journal`, created
-    with `run_facts`, stores intermediate results, so that a killed run can be resumed.
+    Without `capture_fps` the capture rate is taken from the profile, the camera's tag, or the container (if it is 100
+    fps or more). `body`: "casing" tracks the casing only; "rotor" and "both" raise an error if the body is not
+    visible; with "rotor" a visible casing is tracked as well, because synchronisation needs the casing. `times`:
+    "frames" uses frame numbers over the capture rate, "stamps" uses the timestamps of the film, and "auto" uses the
+    timestamps only if they show a varying rate and the film is not in slow motion. The result does not depend on the
+    number of `workers` (None: one per core). The `journal`, created with `run_facts`, stores intermediate results, so
+    that a killed run can be resumed.
     """
     if body not in BODIES:
         what = f"Unknown body {body!r}; use casing, rotor or both."
-        raise UsageError(what, "Omit the body to track all that are visible.")
+        raise UsageError(what, "Omit --body to track all visible bodies.")
     video = Path(video)
     info = probe(video)
     rate = capture_rate(info, capture_fps, profile.capture_fps)
@@ -190,7 +191,7 @@ def extract(
         profile = _only_casing(profile)
     scene, seen, shake = _observe(video, profile, threads, workers, progress, timing, journal)
     release_memory()
-    if len(seen.pts_time) < FEWEST:  # in a damaged film fewer frames than samples may be decoded
+    if len(seen.pts_time) < FEWEST:  # a damaged film may have fewer decodable frames than samples
         what = f"Only {len(seen.pts_time)} frames of {video} can be decoded."
         raise VideoError(what, "Copy the film from the camera again.")
     still = seen if shake is None else _stabilised(seen, shake)
@@ -214,7 +215,7 @@ def _observe(
     timing: Timing,
     journal: CheckpointFile | None,
 ) -> tuple[Scene, FilmObservations, Shake | None]:
-    """Find and track the markers; also the camera's motion if the background shows it."""
+    """Find and track the markers; measure the motion of the camera if the background is visible."""
     with PartWorkers(video, workers) as processes, single_threaded():
         samples = take_samples(video, workers or available_cores())
         scene = acquire(samples, profile, str(video))
@@ -222,7 +223,7 @@ def _observe(
         with Reader(video, threads) as reader:
             body = (*scene.centre, _BODY * max(marker.outer for marker in scene.markers))
             shake = camera_shake([frame.y for frame in samples.frames], (frame.y for frame in reader), body)
-        del samples  # as large as the buffers of the tracker
+        del samples  # free memory: the samples are as large as the buffers of the tracker
         release_memory()
         with large_blocks_returned():
             seen = track_film(processes, video, scene, tracker, threads, progress, timing, journal)
@@ -231,9 +232,10 @@ def _observe(
 
 
 def _stabilised(seen: FilmObservations, shake: Shake) -> FilmObservations:
-    """Return the disc and the markers as a camera at rest would see them; their corners are not used.
+    """Return disc and markers as seen by a camera at rest; the corners of the markers are not used.
 
-    A hub at rest is smoothed over many frames, which the motion of a camera from frame to frame does not permit.
+    This correction is needed because the position of the hub is smoothed over many frames, and a moving camera
+    displaces the hub from frame to frame.
     """
     # the roll is clockwise in the picture, angles are counter-clockwise
     bodies = {}
@@ -251,7 +253,7 @@ def _stabilised(seen: FilmObservations, shake: Shake) -> FilmObservations:
 
 
 def _as_seen(joint: TrackedBodies, scene: Scene, shake: Shake) -> TrackedBodies:
-    """Return the centre as the moving camera sees it, with the uncertainty of the camera's motion in all angles."""
+    """Return the centre as seen by the moving camera; all angles include the uncertainty of the camera's motion."""
     centre = replace(
         joint.centre,
         centre=shake.seen(joint.centre.centre),
@@ -284,7 +286,9 @@ def _recording(
             markers[m.name] = marker_track(m, own, found, joint.centre.centre, joint.sense, seen.size)
         bodies[name] = body_track(name, found, markers, time, joint.sense, rate.fps)
     at_rest = _rest_warning(joint, info.path, marked=scene.disc is not None)
-    of_rate = rate.warnings if seen.times.place is None else ()  # timestamps give the duration of each frame
+    of_rate = (
+        rate.warnings if seen.times.place is None else ()
+    )  # with timestamps, the capture rate is not used
     film = (*of_rate, *seen.warnings, *seen.times.warnings)
     doubts = (*joint.doubts, *_doubts(scene, bodies, time))
     remedy = (
@@ -329,7 +333,7 @@ _BODY = 1.5
 """Radius of the bodies, for example the ring of the casing, relative to the outer end of the markers [1]. Chosen: a
 smaller value takes the rim for the background, a larger one leaves no background."""
 LEAST_TRACKED = 0.8
-"""Smallest share of frames with an angle for a recording without a doubt [1]. Chosen: a smaller value accepts poor
+"""Smallest share of frames with an angle for which no warning is given [1]. Chosen: a smaller value accepts poor
 films, a larger one doubts films with a hand at the start."""
 _STEPS = 12
 """Frames over which the speed on either side of a gap is measured [frames]. Chosen: fewer measure noise, more include a
@@ -337,7 +341,7 @@ change of the speed."""
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:
-    """Return reasons to inspect a recording: lost frames, gaps in which a turn may be hidden, missing markers."""
+    """Return reasons to inspect a recording: lost frames, gaps with an unknown number of turns, missing markers."""
     found = list(scene.doubts)
     for name, track in bodies.items():
         found += track_doubts(name, track, len(time), "an overlay of the film (--overlay)")
@@ -351,14 +355,15 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[s
 
 
 _GAP = 3.5
-"""Time between two angles from which turns may be lost [periods]. Chosen: a smaller value doubts single missing frames,
-a larger one overlooks lost turns."""
+"""Smallest time between two angles in which turns may be lost [periods]. Chosen: a smaller value doubts single missing
+frames, a larger one overlooks lost turns."""
 
 
 def track_doubts(name: str, track: BodyTrack, count: int, inspect: str) -> list[str]:
-    """Return doubts about a track by its frames: too few of `count`, or gaps with an undetermined number of turns.
+    """Return warnings about a track: angles in too few of `count` frames, gaps with an unknown number of turns.
 
-    The angular rates before and after such a gap predict angles that differ by more than half a turn.
+    The number of turns is unknown if the angular rates before and after the gap predict angles that differ by more
+    than half a turn.
     """
     found = []
     if len(track.time) < LEAST_TRACKED * count:
@@ -386,7 +391,7 @@ def track_doubts(name: str, track: BodyTrack, count: int, inspect: str) -> list[
 
 
 def _unseen(scene: Scene) -> tuple[str, ...]:
-    """Return a warning for a body of the profile none of whose markers is found."""
+    """Return a warning for each body of the profile without any marker in the film."""
     found = {marker.body for marker in scene.markers}
     absent: dict[str, list[str]] = {}
     for name, body in scene.body_of.items():
@@ -400,7 +405,7 @@ def _unseen(scene: Scene) -> tuple[str, ...]:
 
 
 def run_facts(video: Path, profile: Profile, body: str | None, times: str = "auto") -> dict[str, Any]:
-    """Return what identifies a run: the film's content, the settings, and the program."""
+    """Return the facts that identify a run: content of the film, settings, and program version."""
     probe(video)
     return {
         "film": file_sha256(video),
@@ -430,7 +435,7 @@ def _check_bodies(joint: TrackedBodies, body: str | None, video: Path) -> None:
 
 
 def _rest_warning(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[str, ...]:
-    """Return a warning for a film in which nothing turns, where only a disc determines the centre."""
+    """Return a warning for a film without rotation, in which only a disc determines the centre."""
     turn = {name: float(np.nanmax(body.angle) - np.nanmin(body.angle)) for name, body in joint.bodies.items()}
     if max(turn.values()) >= LEAST_TURN:
         return ()
@@ -440,14 +445,14 @@ def _rest_warning(joint: TrackedBodies, video: Path, *, marked: bool) -> tuple[s
 
 
 def _first_frame_warning(markers: dict[str, Any]) -> tuple[str, ...]:
-    """Return a warning if no marker of the first frame is where the motion predicts it, as after a cut."""
+    """Return a warning if all markers of the first frame are away from the predicted positions, as before a cut."""
     if any(len(m.status) < 10 for m in markers.values()):
         return ()
     status = [m.status for m in markers.values()]
     if not all(s[0] == STATUS["lost"] and np.any(s[1:6] == STATUS["ok"]) for s in status):
         return ()
     return (
-        "Frame 0 does not match the motion that follows, for example a still before the film, and is omitted.",
+        "Frame 0 is omitted: it does not match the following motion (for example a still image before the film).",
     )
 
 
@@ -478,14 +483,14 @@ Bar = Callable[[], AbstractContextManager[Callable[[int, int | None], None]]]
 class ExtractionJob:
     """The extraction of one film: input, output and settings."""
 
-    video: Path  # the film, and the file to write
+    video: Path  # the film
     target: Path
     profile: Profile
-    # frames per second of the camera; without it that of the profile or of the film
+    # capture rate of the camera [1/s]; None: the rate of the profile or of the film
     capture_fps: float | None = None
     body: str | None = None
     times: str = "auto"  # auto, stamps or frames; see `extract`
-    # processes that share the film; None: one for each core. The result does not depend on their number
+    # number of processes that track parts of the film; None: one per core. The result does not depend on this number
     workers: int | None = 1
 
     @property
@@ -495,7 +500,7 @@ class ExtractionJob:
         return own | {"profile": self.profile.model_dump(mode="json")}
 
     def earlier(self) -> Recording | None:
-        """Return the existing output if it is of this film and these settings, else None."""
+        """Return the existing output if it was made from this film with these settings, else None."""
         probe(self.video)
         try:
             same = {**read_settings(self.target), "video": None} == {**self.settings, "video": None}
@@ -504,7 +509,7 @@ class ExtractionJob:
             return None
         if recording is None or recording.source_sha256 != file_sha256(self.video):
             return None
-        # left by a run that was killed just after it wrote the output
+        # checkpoint of a run that was killed just after writing the output
         with CheckpointFile(self.target, {}) as journal:
             journal.discard()
         return recording
@@ -518,10 +523,10 @@ class ExtractionJob:
         resume: bool = False,
         force: bool = False,
     ) -> tuple[Recording, float]:
-        """Track the film and write the output; return the recording and the frames tracked per second.
+        """Track the film and write the output; return the recording and the number of frames tracked per second.
 
-        `tell` is called with messages: what limits the number of processes, where a resumed run starts, and what is
-        stored when the run is interrupted. With `resume` the checkpoint of an earlier run is continued.
+        `tell` is called with messages: the limit of the number of processes, the start of a resumed run, and the
+        stored frames after an interruption. With `resume` the checkpoint of an earlier run is continued.
         """
         with CheckpointFile(
             self.target, run_facts(self.video, self.profile, self.body, self.times), resume=resume
@@ -547,7 +552,7 @@ class ExtractionJob:
         return recording, rate
 
     def _limit_of_processes(self) -> str:
-        """Return a sentence if the film has fewer parts than processes may run, else nothing."""
+        """Return a message if the film has fewer parts than processes are allowed, else None."""
         allowed, parts = self.workers or available_cores(), len(split(read_packets(self.video)))
         if allowed <= parts or (self.workers is None and parts == 1):
             return ""

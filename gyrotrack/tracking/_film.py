@@ -1,9 +1,9 @@
-"""The luma of a film's frames, for trackers that go through a film several times, and the motion of the camera.
+"""The luma of a film's frames, for trackers that need several passes, and the motion of the camera.
 
 The motion of the camera is measured by the background at rest. Features of a reference frame are tracked into every
-other frame (B. Lucas, T. Kanade, IJCAI 1981, pyramidal). Those of the background move as one rigid picture in all
-frames, whatever turns in front of it. Their displacement and roll are compensated in the frames by resampling before
-any other measurement.
+other frame (B. Lucas, T. Kanade, IJCAI 1981, pyramidal). The features of the background move as one rigid picture in
+all frames, independent of the bodies in front. Displacement and roll of the background are compensated by resampling
+the frames before any other measurement.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _APART = 0.15
 """Smallest distance of two features that determine the roll, relative to the size of the picture [1]. Chosen: a smaller
 value gives a noisy roll, a larger one leaves few pairs."""
 _TRIES = 300
-"""Number of random pairs of features [1]. Derived: with nine outliers in ten, a pair without is among them in 1 -
-0.99^300 = 95 %."""
+"""Number of random pairs of features [1]. Derived: with nine outliers in ten, the probability of a pair without
+outliers is 1 - 0.99^300 = 95 %."""
 _WIDEST_BODY = 0.05
 """Smallest share of the picture within the features of its background [1]. Chosen: the ball of a pendulum before a
 blank wall covers less; a larger value refuses narrow backgrounds."""
@@ -57,21 +57,19 @@ _CLEAR = 5.0
 """Smallest significant motion of the camera in standard uncertainties [1]. Chosen: a smaller value corrects noise, a
 larger one leaves a shake."""
 _LEAST = 0.15
-"""Displacement (rms) below which a camera counts as at rest [px]. Chosen: the size of tracking errors; a smaller value
-resamples frames for nothing, a larger one leaves a shake."""
+"""Smallest displacement (rms) of a moving camera [px]. Chosen: the size of tracking errors; a smaller value resamples
+frames needlessly, a larger one leaves a shake."""
 
 
 @dataclass(frozen=True)
 class Shake:
     """Displacement of the picture in each frame."""
 
-    shift: (
-        Floats  # displacement (x, y) of the picture about `centre` against the reference frame [px], (n, 2)
-    )
-    roll: Floats  # its rotation, clockwise in the picture [rad]
+    shift: Floats  # displacement (x, y) of the picture at `centre` from the reference frame [px], (n, 2)
+    roll: Floats  # rotation of the picture, clockwise in the picture [rad]
     centre: tuple[float, float]  # centroid of the features (x, y) [px]
     features: int  # number of inliers of the background
-    shift_sigma: float  # standard uncertainty of both in one frame [px], [rad]
+    shift_sigma: float  # standard uncertainty of the displacement [px] and of the roll [rad] in one frame
     roll_sigma: float
 
     @property
@@ -90,13 +88,13 @@ class Shake:
         return self.rms > max(_LEAST, _CLEAR * self.shift_sigma)
 
     def still(self, place: Floats) -> Floats:
-        """Return where points of each frame, (n, 2) [px], are in the reference frame."""
+        """Convert one point of each frame, (n, 2) [px], to the reference frame."""
         x, y = (place - self.centre - self.shift).T
         cos, sin = np.cos(self.roll), np.sin(self.roll)
         return np.stack([cos * x + sin * y, cos * y - sin * x], axis=1) + self.centre
 
     def seen(self, place: Floats) -> Floats:
-        """Return where points of the reference frame, (n, 2) [px], are in each frame."""
+        """Convert one point of the reference frame for each frame, (n, 2) [px], to this frame."""
         x, y = (place - self.centre).T
         cos, sin = np.cos(self.roll), np.sin(self.roll)
         return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1) + self.centre + self.shift
@@ -143,19 +141,20 @@ def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> 
 
 
 _DISSIMILAR = 20.0
-"""Difference of the surroundings of a feature in two frames from which it is lost [grey levels]. Chosen: a smaller
+"""Largest difference of the surroundings of a tracked feature in two frames [grey levels]. Chosen: a smaller
 value loses features in flicker, a larger one keeps occluded ones."""
 
 
 def background(
     places: npt.NDArray[np.float32], moved: Floats, shape: tuple[int, ...]
 ) -> npt.NDArray[np.bool_]:
-    """Return which features at `places` (features, 2) [px] in the reference frame belong to the background.
+    """Return a mask of the features of the background, at `places` (features, 2) [px] in the reference frame.
 
-    `moved` (frames, features, 2) are their displacements [px], NaN where a feature is lost; `shape` is height and
-    width. Features at rest in the picture are the background. If there are too few, it is the largest set of features
-    that moves as a rigid picture with little roll, determined by two of them in each frame (random sample consensus, M.
-    Fischler and R. Bolles, Comm. ACM 24, 381, 1981). None of them if the background is not visible.
+    `moved` (frames, features, 2) are the displacements of the features [px], NaN where a feature is lost; `shape` is
+    height and width. Features at rest in the picture are the background. If these are too few, the background is the
+    largest set of features that moves as a rigid picture with little roll, determined by two features in each frame
+    (random sample consensus, M. Fischler and R. Bolles, Comm. ACM 24, 381, 1981). The mask is empty if the background
+    is not visible.
     """
     with np.errstate(invalid="ignore"):
         # a hand or the body may occlude a feature at times
@@ -192,9 +191,9 @@ def camera_shake(
 ) -> Shake | None:
     """Measure the motion of the camera; None if it is at rest, or no background is visible.
 
-    The first of the `samples` from all of the film is the reference, in whose place a hub is given; `frames` are used
-    only where the samples show a motion; `body` is centre (x, y) and radius [px] of the bodies, which are not
-    background.
+    `samples` are frames from the whole film; the first sample is the reference frame, in which a hub is given. All
+    `frames` are used only if the samples show a motion. `body` is centre (x, y) and radius [px] of the bodies, which
+    are not background.
     """
     reference = samples[0]
     places = features_of(reference)
@@ -257,7 +256,7 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
     roll = np.interp(at, at[known], roll[known])
     shift = np.stack([np.interp(at, at[known], shift[known, i]) for i in (0, 1)], axis=1)
     roll_sigma = float(np.median(rolls))
-    if roll.std() < _CLEAR * roll_sigma:  # a tripod on a shaking table does not roll
+    if roll.std() < _CLEAR * roll_sigma:  # no significant roll, for example of a tripod on a shaking table
         roll_sigma = float(np.sqrt(max(roll.var() - roll_sigma**2, 0.0)))
         roll = np.zeros(len(roll))
     return Shake(
@@ -267,7 +266,7 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
 
 @dataclass(frozen=True)
 class Tilt:
-    """The direction from which a plane of motion is seen, far from the camera.
+    """The direction from which a distant camera views a plane of motion.
 
     Attributes
     ----------
@@ -282,7 +281,7 @@ class Tilt:
     azimuth: float = math.pi / 2
 
     def matrix(self, width: int, height: int) -> Floats:
-        """Return the map (2, 3) of the picture onto the plane: the long axis shrinks, so that nothing is lost."""
+        """Return the map (2, 3) of the picture onto the plane; the long axis is shortened, so that no part is lost."""
         short = np.array([math.cos(self.azimuth), -math.sin(self.azimuth)])
         along = np.outer(short, short)
         linear = along + math.cos(self.angle) * (np.eye(2) - along)
@@ -302,7 +301,7 @@ cost time."""
 
 
 class Film:
-    """The luma of a film's frames, at most `most`, in temporary files if it is small, else decoded for each pass."""
+    """The luma of at most `most` frames of a film: stored in temporary files if small, else decoded in each pass."""
 
     def __init__(
         self,
@@ -352,8 +351,8 @@ class Film:
             self.warnings = (*self.warnings, text)
         if tilt is not None:
             text = (
-                f"The film is corrected for a tilt of {math.degrees(tilt.angle):.3g} degrees; places in messages are "
-                "those of the corrected picture."
+                f"The film is corrected for a tilt of {math.degrees(tilt.angle):.3g} degrees; positions in messages "
+                "refer to the corrected picture."
             )
             self.warnings = (*self.warnings, text)
         release_pages()
@@ -366,7 +365,7 @@ class Film:
         return self.count
 
     def stabilise(self, shake: Shake | None) -> None:
-        """Compensate the motion of the camera in all frames from now on; None: do not."""
+        """Compensate the motion of the camera in all frames from now on; None: no compensation."""
         self._shake = shake
 
     @property
@@ -375,7 +374,7 @@ class Film:
         return self._shake is not None
 
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
-        """Yield the luma of the frames from `first` to before `stop`."""
+        """Yield the luma of the frames from `first` to `stop` - 1."""
         stop = self.count if stop is None else min(stop, self.count)
         release_pages()
         if self._files:
@@ -392,11 +391,11 @@ class Film:
                         return
                     if index >= first:
                         yield self._still(plane, index)
-        finally:  # also if the consumer ends before
+        finally:  # also if the consumer stops early
             release_memory()
 
     def _pictures(self, frames: Iterable[Frame]) -> Iterator[tuple[Plane, int]]:
-        """Yield the pictures of the frames, two of an interlaced one, and their numbers."""
+        """Yield the pictures of the frames and their numbers; an interlaced frame gives two pictures."""
         for frame in frames:
             plane = self._plane(frame)
             if self._first_field is None:
@@ -407,7 +406,7 @@ class Film:
 
     @property
     def interlaced(self) -> bool:
-        """Whether each frame holds two fields, which are measured as two pictures."""
+        """Whether each frame contains two fields, which are measured as two pictures."""
         return self._first_field is not None
 
     def _count_fields(self, count: int) -> None:
@@ -421,14 +420,14 @@ class Film:
             frames_declared=2 * self.info.frames_declared,
             time_base=self.info.time_base / 2,
         )
-        text = f"The film is interlaced: its {count} fields are measured, at twice the rate of its frames."
+        text = f"The film is interlaced: its {count} fields are measured, at twice the frame rate."
         self.warnings = (*self.warnings, text)
 
     def _plane(self, frame: Frame) -> Plane:
-        """Return the luma of a frame, or its chroma along a colour: 128 where it is grey, more where it has the colour.
+        """Return the luma of a frame, or its chroma along a colour: 128 for grey, more for this colour.
 
-        A chroma sample is between the luma samples of its block, as JPEG and MPEG-1 define it; MPEG-2 and H.264 place
-        it 0.5 px to the left, which displaces all points alike.
+        A chroma sample is between the luma samples of its block, as JPEG and MPEG-1 define it. MPEG-2 and H.264 place
+        the sample 0.5 px to the left, which displaces all points equally.
         """
         if self._direction is None or self._direction == (0.0, 0.0):
             return self._level(np.ascontiguousarray(frame.y))
@@ -451,14 +450,14 @@ class Film:
         return np.asarray(shown, dtype=np.uint8)
 
     def levelled(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Return where a place (x, y) of the picture is in the frames, which are corrected for the tilt [px]."""
+        """Convert a place (x, y) of the picture to the frames, which are corrected for the tilt [px]."""
         if self.tilt is None:
             return place
         x, y = self.tilt.matrix(self.info.width, self.info.height) @ np.array([*place, 1.0])
         return float(x), float(y)
 
     def seen(self, places: Floats) -> Floats:
-        """Return where places (n, 2) of the corrected frames are in the picture [px]."""
+        """Convert places (n, 2) of the corrected frames to the picture [px]."""
         if self.tilt is None:
             return places
         matrix = self.tilt.matrix(self.info.width, self.info.height)
@@ -480,7 +479,7 @@ class Film:
 
 
 def reduced(frame: Plane, factor: int) -> Plane:
-    """Return the means of the squares of `factor` px of a frame, without the pixels beyond the last whole square."""
+    """Return the means over squares of `factor` px of a frame, without the pixels beyond the last whole square."""
     height, width = (n // factor for n in frame.shape)
     whole = frame[: height * factor, : width * factor]
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
@@ -491,7 +490,7 @@ _EXAMINED = 12
 
 
 def _interlacing(path: Path) -> int | None:
-    """Return which field of a film comes first, 0 or 1; None for a film that is not interlaced."""
+    """Return the index of the field that is first in time, 0 or 1; None for a film that is not interlaced."""
     with Reader(path) as reader:
         frames = []
         for frame in islice(reader, _EXAMINED):
@@ -520,26 +519,26 @@ def is_coloured(path: Path, frames: int = 12) -> bool:
 
 
 _DARK = 32
-"""Grey level above which brightness is proportional to a power of the light [grey levels]. Chosen: a smaller value
-includes pixels of the black level, a larger one leaves few."""
+"""Smallest grey level at which brightness is proportional to a power of the light [grey levels]. Chosen: a smaller
+value includes pixels of the black level, a larger one leaves few."""
 _BRIGHT = 235
-"""Grey level below which brightness is proportional to a power of the light [grey levels]. Source: white of limited
-range in ITU-R BT.601; brighter pixels are saturated."""
+"""Largest grey level at which brightness is proportional to a power of the light [grey levels]. Source: white of
+limited range in ITU-R BT.601; brighter pixels are saturated."""
 _FEWEST_PIXELS = 50
 """Smallest number of pixels for the gain of a frame [pixels]. Chosen: fewer give a noisy gain, more leave dark films
 uncorrected."""
 _SAMPLED = 8000
 """Typical number of pixels for the gain of a frame [pixels]. Chosen: more cost time, fewer give a noisier gain."""
 _FLICKERS = 1.5
-"""Factor by which the standard deviation of the typical pixel in time falls for a gain to be applied [1]. Chosen: the
-flicker exceeds all other changes then; a smaller value amplifies noise, a larger one leaves flicker."""
+"""Smallest factor by which a gain must reduce the standard deviation in time of the typical pixel [1]. Chosen: the
+flicker then exceeds all other changes; a smaller value amplifies noise, a larger one leaves flicker."""
 
 
 class _Flicker:
     """Gain of each frame relative to the first one: the common ratio of most pixels, robust against moving bodies.
 
-    Brightness is measured from black, which is 0, or 16 in films of limited range (ITU-R BT.601); the one that leaves
-    the typical pixel more even is right.
+    Brightness is measured from black, which is 0, or 16 in films of limited range (ITU-R BT.601). The level for which
+    the typical pixel varies less is used.
     """
 
     def __init__(self) -> None:
@@ -569,7 +568,7 @@ class _Flicker:
 
     @property
     def gain(self) -> tuple[float, Floats] | None:
-        """Black level and gains (n,) of mean 1; None where the typical pixel does not flicker."""
+        """Black level and gains (n,) of mean 1; None if the typical pixel does not flicker."""
         variance = {}
         for black, sums in self._sums.items():
             mean, square = sums / max(len(self._gain[0.0]), 1)
@@ -589,7 +588,7 @@ the variance 1 / 12."""
 def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> float:
     """Return the mean absolute difference of two pictures, apart from flicker of the illumination.
 
-    Frames taken at the same flicker phase differ less than their neighbours, as if they were repeated.
+    Without this correction, frames taken at the same flicker phase differ less than others, as if they were repeated.
     """
     gain = float(after.mean()) / max(float(before.mean()), 1.0)
     return float(np.mean(np.abs(after - np.float32(gain) * before)))
@@ -599,7 +598,7 @@ _NEIGHBOURS = 9
 """Frames of the running quantile about a frame [frames]. Chosen: more follow changes of the speed late, fewer are
 dominated by repeats."""
 _MOVING = 7
-"""Rank of the change among `_NEIGHBOURS` frames that is typical of them [1]. Chosen: a lower rank is a repeat where few
+"""Rank of the typical change among `_NEIGHBOURS` frames [1]. Chosen: a lower rank is a repeat where few
 frames are new, a higher one is an outlier."""
 _REPEATED = 0.1
 """Largest change of a repeated frame, relative to the typical one [1]. Chosen: a smaller value keeps repeats that were
@@ -607,14 +606,15 @@ encoded again, a larger one drops frames of slow motion."""
 
 
 FEWEST_FRAMES = 10
-"""Smallest number of different frames from which a motion is measured [frames]. Chosen: a quadratic in time has 3
+"""Smallest number of different frames for the measurement of a motion [frames]. Chosen: a quadratic in time has 3
 parameters; fewer leave few residuals, more refuse short films."""
 
 
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
     """Return the numbers of the selected frames that do not repeat the previous frame.
 
-    A frame is compared with its neighbours and with those of its run: where an oscillation reverses, all differ little.
+    The change of a frame is compared with the changes of its neighbours and of the frames in its run, because all
+    changes are small where an oscillation reverses.
     """
     change = film.changes
     fresh = np.ones(len(change), dtype=np.bool_)

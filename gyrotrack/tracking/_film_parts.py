@@ -1,14 +1,14 @@
 """One pass through a film, part by part, in several processes.
 
-A film is split at key frames into parts that depend on the film alone. Maps of illumination and occlusion are common to
-the whole film; learnt from one part alone, they would be based on fewer passages of the markers, and the angles would
-be less precise. They are learnt from the first frames of some parts, whose windows are stored in a temporary file and
-then measured with the maps of all these parts, without being decoded again. Each part is tracked by a copy of the
-tracker with these maps. Templates and motion are learnt within the part, so that the result does not depend on the
-number of processes.
+A film is split at key frames into parts that depend on the film alone. Maps of illumination and occlusion are common
+to the whole film. Maps from one part alone would be based on fewer passages of the markers, and the angles would be
+less precise. The maps are learnt from the first frames of some parts. The windows of these frames are stored in a
+temporary file and then measured with the maps of all these parts, without being decoded again. Each part is tracked by
+a copy of the tracker with these maps. Templates and motion are learnt within the part, so that the result does not
+depend on the number of processes.
 
-A part extends by `OVERLAP` frames into the next one. These frames determine the number of turns between the unwrapped
-angles of the two parts; the measurements are taken from the earlier part, whose templates are learnt already.
+A part extends by `OVERLAP` frames into the next part. These frames determine the number of turns between the unwrapped
+angles of the two parts. Their measurements are taken from the earlier part, which already has templates.
 """
 
 from __future__ import annotations
@@ -62,17 +62,17 @@ PART = 2500
 """Largest number of frames of a part, up to the distance of key frames [frames]. Chosen: more leave few parts for
 processes, fewer learn templates from less."""
 LEAST_PART = 400
-"""Smallest number of frames of a part [frames]. Chosen: illumination and templates can be learnt from them; fewer give
+"""Smallest number of frames of a part [frames]. Chosen: enough for illumination and templates; fewer give
 noisy ones, more leave few parts."""
 OVERLAP = 64
 """Frames that two neighbouring parts share [frames]. Chosen: fewer leave the turns between parts uncertain, more are
 tracked twice."""
 LEARNT = 256
-"""Smallest number of frames at the beginning of a part from which illumination and occlusion are learnt before the
-parts are tracked [frames]. Chosen: fewer give noisy maps, more delay the start."""
+"""Smallest number of frames at the beginning of a part for the maps of illumination and occlusion [frames]. Chosen:
+fewer give noisy maps, more delay the start."""
 MOST_LEARNT = 8
-"""Largest number of parts from whose beginnings illumination and occlusion are learnt [1]. Chosen: the cost does not
-grow with the film; more cost time, fewer give noisier maps."""
+"""Largest number of parts whose beginnings are used for the maps of illumination and occlusion [1]. Chosen: the cost
+does not grow with the film; more cost time, fewer give noisier maps."""
 _RATE = 24
 """Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: fewer give a noisy speed, more
 include a change of it."""
@@ -85,9 +85,9 @@ def available_cores() -> int:
 
 
 def split(packets: Packets) -> tuple[Part, ...]:
-    """Return the parts of a film in order, an even number (as of cores); one if it is short or has no timestamps.
+    """Return the parts of a film in order: an even number, or one part if the film is short or has no timestamps.
 
-    Each part ends `OVERLAP` frames after the key frame of the next one.
+    Each part ends `OVERLAP` frames after the first key frame of the next part.
     """
     stamps, count = packets.stamps, len(packets.stamps)
     number = 2 * -(-count // (2 * PART))
@@ -111,9 +111,9 @@ class Film:
 
     info: ClipInfo  # the film
     packets: Packets  # its packets
-    timing: Timing  # origin of its times
-    tracker: bytes  # pickled tracker of the scene that has not tracked any frame
-    folder: Path  # for the beginnings of parts
+    timing: Timing  # time base of the film
+    tracker: bytes  # pickled tracker of the scene, before the first frame
+    folder: Path  # folder for the stored beginnings of parts
     learnt: tuple[int, ...] = ()  # first frames of the parts from which the maps are learnt
     maps: tuple[AngleMap, ...] = ()  # learnt maps of illumination and occlusion
 
@@ -130,7 +130,7 @@ class PartRows:
 
 @dataclass(frozen=True)
 class _Beginning:
-    """A tracker that has stored the first frames of a part, up to a key frame, and learnt from them."""
+    """A tracker that has stored the first frames of a part, up to a key frame, and learnt its maps from them."""
 
     tracker: FilmTracker
     # timestamps of these frames, numbers of damaged packets and of damaged frames
@@ -153,7 +153,7 @@ class _Advance:
         )
 
     def step(self, frame: Frame) -> float:
-        """Return the step to a frame from the one before it; 0 to the first one of the film."""
+        """Return the step from the previous frame to a frame; 0 for the first frame of the film."""
         return self._odd.get(frame.pts, 1.0) if frame.index else 0.0
 
 
@@ -183,14 +183,14 @@ def learn_part(film: Film, part: Part, threads: int, _count: Callable[[int], Non
     """Return the maps of illumination and occlusion from the first frames of a part; store its beginning."""
     with single_threaded():
         begun = _begin(film, part, threads)
-        # without space in the folder these frames are decoded again
+        # if the folder has no space, these frames are decoded again later
         with suppress(OSError), (film.folder / str(part.first)).open("wb") as file:
             pickle.dump(begun, file, protocol=pickle.HIGHEST_PROTOCOL)
     return begun.tracker.maps
 
 
 def _second_start(packets: Packets, part: Part) -> int | None:
-    """Return the last key frame before which the first batch of a part can end; None without one."""
+    """Return the last key frame at which the first batch of a part can end; None without such a key frame."""
     stop = len(packets.stamps) if part.stop is None else int(np.searchsorted(packets.stamps, part.stop))
     end = min(part.first + _film_tracker.BATCH, stop - 1)
     keys = part.first + LEARNT + np.flatnonzero(packets.key[part.first + LEARNT : end + 1])
@@ -198,7 +198,7 @@ def _second_start(packets: Packets, part: Part) -> int | None:
 
 
 def _begin(film: Film, part: Part, threads: int) -> _Beginning:
-    """Store the first frames of a part in a new tracker, which learns from them."""
+    """Store the first frames of a part in a new tracker, which learns its maps from these frames."""
     work: FilmTracker = pickle.loads(film.tracker)  # noqa: S301 - made by this process or its parent
     stamps = film.packets.stamps
     stop = _second_start(film.packets, part) or min(part.first + LEARNT, len(stamps) - 1)
@@ -211,7 +211,7 @@ def _begin(film: Film, part: Part, threads: int) -> _Beginning:
 
 
 def _stored(film: Film, part: Part) -> _Beginning | None:
-    """Return the beginning of a part from its file, which is removed; None without it."""
+    """Return the beginning of a part from its file, and remove the file; None without a file."""
     path = film.folder / str(part.first)
     with suppress(OSError, EOFError, pickle.UnpicklingError):
         with path.open("rb") as file:
@@ -222,9 +222,9 @@ def _stored(film: Film, part: Part) -> _Beginning | None:
 
 
 def _taken(work: FilmTracker, film: Film, reader: Reader, part: int) -> Iterator[None]:
-    """Let a tracker take the frames of a reader; return to the caller for each full batch, and at the end.
+    """Feed the frames of a reader to a tracker; yield after each full batch, and at the end.
 
-    `part` is the first frame of the part, with which the angles are reported.
+    `part` is the first frame of the part, which identifies the part in reports of angles.
     """
     clock = _Advance(film.packets.stamps, float(reader.info.time_base), film.timing)
     if work.filled == _film_tracker.BATCH:
@@ -242,7 +242,7 @@ def _taken(work: FilmTracker, film: Film, reader: Reader, part: int) -> Iterator
 
 
 def _take(work: FilmTracker, part: int) -> None:
-    """Let a tracker take the frames that it holds, and report the coarse angles of its bodies."""
+    """Track the frames that a tracker has stored, and report the coarse angles of its bodies."""
     frames, place = np.array([frame.index for frame in work.held]), work.filled
     work.take()
     for name, body in work.bodies.items():
@@ -288,7 +288,7 @@ def _run(task: Task[T], film: Film, part: Part, threads: int, count: Callable[[i
 
 
 class PartWorkers:
-    """Processes that track parts of a film, `workers` with the calling one (default: one a core); none for one part."""
+    """Processes that track parts of a film: `workers` with the caller (default: one per core), none for one part."""
 
     def __init__(self, path: Path, workers: int | None = None) -> None:
         self.packets = read_packets(path)
@@ -307,7 +307,9 @@ class PartWorkers:
                     initargs=(self._done, current_sink()),
                 )
                 for _ in range(self.count - 1):
-                    self._executor.submit(int)  # the processes import their modules during the acquisition
+                    self._executor.submit(
+                        int
+                    )  # the processes then import their modules during the acquisition
             except (OSError, ImportError):  # no semaphores, or no memory for a process
                 self._executor = None
 
@@ -334,7 +336,7 @@ class PartWorkers:
         done: int = 0,
         total: int | None = None,
     ) -> Iterator[tuple[int, T]]:
-        """Run ``task(film, part, threads, count)``, with count(frames), for parts `todo`; yield (index, result)."""
+        """Run ``task(film, part, threads, count)`` for parts `todo`, and yield (index, result); tasks call `count`."""
         waiting, futures, lock = deque(todo), dict[int, Future[T]](), Lock()
         own = 0
 
@@ -392,7 +394,7 @@ class PartWorkers:
 
 @contextmanager
 def _folder() -> Iterator[Path]:
-    """Yield a folder for the beginnings of parts; one that does not exist if none can be made."""
+    """Yield a folder for the beginnings of parts, or a path without a folder if none can be made."""
     with ExitStack() as stack:
         try:
             folder = stack.enter_context(scratch_folder())
@@ -402,7 +404,7 @@ def _folder() -> Iterator[Path]:
 
 
 def frames_done(journal: CheckpointFile) -> int:
-    """Return how many frames an unfinished run has done, according to its journal."""
+    """Return the number of frames that an unfinished run has tracked, according to its journal."""
     frames = (record.facts.get("frames") for record in journal.records())
     return sum(n for n in frames if isinstance(n, int))
 
@@ -469,7 +471,7 @@ def track_film(
 
 
 def _columns(scene: Scene, work: FilmTracker) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Return shape and type of one row of every quantity that is measured in a part."""
+    """Return shape and type of one row (frame) of every quantity that is measured in a part."""
     found: dict[str, tuple[tuple[int, ...], str]] = {"again": ((), "|b1"), _STAMPS: ((), "<i8")}
     pairs = {"corner_angle", "corner_radius", "centre"}
     for name in scene.bodies:
@@ -508,7 +510,7 @@ class _PartResults:
             self._facts[index], self._place[index] = record.facts, place
 
     def _belongs(self, record: Record) -> bool:
-        """Whether a record has the form of a part of this film: files of others may be in the place of a journal."""
+        """Whether a record has the form of a part of this film: the file may not be a journal of this film."""
         numbers = [record.facts.get(key) for key in ("part", "parts", "frames", "bad_packets", "corrupt")]
         if (
             not all(isinstance(n, int) and n >= 0 for n in numbers)
@@ -537,7 +539,7 @@ class _PartResults:
             self._journal.append(facts, found.rows | {_STAMPS: found.stamps})
 
     def _own(self, index: int, stamps: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-        """Return which frames of a part do not belong to the previous part."""
+        """Return a mask of the frames of a part that do not belong to the previous part."""
         stop = self._parts[index - 1].stop if index else None
         return np.ones(len(stamps), dtype=np.bool_) if stop is None else stamps >= stop
 
@@ -618,7 +620,7 @@ def _ring_angles(body: str, rows: Rows) -> list[str]:
 
 
 def zero_between(frame: Floats, angle: Floats, next_frame: Floats, next_angle: Floats) -> float:
-    """Return the zero of the angles of a part relative to the previous one, by the frames of both [rad]."""
+    """Return the zero of the angles of a part relative to the previous part [rad], from frames of both parts."""
     _, a, b = np.intersect1d(frame, next_frame, return_indices=True)
     apart = angle[a] - next_angle[b]
     known = apart[np.isfinite(apart)]
@@ -626,9 +628,9 @@ def zero_between(frame: Floats, angle: Floats, next_frame: Floats, next_angle: F
 
 
 def turns_between(frame: Floats, coarse: Floats, next_frame: Floats, next_coarse: Floats) -> Floats:
-    """Return the correction, in whole turns, of the unwrapped angles of a part by the previous one, (n,) [rad].
+    """Return the correction of the unwrapped angles of a part that joins them to the previous part, (n,) [rad].
 
-    In common frames the difference is a whole number of turns, plus a whole number of turns per frame if the two parts
+    The correction is a whole number of turns in common frames, plus a whole number of turns per frame if the two parts
     resolved the aliasing of the motion differently. Without common frames the angle is extrapolated with the mean of
     the rates before and after. Angles are NaN where the body is lost.
     """

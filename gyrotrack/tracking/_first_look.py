@@ -1,4 +1,4 @@
-"""What a few frames show of a film: a ball on a string, or a long body about a tilted axis, and its angles."""
+"""Detection of a ball on a string or a long body about a tilted axis in a few frames, and the angles of the body."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ distribution of width 1 px, 0.29 px; the scatter replaces it if larger."""
 
 @dataclass(frozen=True)
 class FirstLook:
-    """What moves before the background."""
+    """The moving bodies in front of the background."""
 
     shape: tuple[int, int]  # height and width of the picture [px]
     compact: CompactBody | None = None
@@ -39,12 +39,12 @@ class FirstLook:
 
     @property
     def pendulum(self) -> bool:
-        """Whether a compact body alone moves on an open arc: a bob."""
+        """Whether only a compact body (a bob) moves, on an open arc."""
         return self.compact is not None and self.compact.pivot is not None
 
 
 def first_look(film: Film) -> FirstLook:
-    """Compare a few frames with the background, their median."""
+    """Compare a few frames with the background, which is their median."""
     usable = fresh_frames(film)
     if len(usable) < FEWEST_FRAMES:
         return FirstLook((0, 0))
@@ -55,9 +55,9 @@ def first_look(film: Film) -> FirstLook:
 
 
 def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
-    """Measure the angle of a long body about a tilted axis, in the plane of its motion, by the end of its axis.
+    """Measure the angle of a long body about a tilted axis, in the plane of motion, by an end of the long body.
 
-    A TrackingError is raised if it is not seen in most frames, or if its ends are not on one ellipse.
+    A TrackingError is raised if the body is not seen in most frames, or if its ends are not on one ellipse.
     """
     usable = fresh_frames(film)
     wanted = set(usable.tolist())
@@ -68,7 +68,7 @@ def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
             "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y.",
         )
     half = np.array([h for _, (_, h, _) in rows])
-    # a line has no sense: it turns by less than a quarter turn from frame to frame
+    # a line has no sense: assume that it turns by less than a quarter turn from frame to frame
     for k in range(1, len(half)):
         if half[k] @ half[k - 1] < 0:
             half[k] *= -1.0
@@ -98,7 +98,7 @@ def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
 
 
 def hub_of(centroid: Floats, half: Floats) -> Floats:
-    """Return the hub (x, y) of a body, of which its centroid is displaced by a fixed part of its axis."""
+    """Return the hub (x, y) of a body whose centroid is displaced from the hub by a fixed fraction of its axis."""
     away = half - half.mean(axis=0)
     share = float(np.sum(away * (centroid - centroid.mean(axis=0))) / max(float(np.sum(away**2)), 1e-12))
     return np.asarray(centroid.mean(axis=0) - share * half.mean(axis=0))

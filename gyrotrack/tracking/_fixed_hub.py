@@ -1,8 +1,8 @@
-"""Whether a body turns about one fixed hub: the displacement of its hub, fitted frame by frame.
+"""Test whether a body turns about one fixed hub: the displacement of its hub is fitted frame by frame.
 
-A rotation about a hub also explains a part of the change of pictures in which nothing turns about a fixed axis: a block
-that moves along a line beside its plot, or several things that move and change their size. The picture that is learnt
-about the hub then fits better at a place that changes from frame to frame.
+A rotation about a hub also explains a part of the change of pictures without rotation about a fixed axis: a block that
+moves along a line beside a moving plot, or several objects that move and change their size. The template about the hub
+then fits better at a position that changes from frame to frame.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ _MOST_FRAMES = 0.8
 """Quantile of the displacements of a body that is compared with `_DRIFT` and `_DRIFT_SHARE` [1]. Chosen: a larger value
 is dominated by bad frames, a smaller one hides short motions."""
 REFUSED = 2.0
-"""Displacement over its limit from which no body is on an axle [1]. Chosen: a smaller value refuses wobbling hubs, a
-larger one measures bodies that translate."""
+"""Displacement over its limit above which a body is not on an axle [1]. Chosen: a smaller value refuses wobbling hubs,
+a larger one measures bodies that translate."""
 
 
 def drift(
     ring: Ring, frames: Sequence[Plane], angle: Floats, area: Area, *, separate: bool
 ) -> tuple[float, float]:
-    """Return the displacement of a body from its circles about a hub [px], and the largest one on an axle [px].
+    """Return the displacement of a body from its circles about a hub [px], and the limit for a body on an axle [px].
 
-    Four frames of five have a smaller one: a hand or a shadow may disturb the others. It is that of the middle of the
-    details of the body, which is determined best: the rotation of a bob far from its hub is not.
+    The displacement is the 80 % quantile over the frames, because a hand or a shadow may disturb the other frames. It
+    is measured at the middle of the details of the body, where it is determined best, even for a bob far from its hub.
     `angle` (n,) are the angles of the body in the frames, clockwise as seen [rad].
     """
     use = np.unique(np.linspace(0, len(frames) - 1, _FRAMES).astype(int))
@@ -63,13 +63,13 @@ def drift(
 
 
 _RIGID = 0.02
-"""Error of the angles by the difference of both halves of a ring (`hub_error`) over their standard deviation, from
-which they do not turn as one body [1]. Measured: real discs, drawn rods, bobs and wheels: up to 0.007; double pendulums
-within one ring: 0.037 and 0.074; a block on a spring: 0.11."""
+"""Error of the angles by the difference of both halves of a ring (`hub_error`), over the standard deviation of the
+angles, above which the halves do not turn as one body [1]. Measured: real discs, drawn rods, bobs and wheels: up to
+0.007; double pendulums within one ring: 0.037 and 0.074; a block on a spring: 0.11."""
 
 
 def halves_differ(angle: Floats, error: float) -> float | None:
-    """Return the error by the difference of both halves [rad] over the standard deviation of the angle (n,), if large.
+    """Return the `error` by both halves [rad] over the standard deviation of the angle (n,), or None if small.
 
     Over more than three turns the error is 0 (see `apart_beyond_harmonics`).
     """
@@ -78,22 +78,22 @@ def halves_differ(angle: Floats, error: float) -> float | None:
 
 
 _FALLS = 0.15
-"""Share of the change that a rotation explains in the frames of the search, less that in the whole film, from which
-there is not one hub throughout [1]. Measured: real films on an axle: up to 0.07; a drawn pole on a cart: 0.23."""
+"""Share of the change explained by rotation in the frames of the search, less the share in the whole film, above which
+the hub is not fixed [1]. Measured: real films on an axle: up to 0.07; a drawn pole on a cart: 0.23."""
 _FALLEN = 0.2
-"""Fall of that share from which the film is refused [1]. Measured: a public film of a pole on a cart: 0.23; real films
-on an axle: up to 0.07."""
+"""Decrease of this share above which the film is refused [1]. Measured: a public film of a pole on a cart: 0.23; real
+films on an axle: up to 0.07."""
 
 
 def fallen(searched: float, film: float) -> bool:
-    """Return whether the share that rotation explains falls too far for one hub throughout (see `hub_doubt`)."""
+    """Return whether the share explained by rotation decreases too much for a fixed hub (see `hub_doubt`)."""
     return searched - film > _FALLEN
 
 
 def hub_doubt(searched: float, film: float) -> str | None:
     """Return a warning if rotation explains clearly less in a whole film than in the frames of the search for the hub.
 
-    `searched` and `film` are both shares of the change of brightness.
+    `searched` and `film` are explained shares of the change of brightness.
     """
     if searched - film < _FALLS:
         return None
@@ -105,7 +105,7 @@ def hub_doubt(searched: float, film: float) -> str | None:
 
 
 def _middle_of(template: Template) -> Callable[[float], Floats]:
-    """Return the place (x, y) [px], from the hub, of the middle of the details of a body that is turned by an angle."""
+    """Return a function of the angle: the position (x, y) of the middle of a body's details from the hub [px]."""
     ring = template.ring
     weight = np.gradient(template.body, axis=0) ** 2 + np.gradient(template.body, axis=1) ** 2
     weight = weight * template.allowed * ring.area

@@ -1,10 +1,10 @@
 """Confirmation of repeated frames by the motion of the bodies.
 
-Two pictures may be equal because nothing turns. If a body should have moved by more than its scatter and has not, the
-frame is a repetition and contains no measurement. The next frame shows its origin. If the body has also moved on by the
-step of the repeated frame, the repetition replaces a missing frame, and all other times are right. If it has not, the
-repetition was inserted between two frames of the camera, as in a conversion to a higher rate, and the frames are
-numbered without it.
+Two pictures may be equal because nothing turns. A frame is a repetition, without a measurement, if a body should have
+moved by more than its scatter but has not moved. The next frame shows the origin of the repetition. If the body has
+then also moved by the step of the repeated frame, the repetition replaces a missing frame, and all other times are
+correct. Otherwise the repetition was inserted between two frames of the camera, for example by a conversion to a
+higher rate, and the frames are numbered without the repetition.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CLEAR = 6.0
 """Smallest step of a body for which a repetition can be detected, in standard deviations of its steps [1]. Derived:
 half a step, below which the body counts as unmoved, is then three standard deviations."""
 FEWEST = 4
-"""Smallest number of steps from which a scatter is known, and of runs from which a period is [1]. Chosen: fewer give a
+"""Smallest number of steps for a scatter, and of runs of repeats for a period [1]. Chosen: fewer give a
 scatter by chance, more leave repeats undetected."""
 
 
@@ -43,13 +43,13 @@ class Repetition:
     """The repeated frames of a film."""
 
     again: Mask  # shape (n,); frames that repeat the previous one
-    inserted: bool = False  # they were inserted between frames of the camera, and do not replace missing ones
+    inserted: bool = False  # whether repeats were inserted between frames of the camera
     # period of the runs of repeated frames [frames], NaN if they are not regular
     period: float = float("nan")
 
     @property
     def original_share(self) -> float:
-        """Share of the original frames of the camera, if frames are repeated regularly."""
+        """Share of the camera's original frames among all frames, if frames are repeated regularly."""
         run = float(self.again.sum()) / max(len(_runs(self.again)), 1)
         return 1.0 - run / self.period
 
@@ -60,7 +60,7 @@ def turning_most(seen: FilmObservations) -> str:
 
 
 def seen_angle(seen: FilmObservations, scene: Scene, name: str) -> Floats:
-    """Return the mean angle of a body from its plausible markers, (n,) [rad]; NaN where there are none."""
+    """Return the mean angle of a body from its plausible markers, (n,) [rad]; NaN without plausible markers."""
     body = seen.bodies[name]
     total, count = np.zeros((2, len(body.coarse)))
     for marker in scene.of(name):
@@ -72,7 +72,7 @@ def seen_angle(seen: FilmObservations, scene: Scene, name: str) -> Floats:
 
 
 def judge_repeats(seen: FilmObservations, scene: Scene) -> Repetition:
-    """Confirm the frames that seem repeated by the motion of the bodies, and determine their origin."""
+    """Use the motion of the bodies to confirm the frames that seem repeated, and to determine their origin."""
     again = seen.again.copy()
     if not again.any() or not seen.bodies:
         return Repetition(again & False)
@@ -104,7 +104,7 @@ class _Steps:
         return usual, abs(usual) > CLEAR * (1.4826 * median_of(np.abs(known - usual)) + 1e-6)
 
     def still(self, frame: int) -> bool | None:
-        """Return whether the body has not moved since the previous frame; None if it is not seen in both."""
+        """Return whether the body has not moved since the previous frame; None unless it is seen in both frames."""
         step = abs(self.angle[frame] - self.angle[frame - 1])
         return bool(step < 0.5 * abs(self.around(frame)[0])) if np.isfinite(step) else None
 
@@ -136,7 +136,7 @@ def _runs(again: Mask) -> list[tuple[int, int]]:
 
 
 def left_out(seen: FilmObservations, times: FrameTimes) -> FilmObservations:
-    """Return the observations without those of repeated frames."""
+    """Return the observations without the repeated frames."""
     if times.again is None:
         return replace(seen, times=times)
     fresh, count = np.flatnonzero(~times.again), len(times.again)
@@ -150,17 +150,18 @@ def left_out(seen: FilmObservations, times: FrameTimes) -> FilmObservations:
 def without_repeats(
     times: FrameTimes, found: Repetition, rate: CaptureRate, info: ClipInfo
 ) -> tuple[FrameTimes, CaptureRate]:
-    """Add a warning about repeated frames, and number the other frames without inserted ones.
+    """Add a warning about repeated frames, and number the frames without inserted repeats.
 
-    A regular conversion preserves the duration of a film: if the capture rate is that of the file, the rate of the
-    camera is its product with the share of original frames. Otherwise it is the rate of the original frames.
+    A regular conversion preserves the duration of a film. If the capture rate is the frame rate of the file, the rate
+    of the camera is this rate times the share of original frames. Otherwise the capture rate is the rate of the
+    original frames.
     """
     if not found.again.any():
         return times, rate
     count, first = int(found.again.sum()), int(np.argmax(found.again))
     warning = f"{count} frames repeat the previous frame (the first is frame {first}) and are omitted."
     if not found.inserted:
-        warning += " They replace missing frames: the bodies have moved on in the frames that follow."
+        warning += " The repeats replace missing frames: in the following frames the bodies have moved on."
     elif times.place is not None:
         warning += (
             " The bodies have not moved on in the frames that follow, so the timestamps are not those of the camera "

@@ -1,10 +1,9 @@
-"""Errors of an angle that repeat with the turn, by their amplitudes in batches of frames.
+"""Errors of an angle that are periodic in the turn, determined by their amplitudes in batches of frames.
 
-In each batch, a polynomial and harmonics of the angle psi are fitted to it. Harmonics
-that the camera causes have constant amplitudes (centre, tilt). The shadow that a body casts on what lies below it is
-displaced from the body by a constant vector and joins its blurred edges; the amplitude of order 1 that it causes
-grows with the blur, in proportion to the speed. A torque that repeats with the turn, as of an unbalance, has the
-amplitude A / omega^2.
+In each batch, a polynomial and harmonics of the angle psi are fitted to psi. Harmonics caused by the camera (centre,
+tilt) have constant amplitudes. The shadow of a body is displaced from the body by a constant vector and merges with
+the blurred edges of the body. The shadow causes an amplitude of order 1 that grows with the blur, in proportion to the
+speed. A torque that is periodic in the turn, for example by an unbalance, has the amplitude A / omega^2.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ from gyrotrack.tracking._fusion import LEAST_FAST
 Floats = npt.NDArray[np.float64]
 
 _HARMONICS = range(1, 13)
-"""Orders of the harmonics of the error that are measured [periods per turn]. Chosen: higher orders average out within a
-marker's width; fewer leave errors of several equal marks unstated."""
+"""Orders of the harmonics of the error that are measured [periods per turn]. Chosen: higher orders average out within
+a marker's width; fewer ignore errors of several equal marks."""
 _FIRST_STATED = 3
-"""First order of a harmonic that the camera does not cause [periods per turn]. Derived: offset and tilt of the camera
-cause orders 1 and 2, which fits estimate."""
+"""Smallest order of a harmonic that the camera does not cause [periods per turn]. Derived: offset and tilt of the
+camera cause orders 1 and 2, which fits estimate."""
 _LAWS_OF_SPEED = 4
 """Number of laws of speed that describe an amplitude of a lower order [1]. Derived: powers 0, 1, 2 and -2 in
 `_beside_laws_of_speed`."""
@@ -33,18 +32,18 @@ _DEGREE = 5
 """Degree of the slow change of the angle in a batch [1]. Chosen: a smaller value leaves motion in the harmonics, a
 larger one absorbs harmonics of slow bodies."""
 _FEWEST_BATCHES = 5
-"""Batches beyond the free constants from which amplitudes have a variance [1]. Chosen: fewer give an uncertain
-variance, more leave the error of short films unstated."""
+"""Smallest number of batches, beyond the number of free constants, for a variance of the amplitudes [1]. Chosen: fewer
+give an uncertain variance, more leave the error of short films unstated."""
 _RESEMBLES_MOTION = 2.0
-"""Variance of an amplitude over that for a complete set of angles from which an order resembles the motion [1]. Chosen:
-a smaller value discards batches, a larger one takes motion for error."""
+"""Variance of an amplitude, over the variance for a complete set of angles, above which an order resembles the motion
+[1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""
 _FAR_FROM_NOISE = 3.0
-"""Mean square from which an error is stated, in standard deviations of the noise [1]. Chosen: a smaller value states
-noise as an error, a larger one hides small errors."""
+"""Smallest mean square of an error that is stated, in standard deviations of the noise [1]. Chosen: a smaller value
+states noise as an error, a larger one hides small errors."""
 
 
 def _amplitudes(angle: Floats) -> dict[int, Floats]:
-    """Return amplitudes by cos and sin, their variance [rad^2] and the turn [rad] of batches, (batches, 4)."""
+    """Return amplitudes of cos and sin [rad], their variance [rad^2] and the turn [rad] per batch, (batches, 4)."""
     found: dict[int, list[Floats]] = {order: [] for order in _HARMONICS}
     for first in range(0, len(angle) - BATCH + 1, BATCH):
         psi = angle[first : first + BATCH]
@@ -70,13 +69,14 @@ def harmonic_error(angle: Floats) -> float:
     """Return the standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
 
     In each batch of frames a polynomial and harmonics of the angle are fitted. With residuals of variance s^2 and the
-    covariance s^2 (A'A)^-1, the mean over batches of (a_cos^2 + a_sin^2) / 2 exceeds the variance of a_cos by that of
-    the error. The order with the largest error counts, as others may be as large at other speeds. Orders that resemble
-    the motion are left out in their batches: there the frames are in step with the error, and it is slow.
+    covariance s^2 (A'A)^-1, the mean over batches of (a_cos^2 + a_sin^2) / 2 exceeds the variance of a_cos by the
+    variance of the error. The result is the largest error of all orders, because other orders may be as large at other
+    speeds. Orders that resemble the motion are omitted in their batches: there the frames are in step with the error,
+    which then varies slowly.
 
-    Amplitudes of orders 1 and 2 may be constant (centre, tilt), in proportion to the speed (rolling shutter) or its
-    square (motion blur), or fall as its inverse square (a torque of the angle, as of an unbalance). The remainder
-    beside these four is their error.
+    Amplitudes of orders 1 and 2 may be constant (centre, tilt), proportional to the speed (rolling shutter), to its
+    square (motion blur), or to its inverse square (a torque that depends on the angle, for example by an unbalance).
+    The residuals of a fit of these four terms are the error of these orders.
 
     Parameters
     ----------
@@ -99,37 +99,38 @@ def harmonic_error(angle: Floats) -> float:
 
 
 def _beside_laws_of_speed(amplitudes: Floats, speed: Floats) -> Floats:
-    """Return amplitudes, (2, batches), less their least-squares fit by powers 0, 1, 2 and -2 of the speed."""
+    """Return residuals of amplitudes, (2, batches), after a fit of the powers 0, 1, 2 and -2 of the speed."""
     relative = speed / speed.max()
     laws = np.stack([relative**power for power in (0.0, 1.0, 2.0, -2.0)], axis=1)
     return np.asarray(amplitudes - (laws @ np.linalg.lstsq(laws, amplitudes.T, rcond=None)[0]).T)
 
 
 _REFERENCE_SPEED = 100.0
-"""Speed at which the sizes below are meant [rad/s]. Derived: a casing in the scene of the paper."""
+"""Reference speed of the standard deviations below [rad/s]. Derived: a casing in the scene of the paper."""
 _CHANGE_SIGMA = 2e-3
-"""Standard deviation of the change of an amplitude per `_REFERENCE_SPEED` before the measurement [rad]. Measured: 1.5
+"""Prior standard deviation of the change of an amplitude per `_REFERENCE_SPEED` [rad]. Measured: 1.5
 mrad in a rendered film with a shadow of 16 %; a smaller value keeps the error, a larger one amplifies noise."""
 _WIDE_SIGMA = 20e-3
-"""Standard deviation of a constant amplitude, and of that of a torque at `_REFERENCE_SPEED`, before the measurement
-[rad]. Derived: no information; a torque of the acceleration 200 rad/s2 has 20 mrad."""
+"""Prior standard deviation of a constant amplitude, and of the amplitude by a torque at `_REFERENCE_SPEED` [rad].
+Derived: no information; a torque of the acceleration 200 rad/s2 has 20 mrad."""
 _BATCH_SIGMA = 0.1e-3
-"""Standard deviation of an amplitude in a batch beside noise [rad]. Chosen: a smaller value trusts few batches."""
+"""Standard deviation of an amplitude in a batch in addition to noise [rad]. Chosen: a smaller value trusts few
+batches."""
 _LAW_ERROR = 0.1
-"""Relative error of the amplitude of a torque by its law A / omega^2 [1]. Chosen: a smaller value lets slow batches
-determine the change with the blur, a larger one does not use them."""
+"""Relative error of the law A / omega^2 for the amplitude by a torque [1]. Chosen: a smaller value lets slow batches
+determine the change with the blur, a larger one ignores these batches."""
 
 
 @dataclass(frozen=True)
 class ChangeWithSpeed:
-    """Change of the error once per turn in proportion to the speed, from that of fast frames."""
+    """Part of the error once per turn that is proportional to the speed, relative to fast frames."""
 
     angle: Floats  # shape (n,), error of each frame [rad]
     error: float  # largest standard uncertainty of its amplitudes [rad]
 
 
 def change_with_speed(angle: Floats, fps: float, fast: npt.NDArray[np.bool_]) -> ChangeWithSpeed:
-    """Fit c_0 + c_1 omega + c_2 / omega^2 to the amplitudes of order 1, and return what c_1 causes.
+    """Fit c_0 + c_1 omega + c_2 / omega^2 to the amplitudes of order 1, and return the error caused by c_1.
 
     Parameters
     ----------
@@ -138,8 +139,8 @@ def change_with_speed(angle: Floats, fps: float, fast: npt.NDArray[np.bool_]) ->
     fps : float
         Frames per second.
     fast : ndarray, shape (n,)
-        Frames in which the constant error is learnt: at their mean speed, the change is 0. It is 0 at any speed if
-        their share is below `LEAST_FAST`.
+        Frames in which the constant error is learnt: at their mean speed, the change is 0. The change is 0 at all
+        speeds if the share of these frames is below `LEAST_FAST`.
     """
     known = np.flatnonzero(np.isfinite(angle))
     rows = _amplitudes(angle)[1]

@@ -1,7 +1,8 @@
-"""Evidence of two links: a point on a circle about a pivot, and another one at a fixed distance from it.
+"""Evidence of two links: a joint on a circle about a pivot, and a point at a fixed distance from the joint.
 
-The paths of two compact bodies show it, as do the motions of the features of two bodies: both move the joint alike. The
-silhouettes of a tracked body show it where a part that extends beyond it does not turn with it.
+The evidence is found in the paths of two compact bodies, in the motions of the features of two bodies, which both move
+the joint in the same way, or in the silhouettes of a tracked body with a part that extends beyond the body and does
+not turn with it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Complexes = npt.NDArray[np.complex128]
 Plane = npt.NDArray[np.uint8]
 
 _RIGID = 0.05
-"""Relative standard deviation of a distance up to which it is constant [1]. Derived: a rod within 18 degrees of its
+"""Largest relative standard deviation of a constant distance [1]. Derived: a rod within 18 degrees of its
 plane of motion is shorter by up to 1 - cos 18 degrees = 5 %."""
 _MOVES = 2.0
 """Smallest extent of a path [radii]. Chosen: a smaller value takes noise for a motion, a larger one refuses small
@@ -45,14 +46,15 @@ _LOST = 2
 """Frames in a row in which a body may be occluded by another one [frames]. Chosen: fewer end the paths early, more
 confuse bodies."""
 _FEWEST = 20
-"""Smallest number of positions that show the motion [1]. Chosen: fewer agree by chance, more refuse short paths."""
+"""Smallest number of positions of a moving body [1]. Chosen: fewer agree by chance, more refuse short paths."""
 _PARTS = 6
-"""Compact parts of a frame that are considered [1]. Chosen: time; fewer lose bodies among shadows."""
+"""Largest number of compact parts of a frame that are considered [1]. Chosen: time; fewer lose bodies among
+shadows."""
 _RIM = (0.8, 1.0)
-"""Inner and outer radius at which the body itself is seen [radii]. Chosen: nearer to the hub all directions are
+"""Inner and outer radius between which the body itself is seen [radii]. Chosen: nearer to the hub all directions are
 covered, farther out the body ends."""
 _BEYOND = (1.3, 1.5)
-"""Inner and outer radius at which a link beyond the body is seen [radii]. Chosen: nearer to the rim blur is seen,
+"""Inner and outer radius between which a link beyond the body is seen [radii]. Chosen: nearer to the rim blur is seen,
 farther out a short link ends."""
 _DIRECTION = 0.14
 """Half width of a direction [rad]. Chosen: 8 degrees; a smaller value separates a part of the body from itself, a
@@ -95,15 +97,15 @@ def paths_of(frames: Sequence[Plane], seen: Foreground, spots: tuple[Spot, Spot]
 
 
 def one_rests(paths: Floats) -> bool:
-    """Return whether one of two bodies with the paths (n, 2, 2) [px] is seen long enough, at its place."""
+    """Return whether one of two bodies with the paths (n, 2, 2) [px] is seen long enough and is at rest."""
     return len(paths) >= _SEEN and float(np.hypot(*np.ptp(paths, axis=0).T).min()) < _LEAVES
 
 
 def move_as_links(paths: Floats, radius: float) -> bool:
-    """Return whether the paths (n, 2, 2) of two bodies, of a radius [px], are those of a joint and a point beyond it.
+    """Return whether the paths (n, 2, 2) of two bodies of a `radius` [px] belong to a joint and a point beyond it.
 
-    The joint, which may be either of them, keeps its distance from a pivot, and the other one its distance from the
-    joint, but not from the pivot.
+    Either body may be the joint. The distance of the joint from a pivot is constant. The distance of the other body
+    from the joint is constant, but its distance from the pivot is not.
     """
     if len(paths) < _FEWEST or np.hypot(*np.ptp(paths, axis=0).T).min() < _MOVES * radius:
         return False
@@ -121,9 +123,10 @@ def move_as_links(paths: Floats, radius: float) -> bool:
 
 
 def share_a_joint(hub: complex, first: Complexes, second: Complexes) -> bool:
-    """Return whether two motions z -> a z + b (n, 2), between pairs of frames, move a joint about the hub alike [px].
+    """Return whether two motions z -> a z + b (n, 2), between pairs of frames, share a joint that circles the hub.
 
-    The point that both move alike is the joint of two links, at a constant distance from the hub of the first.
+    The joint of two links is the point that both motions displace equally [px]; its distance from the hub of the first
+    motion is constant.
     """
     turn = first[:, 0] - second[:, 0]
     joint = (second[:, 1] - first[:, 1]) / np.where(np.abs(turn) < 1e-9, 1e-9, turn)
@@ -134,16 +137,17 @@ def share_a_joint(hub: complex, first: Complexes, second: Complexes) -> bool:
 
 
 def carries_a_link(ring: Ring, frames: Sequence[Plane], angle: Floats, noise: float) -> bool:
-    """Return whether something extends beyond a tracked body, is joined to it, and does not turn with it.
+    """Return whether a link is joined to a tracked body, extends beyond the body, and does not turn with it.
 
-    `angle` (n,) are the angles of the body in the frames, clockwise as seen [rad], `noise` is that of single frames.
+    `angle` (n,) are the angles of the body in the frames, clockwise as seen [rad]; `noise` is the noise of single
+    frames.
     """
     background = median_picture(frames)
     body, beyond = (
         Ring.about(ring.hub, low * ring.outer, high * ring.outer, stretch=ring.stretch)
         for low, high in (_RIM, _BEYOND)
     )
-    # a direction of the body, at which a part beyond it would stay if it turned with it
+    # directions relative to the body: a part that turns with the body keeps its direction
     width = math.ceil(_DIRECTION / beyond.step)
     seen, joined = np.zeros(beyond.columns), 0
     for frame, turn in zip(frames, angle, strict=True):
@@ -156,7 +160,7 @@ def carries_a_link(ring: Ring, frames: Sequence[Plane], angle: Floats, noise: fl
 
 
 def _joined(region: Plane, body: Ring, beyond: Ring) -> npt.NDArray[np.bool_]:
-    """Return the columns of a ring in which a region shows parts that it joins to a ring farther inside."""
+    """Return the columns of a ring that contain parts of a region which are connected to a ring farther inside."""
     closed = cv2.morphologyEx(region, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     label, _ = parts_of(np.asarray(closed, dtype=np.uint8))
     inside, outside = (_labels(label, ring) for ring in (body, beyond))

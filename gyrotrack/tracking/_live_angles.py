@@ -1,8 +1,8 @@
-"""Angles of a film while it is tracked, for a program that shows them; no result depends on them.
+"""Angles of a film during tracking, for programs that display them; no result depends on these reports.
 
-Trackers report the angles of frames as soon as they are found. A `Sink` that is set with `angles_sent_to` receives them
-in the process where they are found, which is another one for some parts of a film: it must be picklable. Without a sink
-nothing happens.
+Trackers report the angles of frames as soon as they are found. A `Sink` that is set with `angles_sent_to` receives the
+angles in the process that found them. Because other processes track some parts of a film, the sink must be picklable.
+Without a sink nothing happens.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 Sink = Callable[[str, int, npt.NDArray[np.int64], npt.NDArray[np.float64]], object]
-"""Called with a body, the first frame of a part, numbers (n,) of frames in it, and their angles as seen (n,) [rad].
+"""Called with a body, the first frame of a part, frame numbers (n,) in the part, and angles as seen (n,) [rad].
 
-Angles are unwrapped within a part; a frame number that is not larger than the previous one begins the part anew.
+Angles are unwrapped within a part. If a frame number is not larger than the previous number, the part is restarted.
 """
 
 _sink: ContextVar[Sink | None] = ContextVar("sink", default=None)
@@ -27,7 +27,7 @@ _TOGETHER = 16
 
 @contextmanager
 def angles_sent_to(sink: Sink | None) -> Iterator[None]:
-    """Send the angles that are found within the context to `sink`."""
+    """Send all angles found within the context to `sink`."""
     token = _sink.set(sink)
     try:
         yield
@@ -64,7 +64,7 @@ class FrameAngles:
         self._angles: list[float] = []
 
     def add(self, frame: int, angle: float) -> None:
-        """Report the angle [rad] of a frame with the next ones."""
+        """Add the angle [rad] of a frame to the next report."""
         self._frames.append(frame)
         self._angles.append(angle)
         if len(self._frames) == _TOGETHER:

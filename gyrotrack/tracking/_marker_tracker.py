@@ -1,14 +1,15 @@
-"""One marker, measured a batch of frames at a time: its tangential profile matched with the mean of recent profiles.
+"""One marker, measured in batches of frames: its tangential profile is matched with the mean of recent profiles.
 
 p(x) = a T(x - d) + b with gain a, offset b and displacement d free in every frame, fitted over the samples that are
-not occluded. T is the mean of the frames' own profiles, each brought to zero displacement, and made symmetric:
-T(x) = T(-x). A marker with parallel sides smeared by a uniform motion during the exposure has a symmetric profile about
-its middle at mid-exposure, so d is the angle of the middle of the marker at the middle of the exposure, however wide
-the smear is.
+not occluded. T is the mean of the profiles of the frames, each shifted to zero displacement, and is made symmetric:
+T(x) = T(-x). A marker with parallel sides that moves uniformly during the exposure has a smeared profile that is
+symmetric about the middle of the marker at mid-exposure. Therefore d is the angle of the middle of the marker at the
+middle of the exposure, for any width of the smear.
 
-Glare, shadows and encoder blocks increase the misfit of a profile and displace it. The relation depends on the film and
-is estimated from the scatter of the marker: with x the squared misfit of an observation relative to the median, minus
-1, its variance is s^2 (1 + share x), and `share` is the maximum-likelihood estimate.
+Glare, shadows and encoder blocks increase the misfit of a profile and displace it. The relation between misfit and
+displacement depends on the film and is estimated from the scatter of the marker. With x the squared misfit of an
+observation relative to the median, minus 1, the variance of the observation is s^2 (1 + share x). `share` is estimated
+by maximum likelihood.
 """
 
 from __future__ import annotations
@@ -39,12 +40,12 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class MarkerObservations:
-    """One marker in consecutive frames, about the centre of the ring; NaN where its body is lost."""
+    """Observations of one marker in consecutive frames, about the centre of the ring; NaN where the body is lost."""
 
     # shape (n,); fine angle as seen [rad], radius of the middle of the marker [px]
     angle: Floats
     radius: Floats
-    # shape (n, 2); the near corners about the ring's centre
+    # shape (n, 2); polar coordinates of the near corners about the ring's centre
     corner_angle: Floats
     corner_radius: Floats
     # shape (n,); height relative to the typical one, and rms residual from the template relative to the gain
@@ -73,7 +74,7 @@ class MarkerObservations:
         return MarkerObservations(**{f.name: getattr(self, f.name)[part] for f in fields(MarkerObservations)})
 
     def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
-        """Return where a part of the marker lies outside a picture of (width, height) px."""
+        """Return a mask of the frames in which a part of the marker is outside a picture of (width, height) px."""
         found = np.zeros(len(self.angle), dtype=np.bool_)
         for part in row_blocks(len(found)):
             for radius in (inner, outer):
@@ -85,7 +86,7 @@ class MarkerObservations:
         return found
 
     def position(self, good: Mask) -> Floats:
-        """Return the position of the middle of the marker, (n, 2) in px; at its median radius where not good."""
+        """Return the position of the middle of the marker, (n, 2) [px], at the median radius in frames not `good`."""
         usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan
         r = np.where(good, self.radius, usual)
         place = np.empty(self.centre.shape)
@@ -106,13 +107,13 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
 LARGEST = 24.0
 """Upper limit of the excess of a squared misfit [1]. Derived: a misfit of 5 times the typical one, 5^2 - 1."""
 FEWEST = 30
-"""Frames from which a scatter is measured [frames]. Chosen: the scatter of 30 frames is known within 13 %; fewer give a
-share by chance."""
+"""Smallest number of frames for a scatter [frames]. Chosen: the scatter of 30 frames is known within 13 %; fewer give
+a share by chance."""
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
-"""Shares of the excess misfit in the variance that are tried [1]. Chosen: steps of 26 %; finer ones do not change the
+"""Grid of shares of the excess misfit in the variance [1]. Chosen: steps of 26 %; finer ones do not change the
 uncertainty by more than some percent."""
 _FAULT = 5.0
-"""Residual from which an angle is a fault, in standard deviations [1]. Chosen: a smaller value discards good angles, a
+"""Largest residual of a valid angle, in standard deviations [1]. Chosen: a smaller value discards good angles, a
 larger one lets faults raise the share."""
 
 
@@ -133,11 +134,11 @@ def variance_inflation(off: Floats, excess: Floats) -> float:
 
 
 LARGEST_MISFIT = 0.12
-"""Misfit of a profile, relative to its height, that illumination alone can cause [1]. Chosen: occlusion of a tenth of a
-marker causes more; a larger value accepts it, a smaller one rejects glare."""
+"""Largest misfit of a profile, relative to its height, that illumination alone can cause [1]. Chosen: occlusion of a
+tenth of a marker causes more; a larger value accepts it, a smaller one rejects glare."""
 WEAKEST = 4.0
-"""Factor on the uncertainty beyond which a partly occluded marker is not used [1]. Chosen: it carries 1/16 of the
-information; a larger value admits the errors of an edge, a smaller one discards angles."""
+"""Largest factor on the uncertainty of a partly occluded marker that is used [1]. Chosen: 1/16 of the information; a
+larger value admits the errors of an edge, a smaller one discards angles."""
 
 
 @dataclass(frozen=True)
@@ -145,11 +146,11 @@ class Candidate:
     """Fine angles of one marker before the fusion."""
 
     angle: Floats  # as seen, wrapped [rad]
-    good: Mask  # where its height and profile are plausible
-    open: Mask  # no part of it is occluded
-    weak: Floats  # factor on its uncertainty for occlusion and low gain
-    misfit_excess: Floats  # excess of the misfit of its profile; see `variance_inflation`
-    mount: float  # start value of its mount angle, as seen [rad]
+    good: Mask  # frames in which height and profile are plausible
+    open: Mask  # frames in which no part of the marker is occluded
+    weak: Floats  # factor on the uncertainty for occlusion and low gain
+    misfit_excess: Floats  # excess of the misfit of the profile; see `variance_inflation`
+    mount: float  # initial value of the mount angle, as seen [rad]
 
 
 _LOWEST = 0.5
@@ -159,7 +160,7 @@ _HIGHEST = 2.0
 """Largest plausible height of a marker over its median [1]. Chosen: a larger value keeps glare, a smaller one omits
 markers in bright light."""
 _POOR = 6.0
-"""Misfit from which a profile is implausible, in robust standard deviations above the typical one [1]. Chosen: a
+"""Largest misfit of a plausible profile, in robust standard deviations above the typical misfit [1]. Chosen: a
 smaller value omits good angles, a larger one keeps disturbed ones."""
 
 
@@ -177,7 +178,7 @@ def plausible(seen: MarkerObservations) -> Mask:
 
 
 def candidate(seen: MarkerObservations, angle: Floats, good: Mask, mount: float) -> Candidate:
-    """Return a candidate from observations and their corrected angle."""
+    """Return a candidate from observations and the corrected angle."""
     columns = {
         "angle": angle,
         "good": good,
@@ -193,9 +194,9 @@ def _usual(seen: MarkerObservations, values: Floats) -> float:
 
 
 ROUNDS = 8
-"""Iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer; more cost time."""
+"""Number of iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer; more cost time."""
 FINENESS = 8
-"""Displacements per sample at which the template is tabulated [1]. Chosen: linear interpolation between 1/8 of a
+"""Tabulated displacements of the template per sample [1]. Chosen: linear interpolation between 1/8 of a
 sample; fewer bias the angle, more take memory."""
 
 
@@ -207,13 +208,13 @@ class Match:
     gain: Floats  # a and b, in units of the profiles
     offset: Floats
     misfit: Floats  # rms residual in the open samples, relative to the gain
-    # uncertainty of d relative to that with all samples open and a gain of 1 (from the curvature of the fit);
-    # inf where d is not determined
+    # uncertainty of d relative to the uncertainty with all samples open and a gain of 1 (curvature of the fit); inf
+    # where d is not determined
     weakness: Floats
 
 
 def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match:
-    """Fit gain, offset and displacement [samples] of profiles (n, m), where `seen`, to a template by Gauss-Newton."""
+    """Fit gain, offset and displacement [samples] of a template to the samples `seen` of profiles (n, m)."""
     slope = np.empty_like(template)
     slope[1:-1] = 0.5 * (template[2:] - template[:-2])
     slope[[0, -1]] = template[1] - template[0], template[-1] - template[-2]
@@ -265,7 +266,7 @@ def _with_ends(rows: Floats, reach: int) -> Floats:
 
 
 def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
-    """Return the mean of the open samples of frames in `use`, from 0 to 1, NaN without any; None for two frames."""
+    """Return the mean open samples of frames in `use`, scaled to 0 to 1 (NaN: no sample); None for few frames."""
     if use.sum() < 3:
         return None
     aligned = shifted(profile[use], found.shift[use])
@@ -282,7 +283,7 @@ def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmet
 
 
 _CLIPPED = 2.5
-"""Deviation from which a sample does not enter the mean profile, in standard deviations [1]. Chosen: a smaller value
+"""Largest deviation of a sample that enters the mean profile, in standard deviations [1]. Chosen: a smaller value
 narrows the distribution, a larger one admits hands and glare."""
 
 
@@ -300,7 +301,7 @@ def _clipped_mean(values: Floats, seen: Mask) -> Floats:
 
 
 def flat_top(half_width: float, length: int) -> Floats:
-    """Return an initial template: 1 within `half_width` samples of the middle, falling to 0 over three."""
+    """Return an initial template: 1 within `half_width` samples of the middle, falling to 0 over three samples."""
     x = np.abs(np.arange(length) - (length - 1) / 2.0)
     return np.asarray(np.clip((half_width + 1.5 - x) / 3.0, 0.0, 1.0))
 
@@ -348,8 +349,8 @@ class MarkerTracker:
     def measure(self, window: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
         """Measure the marker; `open_` (n, columns of the window) marks the samples that nothing occludes.
 
-        A shadow reduces the chroma of a coloured marker as a whole; next to a white marker it darkens the metal, which
-        distorts the edge of the profile. Where such a marker is unoccluded, only samples that are `clear` of shadows
+        A shadow reduces the chroma of a coloured marker as a whole. Next to a white marker, a shadow darkens the
+        metal, which distorts the edge of the profile. If a white marker is unoccluded, only samples `clear` of shadows
         are used.
         """
         dark = shaded_columns(self.light)
@@ -419,10 +420,10 @@ class MarkerTracker:
         return found
 
     def _without_neighbours(self, window: MarkerWindow, found: Match, open_: Mask) -> Match:
-        """Match profiles of an implausible misfit again, without the samples beside the marker that cause it.
+        """Match profiles with an implausible misfit again, without the disturbing samples beside the marker.
 
-        The markers of the rotor pass below those of the casing and do not change their profiles. What is beside a
-        marker of the rotor, for example the bar, may cover a part of it.
+        The markers of the rotor pass below the markers of the casing and do not change their profiles. An object
+        beside a marker of the rotor, for example the bar, may cover a part of this marker.
         """
         poor = window.known & (found.misfit > LARGEST_MISFIT)
         if self.marker.body != "casing" or not poor.any():
@@ -477,7 +478,7 @@ class MarkerTracker:
         return radius, angle
 
     def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
-        """Return which pairs of corners are consistent with the place and width of the marker, (n, 1)."""
+        """Return a mask (n, 1) of the pairs of corners consistent with the position and width of the marker."""
         half, middle = 0.5 * (angle[:, 1] - angle[:, 0]), angle.mean(axis=1)
         known = np.isfinite(half)
         if not known.any():
@@ -510,7 +511,7 @@ _MOST_WEAKNESS = 4.0
 """Largest factor on the uncertainty of a profile that enters a template [1]. Chosen: a larger value admits covered
 markers, a smaller one leaves few profiles."""
 _FEWEST_WHOLE = 6
-"""Smallest number of unoccluded profiles for which the others are not used [frames]. Chosen: fewer give a noisy
+"""Number of unoccluded profiles that make the use of other profiles unnecessary [frames]. Chosen: fewer give a noisy
 template, more admit covered markers."""
 _OF_TYPICAL = 0.6
 """Smallest height of a profile that enters a template over the median of all [1]. Chosen: a smaller value admits shaded
@@ -521,7 +522,7 @@ disturbed profiles, a smaller one leaves few."""
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:
-    """Return the frames that may enter a template: large gain, and a typical misfit at most."""
+    """Return a mask of the frames that may enter a template: gain is large and misfit is not above typical."""
     usable = (
         known & (found.gain > _LEAST_GAIN) & (found.gain < _MOST_GAIN) & (found.weakness < _MOST_WEAKNESS)
     )

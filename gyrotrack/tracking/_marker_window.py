@@ -1,8 +1,9 @@
 """The window in which a marker is expected, and uneven illumination and occlusion as functions of the angle.
 
-Illumination and occlusion are learnt from the marker itself. When a marker with profile a T(x) passes an angle, its
-measured height relative to the expected one, h = sum(a T p) / sum((a T)^2) over all passages, gives the illumination
-(angles fixed in the picture) or shows an occlusion (angles fixed on the other body).
+Illumination and occlusion are learnt from the marker itself. When a marker with profile a T(x) passes an angle, the
+measured height over the expected height is h = sum(a T p) / sum((a T)^2), summed over all passages. As a function of
+the angle in the picture, h is the illumination; as a function of the angle relative to the other body, h shows an
+occlusion.
 """
 
 from __future__ import annotations
@@ -41,8 +42,9 @@ class MarkerStrip:
     """Windows about one marker, collected for a batch of frames, as scores: 0 on the background, 1 on the marker.
 
     A score is linear in the planes of the film; it is computed and unrolled only for the pixels of the windows. The
-    background is the median of the samples, at every pixel, or along each row if the marker hardly moves. `keep_out` is
-    the smallest radius [px] (the disc), `margin` the largest distance of a marker from its expected angle [rad].
+    background is the median of the samples at every pixel, or the median along each row if the marker hardly moves.
+    `keep_out` is the smallest radius [px] (the disc), `margin` the largest distance of a marker from its expected
+    angle [rad].
     """
 
     def __init__(
@@ -142,7 +144,8 @@ class MarkerStrip:
     def locate(self, angle: Floats, place: slice) -> tuple[Floats, Floats]:
         """Return the displacement of the marker from given angles (n,) [rad] in frames of the batch, in columns.
 
-        It is searched within the margin. The second array is the mean score at the maximum, 0 if that is at the limit.
+        The marker is searched within the margin. The second array is the mean score at the maximum, or 0 if the
+        maximum is at the limit.
         """
         half, reach = max(int(self.marker.half_width / self.ring.step), 1), self.slack
         column = angle / self.ring.step - self.starts[place] + (self.half - half - reach)
@@ -152,7 +155,7 @@ class MarkerStrip:
     def _background(self, samples: Samples) -> Singles:
         frames = samples.frames if self.white else [samples.frames[k] for k in samples.spread]
         seen = np.stack([self.grid.around(frame, slice(None)) for frame in in_turn(frames)], axis=-1)
-        seen.sort(axis=-1)  # faster than a partition about two ranks
+        seen.sort(axis=-1)  # sorting is faster than a partition about two ranks
         ground = 0.5 * (seen[..., (len(frames) - 1) // 2] + seen[..., len(frames) // 2])
         if self.marker.dwell > LONGEST_DWELL:
             ground[:] = np.median(ground, axis=1, keepdims=True)
@@ -167,10 +170,10 @@ for a dim one, more have noisy heights."""
 class MarkerWindow:
     """Scores (n, rows, m) and profiles in the windows of one marker, in n frames.
 
-    `known`: frames in which the body is tracked; `start`, `first`: middle column of the window, and its first one
-    within the full turn; `fraction`: expected displacement of the marker from the middle, in columns; `raw`, `profile`
-    (n, m): mean over the rows of the marker, without and with correction of the illumination; `layers` (n, layers, m):
-    that of parts of the radius, without the correction.
+    `known`: frames in which the body is tracked; `start`, `first`: middle column of the window, and first column of
+    the window within the full turn; `fraction`: expected displacement of the marker from the middle, in columns;
+    `raw`, `profile` (n, m): mean over the rows of the marker, without and with correction of the illumination;
+    `layers` (n, layers, m): means over parts of the radius, without the correction.
     """
 
     def __init__(self, strip: MarkerStrip, coarse: Floats) -> None:
@@ -202,7 +205,7 @@ class MarkerWindow:
         self._light, self.profile = here, self.raw * here
 
     def here(self, around: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-        """Return values per column of the ring for the samples of the windows, (n, m)."""
+        """Return the values at the samples of the windows, (n, m), from values per column of the ring."""
         m = self.raw.shape[1]
         return sliding_window_view(np.concatenate([around, around[:m]]), m)[self.first]
 
@@ -221,8 +224,8 @@ class MarkerWindow:
 class AngleMap:
     """Mean relative height of a marker at each angle and in parts of the radius (`layers`), learnt from its passages.
 
-    `ground` is the background that was subtracted, in heights of the marker. A marker does not show the lamps that are
-    reflected in the metal beneath it: its own brightness varies little and is averaged, its height above the background
+    `ground` is the subtracted background, in heights of the marker. A marker covers the reflections of lamps in the
+    metal beneath it. Its brightness therefore varies little and is averaged, whereas its height above the background
     varies.
     """
 
@@ -233,7 +236,7 @@ class AngleMap:
         self._bottom = np.zeros((layers, columns))
 
     def learn(self, layer: int, column: Integers, expected: Floats, value: Floats) -> None:
-        """Add passages: arrays of column, expected height (0: do not use), measured height above the background."""
+        """Add passages: arrays of column, expected height (0: not used), and measured height above the background."""
         use = expected > 0.0
         column, expected, value = column[use], expected[use], value[use]
         weighted = expected * (value + expected * self._ground[column])
@@ -246,7 +249,7 @@ class AngleMap:
         self._bottom += other._bottom
 
     def replace(self, other: AngleMap) -> None:
-        """Take over the passages of another map of the same marker."""
+        """Replace the passages by the passages of another map of the same marker."""
         self._top[:], self._bottom[:] = other._top, other._bottom
 
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
@@ -265,10 +268,10 @@ class AngleMap:
 
 
 HIDDEN = 0.55
-"""Height relative to the expected one below which a marker counts as occluded; lower limit of the illumination [1].
+"""Smallest height of an unoccluded marker relative to the expected height; lower limit of the illumination [1].
 Chosen: a smaller value keeps half-covered markers, a larger one discards shaded ones."""
 CLEAR = 0.95
-"""Height above which a marker counts as free of shadows [1]. Chosen: a smaller value keeps blurred edges, a larger one
+"""Smallest relative height of a marker without shadow [1]. Chosen: a smaller value keeps blurred edges, a larger one
 discards markers in uneven light."""
 WIDEST_EDGE = 8
 """Largest width of the blurred edge or the shadow of an occluding object [columns]. Chosen: a smaller value keeps
@@ -278,9 +281,9 @@ biased angles, a larger one discards open ones."""
 def even_light(light: AngleMap, reach: int) -> Floats:
     """Return the relative illumination of each column, between 0.55 and 2; 1 where it is unknown.
 
-    `reach` is half the width of a marker in columns, or half the distance between the angles at which it is seen, if
-    that is larger. This is the resolution: if a marker is seen at the same few angles in every turn, or moves slowly
-    about them, an error of its displacement is indistinguishable from a gradient of the illumination.
+    `reach`, the resolution, is half the width of a marker in columns, or half the distance between the angles at which
+    the marker is seen, if this distance is larger. If a marker is seen at the same few angles in every turn, or moves
+    slowly about these angles, an error of the displacement is indistinguishable from a gradient of the illumination.
     """
     columns = light.columns
     height = light.heights(max(reach, 1), prior=4.0)[0]
@@ -293,14 +296,15 @@ def even_light(light: AngleMap, reach: int) -> Floats:
 
 
 FEWEST_PLACES = 64
-"""Frames from which the gaps between random angles are not wider than a marker [frames]. Chosen: fewer have wide gaps
-by chance, more leave the gaps of short films unnoticed."""
+"""Number of frames above which the gaps between random angles are not wider than a marker [frames]. Chosen: fewer have
+wide gaps by chance, more leave the gaps of short films unnoticed."""
 
 
 def places_apart(column: Integers, columns: int) -> int:
-    """Return the distance [columns] between the few angles of a marker, 0 without such: the second largest gap.
+    """Return the distance [columns] between the angles of a marker that is seen at few angles, otherwise 0.
 
-    The largest gap may be the range that a slow body does not reach; the gaps of few frames are random.
+    The distance is the second largest gap, because the largest gap may be a range that a slow body does not reach. The
+    gaps of few frames are random.
     """
     if len(column) < FEWEST_PLACES:
         return 0
@@ -310,15 +314,15 @@ def places_apart(column: Integers, columns: int) -> int:
 
 
 def shaded_columns(light: AngleMap) -> npt.NDArray[np.bool_]:
-    """Return at which angles an object at rest occludes the marker, or glare exceeds it."""
+    """Return a mask of the angles at which an object at rest occludes the marker, or glare exceeds the marker."""
     height = light.heights(max(light.columns // 128, 1), prior=4.0)[0]
     return np.asarray(np.nan_to_num(height, nan=1.0) < HIDDEN)
 
 
 def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
-    """Return at which angles the marker is unoccluded in all layers, or unknown; occluded ones grow by one column.
+    """Return a mask of the angles at which the marker is unoccluded in all layers, or unknown.
 
-    With `shadows` they are extended over adjacent columns with a height below `CLEAR`.
+    Occluded ranges are extended by one column; with `shadows`, also over adjacent columns with a height below `CLEAR`.
     """
     height = np.nan_to_num(cover.heights(1), nan=1.0)
     hidden, dim = (np.asarray((height < limit).any(axis=0)) for limit in (HIDDEN, CLEAR))
@@ -357,7 +361,7 @@ _SCALE = _COLUMNS / (2.0 * np.pi)
 
 
 class Occlusion:
-    """Map of the occlusion by the other body, `offset` [px] the rings' centre from its axis, `step` [rad] a column."""
+    """Map of the occlusion by the other body; `offset` [px] of the rings' centre from its axis; `step` [rad]."""
 
     def __init__(self, step: float, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self._step, self._offset = step, offset
@@ -372,7 +376,7 @@ class Occlusion:
             self.map.learn(layer, column, core, np.clip(window.layers[:, layer], -0.2, 1.5))
 
     def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
-        """Return which samples (n, m) are unoccluded, and not in a shadow; all if the other body is unknown."""
+        """Return a mask of the unoccluded samples (n, m) without shadow; all samples if the other body is unknown."""
         everything = np.ones(window.raw.shape, dtype=np.bool_)
         if casing is None:
             return everything

@@ -49,15 +49,15 @@ _WIDEST = 2.0
 """Largest range of the angles in which features are followed [rad]. Chosen: a wider one is left to registration about a
 hub; features are lost by larger rotations."""
 _LENIENT = 2.0
-"""Factor by which the lower limits of range and travel are smaller in reduced frames [1]. Chosen: a smaller factor
+"""Factor on the lower limits of range and travel in reduced frames [1]. Chosen: a smaller factor
 refuses films that the full frames show, a larger one examines more of them."""
 _EXPLAINED = 0.4
 """Smallest share of the change of brightness about the path that the rotation explains [1]. Chosen: a smaller value
 accepts bodies that only translate, a larger one refuses uneven light."""
 _RIGID = 0.7
-"""Smallest explained share for a body whose path is that of its outline; rotation explains nearly all of the change of
-a rigid body [1]. Measured: real pucks and a cylinder: 0.79 to 0.99; a wave, a part of a turning rod, wires on a puck:
-0.56 to 0.63."""
+"""Smallest explained share for a body whose path is the path of its outline; for a rigid body, rotation explains
+nearly the whole change [1]. Measured: real pucks and a cylinder: 0.79 to 0.99; a wave, a part of a turning rod, wires
+on a puck: 0.56 to 0.63."""
 _ROUGHLY_RIGID = 0.5
 """Smallest explained share with rough angles, for which a body is registered [1]. Measured: registration changes the
 share by less than 0.1; the films are not recorded."""
@@ -76,15 +76,15 @@ _SETTLED = 1e-3
 """Change of the angles, relative to the motion, that ends the iterations [1]. Chosen: a larger value stops early, a
 smaller one costs time."""
 _HIDDEN = 6.0
-"""Mean square residual over its median from which a frame does not show the body [1]. Chosen: a smaller value omits
+"""Largest mean square residual, over its median, of a frame that shows the body [1]. Chosen: a smaller value omits
 frames of uneven light, a larger one keeps frames with a hand."""
 _LARGEST_STEP = 2.0
 """Largest correction of the path by a registration [px]. Chosen: a smaller value needs more iterations, a larger one
 follows wrong fits."""
 
 _BACKGROUND = 60
-"""Frames of which the background is the median [frames]. Chosen: memory and time; fewer keep a slow body in the
-background."""
+"""Number of frames for the background, which is their median [frames]. Chosen: memory and time; fewer keep a slow body
+in the background."""
 _LAG = 4
 """Frames between which the picture of a moving body changes [frames]. Chosen: fewer show less motion than noise, more
 shift the ends of the motion."""
@@ -105,8 +105,8 @@ _LOST = 5
 """Frames without the body after which a path ends [frames]. Chosen: colliding bodies start new paths; fewer split a
 path at each occlusion, more join different bodies."""
 _AREA = 0.3
-"""Relative change of the area from which bodies touch or are occluded [1]. Chosen: a smaller value discards frames of
-uneven light, a larger one keeps touching bodies."""
+"""Smallest relative change of the area of a body that touches another body or is occluded [1]. Chosen: a smaller value
+discards frames of uneven light, a larger one keeps touching bodies."""
 _GATE = 0.7
 """Largest distance of a body from its prediction [diameters]. Chosen: a smaller value loses fast bodies, a larger one
 confuses neighbours."""
@@ -114,25 +114,25 @@ _TRAVEL = 0.5
 """Smallest motion of a free body [diameters]. Chosen: a smaller value follows bodies on an axle, a larger one omits
 short paths."""
 _OF_FILM = 0.25
-"""Smallest share of the change of the film that is in the frames of the path [1]. Chosen: what is seen for less is not
-the motion of the film; a larger value omits one body of several."""
+"""Smallest share of the change of the film that is in the frames of the path [1]. Chosen: a body that is seen for less
+is not the subject of the film; a larger value omits one body of several."""
 _SLIDING = 1.0
-"""Displacement in `_LAG` frames from which a body is in motion [px]. Chosen: a smaller value includes rest, a larger
+"""Smallest displacement of a moving body in `_LAG` frames [px]. Chosen: a smaller value includes rest, a larger
 one cuts slow ends."""
 _TURNING = 3.0
-"""Change (rms) of the picture of a body over the noise from which it is in motion [1]. Chosen: a smaller value includes
+"""Smallest change (rms) of the picture of a moving body over the noise [1]. Chosen: a smaller value includes
 rest, a larger one cuts slow ends."""
 _TURNED = 0.2
-"""Change (rms) of the picture of a body, relative to its largest change, from which it is in motion [1]. Chosen:
+"""Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen:
 changes by the codec at rest exceed the noise; a smaller value includes them, a larger one cuts slow ends."""
 _STEADY = 9
 """Frames of a window in which most show the motion [frames]. Chosen: fewer end the motion at a single frame, more blur
 its ends."""
 _WITHIN = 0.9
-"""Share of the radius within which the picture is that of the body alone [1]. Chosen: a larger value includes the
+"""Share of the radius within which the picture shows the body alone [1]. Chosen: a larger value includes the
 background, a smaller one loses marks near the rim."""
 _BODIES = 4
-"""Largest number of paths of which the rotation is measured [1]. Chosen: time; fewer may omit the body that turns."""
+"""Largest number of paths for which the rotation is measured [1]. Chosen: time; fewer may omit the body that turns."""
 _FASTEST = 0.25 * TURN
 """Largest rotation per frame [rad per frame]. Derived: beyond a quarter of a turn a disc with two similar sides fits
 either sense."""
@@ -149,9 +149,9 @@ def track_by_features(
 ) -> Tracked | None:
     """Track a body without an axle, for example a suspended table, by its features; None for any other film.
 
-    This is for a hub that moves by about a pixel or more and a range of angles below 2 rad. A body on an axle is
-    tracked by registration, which uses the whole picture, and so is one that moves more than it turns, or whose hub
-    is outside the picture, for example the ball of a pendulum.
+    The hub must move by about a pixel or more, and the range of angles must be below 2 rad. Registration, which uses
+    the whole picture, tracks all other bodies: a body on an axle, a body that moves more than it turns, and a body
+    whose hub is outside the picture, for example the ball of a pendulum.
     """
     wanted = set(usable.tolist())
     found = _loose_motion((f for i, f in enumerate(film.frames()) if i in wanted), motion)
@@ -174,9 +174,9 @@ def track_by_features(
     if share < _EXPLAINED:
         return None
     tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
-    if tracked.explained < _EXPLAINED:  # several bodies, of which the features show a mixture
+    if tracked.explained < _EXPLAINED:  # the features belong to several bodies
         return None
-    # features at the edge of the body are biased by the background: the result is that of registration, and the
+    # features at the edge of the body are biased by the background: the result is from registration, and the
     # difference between the two is a correlated uncertainty; new features inherit the error of the previous ones
     kept = np.isin(usable, tracked.frame)
     apart, followed = tracked.angle + theta[kept], followed[kept]
@@ -187,7 +187,7 @@ def track_by_features(
     notes = [
         (
             f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; its path is measured. Angles from "
-            f"features and from registration differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty contains."
+            f"features and from registration differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty includes."
         )
     ]
     if repeated:
@@ -196,16 +196,17 @@ def track_by_features(
 
 
 def may_be_loose(frames: Iterable[Plane], motion: Motion) -> bool:
-    """Return whether the features of reduced frames show a body that turns a little and travels less."""
+    """Return whether the features of reduced frames show a body that turns by a small angle and travels less."""
     return _loose_motion(frames, motion, travel=_LENIENT, least=_LEAST_RANGE / _LENIENT) is not None
 
 
 def _loose_motion(
     frames: Iterable[Plane], motion: Motion, travel: float = 1.0, least: float = _LEAST_RANGE
 ) -> tuple[Floats, npt.NDArray[np.complex128], Frames, Ring] | None:
-    """Return the angles of the features of a body, the path of its hub, their generations, and a ring; or None.
+    """Return the angles of the features of a body, the path of its hub, the feature generations, and a ring; or None.
 
-    The angles must range over more than `least` [rad], and the hub may move by `travel` times the arcs of the rim.
+    The range of the angles must exceed `least` [rad], and the hub must move by less than `travel` times the arcs of
+    the rim.
     """
     found = follow_features(frames, motion, _WIDEST)
     if found is None:
@@ -226,7 +227,7 @@ def _loose_motion(
 
 
 def _completed(film: Film, tracked: Tracked, correlated: float, way: str, notes: list[str]) -> Tracked:
-    """Return a motion with the correlated uncertainty [rad] of its angles, the way to its hub, and all warnings."""
+    """Return a motion with the correlated uncertainty [rad] of its angles, the method for its hub, and warnings."""
     sigma, warnings = np.hypot(tracked.sigma, correlated), (*film.warnings, *tracked.warnings, *notes)
     return replace(tracked, sigma=sigma, correlated=correlated, way=way, warnings=warnings)
 
@@ -236,8 +237,8 @@ def track_free_body(
 ) -> Tracked:
     """Track the rotation of a body that moves across the picture in front of a fixed background.
 
-    It is the one that passes the point `near` (x, y) [px], by default that with the largest range of angles. A
-    TrackingError is raised if no body moves across the picture, or none of them turns measurably.
+    The body is the one that passes the point `near` (x, y) [px], by default the body with the largest range of angles.
+    A TrackingError is raised if no body moves across the picture, or if no such body turns measurably.
     """
     usable = fresh_frames(film)
     noise = max(spatial_noise(film.some(usable[:: max(1, len(usable) // 8)])), 0.5)
@@ -254,7 +255,7 @@ def track_free_body(
             continue
         steps = np.diff(tracked.angle) / np.diff(tracked.frame)
         sudden = np.abs(steps - running_quantile(steps, 5, 2))
-        # in a single step, another orientation fits the template better: what moves is not one rigid body
+        # a jump to another orientation that fits the template better: not one rigid body
         if np.max(np.abs(steps)) > _FASTEST or np.max(sudden) > _SUDDEN:
             continue
         apart = tracked.halves[0] - tracked.halves[1]
@@ -263,7 +264,7 @@ def track_free_body(
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
             notes.append(f"Another body moves as well; --hub {x:.0f},{y:.0f} selects it.")
-        # the last warning is the doubt
+        # the last warning must be the doubt about the result
         notes.append(
             f"The body does not turn about a fixed axis: it moves across the picture by "
             f"{np.hypot(*np.ptp(path.place, axis=0)):.0f} px. Its angle is that about the centroid of its outline, "
@@ -285,7 +286,7 @@ class Path:
     frame: Frames  # frames in which the outline is complete, (m,)
     place: Floats  # centroid of the outline (x, y) [px], (m, 2)
     radius: float  # radius of a circle of the same area [px]
-    share: float = 1.0  # change of the picture in these frames over that in all frames, both as areas
+    share: float = 1.0  # changed area of the picture in these frames over the changed area in all frames
 
 
 @dataclass
@@ -318,7 +319,8 @@ class _Link:
 def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     """Return the paths of all bodies that move across the picture, the one with the largest area swept first.
 
-    The background is the median of frames between which the picture changes equally, without bodies that come to rest.
+    The background is the median of frames with equal changes of the picture between them, so that bodies that come to
+    rest are not part of the background.
     """
     changed = _changed(film, usable, _CONTRAST * noise)
     moved = np.cumsum(changed)
@@ -349,7 +351,7 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
 
 
 def _changed(film: Film, usable: Frames, limit: float) -> Floats:
-    """Return the area [px2] that differs by more than a limit between each frame and one a few frames before."""
+    """Return the area [px2] that differs by more than a limit between each frame and an earlier frame."""
     wanted = set(usable.tolist())
     before: deque[Plane] = deque(maxlen=_LAG)
     area = []
@@ -379,7 +381,7 @@ def _outlines(differs: Bools) -> list[_Outline]:
 
 
 def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
-    """Assign the outlines of a frame to the bodies of the previous frames, the nearest pair first."""
+    """Assign the outlines of a frame to the bodies of the previous frames, in the order of distance."""
     pairs = []
     places = np.array([o.place for o in outlines]).reshape(-1, 2)
     areas = np.array([o.area for o in outlines])
@@ -402,7 +404,7 @@ def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
 
 
 def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats, Floats] | None:
-    """Track the angle of a body along its path; None if rotation does not explain the change of its picture."""
+    """Track the angle of a body along its path; None if rotation does not explain the change of the body's picture."""
     hub = path.place.mean(axis=0)
     ring = Ring.about(
         (float(hub[0]), float(hub[1])), max(1.0, 0.1 * path.radius), _WITHIN * path.radius, finest=_COARSE
@@ -411,7 +413,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     where = {int(frame): k for k, frame in enumerate(path.frame)}
     pictures = (ring.unwrap(f, tuple(shift[where[i]])) for i, f in enumerate(film.frames()) if i in where)
     polars = StoredPictures.of(len(where), pictures)
-    # frames of a body at rest are excluded: they carry no information, and a codec copies them without noise
+    # exclude frames of a body at rest: they contain no information, and a codec copies them without noise
     turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
     sliding = np.hypot(*(path.place[_LAG:] - path.place[:-_LAG]).T)
     least = max(_TURNING * noise, _TURNED * float(np.quantile(turning, 0.95)))
@@ -447,9 +449,9 @@ def _along_path(
 ) -> Tracked:
     """Register a body about an approximate path; angle and displacement of the hub are fitted together.
 
-    `theta` (m,) are rough angles [rad], from x to y, `shift` (m, 2) displacements of the hub [px] from the centre of
-    the ring; `area` is the part of the picture that is used for a hub that moves little, else the body is inside the
-    picture.
+    `theta` (m,) are rough angles [rad], from x to y; `shift` (m, 2) are displacements of the hub [px] from the centre
+    of the ring. `area` is the part of the picture that is used if the hub moves little; otherwise the whole body is
+    inside the picture.
     """
     theta, shift = theta.copy(), shift.copy()
     use = np.unique(np.linspace(0, len(frames) - 1, _LEARNT).astype(int))
@@ -471,7 +473,7 @@ def _along_path(
         if np.std(theta[use] - before) < _SETTLED * np.std(theta):
             break
     polars = unwrapped()
-    # equal variances for all samples: over a small range of angles uniform parts of the body, in which only shading
+    # equal variances for all samples: over a small range of angles, uniform parts of the body, in which only shading
     # that is fixed in the image changes, would have the smallest ones
     template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
     parts = template.halves()
@@ -494,7 +496,7 @@ def _along_path(
     usual = float(np.median(misfit))
     kept = misfit < _HIDDEN * usual
     formal = np.array([p.formal for p in every]) * np.sqrt(np.maximum(misfit / usual, 1.0))
-    # not below the Cramer-Rao bound
+    # the uncertainty is not below the Cramer-Rao bound
     scale = max(white_noise(angle[kept], frames[kept]) / float(np.median(formal[kept])), 1.0)
     lost = int((~kept).sum())
     text = f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."

@@ -2,13 +2,13 @@
 
 All points are (x, y) in px with y downwards; angles are counter-clockwise as seen.
 
-A circle seen obliquely is an ellipse, and a marker above the disc at the centre circles a point next to the disc. With
-v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
+A circle seen obliquely is an ellipse, and a marker that is higher than the central disc circles a point beside the
+disc. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
 
     v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
 
-with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both
-change radius and angle: uncorrected, e causes an error of the angle of |e| / rho once per turn, (p, q) one of
+with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both change
+radius and angle: without correction, e causes an error of the angle of |e| / rho once per turn, and (p, q) an error of
 hypot(p, q) twice per turn.
 """
 
@@ -28,7 +28,7 @@ Integers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Orbit:
-    """Concentric circles: centre (x, y), radius of each group, number of inliers, covered angle [rad]."""
+    """Concentric circles: centre (x, y) [px], radius of each group [px], number of inliers, covered angle [rad]."""
 
     centre: tuple[float, float]
     radii: dict[int, float]
@@ -47,9 +47,10 @@ the centre undetermined, a larger one refuses short films."""
 def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbit | None:
     """Find the common centre of the circles of groups (colours) of points, (n, 2) [px], robust against outliers.
 
-    Random triples of points of one group define circles. The centre is selected whose inliers (see `_agreeing`) lie in
-    most directions, since objects at rest are inliers of every centre, but in one direction only. It is refined by
-    least squares over the inliers; None if these are too few or cover less than `_LEAST_SPREAD`.
+    Random triples of points of one group define circles. The selected centre has inliers (see `_agreeing`) in the
+    largest number of directions, because an object at rest is an inlier of every centre, but in one direction only.
+    The centre is refined by least squares over the inliers. The result is None if the inliers are too few or cover
+    less than `_LEAST_SPREAD`.
     """
     if len(points) < _FEWEST:
         return None
@@ -129,7 +130,7 @@ def fit_common_centre(points: Floats, group: Integers) -> tuple[Floats, dict[int
 
 
 def covered_angle(angle: Floats) -> float:
-    """Return the angle in rad that a set of directions covers: a full turn less the largest empty gap."""
+    """Return the angle [rad] covered by a set of directions: a full turn less the largest empty gap."""
     order = np.sort(np.mod(angle, 2.0 * np.pi))
     gaps = np.diff(np.append(order, order[0] + 2.0 * np.pi))
     return float(2.0 * np.pi - gaps.max())
@@ -205,9 +206,9 @@ cost time."""
 
 @dataclass(frozen=True)
 class Flattening:
-    """Effect of an oblique view on an orbit: offsets e per marker in px (y up), and (p, q).
+    """Effect of an oblique view on an orbit: offset e of each marker [px] (y up), and (p, q).
 
-    `offset_covariance` holds the covariance of e in px^2, (2, 2), of markers that cover only an arc; `error` is the
+    `offset_covariance` contains the covariance of e [px^2], (2, 2), for markers that cover only an arc; `error` is the
     standard uncertainty of p and q.
     """
 
@@ -219,7 +220,7 @@ class Flattening:
 
     @property
     def tilt(self) -> float:
-        """The tilt in rad that gives this flattening."""
+        """The tilt [rad] that causes this flattening."""
         return float(2.0 * np.sqrt(np.hypot(self.p, self.q)))
 
     def level(self, name: str, v: Floats) -> Floats:
@@ -234,11 +235,11 @@ class Flattening:
         return replace(self, offset=offset)
 
     def shift(self, names: Iterable[str]) -> Floats:
-        """Return the mean of the offsets of some markers, (2,) in px."""
+        """Return the mean of the offsets of some markers, (2,) [px]."""
         return np.asarray(np.mean([self.offset[name] for name in names if name in self.offset], axis=0))
 
     def tangential_sigma(self, name: str, angle: Floats) -> Floats:
-        """Return the uncertainty of a marker along its orbit due to e, without its mean over the frames, (n,) in px."""
+        """Return the uncertainty of a marker along its orbit due to e, without the mean over the frames, (n,) [px]."""
         if name not in self.offset_covariance or not np.isfinite(angle).any():
             return np.zeros(len(angle))
         along = np.stack([-np.sin(angle), np.cos(angle)])
@@ -246,7 +247,7 @@ class Flattening:
         return np.asarray(np.sqrt(np.einsum("in,ij,jn->n", along, self.offset_covariance[name], along)))
 
     def tilt_sigma(self, angle: Floats) -> Floats:
-        """Return the uncertainty of an angle due to p and q, without its mean over the frames, (n,) in rad."""
+        """Return the uncertainty of an angle due to p and q, without the mean over the frames, (n,) [rad]."""
         if not np.isfinite(angle).any():
             return np.zeros(len(angle))
         along = np.stack([-np.sin(2.0 * angle), np.cos(2.0 * angle)])
@@ -277,9 +278,10 @@ def fit_flattening(positions: dict[str, Floats]) -> Flattening:
 
 
 def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
-    """Fit one offset and the flattening to markers of one body that cover the orbit together, each only a part.
+    """Fit one offset and the flattening to markers of one body that cover the orbit only together.
 
-    As `fit_flattening`, with a radius for each marker; they are in one plane, so that e is common to them.
+    The fit is the same as in `fit_flattening`, with a radius for each marker. The markers are in one plane, so that e
+    is common to all.
     """
     use = {name: v for name, v in positions.items() if len(v)}
     together = np.concatenate(list(use.values())) if use else np.zeros((0, 2))
@@ -300,7 +302,7 @@ causes order 1 and a tilt order 2; errors by place have orders up to 6."""
 
 
 def higher_harmonics(theta: Floats, radius: Floats) -> Floats:
-    """Return the cosines and sines of the orders 3 to 6 of radii over the angle, (8,), in their unit."""
+    """Return the cosine and sine amplitudes of orders 3 to 6 of radii over the angle, (8,), in the unit of radii."""
     few = slice(None, None, max(len(theta) // MOST_OBSERVATIONS, 1))
     theta, off = theta[few], radius[few] - median_of(radius[few])
     design = np.stack([f(k * theta) for k in (0, 1, 2, *_HIGHER) for f in (np.cos, np.sin)], axis=1)[
@@ -321,10 +323,10 @@ def flattening_of_arc(
 ) -> Flattening:
     """Fit offsets to arcs of markers (positions as for `fit_flattening`), with the tilt of the view from another body.
 
-    `shift` (2,) or (h, 2) is the expected offset of all markers [px], or h equally probable ones, of standard deviation
-    `size`; `usual` is a typical error by place [px]. An arc determines e in part; `offset_covariance` is its
-    covariance. Systematic errors, not noise, limit the fit: there is one independent observation per `CELL`. Where
-    several offsets are expected, mean and covariance are those of the mixture of their posterior distributions.
+    `shift` (2,) or (h, 2) is the expected offset of all markers [px], or h equally probable offsets, with standard
+    deviation `size` [px]; `usual` is a typical error by place [px]. An arc determines e in part; `offset_covariance`
+    is its covariance. Systematic errors, not noise, limit the fit: there is one independent observation per `CELL`.
+    For several expected offsets, the result is mean and covariance of the mixture of the posterior distributions.
     """
     expected = np.atleast_2d(shift)
     mean, covariance = mixture(expected, [size**2 * np.eye(2)] * len(expected), [0.0] * len(expected))
@@ -357,8 +359,8 @@ def mixture(
 def _arc(v: Floats, size: float, usual: float) -> tuple[Floats, Floats, float]:
     """Fit the offset of an arc, expected to be 0 within `size`: (2,), its covariance (2, 2), and the log evidence.
 
-    The variance of the errors is the posterior mean given the typical one and the residuals of the few independent
-    places, of which three are absorbed by radius and offset.
+    The variance of the errors is the posterior mean, given the typical variance and the residuals of the few
+    independent places. Radius and offset absorb three of these places.
     """
     few = v[:: max(len(v) // MOST_OBSERVATIONS, 1)]
     rho, theta = np.hypot(few[:, 0], few[:, 1]), np.arctan2(few[:, 1], few[:, 0])

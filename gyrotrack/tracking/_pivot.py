@@ -1,9 +1,10 @@
-"""The pivot of a point that moves on a circle, and the angles about it, with their uncertainties.
+"""The pivot of a point that moves on a circle, and the angles about the pivot, with uncertainties.
 
-The circle is fitted by its geometric distances in the parameters of N. Chernov (Circular and Linear Regression, 2010,
-section 3.2): A (x^2 + y^2) + B x + C y + D = 0 with B^2 + C^2 - 4 A D = 1, which pass through a straight line (A = 0)
-without a singularity. A short arc determines the curvature 2 A = 1 / R with a symmetric uncertainty, and the hub and
-the radius with a large, correlated one: the sagitta L^2 / (8 R) of an arc of length L must exceed the noise.
+The circle is fitted to the geometric distances, with the parameters of N. Chernov (Circular and Linear Regression,
+2010, section 3.2): A (x^2 + y^2) + B x + C y + D = 0 with B^2 + C^2 - 4 A D = 1, which pass through a straight line (A
+= 0) without a singularity. A short arc determines the curvature 2 A = 1 / R with a symmetric uncertainty, but the hub
+and the radius with large, correlated uncertainties: the sagitta L^2 / (8 R) of an arc of length L must exceed the
+noise.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Orbit:
-    """The ellipse as which the circle of a point is seen about a tilted axis.
+    """The ellipse in the picture of a point that moves on a circle about a tilted axis.
 
     With the centre h, the long semi-axis r, and the stretch (p, q) = s (cos 2 beta, sin 2 beta), beta the direction of
     the long axis in the picture (y down), positions are h + r / (1 + s) M u, with M = [[1 + p, q], [q, 1 - p]] and a
@@ -31,7 +32,7 @@ class Orbit:
     value : ndarray, shape (5,)
         Centre x, y [px], mean radius r / (1 + s) [px], p and q.
     covariance : ndarray, shape (5, 5)
-        Its covariance, with errors that repeat with the place.
+        Covariance of `value`, including errors that repeat with the place.
     """
 
     value: Floats
@@ -56,7 +57,7 @@ class Orbit:
 
     @property
     def flattened(self) -> bool:
-        """Whether the orbit differs from a circle beyond its uncertainty."""
+        """Whether the orbit differs significantly from a circle."""
         c = self.value[3:]
         return float(c @ np.linalg.solve(self.covariance[3:, 3:], c)) > STRAIGHT**2
 
@@ -75,7 +76,7 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
     """Fit the ellipse of positions (n, 2) with standard uncertainties (n,) [px] that cover most of it.
 
     The residual is the deviation of the radius in the plane of the body, times the local scale of the picture, so that
-    it has the standard uncertainty of a position. The covariance is that of `fit_arc`.
+    its standard uncertainty is the standard uncertainty of a position. The covariance is computed as in `fit_arc`.
     """
     middle, size = place.mean(axis=0), float(np.hypot(*(place - place.mean(axis=0)).T).mean())
     values, axes = np.linalg.eigh(np.cov(place.T))
@@ -88,7 +89,7 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
         radius = np.hypot(*away.T)
         p, q = value[3:]
         back = np.array([[1.0 - p, -q], [-q, 1.0 + p]]) / (1.0 - p * p - q * q)
-        # gradient of the radius by the position
+        # gradient of the radius with respect to the position
         slope = np.hypot(*((away / np.maximum(radius, 1e-9)[:, None]) @ back).T)
         return np.asarray((radius - value[2]) / np.maximum(slope, 1e-9))
 
@@ -107,14 +108,14 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
 
 
 CELLS = 12
-"""Parts of an arc, each with one error by place [1]. Derived: that of a full orbit has 12 independent values, see
+"""Parts of an arc, each with one error by place [1]. Derived: a full orbit has 12 independent errors by place, see
 `_orbit.CELL`."""
 _FEWEST_IN_CELL = 3
 """Smallest number of positions in a part of an arc that determine its error [positions]. Chosen: fewer give an error by
 chance, more leave short arcs without one."""
 STRAIGHT = 4.0
-"""Smallest curvature of a path that determines a hub, in standard uncertainties [1]. Chosen: a smaller value gives a
-hub with an unbounded uncertainty, a larger one refuses short arcs."""
+"""Smallest curvature of a path that determines a hub, in standard uncertainties [1]. Chosen: a smaller value gives
+hubs with an unbounded uncertainty, a larger one refuses short arcs."""
 
 
 @dataclass(frozen=True)
@@ -147,12 +148,12 @@ class Arc:
 
     @property
     def determined(self) -> bool:
-        """Whether the path is curved beyond its uncertainty."""
+        """Whether the curvature of the path is significant."""
         return self.curvature > STRAIGHT * self.curvature_u
 
 
 _OUTLIER = 5.0
-"""Distance from the circle from which a position is an outlier, in robust standard deviations [1]. Chosen: a smaller
+"""Largest distance of an inlier from the circle, in robust standard deviations [1]. Chosen: a smaller
 value rejects good positions, a larger one keeps other matches."""
 
 
@@ -160,8 +161,8 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     """Fit a circle to positions (n, 2) with standard uncertainties (n,) [px]; at least 6 of them.
 
     The covariance contains the noise of the residuals, and errors that repeat with the place (lens, view,
-    interpolation): one independent error in each of `CELLS` parts of the arc, of the variance by which the means of the
-    parts scatter beyond noise, at least `least` [px].
+    interpolation). These errors are independent in the `CELLS` parts of the arc. Their standard deviation is the
+    scatter of the means of the parts in excess of noise, at least `least` [px].
     """
     origin = place.mean(axis=0)
     x, y = (place - origin).T
@@ -182,7 +183,7 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     fits = [least_squares(normalised, c, loss="soft_l1", f_scale=3.0) for c in starts]
     best = min(fits, key=lambda f: float(f.cost)).x
     rest = distance(best)
-    # outliers, for example frames in which something else was matched, have been given little weight
+    # the robust fit gave little weight to outliers, for example frames in which another object was matched
     typical = max(1.4826 * float(np.median(np.abs(rest / s))), 1e-12)
     use = np.abs(rest / s) < _OUTLIER * typical
 
@@ -267,7 +268,7 @@ def _covariance(
     if len(members) > 4:
         mean = np.array([rest[m].mean() for m in members])
         expected = float(np.mean([noise**2 / len(m) for m in members]))
-        # three parameters absorb a part of the errors by place; a scatter within two standard deviations is noise
+        # the three parameters absorb a part of the errors by place; a scatter within two standard deviations is noise
         free = len(members) - 3
         scatter = float(np.sum(mean**2)) / free
         if scatter > expected * (1.0 + 2.0 * math.sqrt(2.0 / free)):

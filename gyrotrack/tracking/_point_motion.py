@@ -1,4 +1,4 @@
-"""The motion of a point about a pivot: its path, the pivot with its uncertainty, and the angles about it."""
+"""The motion of a point about a pivot: path of the point, pivot with uncertainty, and angles about the pivot."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from gyrotrack.tracking._tracked import white_noise
 Floats = npt.NDArray[np.float64]
 
 HUB_U = 1.0
-"""Standard uncertainty of a hub that is given, per axis [px]. Chosen: the accuracy of a click; a smaller value
+"""Standard uncertainty of a given hub, per axis [px]. Chosen: the accuracy of a click; a smaller value
 overrules the arc, a larger one ignores the given hub."""
 HUB_SHARE = 0.02
-"""Standard uncertainty of a hub that is given, relative to its distance [1]. Chosen: a hub outside the picture is
+"""Standard uncertainty of a given hub, relative to its distance [1]. Chosen: a hub outside the picture is
 extrapolated from the thread; it is the prior of a displaced hub in `apps._motion.VIEW`."""
 TILT = 0.35
-"""Standard deviation of the tilt of a camera by hand [rad]. Chosen: 20 degrees; a smaller value understates the error
-of the angles of short arcs, a larger one overstates it."""
+"""Standard deviation of the tilt of a camera held by hand [rad]. Chosen: 20 degrees; a smaller value understates the
+error of the angles of short arcs, a larger one overstates it."""
 _VIEW_OF_ANGLE = math.sqrt(3.0) / 2.0 * TILT**2
 """Relative error of all angles by the tilt [1]. Derived: the rms of phi^2 / 2 for normal phi; seen at a tilt phi, a
 circle is an ellipse with the axes a and a cos(phi)."""
@@ -37,22 +37,23 @@ _VIEW_OF_RADIUS = math.sqrt(3.0) * TILT**2
 """Relative error of the radius over the distance of the hub by the tilt [1]. Derived: the rms of phi^2 for normal phi;
 a short arc of the ellipse has the radius a / cos(phi) or a cos(phi)^2."""
 _TILT_U = 0.05
-"""Standard uncertainty of a tilt that is given [rad]. Chosen: 3 degrees; a smaller value understates the error of the
+"""Standard uncertainty of a given tilt [rad]. Chosen: 3 degrees; a smaller value understates the error of the
 angles, a larger one overstates it."""
 _WIDE = 0.5 * TURN
-"""Range of the angle from which an ellipse differs from a circle [rad]. Chosen: half a turn; a smaller value drops the
-error of the tilt too early, a larger one keeps it."""
+"""Smallest range of the angle in which an ellipse differs from a circle [rad]. Chosen: half a turn; a smaller value
+drops the error of the tilt too early, a larger one keeps it."""
 _OFF = 8.0
-"""Distance from the arc, in standard deviations of the residuals, beyond which a frame shows something else [1].
+"""Largest distance from the arc of a correct match, in standard deviations of the residuals [1].
 Chosen: a smaller value discards good frames, a larger one keeps wrong matches."""
 _OFF_LEAST = 0.5
-"""Lower limit of the distance from the arc beyond which a frame shows something else [px]. Chosen: a smaller value
+"""Lower limit of the largest distance from the arc of a correct match [px]. Chosen: a smaller value
 discards good frames of sharp films, a larger one keeps wrong matches."""
 _ON = 0.8
 """Smallest share of frames on the arc [1]. Chosen: a smaller value accepts other paths, a larger one refuses films with
 occlusions."""
 _COMPARED = 300
-"""Frames in which another rotation about the pivot is searched for [frames]. Chosen: time; fewer show little motion."""
+"""Number of frames in which another rotation about the pivot is searched [frames]. Chosen: time; fewer show little
+motion."""
 _STILL = 1.0
 """Smallest extent of a path [px]. Chosen: a smaller value measures a body at rest, a larger one refuses small
 oscillations."""
@@ -66,22 +67,22 @@ _LEARNT = 0.4
 """Smallest error by place of a learnt picture and background over the noise of a position [1]. Measured: rendered bobs:
 0.3 to 0.8."""
 _CONTRADICTS = 3.0
-"""Distance of the hub of the arc from the given one from which it is doubted, in standard deviations [1]. Chosen:
+"""Largest distance of the hub of the arc from the given hub without a warning, in standard deviations [1]. Chosen:
 three; a smaller value doubts accurate hubs, a larger one accepts biased angles."""
 _ALWAYS = 0.9
-"""Smallest share of the frames in which a point that was not selected is found [1]. Chosen: a smaller value accepts
+"""Smallest share of the frames with an automatically selected point [1]. Chosen: a smaller value accepts
 other objects, a larger one refuses films with occlusions."""
 _ROUND = 0.03
-"""Largest radial scatter of a point that was not selected over the extent of its path [1]. Chosen: a smaller value
+"""Largest radial scatter of an automatically selected point, over the extent of its path [1]. Chosen: a smaller value
 refuses blurred bobs, a larger one accepts other paths."""
 _REVERSALS = 2
-"""Number of passages that the path of a point that was not selected exceeds to be that of an oscillation [1]. Chosen: a
+"""Number of passages that the path of an automatically selected, oscillating point must exceed [1]. Chosen: a
 thrown ball does not retrace its path; a larger value refuses short films."""
 _TURNS = 1.2
-"""Turns from which a point that was not selected moves about a pivot [turns]. Chosen: a thrown ball does not retrace
-its path; a smaller value accepts it, a larger one refuses short films."""
+"""Smallest number of turns of an automatically selected point about a pivot [turns]. Chosen: a thrown ball does not
+retrace its path; a smaller value accepts such a ball, a larger one refuses short films."""
 _JUMP = 5.0
-"""Step of the angle from frame to frame over its median from which the point jumps, for example the next throw of a
+"""Smallest step of the angle from frame to frame, over the median step, of a jump, for example to the next throw of a
 ball [1]. Chosen: a pendulum passes its middle at 1.4 times the median step; a larger value follows jumps."""
 
 
@@ -100,7 +101,7 @@ class TrackedPoint:
     hub : ndarray, shape (2,)
         Pivot (x, y) [px].
     hub_covariance : ndarray, shape (2, 2)
-        Covariance of the pivot [px2]: an error that all angles share, beside `sigma`.
+        Covariance of the pivot [px2]: an error common to all angles, in addition to `sigma`.
     view : float
         Relative standard uncertainty of all angles due to the unknown tilt of the camera.
     """
@@ -118,14 +119,15 @@ class TrackedPoint:
     arc: Arc
     warnings: tuple[str, ...]
     ambiguous: bool = False
-    orbit: Orbit | None = None  # of a tilted axis; the angles are those in the plane of the body
+    orbit: Orbit | None = None  # orbit about a tilted axis; the angles are then in the plane of the body
 
     def error_by_place(self, width: float) -> float:
-        """Return the standard deviation of the angles that repeats with the place on a part of an orbit [rad].
+        """Return the standard deviation [rad] of errors of the angles that repeat with the place on part of an orbit.
 
-        Beside what the residuals of the circle show, this is the third order of the perspective of a camera at a
-        distance of about one `width` of the picture [px]: a^3 phi^2 / width^2 for a path of half length a and a tilt
-        phi. The first order is the scale, which `view` contains. It imitates a restoring torque that is not linear.
+        In addition to the residuals of the circle, the result contains the third order of the perspective of a camera
+        at a distance of about one `width` of the picture [px]: a^3 phi^2 / width^2 for a path of half length a and a
+        tilt phi. This error resembles a nonlinear restoring torque. The first order is the scale, which `view`
+        includes.
         """
         if self.view == 0.0:
             return 0.0
@@ -137,14 +139,14 @@ class TrackedPoint:
 
     @property
     def whole_sigma(self) -> Floats:
-        """Standard uncertainty (m,) of the angles with the errors that they share: pivot and place on the arc [rad]."""
+        """Standard uncertainty (m,) of the angles, including common errors: pivot and place on the arc [rad]."""
         shared = math.hypot(self.arc.by_place, math.sqrt(0.5 * float(np.trace(self.hub_covariance))))
         return np.asarray(np.hypot(self.sigma, shared / np.hypot(*(self.place - self.hub).T)))
 
     def displaced(self) -> list[Floats]:
         """Return the angles (m,) about two hubs, displaced by one standard deviation along each principal axis.
 
-        About a tilted axis, they are those of orbits displaced along each of the five axes of their covariance.
+        For a tilted axis, return the angles for orbits displaced along each of the five axes of the covariance.
         """
         if self.orbit is not None:
             size, axes = np.linalg.eigh(self.orbit.covariance)
@@ -176,14 +178,14 @@ def follow_point(
     hub : tuple of float, optional
         The pivot (x, y) [px], also outside the picture; without it, the centre of the path.
     progress : callable, optional
-        Called with the number of frames that are measured, and that of all frames.
+        Called with the number of measured frames and the number of all frames.
     seen : Foreground, optional
-        What differs from the background of the film, if it is known.
+        The differences from the background of the film, if already computed.
 
     Raises
     ------
     TrackingError
-        There is nothing to follow, or the path does not determine the pivot.
+        The film has no point to follow, or the path does not determine the pivot.
     """
     path = track_point(film, start, _turn_about(hub), progress, seen)
     return _of_path(film, path, start, hub)
@@ -195,12 +197,12 @@ def follow_path(
     hub: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> TrackedPoint | PointPath:
-    """Follow a point as `follow_point`; return its path alone where that does not determine the pivot."""
+    """Follow a point like `follow_point`; if the path does not determine the pivot, return the path alone."""
     path = track_point(film, start, _turn_about(hub), progress)
     try:
         return _of_path(film, path, start, hub)
     except TrackingError:
-        if start is None:  # a point that was not selected must move about a pivot
+        if start is None:  # an automatically selected point must move about a pivot
             raise
         return replace(path, covariance=_white_scale(path) ** 2 * path.covariance)
 
@@ -214,12 +216,12 @@ def _white_scale(path: PointPath) -> float:
 
 @dataclass(frozen=True)
 class SecondLink:
-    """The direction of the second link of a double pendulum, from the joint to a point of it.
+    """The direction of the second link of a double pendulum, from the joint to a point of the link.
 
     Attributes
     ----------
     frame : ndarray of int64, shape (m,)
-        Frames in which both are measured.
+        Frames in which both points are measured.
     angle, sigma : ndarray, shape (m,)
         Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad], which
         contains `off_axis`.
@@ -244,11 +246,12 @@ _RIGID = 0.05
 """Largest relative scatter of the distance of two points of one rigid link [1]. Chosen: as `_links._RIGID`; a smaller
 value refuses views beside the axis, a larger one joins two bodies."""
 OFF_AXIS = 1.0
-"""Standard deviation of the displacement of a point that is followed from the axis of the joint, per axis [px].
+"""Standard deviation of the displacement of a followed point from the axis of the joint, per axis [px].
 Measured: markers of drawn links: 0.2 to 1.6 px."""
 _ON_LINK = 0.05
-"""Standard uncertainty per axis of the place of a point on a link, because rods that turn against it are in its patch
-[px]. Measured: 15 drawn double pendulums with marks of 6 to 10 px: 0.07 px at the joint, 0.03 px at the end."""
+"""Standard uncertainty per axis of the position of a point on a link, due to other rods in its patch that turn against
+the link [px]. Measured: 15 drawn double pendulums with marks of 6 to 10 px: 0.07 px at the joint, 0.03 px at the
+end."""
 _LINEAR_STEPS = 3
 """Linear fits of the displacement of a point from the joint [iterations]. Chosen: the displacement is not small against
 the first link; fewer stop before they agree, more cost time."""
@@ -260,9 +263,9 @@ def follow_links(
     hub: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> tuple[TrackedPoint, SecondLink]:
-    """Follow the joint of two links and a point of the second link, by their positions in the first frame [px].
+    """Follow the joint of two links and a point of the second link, given their positions in the first frame [px].
 
-    A TrackingError is raised if their distance varies: a circle that is seen about a tilted axis, or other bodies.
+    A TrackingError is raised if the distance of both points varies, which indicates a tilted axis or other bodies.
     """
     joint = follow_point(film, starts[0], hub, progress)
 
@@ -273,21 +276,21 @@ def follow_links(
         return np.asarray(turn - turn[0])
 
     path = track_point(film, starts[1], turn_of, progress)
-    # the patch that is followed may be centred beside the click, which is a place in the first frame
+    # the centre of the followed patch may differ from the clicked place in the first frame
     beside = math.dist(starts[0], joint.place[0]) if joint.frame[0] == fresh_frames(film)[0] else 0.0
     off = math.hypot(OFF_AXIS, beside)
     second = second_link(joint, path, film.path.name, off)
     if (found := _on_second_link(joint, second, off)) is not None:
         moved, shared = found
         joint = _of_path(film, moved, starts[0], hub)
-        # on the second link, the error of the displacement is constant: a zero of its angle
+        # on the second link, the error of the displacement is constant: an error of the zero of its angle
         second = second_link(joint, path, film.path.name, off)
         joint = _with_error(joint, shared[np.isin(moved.frame, joint.frame)])
     return _with_error(joint, np.tile(_ON_LINK**2 * np.eye(2), (len(joint.frame), 1, 1))), second
 
 
 def _with_error(joint: TrackedPoint, shared: Floats) -> TrackedPoint:
-    """Return a point whose uncertainties contain another error of its places, of the covariance (m, 2, 2) [px2]."""
+    """Return a point whose uncertainties include an additional error of position, with covariance (m, 2, 2) [px2]."""
     away = joint.place - joint.hub
     radius = np.hypot(*away.T)
     across = np.stack([-away[:, 1], away[:, 0]], axis=1) / radius[:, None]
@@ -309,7 +312,7 @@ def second_link(joint: TrackedPoint, path: PointPath, name: str, off: float = OF
     frame, one, two = np.intersect1d(joint.frame, path.frame, return_indices=True)
     if len(frame) < _FEWEST_COMMON:
         raise TrackingError(
-            f"Joint and second link of {name} are seen together in {len(frame)} frames only.",
+            f"Joint and second link of {name} are seen together in only {len(frame)} frames.",
             "Give more distinct points.",
         )
     away = path.place[two] - joint.place[one]
@@ -331,12 +334,12 @@ def second_link(joint: TrackedPoint, path: PointPath, name: str, off: float = OF
         )
         for axis in (along, across)
     )
-    # the distance is constant: what it scatters beyond the error of the joint is the error of the point
+    # the distance is constant: its scatter in excess of the error of the joint is the error of the point
     by_joint, by_point = (float(np.mean(v)) for v in of_joint)
     scale = max(math.sqrt(max(rest**2 - by_joint, 0.0) / by_point), _white_scale(path))
     sigma: Floats = np.sqrt(of_end[0] + scale**2 * of_end[1]) / length
     sigma = sigma * max(white_noise(angle, frame) / float(np.median(sigma)), 1.0)
-    off_axis = np.hypot(off_axis, math.sqrt(2.0) * _ON_LINK) / length  # of both ends
+    off_axis = np.hypot(off_axis, math.sqrt(2.0) * _ON_LINK) / length  # error of both ends
     path = replace(path, covariance=scale**2 * path.covariance)
     return SecondLink(frame, angle + shift / length, np.hypot(sigma, off_axis), off_axis, path)
 
@@ -348,9 +351,9 @@ def _on_second_link(
 
     The second result is the covariance of the correction (m, 2, 2) [px2], whose error is constant on the second link.
 
-    Its displacement d from the axis is constant on the second link. The distance of the point from the pivot is then
-    that of a circle and the radial part of d, which a linear fit gives, with a normal prior of mean 0. None for a
-    displacement within three standard uncertainties.
+    The displacement d of the followed point from the axis is constant on the second link. The distance of the point
+    from the pivot is a constant radius plus the radial part of d. A linear fit with a normal prior of mean 0
+    determines d. The result is None for a displacement within three standard uncertainties.
     """
     path = joint.path
     direction = np.interp(path.frame, second.frame, second.angle)
@@ -376,7 +379,7 @@ def _on_second_link(
 def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats, float]:
     """Fit the values (n,) linearly, the first two parameters with a normal prior of standard deviation `off`.
 
-    Returned are the parameters, their covariance, with correlated residuals, and the rms residual.
+    The results are the parameters, their covariance for correlated residuals, and the rms residual.
     """
     prior = np.diag([off**-2, off**-2, *[0.0] * (rows.shape[1] - 2)])
     covariance, found, rest = np.eye(len(prior)), np.zeros(len(prior)), value
@@ -385,7 +388,7 @@ def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats
         covariance = np.asarray(np.linalg.pinv(rows.T @ rows / variance + prior))
         found = covariance @ (rows.T @ value) / variance
         rest = value - rows @ found
-        # n (1 - q) / (1 + q) of n residuals with the correlation q of neighbours are independent
+        # n residuals with the correlation q of neighbours are equivalent to n (1 - q) / (1 + q) independent residuals
         alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
         variance = (float(np.var(rest)) + 1e-12) * (1.0 + alike) / (1.0 - alike)
     return found, covariance, float(np.std(rest))
@@ -395,20 +398,21 @@ def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tup
     """Return the correction across the second link [px] for a point beside the joint, and its standard uncertainty.
 
     With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
-    links, the distance is L - Re(d exp(-i phi)), and the end appears moved by -Im(d exp(-i phi)) across [px]. A linear
-    fit of the distances (n,) gives d, with a normal prior of mean 0. The third result is the rms residual [px].
+    links, the distance is L - Re(d exp(-i phi)), and the end appears displaced by -Im(d exp(-i phi)) across the link
+    [px]. A linear fit of the distances (n,) with a normal prior of mean 0 determines d. The third result is the rms
+    residual [px].
     """
     cos, sin = np.cos(between), np.sin(between)
     found, covariance, rest = _with_prior(np.stack([-cos, -sin, np.ones_like(cos)], axis=1), length, off)
     across = np.stack([-sin, cos], axis=1)
-    # a constant displacement is a zero of the angle
+    # a constant displacement changes the zero of the angle only
     varying = across - across.mean(axis=0)
     sigma = np.sqrt(np.einsum("ni,ij,nj->n", varying, covariance[:2, :2], varying))
     return across @ found[:2], sigma, rest
 
 
 def _turn_about(hub: tuple[float, float] | None) -> Turn:
-    """Return the function that gives the rotation of a patch, clockwise as seen, about a hub or that of its path."""
+    """Return a function for the rotation of a patch, clockwise as seen, about a hub or the hub of its path."""
 
     def turn_of(_: npt.NDArray[np.int64], place: Floats) -> Floats | None:
         centre = np.array(hub) if hub is not None else None
@@ -446,13 +450,15 @@ def _of_path(
             f"The compact body that moves, at ({x:.0f}, {y:.0f}) px in the first frame, is followed as a point; "
             "--point X,Y selects another one."
         )
-        if (second := _second_rotation(film, found)) is not None:  # the last warning is the doubt
+        if (
+            second := _second_rotation(film, found)
+        ) is not None:  # the last warning must be the doubt about the result
             found = replace(found, warnings=(*found.warnings, second), ambiguous=True)
     return replace(found, warnings=(*warnings, *found.warnings))
 
 
 def _second_rotation(film: Film, found: TrackedPoint) -> str | None:
-    """Return a warning if something else than the followed body turns about its pivot, seen along its axis."""
+    """Return a warning if another body turns about the pivot of the followed body, for a view along the axis."""
     if found.orbit is not None:
         return None
     usable = found.frame[:_COMPARED]
@@ -466,7 +472,7 @@ def about_pivot(
 ) -> TrackedPoint:
     """Return the motion of a path about the given pivot [px], or about the centre of its arc.
 
-    `tilt` is the tilt of the camera for which the path is corrected [rad]; None if it is not known.
+    `tilt` is the camera tilt for which the path is corrected [rad]; None if unknown.
     """
     # relative errors of all angles, and of the radius of curvature over the distance of the hub
     of_angle, of_radius = _VIEW_OF_ANGLE, _VIEW_OF_RADIUS
@@ -479,13 +485,13 @@ def about_pivot(
     if orbit is not None:
         return _about_tilted_axis(path, orbit, formal, least, hub)
     arc = fit_arc(path.place, formal, least)
-    if arc.determined:  # frames in which something else was matched
+    if arc.determined:  # remove frames in which another object was matched
         off = np.abs(np.hypot(*(path.place - arc.hub).T) - arc.radius)
         on = off < max(_OFF * math.hypot(arc.noise, arc.by_place), _OFF_LEAST)
         if hub is None and on.mean() < _ON:
             raise TrackingError(
                 f"The path of the point in {name} is not an arc of a circle: {100 * (1 - on.mean()):.0f} % of its "
-                "positions are off the best one.",
+                "positions are not on the best arc.",
                 "Give a point at a fixed distance from its pivot with --point X,Y, or the pivot with --hub X,Y.",
             )
         if on.mean() >= _ON:
@@ -539,7 +545,7 @@ def about_pivot(
             if float(off @ np.linalg.solve(spread, off)) > _CONTRADICTS**2:
                 ambiguous = True
                 warnings.append(_two_hubs(arc, given, path.place))
-            elif wide:  # both are measurements of the same place
+            elif wide:  # both measure the same position
                 centre, covariance = _combined(given, prior, arc.hub, arc.covariance)
                 way = "given and arc of a point"
             else:
@@ -550,7 +556,7 @@ def about_pivot(
                     warnings.append(_tilted(ratio, arc, view))
     if extent < path.radius:
         warnings.append(
-            f"The body moves by {extent:.0f} px only, less than its size: what is behind it is not seen, and the "
+            f"The body moves by {extent:.0f} px only, less than its size: the background behind it is hidden, and the "
             "amplitude may be wrong. Select a smaller detail with --point X,Y."
         )
     angle = angles_about(centre, path.place)
@@ -593,7 +599,7 @@ small tilts uncorrected, a larger one fits noise."""
 
 
 def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
-    """Return the ellipse of a path that covers most of it and is not a circle; None for any other path."""
+    """Return the ellipse of a path that covers most of an ellipse and is not a circle; None for any other path."""
     if len(place) < 4 * _FEWEST_ORBIT:
         return None
     try:
@@ -707,14 +713,14 @@ def _tilted(ratio: float, arc: Arc, view: float) -> str:
 
 
 def _check_unselected(found: TrackedPoint, name: str) -> None:
-    """Raise a TrackingError unless a point that was not selected certainly moves about a pivot."""
+    """Raise a TrackingError unless an automatically selected point certainly moves about a pivot."""
     path, angle = found.path, found.angle
     extent = float(np.hypot(*np.ptp(path.place, axis=0)))
     middle = 0.5 * float(angle.min() + angle.max())
     side = (angle > middle).astype(np.int64)
     step = np.diff(angle)
     pace = np.abs(step / np.diff(path.frame))
-    # a point at rest does not say how fast it moves
+    # ignore a point at rest, whose speed is unknown
     moves = pace > 0.1 * np.quantile(pace, 0.9)
     steady = pace < _JUMP * np.median(pace[moves])
     passes = np.diff(side)[steady]
@@ -733,7 +739,7 @@ def _check_unselected(found: TrackedPoint, name: str) -> None:
 
 
 def point_details(found: TrackedPoint) -> dict[str, Any]:
-    """Return what the file of a point says about its tracking, serialisable as JSON."""
+    """Return the details of tracking for the file of a point, serialisable as JSON."""
     return {
         "method": "registration of a patch",
         "hub_px": [float(v) for v in found.hub],

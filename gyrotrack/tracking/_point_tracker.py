@@ -1,15 +1,15 @@
 """Tracking of one point of a body through a film: a ball, a bob, a dot, or any patch with detail.
 
-The patch is followed by template matching first, which finds it again after an occlusion, and its rotation by
-Gauss-Newton steps. Its picture is then learnt and registered in every frame. In the picture of the patch, at u from its
-position p and turned by theta,
+First the patch is followed by template matching, which finds the patch again after an occlusion; its rotation is
+determined by Gauss-Newton steps. Then the picture of the patch is averaged and registered in every frame. In the
+picture of the patch, at u from its position p and turned by theta,
 
     I(p + R(theta) u) = s(u) B(p + R(theta) u) + q(u)
 
 with the background B, the transparency s of the patch (0 on the body, 1 beside it), and q its brightness times (1 - s).
-s and q are linear in the pictures and follow from their regression on B; p follows from Gauss-Newton steps (S. Baker,
-I. Matthews, IJCV 56, 221, 2004) with the variance of each pixel, so that a string or a shadow counts little. Places are
-(x, y) in px, x to the right, y down; the centre of the first pixel is (0, 0).
+The pictures are linear in s and q, which follow from a regression of the pictures on B. p follows from Gauss-Newton
+steps (S. Baker, I. Matthews, IJCV 56, 221, 2004) with the variance of each pixel, so that a string or a shadow has
+little weight. Places are (x, y) in px, x to the right, y down; the centre of the first pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -51,19 +51,19 @@ Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
 _CORE = 0.7
-"""Part of the largest distance from the edge within which the middle of a part is averaged [1]. Chosen: a smaller value
-includes joined rods, a larger one averages few pixels."""
+"""Distance from the edge, over the largest distance, above which pixels are averaged for the middle of a part [1].
+Chosen: a smaller value includes joined rods, a larger one averages few pixels."""
 _LATE = 0.1
-"""Largest share of the frames before the one in which a spot is seen first [1]. Chosen: a smaller value refuses films
+"""Largest share of the frames before the first frame that shows a spot [1]. Chosen: a smaller value refuses films
 with a hand at the start, a larger one skips motion."""
 _REACH = 12.0
-"""Largest distance of a spot from the point that was given [px]. Chosen: the accuracy of a click; a smaller value
+"""Largest distance of a spot from the given point [px]. Chosen: the accuracy of a click; a smaller value
 misses the spot, a larger one takes another body."""
 _PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)
 """Radii of a patch without an outline that are tried, the smallest first [px]. Chosen: by factors of about 1.4; larger
 ones include the background, smaller ones lack detail."""
 _SHARP = 0.05
-"""Standard uncertainty of the position that a patch allows [px]. Chosen: a smaller value selects large patches, a
+"""Largest standard uncertainty of the position of a patch [px]. Chosen: a smaller value selects large patches, a
 larger one follows patches without detail."""
 _MATCHED = 0.35
 """Largest mean square difference of a match over the contrast of the patch [1]. Chosen: a smaller value loses a patch
@@ -81,20 +81,20 @@ _COARSE = 5.0
 """Radius of a spot in the reduced picture that is searched as a whole [px]. Chosen: time; a smaller one loses the spot
 among similar ones."""
 _FOLLOWED = 90
-"""Frames in which the paths of two bodies show whether they are links [frames]. Chosen: time; fewer show little
+"""Number of frames in which the paths of two bodies are tested for links [frames]. Chosen: time; fewer show little
 motion."""
 _FOUND = 0.6
 """Smallest share of the frames in which a patch is found [1]. Chosen: a smaller value measures few frames, a larger one
 refuses films with occlusions."""
 _LEARNT = 200
-"""Largest number of frames from which the picture of the patch is learnt [frames]. Chosen: fewer give a noisier
+"""Largest number of frames for the average picture of the patch [frames]. Chosen: fewer give a noisier
 picture, more cost time."""
 _ROUNDS = 4
-"""Alternations of learning a patch and its places [iterations]. Chosen: fewer stop before they agree, more cost
-time."""
+"""Alternations of averaging a patch and measuring its positions [iterations]. Chosen: fewer stop before they agree,
+more cost time."""
 _TURN_ROUNDS = 3
-"""Alternations of the path and the rotation of a patch [iterations]. Chosen: fewer stop before they agree, more cost
-time."""
+"""Alternations of measuring the path and the rotation of a patch [iterations]. Chosen: fewer stop before they agree,
+more cost time."""
 _STEPS = 8
 """Largest number of Gauss-Newton steps of a patch [iterations]. Chosen: fewer stop early, more cost time."""
 _SMALL_STEP = 0.005
@@ -110,14 +110,15 @@ _BLUR_PRIOR = np.diag([0.0, 0.0, *[_BLUR**-2] * 3])
 """Prior precision of the parameters of a step: displacement (x, y) and second derivatives [1/px4]. Derived: `_BLUR`^-2;
 displacements are free."""
 _ROBUST = 4.0
-"""Residual from which a pixel is rejected in part, in standard deviations [1]. Source: weights of P. Huber, Ann. Math.
-Statist. 35, 73 (1964); a smaller limit costs precision, a larger one admits disturbed pixels."""
+"""Residual above which the weight of a pixel is reduced, in standard deviations [1]. Source: weights of P. Huber, Ann.
+Math. Statist. 35, 73 (1964); a smaller limit costs precision, a larger one admits disturbed pixels."""
 _TURNS_WITH = 0.95
-"""Residual of a patch that turns about the hub over that of one that does not, up to which it turns [1]. Chosen: a
-smaller value keeps the orientation of a bob on a rod, a larger one turns round bobs by noise."""
+"""Largest residual with rotation about the hub, over the residual without rotation, of a patch that turns with its
+direction [1]. Chosen: a smaller value keeps the orientation of a bob on a rod, a larger one turns round bobs by
+noise."""
 _UNSEEN = 1e9
-"""Variance of a pixel that no frame shows [grey levels squared]. Chosen: large against any other variance; such a pixel
-has no weight."""
+"""Variance of a pixel that is visible in no frame [grey levels squared]. Chosen: large against any other variance, so
+that the pixel has no weight."""
 _ROUGH = 0.5
 """Standard uncertainty of a rough position [px]. Chosen: a smaller value refuses rough paths, a larger one accepts
 other motions."""
@@ -125,14 +126,15 @@ _ROUGHLY_ROUND = 0.06
 """Largest radial scatter of a rough path over its extent [1]. Chosen: twice `_point_motion._ROUND`; a smaller value
 refuses blurred bobs, a larger one costs time on other paths."""
 HIDDEN = 6.0
-"""Mean square residual over its median from which a frame does not show the patch [1]. Chosen: a smaller value omits
+"""Largest mean square residual, over its median, of a frame that shows the patch [1]. Chosen: a smaller value omits
 frames of uneven light, a larger one keeps frames with a hand."""
 _SILHOUETTE = 15.0
 """Largest radius of a patch that the silhouette about it suggests [px]. Chosen: a smaller value discards the edge of a
 large bob, a larger one includes the background."""
 _TURN_SEEN = 0.05
-"""Largest standard uncertainty of the rotation of a patch in one frame with which it is followed, and prior of a
-followed rotation [rad]. Chosen: a smaller value holds the orientation of faint patches, a larger one turns by noise."""
+"""Largest standard uncertainty of the rotation of a patch in one frame for which the rotation is followed, and prior
+of a followed rotation [rad]. Chosen: a smaller value holds the orientation of faint patches, a larger one turns by
+noise."""
 _TURN_STEPS = 6
 """Steps of the rotation of a patch [iterations]. Chosen: fewer stop early, more cost time."""
 _ROUND = 0.7
@@ -142,29 +144,29 @@ _LEAST_ROUND = 8
 """Smallest radius of a patch that has an interior [px]. Chosen: a smaller one has an edge only, a larger one ignores
 the detail of small bobs."""
 _TURNED = 0.3
-"""Rotation by which the residual of a patch increases if it shows its orientation [rad]. Chosen: a smaller value lies
-within the noise, a larger one among the parts of a periodic patch."""
+"""Rotation that must increase the residual of a patch with visible orientation [rad]. Chosen: the effect of a smaller
+value is below the noise; a larger one may reach the next period of a periodic patch."""
 _TURN_STARTS = 5
-"""Initial angles of a rotation on each side, where the residual is unusual [1]. Chosen: fewer lose a fast rotation,
-more cost time."""
+"""Number of additional initial angles of a rotation on each side, tried if the residual is unusual [1]. Chosen: fewer
+lose a fast rotation, more cost time."""
 _TURN_STEP = 1.5
 """Distance of these angles, times the radius of the patch [px]. Chosen: the width of an edge; a larger one misses the
 minimum, a smaller one costs time."""
 _UNUSUAL = 1.5
-"""Residual over its running mean from which these angles are tried [1]. Chosen: a smaller value costs time, a
-larger one keeps a lost rotation."""
+"""Smallest residual, over its running mean, for which these angles are tried [1]. Chosen: a smaller value costs time,
+a larger one keeps a lost rotation."""
 _UPDATE = 0.1
 """Weight of a frame in the running mean of the residual [1]. Chosen: a smaller value follows the light late, a larger
 one follows a lost rotation."""
 _NECK = 0.7
-"""Largest depth of a body at the distance `_NECK_AT` from the middle of a part, over that of the part, for which rods
-join it [1]. Chosen: a smaller value joins the rod to the part, a larger one divides a compact body."""
+"""Largest depth of a body at the distance `_NECK_AT` from the middle of a part, over the depth of the part, if only
+rods join the part [1]. Chosen: a smaller value joins the rod to the part, a larger one divides a compact body."""
 _NECK_AT = 1.5
-"""Distance from the middle of a part at which the depth is compared, over its depth [1]. Chosen: just outside of a
+"""Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
 circle; a larger one reaches other parts."""
 _SLENDER = 1.6
-"""Radius of the circle of the same area over the inscribed one, from which a body is not compact [1]. Derived: sqrt(8 /
-pi) = 1.6 of a rectangle twice as long as wide."""
+"""Radius of the circle of the same area, over the radius of the inscribed circle, above which a body is not compact
+[1]. Derived: sqrt(8 / pi) = 1.6 of a rectangle twice as long as wide."""
 
 
 @dataclass(frozen=True)
@@ -174,21 +176,21 @@ class PointPath:
     Attributes
     ----------
     frame : ndarray of int64, shape (m,)
-        Frames in which it was measured.
+        Frames in which the point was measured.
     place : ndarray, shape (m, 2)
-        Its position (x, y) [px].
+        Position (x, y) of the point [px].
     covariance : ndarray, shape (m, 2, 2)
         The Cramer-Rao bound of the position, enlarged where the patch does not match its picture [px2].
     radius : float
         Radius of the patch [px].
     searched : int
-        Number of frames in which it was looked for.
+        Number of frames in which the point was searched.
     turns : bool
         Whether the patch turns with its direction from the hub.
     picture : ndarray
         The learnt picture of the patch, in grey levels.
     keeps : bool
-        Whether the picture certainly does not turn with the direction of the patch from the hub.
+        Whether the picture certainly does not turn with the direction from the hub.
     """
 
     frame: Frames
@@ -202,7 +204,7 @@ class PointPath:
 
 
 Turn = Callable[[Frames, Floats], Floats | None]
-"""Returns the rotation (n,) [rad] of a body for frames (n,) and positions (n, 2), or None if it is not determined."""
+"""Returns the rotation (n,) [rad] of a body for frames (n,) and positions (n, 2), or None if it is undetermined."""
 
 
 def track_point(
@@ -212,11 +214,11 @@ def track_point(
     progress: Progress | None = None,
     seen: Foreground | None = None,
 ) -> PointPath:
-    """Follow a point of a body, by its position `start` in the first frame, or the only compact body that moves.
+    """Follow a point of a body, given its position `start` in the first frame, or the only compact body that moves.
 
-    `turn_of` gives the rotation of the patch for rough positions, `seen` is the foreground of the film if it is known.
-    A TrackingError is raised if there is nothing to follow at the given place, if several bodies move and none is
-    chosen, or if the patch is lost in most frames.
+    `turn_of` returns the rotation of the patch for rough positions; `seen` is the foreground of the film, if it is
+    known. A TrackingError is raised if the given place has no detail to follow, if several bodies move and none is
+    selected, or if the patch is lost in most frames.
     """
     usable = fresh_frames(film)
     if len(usable) < FEWEST_FRAMES:
@@ -236,7 +238,7 @@ def track_point(
         what = f"The point ({start[0]:g}, {start[1]:g}) px is outside the picture of {width} x {height} px."
         raise UsageError(what, "Give its position in the first frame with --point X,Y in px.")
     error: TrackingError | None = None
-    # the silhouette at the place may be that of two links, which changes its shape
+    # the silhouette at the place may belong to two links, and then changes its shape
     for spot in _clicked(first, seen, start):
         try:
             return _track_spot(film, usable, spot, seen, turn_of, progress, start)
@@ -255,7 +257,7 @@ def _track_spot(
     progress: Progress | None,
     start: tuple[float, float] | None,
 ) -> PointPath:
-    """Follow a spot of the first of the usable frames."""
+    """Follow a spot of the first usable frame."""
     factor = max(round(spot.radius / _TEMPLATE), 1)
     where, unselected = spot.place, start is None
     noise, background = seen.noise, seen.background
@@ -263,7 +265,7 @@ def _track_spot(
         return _tracked(
             film, usable, spot, background, noise, turn_of, progress, where=where, unselected=unselected
         )
-    # the noise of the pixels that are averaged is independent: a smaller picture determines the position as well
+    # averaged pixels have independent noise: the reduced picture determines the position equally well
     small = _Reduced(film, factor)
     path = _tracked(
         small,
@@ -285,7 +287,7 @@ def _track_spot(
 
 
 class _Frames(Protocol):
-    """What is tracked: a film, or one whose frames are reduced."""
+    """The frames for tracking: a film, or a film with reduced frames."""
 
     @property
     def path(self) -> Path: ...
@@ -319,7 +321,7 @@ class _Reduced:
         return [np.asarray(self.mean(frame), dtype=np.uint8) for frame in self.film.some(index)]
 
     def seen(self, place: Floats) -> Floats:
-        """Return where places (n, 2) of the reduced picture are in the film."""
+        """Convert places (n, 2) of the reduced picture to places in the film [px]."""
         return (place + 0.5) * self.factor - 0.5
 
     def spot(self, spot: Spot) -> Spot:
@@ -364,14 +366,14 @@ def _tracked(
     if np.ptp(followed) * spot.radius > 1.0:
         other = learnt(rough[found], followed, _TURN_SEEN)
         best = other if other.residual < _TURNS_WITH * best.residual else best
-    # the rotation of the patch follows from its path, and its path from the rotation
+    # alternate, because the rotation of the patch depends on its path and the path on the rotation
     keeps = False
     for _ in range(_TURN_ROUNDS):
         about = turn_of(frame, best.place)
         if about is None:
             break
         other = learnt(best.place, about)
-        # a followed rotation has noise of its own
+        # a followed rotation contains noise
         if other.residual > best.residual * (_TURNS_WITH if best.turn is None else 1.0 / _TURNS_WITH):
             keeps = best.turn is None and best.residual < _TURNS_WITH * other.residual
             break
@@ -380,7 +382,7 @@ def _tracked(
 
 
 def _retraced(place: Floats, name: str) -> None:
-    """Raise a TrackingError unless rough positions of an unselected point are near a circle."""
+    """Raise a TrackingError unless the rough positions of an automatically selected point are near a circle."""
     arc = fit_arc(place, np.full(len(place), _ROUGH))
     extent = float(np.hypot(*np.ptp(place, axis=0)))
     if math.hypot(arc.noise, arc.by_place) > max(_ROUGHLY_ROUND * extent, 2.0 * _ROUGH):
@@ -392,11 +394,11 @@ def _retraced(place: Floats, name: str) -> None:
 
 
 def _clicked(frame: Plane, seen: Foreground, place: tuple[float, float]) -> Iterator[Spot]:
-    """Return what may be meant by a place: the compact moving body, a patch with detail, or a body of any shape.
+    """Return candidates for a place: the compact moving body, a patch with detail, or a body of any shape.
 
-    A TrackingError is raised if there is none.
+    A TrackingError is raised without candidates.
     """
-    # a codec keeps more of the noise in its key frames
+    # a codec preserves more noise in key frames
     background, noise = seen.background, max(seen.noise, spatial_noise([frame]))
     spot = _spot_at(frame, background, noise, place)
     if spot is not None:
@@ -414,7 +416,7 @@ def _clicked(frame: Plane, seen: Foreground, place: tuple[float, float]) -> Iter
 def _spot_at(
     frame: Plane, background: Picture, noise: float, place: tuple[float, float], *, compact: bool = True
 ) -> Spot | None:
-    """Return the moving body at a place of a frame; None if there is none, or none that is `compact`."""
+    """Return the moving body at a place of a frame, or None; with `compact`, also None for a long body."""
     region = differs(frame, background, noise)
     y, x = np.nonzero(region)
     if not len(x):
@@ -425,7 +427,7 @@ def _spot_at(
         return None
     depth = depth_of(region)
     at = (int(x[nearest]), int(y[nearest]))
-    while True:  # to the middle of the part that was pointed at
+    while True:  # move to the middle of the selected part
         reach = max(2, math.ceil(0.5 * float(depth[at[1], at[0]])))
         top, left = max(at[1] - reach, 0), max(at[0] - reach, 0)
         near = depth[top : at[1] + reach + 1, left : at[0] + reach + 1]
@@ -443,8 +445,8 @@ def _spot_at(
     v, u = np.ogrid[0 : depth.shape[0], 0 : depth.shape[1]]
     away = np.hypot(u - at[0], v - at[1])
     if compact and float(depth[np.abs(away - _NECK_AT * inner) < 1.0].max(initial=0.0)) > _NECK * inner:
-        return None  # a place on a long or large body
-    # rods join the part that was pointed at to others: the inscribed disc about its middle
+        return None  # the place is on a long or large body
+    # rods join the selected part to others: use the inscribed disc about its middle
     core = (depth > _CORE * inner) & (away < inner)
     y, x = np.nonzero(core)
     weight = depth[core] - _CORE * inner
@@ -455,10 +457,11 @@ def _spot_at(
 
 
 def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]:
-    """Return the compact body that moves, and the number of frames before the first one that shows it.
+    """Return the compact moving body, and the number of frames before the first frame that shows it.
 
-    It has the size of the largest one in most frames of a sample: what passes through a few frames, for example a hand
-    or a shadow at the start, is another body. A TrackingError is raised if there is none, or another one as large.
+    The body has the size of the largest compact body in most frames of a sample. A hand or a shadow that is visible in
+    a few frames, for example at the start, is therefore ignored. A TrackingError is raised if there is no such body,
+    or a second body of similar size.
     """
     body, background, noise = seen.body, seen.background, seen.noise
     for skipped, frame in enumerate(film.some(usable[: max(int(_LATE * len(usable)), 1)])):
@@ -480,9 +483,9 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
 def _several(
     film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
 ) -> TrackingError:
-    """Return the error of a film of several bodies; they are two links if a rod joins them and they move as links.
+    """Return the error for a film of several bodies: two links if a rod joins them and their motion is that of links.
 
-    Parts of a picture that appear or vanish are not bodies: one that rests is reported without a kind.
+    A part of the picture that appears or vanishes is not a body: if one of the two parts rests, the error has no kind.
     """
     one, other = spots[:2]
     (x, y), (u, v) = one.place, other.place
@@ -508,7 +511,7 @@ def _several(
 def _linked(region: Plane, one: Spot, other: Spot) -> bool:
     """Return whether a thin part, a rod or a string, joins two compact parts of a region.
 
-    An opening by a disc of half the size of the smallest one that counts as a body removes it.
+    The thin part vanishes by a morphological opening with a disc of half the size of the smallest body.
     """
     size = max(round(0.5 * AS_LARGE * min(one.radius, other.radius)), 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
@@ -529,7 +532,7 @@ def _moving(frame: Plane, background: Picture, noise: float) -> Spot | None:
 def _patch_at(frame: Plane, background: Picture, noise: float, place: tuple[float, float]) -> Spot:
     """Return the smallest patch about a place whose detail determines its position in both directions.
 
-    On a silhouette it is as large as this allows: an error of the codec affects few pixels.
+    On a silhouette the patch is as large as the silhouette permits, because errors of the codec affect few pixels.
     """
     smooth = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 1.0)
     by_x, by_y = (
@@ -544,7 +547,7 @@ def _patch_at(frame: Plane, background: Picture, noise: float, place: tuple[floa
         inside = away <= radius
         g = np.stack([by_x[inside], by_y[inside]])
         least = float(np.linalg.eigvalsh(g @ g.T)[0])
-        # gradients of noise: smoothing leaves the variance noise^2 / (8 pi) of each (0.04 noise^2)
+        # gradients of noise: after smoothing, the variance of each is noise^2 / (8 pi) (0.04 noise^2)
         least -= 0.04 * noise**2 * int(inside.sum())
         if least > 0 and noise / math.sqrt(least) < _SHARP:
             half = math.ceil(radius)
@@ -565,8 +568,8 @@ def _matched(
 ) -> tuple[tuple[float, float], float]:
     """Return the place of the best match in a picture, (x, y) of its centre, and its mean square difference.
 
-    `changed` is the square of the difference from the background. Where it is smaller than `change` on the average over
-    the mask, the background resembles the patch, and the difference is added to that of the match.
+    `changed` is the squared difference from the background. Where its average over the mask is below `change`, the
+    place shows the background, and the missing difference is added to the difference of the match.
     """
     square = cv2.matchTemplate(picture, template, cv2.TM_SQDIFF, mask=mask)
     present = cv2.matchTemplate(changed, mask, cv2.TM_CCORR)
@@ -586,10 +589,11 @@ def _matched(
 
 
 def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Floats, Bools]:
-    """Follow a patch by template matching; returns its places (n, 2), rotations (n,) and whether it was found (n,).
+    """Follow a patch by template matching; return positions (n, 2), rotations (n,) and a mask of found patches (n,).
 
-    It is searched where it is expected by its last steps, then in a reduced picture of the whole frame. The rotation is
-    that since the first frame, clockwise as seen [rad]; a patch that does not show it keeps its last one.
+    The patch is searched at the position predicted by its last steps, then in a reduced picture of the whole frame.
+    The rotation is relative to the first frame, clockwise as seen [rad]; if the patch does not show its rotation, the
+    last value is kept.
     """
     size = spot.mask.shape[0]
     half = size // 2
@@ -648,7 +652,7 @@ def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> t
 
 
 def _cut(picture: Picture, place: Floats, size: int, turn: float = 0.0) -> Picture:
-    """Return the square of `size` px about a place, in the coordinates of a patch that is turned by an angle."""
+    """Return the square of `size` px about a place, in the coordinates of a patch turned by an angle."""
     c, s, half = math.cos(turn), math.sin(turn), size // 2
     to_frame = np.array(
         [[c, -s, place[0] - half * (c - s)], [s, c, place[1] - half * (s + c)]], dtype=np.float64
@@ -680,7 +684,7 @@ class _Aligned:
 
     @classmethod
     def of(cls, picture: Picture, place: Floats, turn: float, template: Picture, mask: Picture) -> _Aligned:
-        """Align a template by Gauss-Newton steps with its slopes, from a start."""
+        """Align a template by Gauss-Newton steps with the gradients of the template, from initial values."""
         inside = _interior(mask)
         size, half = mask.shape[0], mask.shape[0] // 2
         v, u = (x[inside] for x in np.mgrid[-half : half + 1, -half : half + 1].astype(np.float32))
@@ -698,12 +702,12 @@ class _Aligned:
             c, s = math.cos(turn), math.sin(turn)
             there = there + np.array([c * step[0] - s * step[1], s * step[0] + c * step[1]])
             turn += float(step[2])
-        # the picture is rounded to whole grey levels
+        # add the variance of rounding to whole grey levels
         return cls(there, turn, residual, math.sqrt((residual + 1.0) * float(covariance[2, 2])))
 
 
 def _interior(mask: Picture) -> Bools:
-    """Return the pixels of a patch that show its rotation: not the edge of a round body, which looks as if it did."""
+    """Return the pixels of a patch that show its rotation: the edge of a round body is excluded."""
     inside = mask > 0.5
     half = mask.shape[0] // 2
     if inside.sum() < _ROUND * math.pi * half**2 or half < _LEAST_ROUND:
@@ -714,9 +718,9 @@ def _interior(mask: Picture) -> Bools:
 def _best_turn(
     picture: Picture, place: Floats, turn: float, template: Picture, mask: Picture, usual: float
 ) -> _Aligned | None:
-    """Align a template from the expected rotation, and from others if its residual is not the usual one.
+    """Align a template from the expected rotation, and from other rotations if the residual is unusually large.
 
-    None if the picture does not show the rotation.
+    The result is None if the picture does not show the rotation.
     """
     radius = math.sqrt(float(mask.sum()) / math.pi)
     best = _Aligned.of(picture, place, turn, template, mask)
@@ -736,7 +740,7 @@ def _best_turn(
 
 
 def _next_step(steps: Sequence[Floats]) -> Floats:
-    """Extrapolate the steps of a point on a circle: a step turns as the one before it did."""
+    """Extrapolate the steps of a point on a circle: the direction of each step changes by the same angle."""
     if not steps:
         return np.zeros(2)
     if len(steps) < 2 or np.hypot(*steps[0]) < 2.0:
@@ -777,7 +781,7 @@ def _in_whole(
     change: float,
     limit: float,
 ) -> tuple[tuple[float, float], float]:
-    """Search the whole frame, reduced by a factor, and refine the place in full resolution."""
+    """Search the whole frame, reduced by a factor, and refine the position in full resolution."""
     small, few, one, inside = (
         np.asarray(
             cv2.resize(p, None, fx=1.0 / shrink, fy=1.0 / shrink, interpolation=cv2.INTER_AREA), np.float32
@@ -794,14 +798,14 @@ def _in_whole(
 
 @dataclass(frozen=True)
 class _Layers:
-    """The learnt picture of a patch before its background."""
+    """The average picture of a patch in front of its background."""
 
     grid: Floats  # (2, h, w); u, the position in the patch [px]
     transparency: Picture  # s
     brightness: Picture  # q [grey levels]
     variance: Picture  # of the residuals [grey levels squared]
     background: Picture  # B, of the whole frame [grey levels]
-    # prior standard uncertainty of the rotation [rad]; 0 for a rotation that is known
+    # prior standard uncertainty of the rotation [rad]; 0 for a known rotation
     turn_sigma: float = 0.0
 
     def sampled(
@@ -826,7 +830,7 @@ class _Layers:
 
     @cached_property
     def _prior(self) -> Floats:
-        """Inverse covariance of what is fitted beside the displacement: blur, and the rotation where it is followed."""
+        """Prior inverse covariance of the other fitted parameters: blur and, if it is followed, rotation."""
         if self.turn_sigma == 0.0:
             return _BLUR_PRIOR
         return np.asarray(np.pad(_BLUR_PRIOR, (0, 1)) + np.diag([0.0] * 5 + [self.turn_sigma**-2]))
@@ -836,8 +840,8 @@ class _Layers:
 
         The misfit is the mean square normalised residual.
 
-        The blur of a frame differs from that of the learnt picture by motion and focus: to second order, by a
-        combination of the second derivatives, which is fitted with the displacement.
+        Because of motion and focus, the blur of a frame differs from the blur of the average picture. To second order,
+        the difference is a combination of the second derivatives, which is fitted together with the displacement.
         """
         around = _crop(frame, place, self.grid)
         lost = place, np.full((2, 2), np.nan), math.inf, turn
@@ -888,7 +892,7 @@ def _derivatives(picture: Picture) -> Picture:
 
 
 def _crop(frame: Plane, place: Floats, grid: Floats) -> tuple[tuple[int, int], Plane] | None:
-    """Return the part of a frame about a place that a patch may cover, and its first pixel (x, y)."""
+    """Return the part of a frame about a place that a patch may cover, and the first pixel (x, y) of this part."""
     reach = math.ceil(1.5 * float(np.abs(grid).max())) + 3
     x, y = round(float(place[0])), round(float(place[1]))
     left, top = max(x - reach, 0), max(y - reach, 0)
@@ -898,12 +902,12 @@ def _crop(frame: Plane, place: Floats, grid: Floats) -> tuple[tuple[int, int], P
 
 @dataclass(frozen=True)
 class _Learnt:
-    """The learnt picture of a patch, and its places (n, 2) and rotations (n,) in the frames; None without rotation."""
+    """The average picture of a patch, and its positions (n, 2) and rotations (n,) in the frames; None: no rotation."""
 
     layers: _Layers
     place: Floats
     turn: Floats | None
-    residual: float  # mean variance of its pixels [grey levels squared]
+    residual: float  # mean variance of the pixels [grey levels squared]
 
 
 def _learnt(
@@ -916,7 +920,7 @@ def _learnt(
     noise: float,
     radius: float,
 ) -> _Learnt:
-    """Learn the picture of the patch from some frames, with the given rotations; the places are refined in these."""
+    """Average the picture of the patch over some frames with given rotations, and refine the positions in them."""
     use = np.unique(np.linspace(0, len(frame) - 1, _LEARNT).astype(int))
     pictures = film.some(frame[use])
     half = math.ceil(1.35 * radius) + 4
@@ -935,7 +939,7 @@ def _learnt(
         angles[kept] = np.array([p[3] for p in poses])[kept]
         if again == 0:
             layers = replace(layers, background=_uncovered(layers, pictures, there, kept))
-    # the centre of the learnt picture may differ from that of the template
+    # the centre of the average picture may differ from the centre of the template
     moved = place + np.median(there - place[use], axis=0)
     moved[use] = there
     residual = float(np.mean(layers.variance[layers.variance < _UNSEEN]))
@@ -945,7 +949,7 @@ def _learnt(
 def _regressed(
     layers: _Layers, pictures: Sequence[Plane], place: Floats, turn: Floats, kept: Bools, noise: float
 ) -> _Layers:
-    """Return the layers by regression of the pictures about the places on the background there."""
+    """Return the layers by a regression of the pictures at given places on the background at these places."""
     chosen = np.flatnonzero(kept).tolist()
     shown = np.stack([layers.sampled(pictures[i], place[i], turn[i]) for i in chosen])
     behind = np.stack(
@@ -956,14 +960,14 @@ def _regressed(
     shown, behind = np.where(known, shown, 0.0), np.where(known, behind, 0.0)
     mean, mean_behind = shown.sum(axis=0) / count, behind.sum(axis=0) / count
     off, off_behind = (shown - mean) * known, (behind - mean_behind) * known
-    # prior of the transparency: a standard deviation of 1, for a background that hardly varies
+    # prior of the transparency with a standard deviation of 1, needed for a background that hardly varies
     slope = (off * off_behind).sum(axis=0) / ((off_behind**2).sum(axis=0) + noise**2)
     slope = np.clip(slope, 0.0, 1.0)
     brightness = mean - slope * mean_behind
     rest = (shown - slope * behind - brightness) * known
     variance = cv2.blur(((rest**2).sum(axis=0) / count).astype(np.float32), (3, 3))
     seen = known.sum(axis=0) > 0.2 * len(chosen)
-    # interpolation averages the noise of neighbours, but not that of the smooth displacements
+    # interpolation averages the noise of neighbours, but not the effect of the smooth displacements
     variance = np.where(seen, np.maximum(variance, noise**2), np.float32(_UNSEEN))
     return replace(
         layers,
@@ -974,7 +978,7 @@ def _regressed(
 
 
 def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: Bools) -> Picture:
-    """Return the background as the mean of the frames that do not show the patch there, else the previous one."""
+    """Return the background: the mean of the frames in which the patch is elsewhere, else the previous value."""
     reach = float(np.abs(layers.grid).max())
     total = np.zeros(layers.background.shape, dtype=np.float64)
     count = np.zeros(layers.background.shape, dtype=np.int32)
@@ -991,7 +995,7 @@ def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: 
 def _measured(
     film: _Frames, frame: Frames, learnt: _Learnt, searched: int, progress: Progress | None
 ) -> PointPath:
-    """Register every frame with the learnt picture."""
+    """Register every frame with the average picture."""
     layers, place, turn = learnt.layers, learnt.place, learnt.turn
     where = {int(f): k for k, f in enumerate(frame)}
     found = place.copy()
@@ -1006,7 +1010,7 @@ def _measured(
     kept = (misfit < HIDDEN * usual) & np.isfinite(covariance).all(axis=(1, 2))
     if kept.sum() < FEWEST_FRAMES:
         raise TrackingError(
-            f"The point in {film.path.name} matches its own picture in {int(kept.sum())} frames only.",
+            f"The point in {film.path.name} matches its average picture in only {int(kept.sum())} frames.",
             "Give a more distinct point with --point X,Y.",
         )
     enlarged = covariance * np.maximum(misfit / usual, 1.0)[:, None, None]

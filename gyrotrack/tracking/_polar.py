@@ -1,6 +1,6 @@
-"""Polar sampling of a frame: rings about a centre, and windows cut out of them.
+"""Polar sampling of a frame: rings about a centre, and windows of these rings.
 
-In such a strip a marker that turns about the centre is only displaced along the columns.
+In the unrolled strip, a rotation of a marker about the centre is a displacement along the columns.
 Angles are counter-clockwise as seen, atan2(-(y - cy), x - cx); pixel centres are at integers.
 """
 
@@ -62,7 +62,7 @@ class Ring:
         return self.maps(chroma=False)
 
     def maps(self, *, chroma: bool, beyond: int = 0) -> Maps:
-        """Return the (x, y) in px of a plane of every point, with `beyond` columns after the full turn."""
+        """Return x and y of every point [px of a plane], with `beyond` additional columns after the full turn."""
         angle = np.arange(self.columns + beyond) * self.step
         radius = self.radii[:, None]
         x, y = self.centre[0] + radius * np.cos(angle), self.centre[1] - radius * np.sin(angle)
@@ -72,7 +72,7 @@ class Ring:
 
 
 def ring_for(centre: tuple[float, float], inner: float, outer: float, pixel: float) -> Ring:
-    """Return a grid with slightly more than one sample per `pixel` (in luma px: 2 for chroma, 1 for luma)."""
+    """Return a grid with slightly more than one sample per `pixel` [luma px] (2 for chroma, 1 for luma)."""
     columns = int(np.clip(np.ceil(1.4 * np.pi * (inner + outer) / pixel), 128, 1024))
     rows = int(np.clip(np.ceil((outer - inner) / pixel) + 1, 6, 32))
     return Ring(centre, inner, outer, rows, columns)
@@ -114,7 +114,7 @@ class Score:
         self.buffer = np.zeros(state["buffer"], dtype=np.float32)
 
     def planes(self, frames: list[Frame]) -> tuple[list[npt.NDArray[np.uint8]], ...]:
-        """Return the planes that are used, one list for each weight."""
+        """Return the planes that the score uses, one list for each weight."""
         if self.white:
             return ([frame.y for frame in frames],)
         return ([frame.u for frame in frames], [frame.v for frame in frames])
@@ -125,7 +125,7 @@ class Score:
         part = (slice(top, bottom), slice(left, right))
         a, b = self.weights
         if self.white:
-            np.copyto(self.buffer[part], frame.y[part])  # scaled after sampling
+            np.copyto(self.buffer[part], frame.y[part])  # the weight is applied after sampling
         else:
             cv2.addWeighted(frame.u[part], a, frame.v[part], b, 0.0, dst=self.buffer[part], dtype=cv2.CV_32F)
         seen = cv2.remap(self.buffer, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -136,7 +136,7 @@ class Score:
 
 
 class Grid:
-    """Positions of the samples of a ring in a plane, and the bounding box of each window of `width` columns."""
+    """Positions of the samples of a ring in a plane, and the bounding boxes of windows of `width` columns."""
 
     def __init__(self, ring: Ring, width: int, score: Score) -> None:
         self.ring, self.width, self.score = ring, width, score
@@ -170,7 +170,7 @@ class Grid:
 
     @cached_property
     def _places(self) -> tuple[npt.NDArray[np.int32], Singles, Singles]:
-        """Row (upper 16 bits) and column of the pixel left above each sample, and the offset of the sample from it."""
+        """Row (upper 16 bits) and column of the pixel above and left of each sample, and the offset from it."""
         rows, columns = self.score.buffer.shape
         x, y = np.clip(self.x, 0, columns - 1), np.clip(self.y, 0, rows - 1)
         left = np.minimum(np.floor(x), columns - 2).astype(np.int32)
@@ -179,7 +179,7 @@ class Grid:
 
 
 def _reach(place: Singles, width: int, size: int) -> npt.NDArray[np.int32]:
-    """Return the first and last-plus-one px of windows of `width` columns for each first column, (n, 2)."""
+    """Return the first px and the last px + 1 of windows of `width` columns for each first column, (n, 2)."""
     first = sliding_window_view(place.min(axis=0), width).min(axis=1)
     last = sliding_window_view(place.max(axis=0), width).max(axis=1)
     begin = np.clip(np.floor(first), 0, size - 2)

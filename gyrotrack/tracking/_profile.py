@@ -7,7 +7,7 @@ gyroscope of the paper. A profile is a TOML file::
     centre = "orbit"            # no mark at the centre: it is found from the paths of the markers
     capture_fps = 300           # optional
     sense = -1                  # optional: -1 turns clockwise as seen, +1 counter-clockwise
-    wander = false              # optional: does the centre of an orbit move? by default only when it moves far
+    wander = false              # optional: whether the centre of an orbit moves; by default only if it moves far
     tilt_correction = true      # optional: correct the angles for the tilt of the camera
 
     [[marker]]
@@ -155,7 +155,7 @@ def _blob(
     return Blob(x, y, area, total, fill)
 
 
-_ANY_MARKS = (  # what to do instead of a profile
+_ANY_MARKS = (  # alternative without a profile
     "a single body with any marks is tracked by `gyrotrack spindown FILM --hub X,Y` "
     '("single body" in the workbench)'
 )
@@ -255,7 +255,7 @@ _WORDS = {"name", "colour", "body"}
 
 
 def to_toml(profile: Profile) -> str:
-    """Write a profile as TOML text that `load` reads back to the same profile."""
+    """Write a profile as TOML text, from which `load` restores the same profile."""
     lines = [f'name = "{_escaped(profile.name)}"', f'centre = "{profile.centre}"']
     if profile.circle_colour != "red":
         lines.append(f'circle_colour = "{profile.circle_colour}"')

@@ -1,8 +1,9 @@
-"""Centre, flattening and light of a ring of texture, by its own pictures.
+"""Centre, flattening and light of a ring of texture, determined from the pictures of the ring.
 
 The pictures I_t(r, theta) of a ring are sampled about a centre that is known to some tenths of a pixel, in coordinates
-that turn with the body. A centre displaced by z = x + i y (y up) and an oblique view, whose circles are ellipses of the
-flattening f = p + i q, displace a sample at the angle a of the picture along and across the radius by
+that turn with the body. A centre displaced by z = x + i y (y up), and an oblique view, in which circles are ellipses
+with the flattening f = p + i q, displace a sample at the angle a of the picture across (u_t) and along (u_r) the
+radius by
 
     u_t = Im(z exp(-i a)) + r Im(f exp(-2 i a)),    u_r = Re(z exp(-i a)) + r Re(f exp(-2 i a)),
 
@@ -10,14 +11,15 @@ and change its grey level by -(u_r dB/dr + u_t dB/dtheta / r), with B the pictur
 tilted displaces samples along the radius by r^2 Re(k* exp(i a)) / R, with R the outer radius, and shading with the
 gradient g = g_x + i g_y changes grey levels by B Re(g* r exp(i a)) / R. With a = theta + psi, z, g and k turn against
 the body by its angle psi once, and f twice: over an arc they are distinguishable from its rotation. They follow from
-linear least squares beside rotation, offset and gain of each frame. dB/dr is measured in the frames: edges are narrower
-than the distance of the rows. Over more than a turn, all that is static in the picture, L(r, a), the light and the rim
-against the table, is the mean of the residuals at each place. It contains the effect of a view on the circular mean of
-B, which therefore does not count. Over less, a shadow beside a circular edge resembles a displacement of this edge; the
-circular mean counts in rows of which a view explains most of what is static (`ViewResponse.explains`).
+linear least squares, together with rotation, offset and gain of each frame. dB/dr is measured in the frames, because
+edges are narrower than the distance of the rows. Over more than a turn, the static part of the picture, L(r, a) (the
+light, and the rim in front of the table), is the mean of the residuals at each place. L also contains the effect of a
+view on the circular mean of B. The circular mean is therefore not used to determine the view. Over less than a turn, a
+shadow beside a circular edge resembles a displacement of this edge. The circular mean is then used only in rows in
+which a view explains most of the static residuals (`ViewResponse.explains`).
 
-The rotation that one frame seems to have depends on z and f through the slopes of B in both directions: the edges of a
-bar are oblique to the radius, so that a displacement along the radius resembles a rotation.
+The apparent rotation of one frame depends on z and f through the slopes of B in both directions. For example, the
+edges of a bar are oblique to the radius, so that a displacement along the radius resembles a rotation.
 """
 
 from __future__ import annotations
@@ -42,27 +44,27 @@ WHOLE_TURN = 1.0
 """Smallest arc over which all static light is distinguishable from the body [turns]. Derived: over less, some places of
 the picture show only a part of the body."""
 SHADING = 0.1
-"""Standard deviation of the shading over the outer radius of a ring before the measurement, per axis [1]. Chosen: a
+"""Prior standard deviation of the shading over the outer radius of a ring, per axis [1]. Chosen: a
 lamp beside the table; it matters only where a ring does not determine it."""
 _ALTERNATIONS = 4
-"""Alternations of body and static light [iterations]. Chosen: of a body that rests in half of the frames, the first
-leaves a quarter of the light, the fourth a hundredth; more cost time."""
+"""Alternations of body and static light [iterations]. Chosen: for a body that rests in half of the frames, a quarter
+of the light remains after the first alternation, a hundredth after the fourth; more cost time."""
 DISPLACEMENT = 1.0
-"""Standard deviation of the centre before the measurement [px]. Chosen: the difference between the disc and the ring of
+"""Prior standard deviation of the centre [px]. Chosen: the difference between the disc and the ring of
 some films; it matters only where a ring does not determine its centre."""
 FLATTENING = 0.01
-"""Standard deviation of a flattening before the measurement [1]. Derived: a tilt t flattens by t^2 / 4, 0.2 rad by
+"""Prior standard deviation of a flattening [1]. Derived: a tilt t flattens by t^2 / 4, 0.2 rad by
 0.01; it matters only where a ring does not determine it."""
 
 PERSPECTIVE = 0.02
-"""Standard deviation of the perspective before the measurement, per axis [1]. Derived: a camera at ten radii that is
+"""Prior standard deviation of the perspective, per axis [1]. Derived: a camera at ten radii that is
 tilted by 0.2 rad; it matters only where a ring does not determine it."""
 ORDERS = (1, 2, 1, 1)
 """Orders of centre, flattening, shading and perspective [periods per turn]. Derived: see the module docstring."""
 VIEW_SIZE = 2 * len(ORDERS)
 """Number of parameters of a view [1]. Derived: two for each of `ORDERS`."""
 LARGEST_UNEXPLAINED = 0.5
-"""Share of the power of what is static in a row that a view leaves, below which its circular edges show the view [1].
+"""Largest remaining share of the static power in a row after the fit of a view, for which circular edges are used [1].
 Chosen: a smaller value does not use edges beside faint shadows, a larger one takes shadows for displacements."""
 
 
@@ -75,7 +77,7 @@ def slope(picture: npt.NDArray[np.floating]) -> Singles:
 
 
 def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
-    """Return what is static in the image, from the order `lowest` per turn on, (rows, columns).
+    """Return the static part of the image in orders of at least `lowest` per turn, (rows, columns).
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
     """
     turned = _columns(angle, strips.shape[2])
     light = np.zeros_like(strips[0])
-    # a motion that is not uniform leaves a part of the light in the mean picture of the body
+    # after a motion that is not uniform, the mean picture of the body contains a part of the light
     for _ in range(_ALTERNATIONS):
         body = without_light(strips, light, angle).mean(axis=0)
         moved = [np.roll(strip - body, k, axis=1) for strip, k in zip(strips, turned, strict=True)]
@@ -97,7 +99,7 @@ def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
 
 
 def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
-    """Return pictures (n, rows, columns) at the angles (n,) [rad] less the static light."""
+    """Return pictures (n, rows, columns) at the angles (n,) [rad] without the static light."""
     turned = _columns(angle, strips.shape[2])
     return np.stack([strip - np.roll(light, -k, axis=1) for strip, k in zip(strips, turned, strict=True)])
 
@@ -113,8 +115,8 @@ class ViewResponse:
     # shape (zones, samples, VIEW_SIZE); change of the grey levels per px of displacement, and per unit of the others,
     # beside rotation, offset and gain
     change: Singles
-    rotation: Floats  # shape (zones, VIEW_SIZE); rotation that each zone seems to have [rad]
-    information: Floats  # shape (zones, VIEW_SIZE, VIEW_SIZE); about the view in one frame
+    rotation: Floats  # shape (zones, VIEW_SIZE); apparent rotation of each zone [rad] per unit of the view
+    information: Floats  # shape (zones, VIEW_SIZE, VIEW_SIZE); information about the view in one frame
     columns: int  # samples of a row
 
     @classmethod
@@ -170,16 +172,16 @@ class ViewResponse:
         return np.asarray(self.rotation[:, 3] + 1j * self.rotation[:, 2])
 
     def seen(self, view: Floats, angle: Floats) -> Floats:
-        """Return the rotation (zones, n) that the zones seem to have in a view (VIEW_SIZE,) at angles (n,) [rad]."""
+        """Return the apparent rotation (zones, n) [rad] of the zones in a view (VIEW_SIZE,) at angles (n,) [rad]."""
         response = self.rotation[:, 1::2] + 1j * self.rotation[:, 0::2]
         turning = (view[0::2] + 1j * view[1::2])[:, None] * np.exp(-1j * np.outer(ORDERS, angle))
         return np.asarray((response @ turning).imag)
 
     def explains(self, view: Floats, residuals: Sequence[Singles], angle: Floats) -> npt.NDArray[np.bool_]:
-        """Return the rows of which a view explains most of what is static in the residuals of the zones, (rows,).
+        """Return a mask of the rows (rows,) in which a view explains most of the static residuals of the zones.
 
-        A shadow or a window beside a circular edge resembles a displacement of the edge. The power of the orders 1 and
-        2 in the image, of the residuals (n, samples) of each zone, is compared with and without the view.
+        A shadow or a window beside a circular edge resembles a displacement of the edge. The test compares the power
+        of orders 1 and 2 in the image of the residuals (n, samples) of each zone, with and without the view.
         """
         turn = _rotations(angle)
         moved = (turn - turn.mean(axis=0)) @ view
@@ -197,7 +199,7 @@ class ViewResponse:
 
 @dataclass(frozen=True)
 class View:
-    """The view of a ring: centre (x, y) [px], y up, relative to that of the samples, flattening and shading [1]."""
+    """The view of a ring: centre (x, y) [px], y up, relative to the centre of the samples; flattening; shading [1]."""
 
     value: Floats  # shape (VIEW_SIZE,)
     covariance: Floats  # shape (VIEW_SIZE, VIEW_SIZE)
@@ -212,11 +214,11 @@ class View:
         known: npt.NDArray[np.bool_],
         together: float,
     ) -> View:
-        """Fit the view to the residuals of the zones, each (n, samples), beside rotation, offset and gain.
+        """Fit the view, with rotation, offset and gain, to the residuals of the zones, each (n, samples).
 
-        `known` (zones, n) are the frames of each zone that count. The residuals of `together` frames count as one. The
-        covariance is that of the mean of the zones by their differences: what disturbs a zone, another body below it
-        or a shadow, is correlated within it.
+        `known` (zones, n) is a mask of the frames used for each zone. The residuals of `together` frames are treated
+        as one. The covariance of the mean of the zones follows from the differences between zones, because
+        disturbances of a zone, for example another body below or a shadow, are correlated within the zone.
         """
         turn = _rotations(angle)
         zones = [z for z, used in enumerate(known) if used.any()]
@@ -235,7 +237,7 @@ class View:
         return cls(value, covariance + covariance @ spread @ covariance)
 
     def error(self, rotation: Floats) -> float:
-        """Return the rms error over a turn of a mean of zones with the responses `rotation` (VIEW_SIZE,) [rad]."""
+        """Return the rms error [rad] over a turn of a mean of zones with the response `rotation` (VIEW_SIZE,)."""
         squares = np.diag(self.covariance).reshape(-1, 2).sum(axis=1)
         return float(np.sqrt(0.5 * np.sum(rotation.reshape(-1, 2) ** 2 @ np.ones(2) * squares)))
 

@@ -1,7 +1,7 @@
-"""Silhouettes of what moves before a background at rest, in a few frames: compact bodies, and long ones.
+"""Silhouettes of bodies that move in front of a background at rest, in a few frames: compact bodies and long bodies.
 
-They show early whether a film is that of a ball on a string, whose pivot is outside the picture, or of a rod about a
-tilted axis. Neither is a texture that turns about a hub in the picture. Places are (x, y) in px.
+The silhouettes identify a film of a ball on a string, whose pivot is outside the picture, or of a rod about a tilted
+axis. Neither body is a texture that turns about a hub in the picture. Places are (x, y) [px].
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ Plane = npt.NDArray[np.uint8]
 Picture = npt.NDArray[np.float32]
 
 _BACKGROUND = 60
-"""Frames of which the background is the median [frames]. Chosen: memory and time; fewer keep a slow body in the
-background."""
+"""Number of frames for the background, which is their median [frames]. Chosen: memory and time; fewer keep a slow body
+in the background."""
 _COMPARED = 30
-"""Frames that are compared with the background [frames]. Chosen: half of `_BACKGROUND`, for time; fewer give uncertain
-shares."""
+"""Number of frames that are compared with the background [frames]. Chosen: half of `_BACKGROUND`, for time; fewer give
+uncertain shares."""
 _BAND = 32
-"""Rows of the picture of which the median is taken at a time [rows]. Chosen: memory; more rows need more of it."""
+"""Rows of the picture for which the median is computed at a time [rows]. Chosen: memory; more rows need more
+memory."""
 _CONTRAST = 6.0
 """Smallest difference of a body from the background in standard deviations of the noise [1]. Chosen: a smaller value
 finds noise, a larger one loses faint bodies."""
@@ -44,8 +45,8 @@ _OPENED = 0.6
 """Radius of the opening that removes a string from a bob, over the radius of the bob [1]. Chosen: a smaller value keeps
 a thick rod, a larger one removes bobs that are not round."""
 AS_LARGE = 0.7
-"""Relative radius of the inscribed circle from which a second spot makes the choice ambiguous [1]. Chosen: a smaller
-value refuses films with other objects, a larger one may choose the wrong body."""
+"""Smallest relative radius of the inscribed circle of a second spot that makes the choice ambiguous [1]. Chosen: a
+smaller value refuses films with other objects, a larger one may choose the wrong body."""
 _PARTS = 50
 """Largest number of separate parts of a frame that are compared [1]. Chosen: time; fewer lose bodies in noisy films."""
 ALIKE = 1.4
@@ -55,10 +56,10 @@ _SEEN = 0.8
 """Smallest share of the frames in which a body is seen [1]. Chosen: a smaller value accepts other objects, a larger one
 refuses films with a hand."""
 _ALONE = 0.5
-"""Smallest share of what differs from the background that belongs to the body [1]. Chosen: a smaller value accepts a
+"""Smallest share of the body in the area that differs from the background [1]. Chosen: a smaller value accepts a
 part of a larger body, a larger one refuses bobs with shadows."""
 _LEAVES = 2.0
-"""Smallest extent of the path on which a body leaves its place [radii]. Chosen: a smaller value accepts a wobble, a
+"""Smallest extent of the path of a moving body [radii]. Chosen: a smaller value accepts a wobble, a
 larger one refuses small oscillations."""
 _ROUND = 0.06
 """Largest scatter about the arc over the extent of the path [1]. Chosen: a smaller value refuses blurred bobs, a larger
@@ -85,7 +86,7 @@ def median_picture(sample: Sequence[Plane]) -> Picture:
 
 
 def _ranked(values: Plane, rank: int) -> Plane:
-    """Return the value of a rank along the first axis, bit by bit, which is faster than sorting."""
+    """Return the value of a rank along the first axis; it is determined bit by bit, which is faster than sorting."""
     found = np.zeros(values.shape[1:], dtype=np.uint8)
     for bit in (128, 64, 32, 16, 8, 4, 2, 1):
         larger = found + np.uint8(bit)
@@ -94,7 +95,7 @@ def _ranked(values: Plane, rank: int) -> Plane:
 
 
 def differs(frame: Plane, background: Picture, noise: float) -> Plane:
-    """Return 1 where a frame differs from the background by more than noise."""
+    """Return 1 where a frame differs significantly from the background, else 0."""
     away = cv2.blur(np.abs(frame - background), (3, 3))
     limit = max(_CONTRAST * noise / 3.0, _FAINTEST * float(np.quantile(away, 0.999)))
     return np.asarray(away > limit, dtype=np.uint8)
@@ -111,12 +112,12 @@ def parts_of(region: Plane) -> Parts:
 
 
 def spot_of(parts: Parts, top: tuple[int, int]) -> Spot | None:
-    """Return the compact part about the pixel `top` (x, y), the farthest from the edge; None if small."""
+    """Return the compact part about `top` (x, y), the pixel farthest from the edge; None if the part is small."""
     label, stats = parts
     number = label[top[1], top[0]]
     if number == 0:
         return None
-    # no disc is in two components: only the box of this one is opened, with the pixels around it
+    # a disc is within one component: only the box of this component is opened, with the pixels around the box
     left, above, width, height, _ = (int(v) for v in stats[number])
     left, above, right, below = max(left - 1, 0), max(above - 1, 0), left + width + 1, above + height + 1
     part = np.asarray(label[above:below, left:right] == number, dtype=np.uint8)
@@ -150,10 +151,10 @@ def _disc(size: int) -> Plane:
 def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
     """Return the compact parts of a region, the largest first, down to a share `least` of its inscribed radius.
 
-    Two of which the centre of one is inside the other, as at the edge of a picture that moves as a whole, are one.
+    Two parts are merged if the centre of one is inside the other, as at the edge of a picture that moves as a whole.
     """
     depth = depth_of(region)
-    # bodies that rods or strings join are apart in the region that a slightly smaller disc covers
+    # opening with a slightly smaller disc separates bodies that are joined by rods or strings
     opened = cv2.morphologyEx(region, cv2.MORPH_OPEN, _disc(max(int(least * float(depth.max())), 1)))
     count, label, stats, _ = cv2.connectedComponentsWithStats(opened)
     tops = []
@@ -177,16 +178,16 @@ def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
 
 @dataclass(frozen=True)
 class CompactBody:
-    """The compact body that is seen in most of some frames.
+    """The compact body that is seen in most of the compared frames.
 
     Attributes
     ----------
     radius : float
-        Its median radius [px].
+        Median radius of the body [px].
     place : ndarray, shape (n, 2)
-        Its centroids in the frames that show it [px].
+        Centroids in the frames that show the body [px].
     alone : float
-        Median share of the pixels that differ from the background that belong to it.
+        Median share of the body in the pixels that differ from the background.
     """
 
     radius: float
@@ -195,7 +196,7 @@ class CompactBody:
 
     @property
     def pivot(self) -> Floats | None:
-        """The centre (x, y) of the open arc on which it leaves its place; None for another path.
+        """The centre (x, y) of the open arc on which the body moves [px]; None for any other path.
 
         The centre of a straight path is at infinity.
         """
@@ -215,7 +216,7 @@ class CompactBody:
 
 
 def compact_body(sample: Sequence[Plane], background: Picture, noise: float) -> CompactBody | None:
-    """Return the compact body that most of some frames show; None if there is none."""
+    """Return the compact body that is visible in most frames of a sample; None without such a body."""
     every = []
     for frame in sample:
         region = differs(frame, background, noise)
@@ -234,7 +235,7 @@ def compact_body(sample: Sequence[Plane], background: Picture, noise: float) -> 
 
 @dataclass(frozen=True)
 class Foreground:
-    """Some frames of a film, equally spaced, and what differs in them from their median, the background."""
+    """Equally spaced frames of a film, their median (the background), and the differences from this background."""
 
     sample: Sequence[Plane]
     background: Picture
@@ -242,7 +243,7 @@ class Foreground:
 
     @classmethod
     def of(cls, film: Film, usable: npt.NDArray[np.int64]) -> Foreground:
-        """Compare some of the usable frames."""
+        """Compare some of the usable frames with their median."""
         sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
         noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
         return cls(sample, median_picture(sample), noise)
@@ -254,7 +255,7 @@ class Foreground:
 
     @cached_property
     def body(self) -> CompactBody | None:
-        """The compact body that most of the frames show."""
+        """The compact body that is visible in most of the frames."""
         return compact_body(self.few, self.background, self.noise)
 
 
@@ -269,8 +270,8 @@ _FILLED = 1.4
 """Largest area of the ellipse of the same moments over the area of a long body [1]. Chosen: a straight bar has pi / 3 =
 1.05; a larger value accepts bent bodies, a smaller one refuses interrupted bars."""
 _PIECE = 0.2
-"""Smallest part of a silhouette that counts, relative to the largest one [1]. Chosen: a bar over the middle divides it;
-a smaller value includes noise, a larger one loses an end."""
+"""Smallest part of a silhouette that is used, relative to the largest part [1]. Chosen: a bar over the middle divides
+it; a smaller value includes noise, a larger one loses an end."""
 _TILTED = 0.4
 """Smallest tilt of the axis of a long body [rad]. Chosen: a smaller value takes a disturbed circle for a tilt, a larger
 one leaves a biased angle."""
@@ -285,21 +286,21 @@ _SIDES = ("light", "dark")
 
 @dataclass(frozen=True)
 class LongBody:
-    """A long body about a tilted axis: the side of the background on which its brightness is, and the noise level."""
+    """A long body about a tilted axis: brighter or darker than the background, and the noise level."""
 
     side: str
     background: Picture
     limit: float  # grey levels
 
     def axis(self, frame: Plane) -> tuple[Floats, Floats, float] | None:
-        """Return the centroid of its silhouette, half its length along its axis (x, y), and its width [px]; or None."""
+        """Return the centroid of the silhouette, half its axis as a vector (x, y), and its width [px]; or None."""
         away = cv2.blur(frame - self.background, (3, 3)) * (1.0 if self.side == "light" else -1.0)
         shown = np.clip(away, 0.0, 255.0).astype(np.uint8)
         strong = shown[shown > self.limit]
         if len(strong) < 20:
             return None
         level, _ = cv2.threshold(strong[:, None], 0, 255, cv2.THRESH_OTSU)
-        # half the level of the body, as its silhouette is blurred at the edge
+        # half the level of the body, because the edge of the silhouette is blurred
         level = max(0.5 * float(np.median(strong[strong >= level])), self.limit)
         _, label, stats, _ = cv2.connectedComponentsWithStats((shown > level).astype(np.uint8))
         area = stats[1:, cv2.CC_STAT_AREA]
@@ -318,7 +319,7 @@ class LongBody:
 
 
 def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float) -> LongBody | None:
-    """Return the long body of some frames, if the ends of its axis are on an ellipse; None for any other film."""
+    """Return the long body in some frames if the ends of its axis are on an ellipse; None for any other film."""
     for side in _SIDES:
         body = LongBody(side, background, _CONTRAST * noise / 3.0)
         found = [f for frame in sample if (f := body.axis(frame)) is not None]
@@ -339,10 +340,11 @@ def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float)
 
 
 _AXES = 60
-"""Frames in which the axes of a long body are compared [frames]. Chosen: time; fewer give an uncertain point."""
+"""Number of frames in which the axes of a long body are compared [frames]. Chosen: time; fewer give an uncertain
+point."""
 _FEWEST_AXES = 8
-"""Smallest number of frames that show an axis [frames]. Chosen: fewer meet by chance, more refuse a rod that is at rest
-for most of a film."""
+"""Smallest number of frames with an axis [frames]. Chosen: fewer axes meet by chance, more refuse a rod that is at
+rest for most of a film."""
 _MEET = 0.03
 """Largest distance of the axes from their common point over their median length [1]. Chosen: a smaller value refuses
 bent rods, a larger one accepts rods without a hub on their axis."""
@@ -352,9 +354,9 @@ rotation of 0.1 rad; a smaller value accepts nearly parallel axes, a larger one 
 
 
 def axes_meet(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
-    """Return the point (x, y) [px] that the axes of a long body have in common, the hub of a thin rod; or None.
+    """Return the common point (x, y) [px] of the axes of a long body, which is the hub of a thin rod; or None.
 
-    Few frames may show it: a rod that is at rest for most of a film is part of the mean picture.
+    Only few frames may show the rod, because a rod that is at rest for most of a film is part of the mean picture.
     """
     few = frames[:: max(1, len(frames) // _AXES)]
     for side in _SIDES[::-1]:

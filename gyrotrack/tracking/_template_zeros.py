@@ -1,19 +1,20 @@
 """Zero of the angle of each template of a body's texture, from the angles of its markers.
 
 The texture of a body gives its angle about the template of a batch of frames. Templates are registered to each other,
-but the picture changes with motion blur and light, so the zero z_b of a template drifts from batch to batch. The
-markers have a fixed zero. In batch b the mean difference m_b of both angles is
+but the picture changes with motion blur and light, so the zero z_b of a template drifts from batch to batch. The angle
+of the markers has a fixed zero. In batch b the mean difference m_b of both angles is
 
     m_b = z_b + e_b,   z_b = z_(b-1) + w_b,   var e_b = s_b^2 / n_b + x^2 + sum_k A_k^2 |<exp(i k a)>_b|^2 / 2,
     var w_b = q^2 + p^2 (omega_b - omega_(b-1))^2,
 
 a local level model (A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, Cambridge (1989)).
-s_b is the scatter of the differences in the n_b frames. The error of a marker has harmonics k of its own angle a and
-of the angle to the other body, beside whose markers it passes; their amplitudes A_k are measured in the batches in
-which they average out. Where the frames are in step with such a harmonic, it does not average out, and the markers say
-little about the zero. The speed omega_b blurs a template; p = 0 for a steady body. q, p and x are those of the largest
-likelihood, and the zeros are smoothed. Within a batch the zero is z_b + c_b (omega - omega_b); c_b is the slope of the
-differences, shrunk by its uncertainty with p as the prior standard deviation.
+s_b is the scatter of the differences in the n_b frames. The error of a marker has harmonics k of the angle a of the
+marker, and of the angle relative to the other body, whose markers it passes. The amplitudes A_k are measured in
+batches in which the harmonics average out. If the frames are in step with a harmonic, it does not average out, and the
+markers contain little information about the zero. The blur of a template depends on the speed omega_b; p = 0 for a
+steady body. q, p and x maximise the likelihood, and the zeros are smoothed. Within a batch the zero is z_b + c_b
+(omega - omega_b). c_b is the slope of the differences, shrunk by its uncertainty with p as the prior standard
+deviation.
 """
 
 from __future__ import annotations
@@ -37,25 +38,25 @@ _ORDERS = range(1, 13)
 """Orders of the harmonics of the error of a marker [periods per turn]. Chosen: as `_body_angles._HARMONICS`; fewer
 leave errors of several equal marks in the zeros."""
 _AVERAGED_OUT = 0.2
-"""Mean of exp(i k a) in a batch, absolute, up to which the amplitude of the harmonic k is measured in it [1]. Chosen: a
+"""Largest absolute mean of exp(i k a) in a batch that is used for the amplitude of harmonic k [1]. Chosen: a
 smaller value uses few batches, a larger one includes the zero in the amplitude."""
 _STEADY = 0.01
-"""Change of speed (rms) between batches over the speed of a steady body [1]. Chosen: a smaller value fits p to noise, a
-larger one ignores the change of motion blur."""
+"""Largest change of speed (rms) between batches, over the speed, of a steady body [1]. Chosen: a smaller value fits p
+to noise, a larger one ignores the change of motion blur."""
 _MOTION = 4
 """Degree of the polynomial that describes the angle in a batch [1]. Chosen: a smaller value leaves changes of the
 speed, a larger one fits noise."""
 _FEWEST_FRAMES = 32
-"""Smallest number of frames of a batch in which the mean difference is used [frames]. Chosen: fewer have an uncertain
+"""Smallest number of frames of a batch whose mean difference is used [frames]. Chosen: fewer have an uncertain
 variance, more omit the last batch."""
 _FAR = 5.0
-"""Difference in a batch from which it is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects
+"""Smallest difference of an outlier in a batch, in robust standard deviations [1]. Chosen: a smaller value rejects
 good frames, a larger one keeps slips."""
 _STEPS = np.concatenate([[0.0], np.geomspace(0.1, 50.0, 10)])
-"""Steps q, and p times the change of speed (rms), that are tried, over the typical uncertainty of a mean [1]. Chosen:
+"""Grid of q, and of p times the change of speed (rms), over the typical uncertainty of a mean [1]. Chosen:
 factors of 2; finer ones cost time, a smaller range limits the drift."""
 _COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
-"""Common errors x that are tried, over the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer ones cost
+"""Grid of common errors x, over the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer ones cost
 time, a smaller range limits the error."""
 
 
@@ -66,10 +67,10 @@ class TemplateZeros:
     Attributes
     ----------
     zero : ndarray, shape (n,)
-        What is added to the angle of the texture in each frame [rad].
+        Correction added to the angle of the texture in each frame [rad].
     uncertainty : ndarray, shape (n,)
         Standard uncertainty of the zero of the template of each frame [rad]; the frames of a batch share its error. 0
-        where it is not known.
+        where the zero is not known.
     """
 
     zero: Floats
@@ -82,15 +83,15 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     Parameters
     ----------
     off : ndarray, shape (n,)
-        Angle of the markers less that of the texture [rad], without whole turns; NaN where one is not known.
+        Angle of the markers minus angle of the texture [rad], without whole turns; NaN where either is not known.
     template : ndarray, shape (n,)
         Number of the template of each frame, from 0, in order.
     angles : sequence of ndarray, shape (n,)
-        Angles of whose harmonics the errors of the markers consist [rad], first that of the body itself.
+        Angles whose harmonics describe the errors of the markers [rad]; the first is the angle of the body itself.
     """
     count = int(template.max(initial=-1)) + 1
     known = np.isfinite(off)
-    # templates follow each other
+    # the numbers of templates increase
     parts = [slice(*np.searchsorted(template, [b, b + 1])) for b in range(count)]
     batches = [_without_outliers(off, part.start + np.flatnonzero(known[part])) for part in parts]
     used = [b for b in range(count) if len(batches[b]) >= _FEWEST_FRAMES]
@@ -117,7 +118,7 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
 def scatter_of_templates(off: Floats, template: Integers) -> float:
     """Return the robust standard deviation of the medians of differences (n,) [rad] over the frames of each template.
 
-    0 for fewer than `FEWEST_TEMPLATES`.
+    The result is 0 for fewer than `FEWEST_TEMPLATES` templates.
     """
     known = np.isfinite(off)
     medians = [median_of(off[known & (template == b)]) for b in np.unique(template[known])]
@@ -132,7 +133,7 @@ def _without_outliers(off: Floats, frames: Integers) -> Integers:
 
 
 def _harmonic_variance(off: Floats, angle: Floats, batches: Sequence[Integers], white: Floats) -> Floats:
-    """Return the variance of the mean of each batch by harmonics of an angle, (batches,) [rad^2]."""
+    """Return the variance of the mean of each batch caused by harmonics of an angle, (batches,) [rad^2]."""
     total = np.zeros(len(batches))
     for order in _ORDERS:
         left, squares = np.zeros(len(batches)), []
@@ -157,9 +158,9 @@ def _mean_rate(angle: Floats, frames: Integers) -> float:
 
 
 def _within(off: Floats, angle: Floats, frames: Integers, batch: slice, per_speed: float) -> Floats:
-    """Return the zero of a template in each frame of its batch less that at the mean speed [rad].
+    """Return the zero of a template in each frame of its batch, less the zero at the mean speed [rad].
 
-    `frames` are those in which the difference `off` is used, `per_speed` is the prior standard deviation of the slope
+    `frames` are the frames whose difference `off` is used; `per_speed` is the prior standard deviation of the slope
     [rad per (rad per frame)].
     """
     middle = 0.5 * (frames[0] + frames[-1])
@@ -176,7 +177,7 @@ def _within(off: Floats, angle: Floats, frames: Integers, batch: slice, per_spee
 def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> tuple[Floats, Floats, float]:
     """Return the most likely zeros and their variances, (batches,), and p [rad per (rad per frame)].
 
-    From batch to batch, (batches - 1,), `gaps` are counted in batches, and `change` is the squared change of speed.
+    Between batches, (batches - 1,), `gaps` is the distance in batches, and `change` the squared change of speed.
     """
     unit = math.sqrt(median_of(variance))
     usual = float(change.mean())
@@ -203,7 +204,7 @@ def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> t
 
 
 def _filtered(mean: Floats, variance: Floats, step: Floats) -> tuple[Floats, Floats, float]:
-    """Return the filtered zeros, their variances, and the logarithm of the likelihood, the first zero unknown."""
+    """Return the filtered zeros, their variances, and the log-likelihood, with a diffuse prior of the first zero."""
     level, left = mean.copy(), variance.copy()
     likelihood = 0.0
     for b in range(1, len(mean)):

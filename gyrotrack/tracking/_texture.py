@@ -1,21 +1,23 @@
 """Angle of a body from the texture of a whole ring about its hub, zone by zone.
 
-A marker covers a few hundred pixels; the bar, the rim and the screws of a body cover some ten thousand. They are
-sampled in polar coordinates that turn with the body, in `ZONES` zones of radius. In these coordinates the picture of
-the body is constant. In each batch of frames a zone has a template T(r, theta), the mean of the frames, and a variance
-v(r, theta) of each sample, which is large where something else is visible: another body below, the table, a reflection.
-The rotation d of a frame follows from least squares, weight 1 / v, for
+A marker covers a few hundred pixels; the bar, the rim and the screws of a body cover some ten thousand. These pixels
+are sampled in polar coordinates that turn with the body, in `ZONES` zones of radius. In these coordinates the picture
+of the body is constant. In each batch of frames a zone has a template T(r, theta), the mean of the frames, and a
+variance v(r, theta) of each sample. The variance is large where the body is not visible: another body below, the
+table, a reflection. The rotation d of a frame follows from least squares, with weight 1 / v, for
 
     I(r, theta) = b + (1 + g) T(r, theta - d) + noise,
 
 with gain g and offset b of the illumination. Templates and rotations are estimated in alternation.
 
-Errors that all samples of a zone share are not visible in v: markers of the rotor that pass below the bar, the shadow
-of the bar, the blocks of the encoder. They are visible in the differences between zones. The zones are combined by the
-best linear unbiased mean, with weights w = C^-1 1 / (1' C^-1 1) that are not negative; C is the covariance of their
-angles about a smooth motion. What all zones share, the motion, adds a multiple of 1 1' to C, which does not change w.
+Errors that are common to all samples of a zone do not appear in v: markers of the rotor that pass below the bar, the
+shadow of the bar, the blocks of the encoder. These errors appear in the differences between zones. The zones are
+combined by the best linear unbiased mean, with non-negative weights w = C^-1 1 / (1' C^-1 1); C is the covariance of
+the angles of the zones about a smooth motion. The motion, which is common to all zones, adds a multiple of 1 1' to C,
+which does not change w.
 
-The zero of a template is arbitrary. That of each batch is referred to the previous one by registering their templates.
+The zero of a template is arbitrary. The zero of each batch is related to the previous batch by registering the
+templates of both.
 """
 
 from __future__ import annotations
@@ -60,8 +62,8 @@ COLUMNS = 360
 """Columns of the ring [columns per turn]. Chosen: motion blur and the lens smooth details below a degree; fewer lose
 detail, more cost time."""
 MARGIN = 6
-"""Columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: fewer lose frames with
-a poor prediction, more cost time."""
+"""Additional columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: fewer lose
+frames with a poor prediction, more cost time."""
 STEP = TURN / COLUMNS
 """Angle of a column [rad]. Derived: `COLUMNS` of a turn."""
 REACH = (MARGIN - 1) * STEP
@@ -73,97 +75,100 @@ OUTERMOST = 1.35
 """Radius of the last zone relative to the outer end of the markers [1]. Chosen: the rim of the body is beyond the
 markers; a larger value includes the background."""
 FEWEST = 48
-"""Smallest number of frames from which the first templates are learnt [frames]. Chosen: fewer give noisy templates,
+"""Smallest number of frames for the first templates [frames]. Chosen: fewer give noisy templates,
 more leave short films without texture."""
 LEARNT = 256
-"""Smallest number of frames from which later templates are learnt [frames]. Chosen: fewer give noisy templates, more
+"""Smallest number of frames for later templates [frames]. Chosen: fewer give noisy templates, more
 keep an old one."""
 LEAST_REACH = 0.7
 """Smallest radius inside the picture, relative to the outer end of the markers [1]. Chosen: a smaller value uses a
 small part of the body, a larger one omits bodies near the border."""
 LEAST_VARIANCE = 0.25
-"""Lower limit of the variance of a sample [grey levels squared]. Chosen: its rounding has 1 / 12, noise the rest; a
-smaller value gives saturated samples too much weight, a larger one ignores the noise."""
+"""Lower limit of the variance of a sample [grey levels squared]. Chosen: rounding contributes 1 / 12, noise the rest;
+a smaller value gives saturated samples too much weight, a larger one ignores the noise."""
 FINENESS = 32
 """Parts of a column to which rotations are rounded [1]. Source: OpenCV interpolates to 1/32 of a pixel."""
 UNUSUAL = 4.0
-"""Mean square residual of a zone, relative to the typical one, from which a frame does not enter its template [1].
+"""Largest mean square residual of a zone, relative to the typical residual, of a frame that enters its template [1].
 Chosen: a smaller value discards good frames, a larger one admits a hand."""
 LARGEST_MISFIT = 25.0
-"""Mean square residual of a zone, relative to the typical one, from which the zone has no angle [1]. Chosen: another
-body below that stands still for some frames changes a zone less than a hand does; a smaller value omits these
-frames."""
+"""Largest mean square residual of a zone with an angle, relative to the typical residual [1]. Chosen: another body
+below that stands still for some frames changes a zone less than a hand does; a smaller value omits these frames."""
 LARGEST_TURN = 0.02
 """Largest error of the rough angles [rad]. Derived: two pixels at a radius of a hundred; beyond it the picture is not
 linear in the angle."""
 LEAST_CONTRAST = 0.5
-"""Contrast of a zone, relative to its template, below which it is covered [1]. Chosen: a smaller value fits a hand of
-one brightness, a larger one omits zones in shadow."""
+"""Smallest contrast of a zone that is not covered, relative to its template [1]. Chosen: a smaller value fits a hand
+of one brightness, a larger one omits zones in shadow."""
 LEAST_KNOWN = 0.9
-"""Share of the frames of the best zone from which a zone is used [1]. Chosen: where it is not known it disagrees, and
-the rest looks better than it is; a smaller value admits such zones, a larger one omits zones that a cable covers."""
+"""Smallest share of the frames, relative to the best zone, of a zone that is used [1]. Chosen: a zone has no angle
+where it disagrees, so the rest seems too good; a smaller value admits such zones, a larger one omits zones that a
+cable covers."""
 LEAST_ZONES = 2
-"""Smallest number of zones with information about the angle, from which their errors are known [1]. Derived: the
-differences of three angles determine three variances; that of two is an upper limit of both."""
+"""Smallest number of informative zones for an estimate of their errors [1]. Derived: the differences of three angles
+determine three variances; the difference of two gives an upper limit of both."""
 TOGETHER = 16
-"""Frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and count as
-often as they are equal; fewer leave them hidden in noise, more leave few averages."""
+"""Frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do not
+average out; fewer frames leave these errors hidden in noise, more leave few averages."""
 MANY_TURNS = 3.0
-"""Turns from which errors that repeat with the turn are distinguishable from a motion [turns]. Chosen: fewer remove
-motion, more leave such errors in the weights."""
+"""Smallest number of turns in which errors that repeat with the turn are distinguishable from a motion [turns].
+Chosen: fewer remove motion, more leave such errors in the weights."""
 CENTRE_ERROR = 0.3
-"""Standard uncertainty of the centre of a ring in the luma [px]. Derived: it is measured in the chroma, whose
+"""Standard uncertainty of the centre of a ring in the luma [px]. Derived: the centre is measured in the chroma, whose
 conventions differ by up to half a pixel in each direction; a uniform distribution has 0.29 px."""
 SHADOW_ERROR = 0.6
-"""Standard uncertainty of the displacement of a ring beside its own view, per coordinate [px]. Measured: a shadow that
-a bar casts beside itself displaces its edges; on ten films by two other renderers, the largest error is 1.04, 0.82 and
-0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
+"""Standard uncertainty of the displacement of a ring in addition to its measured view, per coordinate [px]. Measured:
+a shadow that a bar casts beside itself displaces its edges; on ten films by two other renderers, the largest error is
+1.04, 0.82 and 0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
 _LIGHT_FRAMES = 128
-"""Frames of a batch from which the static light is learnt [frames]. Chosen: fewer leave noise in it, more cost time."""
+"""Number of frames of a batch for the estimate of static light [frames]. Chosen: fewer leave noise in it, more cost
+time."""
 FAST_TURNS = 10.0
-"""Turns of a batch from which static light is subtracted [turns]. Chosen: there, errors once and twice per turn are
-learnt from the angles; over fewer turns, a motion that is not uniform leaves light in the templates."""
+"""Smallest number of turns of a batch for the subtraction of static light [turns]. Chosen: over more turns, errors
+once and twice per turn are determined from the angles; over fewer turns, a motion that is not uniform leaves light in
+the templates."""
 LOWEST_LIGHT_ORDER = 3
-"""Lowest order of the static light that is subtracted [periods per turn]. Derived: orders 1 and 2 are those of a
-displaced centre and of an oblique view, which are measured with the markers."""
+"""Lowest order of the static light that is subtracted [periods per turn]. Derived: orders 1 and 2 are caused by a
+displaced centre and an oblique view, which are measured with the markers."""
 _SLOPE_EVERY = 8
 """Distance of the frames in which the derivative with respect to the radius is measured [frames]. Chosen: a smaller one
 costs time, a larger one leaves noise in it."""
 _FEWEST_SLOPES = 4
-"""Smallest number of such frames [frames]. Chosen: of fewer, that of the mean picture between rows is less noisy."""
+"""Smallest number of such frames [frames]. Chosen: for fewer frames, the derivative of the mean picture between rows
+is less noisy."""
 _ALIGNMENTS = 3
 """Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
 errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
 _ROUNDS = 2
 """Passes of the template [iterations]. Chosen: the second one uses the angles of the first; more cost time."""
 _LEAST_SHARE = 0.1
-"""Smallest variance of a zone relative to that of its differences [1]. Chosen: a smaller value gives one zone all the
-weight, a larger one makes the zones equal."""
+"""Smallest variance of a zone relative to the variance of its differences [1]. Chosen: a smaller value gives one zone
+all the weight, a larger one makes the zones equal."""
 DEGREES = (3, 6, 12)
-"""Degrees of the polynomial that describes the motion in a batch [1]. Chosen: the first that is sufficient, or the last
-one over many turns; a motion that remained would seem correlated with the errors of some zones."""
+"""Degrees of the polynomial that describes the motion in a batch [1]. Chosen: the first sufficient degree, or the last
+one over many turns; a remaining motion would seem correlated with the errors of some zones."""
 FAR = 5.0
 """Residual to which outliers are limited, in robust standard deviations [1]. Chosen: a smaller value discards good
 frames, a larger one keeps disturbed ones."""
 SHRINKAGE = 0.1
-"""Relative increase of variances that are estimated from some hundred frames [1]. Chosen: a smaller value gives weights
+"""Relative increase of variances estimated from some hundred frames [1]. Chosen: a smaller value gives weights
 by chance, a larger one makes the zones equal."""
 
 
 @dataclass(frozen=True)
 class TextureObservations:
-    """The angle of a body by its texture in consecutive frames; NaN where it is not known."""
+    """The angle of a body from its texture in consecutive frames; NaN where the angle is not known."""
 
     angle: Floats  # shape (n,); as seen, about the zero of the first template, unwrapped [rad]
-    sigma: Floats  # shape (n,); its standard uncertainty from the differences between zones [rad]
-    slow: Floats  # shape (n,); the part of it that neighbouring frames share [rad]
-    misfit: Floats  # shape (n,); mean square residual relative to the typical one
+    sigma: Floats  # shape (n,); standard uncertainty of the angle from the differences between zones [rad]
+    slow: Floats  # shape (n,); part of `sigma` that is common to neighbouring frames [rad]
+    misfit: Floats  # shape (n,); mean square residual relative to the typical value
     centre: Floats  # shape (n, 2); centre of the polar coordinates [px]
     # shape (n, 2); mean of exp(-i theta) / r [1/px] and of exp(-2 i theta) over the samples, weighted by their
     # information about the angle, as (real, imaginary): response to a displaced centre, and to an oblique view
     first: Floats
     second: Floats
-    # shape (n,); number of the batch, from 1, where centre and flattening are those that the ring itself shows, else 0
+    # shape (n,); number of the batch, from 1, where centre and flattening are determined from the ring itself, else 0
     own_view: Floats
 
     @classmethod
@@ -176,7 +181,7 @@ class TextureObservations:
     def set(
         self, use: npt.NDArray[np.int64], zones: _Zones, angle: Floats, turned: Floats, misfit: Floats
     ) -> None:
-        """Set the frames `use` by the rotations of the zones from an angle [rad], and by their misfits."""
+        """Set the frames `use` from the rotations of the zones relative to an angle [rad], and from their misfits."""
         mean, total = zones.mean(turned)
         self.angle[use] = angle + mean
         self.sigma[use], self.slow[use] = zones.sigma / total, zones.slow / total
@@ -215,7 +220,7 @@ class TextureObservations:
         placed = own & np.isfinite(off).all(axis=1)
         for key in np.unique(np.stack([self.template, self.own_view], axis=1)[placed], axis=0):
             some = placed & (self.template == key[0]) & (self.own_view == key[1])
-            off[some] -= off[some].mean(axis=0)  # the view contains the mean place of a centre that moves
+            off[some] -= off[some].mean(axis=0)  # the view includes the mean position of a moving centre
         z = off[:, 0] - 1j * off[:, 1]
         turn = np.exp(-1j * self.angle)
         m1, m2 = (m[:, 0] + 1j * m[:, 1] for m in (self.first, self.second))
@@ -225,9 +230,9 @@ class TextureObservations:
 
 @dataclass(frozen=True)
 class _Zones:
-    """Templates of all zones, learnt from one batch of frames."""
+    """Templates of all zones, from one batch of frames."""
 
-    # shape (ZONES, ROWS * COLUMNS); the mean picture, the variance of a sample, its weight in a fit
+    # shape (ZONES, ROWS * COLUMNS); the mean picture, the variance of a sample, the weight of a sample in a fit
     picture: Singles
     variance: Singles
     weight: Singles
@@ -237,8 +242,8 @@ class _Zones:
     # shape (ZONES,); moments of the information about the angle of each zone (see `TextureObservations`)
     first: Complexes
     second: Complexes
-    share: Floats  # shape (ZONES,); weight of each zone, 0 for one that does not turn with the body
-    # standard uncertainty of the mean [rad], and the part of it that neighbouring frames share
+    share: Floats  # shape (ZONES,); weight of each zone, 0 for a zone that does not turn with the body
+    # standard uncertainty of the mean [rad], and the part of it that is common to neighbouring frames
     sigma: float = math.nan
     slow: float = math.nan
 
@@ -248,10 +253,10 @@ class _Zones:
         for z, seen in enumerate(_by_zone(strips)):
             parts, left = _fitted(seen, self.picture[z], self.basis[z], self.weight[z])
             misfit[z] = (left**2) @ self.weight[z] / self.usual[z]
-            # a hand of one brightness fits the template without contrast
+            # a hand of uniform brightness fits a template without contrast
             similar = (misfit[z] < LARGEST_MISFIT) & (1.0 + parts[:, 2] > LEAST_CONTRAST)
-            # farther away the picture is not linear in the angle; a blurred one is noisier, and linear farther away.
-            # A zone that scatters more does not turn with the body
+            # at larger angles the picture is not linear in the angle; a blurred picture is noisier, but linear
+            # farther. A zone that scatters more does not turn with the body
             farthest = FAR * spread(parts[:, 0])
             similar &= np.abs(parts[:, 0]) < (farthest if LARGEST_TURN < farthest < REACH else LARGEST_TURN)
             found[z] = np.where(similar, parts[:, 0], np.nan)
@@ -274,9 +279,9 @@ class _Zones:
         return replace(self, share=share, sigma=sigma, slow=slow)
 
     def mean(self, turned: Floats) -> tuple[Floats, Floats]:
-        """Return the mean rotation (n,) [rad] of the zones, and the sum of the weights of those that are known, or NaN.
+        """Return the mean rotation (n,) [rad] of the zones, and the sum of the weights of known zones; NaN if unknown.
 
-        It is not known where the zones are not that usually determine the angle.
+        The mean is unknown in frames without the zones that usually determine the angle.
         """
         weight = self.share[:, None] * np.isfinite(turned)
         total = weight.sum(axis=0)
@@ -284,7 +289,7 @@ class _Zones:
         return np.sum(weight * np.nan_to_num(turned), axis=0) / total, total
 
     def ahead_of(self, other: _Zones) -> float:
-        """Return the angle by which the pictures of the body are turned against those of another batch [rad]."""
+        """Return the rotation of the pictures of the body relative to the pictures of another batch [rad]."""
         each, share = np.zeros(ZONES), np.sqrt(self.share * other.share)
         for z in np.flatnonzero(share):
             variance = self.variance[z] + other.variance[z]
@@ -319,7 +324,7 @@ def _fitted(seen: Singles, picture: Singles, basis: Singles, weight: Singles) ->
 
 
 def learn_zones(strips: Singles, angle: Floats, radius: Floats) -> tuple[_Zones, Floats, Floats]:
-    """Learn templates from strips (n, rows, COLUMNS) at the angles (n,) [rad]; return also what `_Zones.fit` returns.
+    """Learn templates from strips (n, rows, COLUMNS) at the angles (n,) [rad]; also return the result of `_Zones.fit`.
 
     `radius` are the radii of the rows [px].
     """
@@ -365,7 +370,7 @@ class TextureTracker:
         self, centre: tuple[float, float], outer: float, size: tuple[int, int], capacity: int
     ) -> None:
         x, y = centre
-        inside = min(x, y, size[0] - 1 - x, size[1] - 1 - y) - 2.0  # the last zone is within the picture
+        inside = min(x, y, size[0] - 1 - x, size[1] - 1 - y) - 2.0  # keep the last zone within the picture
         self.centre = centre
         edges = np.linspace(INNERMOST * outer, min(OUTERMOST * outer, inside), ZONES * ROWS + 1)
         self._radius = 0.5 * (edges[1:] + edges[:-1])
@@ -375,14 +380,14 @@ class TextureTracker:
         self._y = (self._radius[:, None] * np.sin(theta)).astype(np.float32)
         self._outward = np.stack([np.cos(theta), np.sin(theta)]).astype(np.float32)
         self._strips = np.zeros((capacity, *self._x.shape), dtype=np.uint8)
-        self._slopes: dict[int, Singles] = {}  # derivative with respect to the radius, of some frames [1/px]
+        self._slopes: dict[int, Singles] = {}  # derivative with respect to the radius in some frames [1/px]
         self._angle = np.full(capacity, np.nan)
         self._centre = np.zeros((capacity, 2))
         self._used = False
         self._zero = self._own_zero = 0.0
         self._last: _Zones | None = None
-        self._own: _OwnView | None = None  # of the last slow batch
-        self._light: Singles | None = None  # static in the image, of the last fast batch
+        self._own: _OwnView | None = None  # view of the last slow batch
+        self._light: Singles | None = None  # static light of the last fast batch
         self._slow, self._batch = False, 0
 
     def __getstate__(self) -> dict[str, Any]:
@@ -423,7 +428,7 @@ class TextureTracker:
     def measure(self, count: int, angle: Floats) -> tuple[TextureObservations, TextureObservations]:
         """Measure the first `count` frames, whose angles (count,) [rad] are known to some mrad.
 
-        The second observations are those of a slow body about the view that its ring itself shows.
+        The second observations are for a slow body, with the view determined from its ring.
         """
         seen, aligned = (TextureObservations.unknown(self._centre[:count]) for _ in range(2))
         ahead = np.rint((angle - self._angle[:count]) / STEP * FINENESS) / FINENESS
@@ -442,7 +447,7 @@ class TextureTracker:
             zones, turned, misfit = learn_zones(strips, rough, self._radius)
             self._zero += zones.ahead_of(self._last) if self._last is not None else 0.0
             self._last = zones
-        else:  # too few frames to learn from, as the last ones of a part of the film
+        else:  # too few frames for templates, for example at the end of a part of the film
             zones = self._last
             turned, misfit = zones.fit(strips)
         seen.set(use, zones, rough + self._zero, turned, misfit)
@@ -464,8 +469,8 @@ class TextureTracker:
     ) -> tuple[_OwnView, Floats, Floats, Floats]:
         """Measure the frames `use` at rough angles [rad] in pictures that are turned back by the measured angles.
 
-        Where the rough angles err by the width of the details, one step is too short, and the template is blurred.
-        Returns the view, the last rough angles, and what `_OwnView.fit` returns.
+        If the error of the rough angles is as large as the details, one step is too short, and the template is
+        blurred. The results are the view, the last rough angles, and the result of `_OwnView.fit`.
         """
         for _ in range(_ALIGNMENTS):
             ahead = np.rint((angle - self._angle[use]) / STEP * FINENESS) / FINENESS
@@ -479,7 +484,7 @@ class TextureTracker:
     def _radial_slope(self, use: npt.NDArray[np.int64], ahead: Floats) -> Singles:
         """Return the mean derivative of the pictures with respect to the radius, (rows, COLUMNS) [1/px].
 
-        It is measured in the frames, as edges are narrower than the distance of the rows.
+        The derivative is measured in the frames, because edges are narrower than the distance of the rows.
         """
         known = [k for k, at in enumerate(use) if int(at) in self._slopes]
         if len(known) < _FEWEST_SLOPES:
@@ -490,7 +495,7 @@ class TextureTracker:
     def _turned(self, use: npt.NDArray[np.int64], ahead: Floats) -> Singles:
         """Return the samples of the frames `use`, turned by more columns `ahead`, (n, rows, COLUMNS).
 
-        In floats: a displacement of a faint edge by a part of a pixel is lost in rounded grey levels.
+        The samples are floats: rounding to grey levels would lose subpixel displacements of faint edges.
         """
         strips = np.empty((len(use), len(self._radius), COLUMNS), dtype=np.float32)
         for k, at in enumerate(use):
@@ -506,11 +511,11 @@ def _columns_ahead(strip: Singles, ahead: float) -> Singles:
 
 @dataclass(frozen=True)
 class _OwnView:
-    """Templates of a slow body, with the view that its ring shows."""
+    """Templates of a slow body, with the view determined from its ring."""
 
     zones: _Zones
     response: ViewResponse
-    light: Singles | None  # what is static in the image; None where it is not distinguishable from the body
+    light: Singles | None  # static light in the image; None if it is not distinguishable from the body
     view: View
     known: bool  # whether the arc determines the view
 
@@ -525,7 +530,7 @@ class _OwnView:
         lit = strips if light is None else without_light(strips, light, angle)
         zones = _templates(lit, radius)
         uneven = radial - radial.mean(axis=1, keepdims=True)
-        # the static light contains what a view does to circular edges
+        # the static light includes the effect of a view on circular edges
         response = zones.response(radial if light is None else uneven, radius)
         turned, _ = zones.fit(lit)
         known = arc > LEAST_ARC
@@ -552,18 +557,18 @@ class _OwnView:
 
     @property
     def error(self) -> float:
-        """Standard uncertainty of the angles by that of the view [rad]."""
+        """Standard uncertainty of the angles caused by the uncertainty of the view [rad]."""
         return self.view.error(self.zones.share @ self.response.rotation)
 
 
 def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats, float]:
     """Return the weights of the zones in the mean of their angles (ZONES, n) [rad], sum 1, and its uncertainty [rad].
 
-    See the module docstring; the smooth motion is a polynomial and, over many turns, harmonics of the angle, which
-    contain errors of the centre and of the view that are removed later. To the covariance of single frames are added
-    that of the means of `TOGETHER` frames, times their number, and that of an error of the centre by `shift` [px] in
-    each coordinate, which turns a zone at the angle psi by Im(z m_1 exp(-i psi)) (`first` m_1 [1/px]). All weights are
-    0 if too few zones are known.
+    See the module docstring. The smooth motion is a polynomial and, over many turns, harmonics of the angle, which
+    include errors of the centre and of the view that are removed later. The covariance is the sum of three parts: the
+    covariance of single frames, the covariance of means of `TOGETHER` frames times `TOGETHER`, and the covariance due
+    to an error of the centre by `shift` [px] in each coordinate. This error turns a zone at the angle psi by Im(z m_1
+    exp(-i psi)) (`first` m_1 [1/px]). All weights are 0 if too few zones are known.
     """
     weights, seen = np.zeros(len(angle)), np.isfinite(angle).mean(axis=1)
     known = np.flatnonzero(seen > max(0.5, LEAST_KNOWN * seen.max()))
@@ -579,7 +584,7 @@ def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats,
         apart = np.array([spread(one) for one in off - middle])
         basis = _smooth_motion(middle, place, 2.0 * float(apart.min()))
         rest = _residual(off.T, basis).T
-        if not last:  # without repeated or disturbed frames
+        if not last:  # remove repeated or disturbed frames
             limit = FAR * np.array([[spread(one)] for one in rest])
             usual = (np.abs(rest) <= limit).all(axis=0)
             off, place = off[:, usual], place[usual]
@@ -598,7 +603,7 @@ def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats,
 
 
 def _smooth_motion(angle: Floats, place: Floats, limit: float) -> Floats:
-    """Return functions, (n, columns), that describe a motion (n,) [rad] in one batch within a `limit` [rad].
+    """Return functions, (n, columns), that describe a motion (n,) [rad] in one batch to within a `limit` [rad].
 
     `place` (n,) are the times of the frames, from -1 to 1.
     """
@@ -615,7 +620,7 @@ def _smooth_motion(angle: Floats, place: Floats, limit: float) -> Floats:
 
 
 def _residual(values: npt.NDArray[Any], basis: npt.NDArray[Any]) -> Floats:
-    """Return values (n, ...) less their least-squares fit by the columns of a basis (n, columns)."""
+    """Return the residuals of values (n, ...) after a least-squares fit of the columns of a basis (n, columns)."""
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 
@@ -629,11 +634,11 @@ def _means(turned: Floats) -> Floats:
 
 
 def _zone_variances(turned: Floats) -> Floats:
-    """Return the variance of the error of each zone [rad^2], inf for one that is hardly ever known.
+    """Return the variance of the error of each zone [rad^2], inf for a zone that is rarely known.
 
-    The robust variances of the differences D_ij of the rotations `turned` (zones, n) [rad] of zones that are not
-    adjacent are fitted by s_i^2 + s_j^2, with relative errors of equal size: the three-cornered hat of frequency
-    metrology (J. E. Gray and D. W. Allan 1974).
+    The robust variances of the differences between the rotations `turned` (zones, n) [rad] of zones i and j that are
+    not adjacent are fitted by s_i^2 + s_j^2, with equal relative errors: the three-cornered hat of frequency metrology
+    (J. E. Gray and D. W. Allan 1974).
     """
     count = len(turned)
     known = np.isfinite(turned).mean(axis=1) > 0.5
@@ -645,7 +650,7 @@ def _zone_variances(turned: Floats) -> Floats:
                 apart[i, j] = apart[j, i] = max(spread(off - np.nanmedian(off)) ** 2, 1e-14)
     if (
         known.sum() > 1
-    ):  # a zone with adjacent ones only: of independent errors, the difference is an upper limit
+    ):  # a zone with adjacent zones only: for independent errors, the difference gives an upper limit
         for k in np.flatnonzero(known & ~np.isfinite(apart).any(axis=1)):
             others = turned[k] - turned[known & (np.arange(count) != k)]
             limit = min(spread(off - np.nanmedian(off)) for off in others)

@@ -13,10 +13,10 @@ from gyrotrack.tracking._registration import TURN, Ring, Template
 Floats = npt.NDArray[np.float64]
 
 _MANY_TURNS = 3.0
-"""Turns from which an error once per turn is distinguishable from a motion [turns]. Chosen: fewer remove uncertainty
-that is real, more overstate it."""
+"""Smallest number of turns in which an error once per turn is distinguishable from a motion [turns]. Chosen: fewer
+understate the uncertainty, more overstate it."""
 _APART = 5.0
-"""Slow difference of both halves over the standard uncertainty of the angle, from which a body is not rigid [1].
+"""Largest slow difference of both halves of a rigid body, over the standard uncertainty of the angle [1].
 Measured: real wheels and discs: up to 3; a drawn rim with an oscillation of 10 to 30 mrad relative to its disc: 10."""
 
 
@@ -24,38 +24,39 @@ Measured: real wheels and discs: up to 3; a drawn rim with an oscillation of 10 
 class Tracked:
     """The motion of one body in a film."""
 
-    frame: npt.NDArray[np.int64]  # shape (m,); frames in which it was measured
+    frame: npt.NDArray[np.int64]  # shape (m,); frames in which the motion was measured
     # shape (m,); unwrapped angle, counter-clockwise as seen, and its standard uncertainty [rad]
     angle: Floats
     sigma: Floats
-    ring: Ring  # where it was measured
+    ring: Ring  # ring in which the motion was measured
     template: Template  # the learnt picture of the body
     hub_path: Floats  # shape (m, 2); displacement of the hub [px]
     explained: float  # share of the change of brightness that the motion explains, 0 to 1
     way: str  # method by which the hub was found
     scale: float  # measured scatter of the angles over the Cramer-Rao bound
-    # shape (2, m); the angle from the inner and from the outer half of the ring alone [rad]; their difference is
+    # shape (2, m); the angle from the inner half and from the outer half of the ring alone [rad]; their difference is
     # due to the view (perspective, a hub that is displaced) and to what is fixed in the image
     halves: Floats
-    # correlated uncertainty from the difference of two methods of measurement [rad]; 0 with one method
+    # correlated uncertainty from the difference of two methods of measurement [rad]; 0 for one method
     correlated: float
     warnings: tuple[str, ...]  # warnings for the user
-    # relative error of the distance of a hub outside the picture, to which all angles are inversely proportional
+    # relative error of the distance of a hub outside the picture; all angles are inversely proportional to this
+    # distance
     distance_error: float = 0.0
     ambiguous: bool = False  # whether another rotation describes the film as well (temporal aliasing)
 
     @property
     def hub_leverage(self) -> float:
-        """Error that a displaced hub causes over the difference that it makes between the halves of the ring."""
+        """Error by a displaced hub, over the difference between the halves of the ring by the displacement."""
         return hub_leverage(self.template.halves())
 
 
 def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
-    """Return the standard deviation of the white part of a series, the least by its differences of order 2 to 6.
+    """Return the standard deviation of the white noise in a series: the least by its differences of order 2 to 6.
 
-    A divided difference of order m over the increasing places `at` has the weights 1 / prod_k (x_j - x_k), which cancel
-    polynomials up to order m - 1; scaled to unit norm, it has the variance of the noise. The scale is robust: 1.4826
-    times the median of the moduli.
+    A divided difference of order m over the increasing places `at` has the weights 1 / prod_k (x_j - x_k), which
+    cancel polynomials up to order m - 1. Scaled to unit norm, this difference has the variance of the noise. The
+    estimate is robust: 1.4826 times the median of the moduli.
     """
     x = np.arange(len(value), dtype=np.float64) if at is None else np.asarray(at, dtype=np.float64)
     found = []
@@ -72,18 +73,19 @@ def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
 
 
 _SIGNIFICANT = 3.0
-"""Smallest error by a displaced hub that counts, in standard errors [1]. Chosen: a smaller value states noise as an
+"""Smallest significant error by a displaced hub, in standard errors [1]. Chosen: a smaller value states noise as an
 error, a larger one hides a displaced hub."""
 
 
 def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -> float:
     """Return the rms error of the angles that a displaced hub causes [rad], by the two `halves` (2, n) of the ring.
 
-    A hub displaced by e causes an error e / r once per turn at radius r, so that the halves at r1 and r2 differ by e (1
-    / r1 - 1 / r2), as they also do in perspective. The difference is fitted by its first harmonic, its mean and its
-    trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by the angle
-    itself: too small a distance of the hub enlarges all angles of a pendulum. Values below three standard errors count
-    as 0. Over `_MANY_TURNS` the error does not resemble a motion (fits take it as a nuisance): 0 is returned.
+    A hub displaced by e causes an error e / r once per turn at radius r. The halves at r1 and r2 therefore differ by e
+    (1 / r1 - 1 / r2); perspective causes a similar difference. The difference is fitted by a first harmonic, a mean
+    and a trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by a
+    multiple of the angle: if the hub is too near, all angles of a pendulum are too large. Values below three standard
+    errors are set to 0. Over `_MANY_TURNS` the error does not resemble a motion (fits include it as a nuisance
+    parameter), and the result is 0.
     """
     if np.ptp(angle) > _MANY_TURNS * TURN:
         return 0.0
@@ -102,11 +104,12 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
 def apart_beyond_harmonics(
     angle: Floats, halves: Floats, at: npt.NDArray[np.int64], sigma: float
 ) -> float | None:
-    """Return the error of the angles by halves of the ring that do not turn alike over many turns [rad]; None if small.
+    """Return the error of the angles if the halves of the ring turn differently over many turns [rad]; None if small.
 
-    The halves of a rigid body differ by harmonics of the angle, a slow trend of the view, and noise. What varies beyond
-    these, and beyond `_APART` of the standard uncertainty `sigma` of the angles [rad], is another motion. The angle is
-    about the mean of both halves (2, n), so that its error is half of the difference. `at` (n,) are the frames.
+    The halves of a rigid body differ by harmonics of the angle, a slow trend of the view, and noise. A further
+    variation that exceeds `_APART` times the standard uncertainty `sigma` of the angles [rad] is another motion. The
+    angle is approximately the mean of both halves (2, n), so that its error is half of the difference. `at` (n,) are
+    the frames.
     """
     if np.ptp(angle) <= _MANY_TURNS * TURN:
         return None
@@ -126,6 +129,6 @@ def hub_leverage(parts: tuple[Template, Template]) -> float:
 
 
 def _radius_of(part: Template) -> float:
-    """Return the radius at which a part of a ring measures the angle, weighted by its information [px]."""
+    """Return the effective radius of a part of a ring: the mean weighted by the information about the angle [px]."""
     known = part.information()
     return float(np.sum(known * part.ring.radius) / max(float(np.sum(known)), 1e-12))

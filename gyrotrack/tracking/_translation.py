@@ -1,7 +1,7 @@
 """Distinguish rotation about a hub from translation across the picture (a cart, a piston).
 
-Over a part of a turn, rotation about a hub resembles translation. Both are compared on the same pixels of the body: a
-few frames are aligned to one of them, by rotation about the hub and by translation alone.
+Over a part of a turn, rotation about a hub resembles translation. The test compares both on the same pixels of the
+body: a few frames are aligned to a reference frame, first by rotation about the hub, then by translation alone.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ Plane = npt.NDArray[np.uint8]
 Picture = npt.NDArray[np.float32]
 
 WIDEST = 3.0
-"""Range of the angle from which rotation does not resemble translation [rad]. Chosen: about half a turn; a smaller
-value skips the test of carts, a larger one costs time."""
+"""Smallest range of the angle in which rotation does not resemble translation [rad]. Chosen: about half a turn; a
+smaller value skips the test of carts, a larger one costs time."""
 _FRAMES = 24
-"""Frames that are compared [frames]. Chosen: fewer decide by noise, more cost time."""
+"""Number of frames that are compared [frames]. Chosen: fewer decide by noise, more cost time."""
 _FEWEST = 30
 """Smallest number of pixels that change [pixels]. Chosen: fewer decide by noise, more skip the test of small bodies."""
 _SMOOTHED = 5
@@ -33,8 +33,8 @@ _SMALL_STEP = 1e-3
 """Change of the correlation that ends an alignment [1]. Chosen: a larger value stops early, a smaller one costs
 time."""
 _GAIN = 0.5
-"""Residual of translation over that of rotation, up to which the body does not turn [1]. Chosen: a larger value refuses
-bodies that turn little, a smaller one measures carts."""
+"""Largest residual of translation, over the residual of rotation, of a body that does not turn [1]. Chosen: a larger
+value refuses bodies that turn little, a smaller one measures carts."""
 
 
 def translates(
@@ -42,8 +42,8 @@ def translates(
 ) -> bool:
     """Return whether translation explains some frames clearly better than rotation about a hub.
 
-    `moving` is the part of the picture that changes, `hub` the place (x, y) and `reach` the outer radius of the ring
-    [px], and `angle` (n,) the rotation of each picture, clockwise as seen [rad].
+    `moving` is the part of the picture that changes, `hub` the position (x, y) of the hub [px], `reach` the outer
+    radius of the ring [px], and `angle` (n,) the rotation of each picture, clockwise as seen [rad].
     """
     if len(angle) < 2 or np.ptp(angle) > WIDEST:
         return False
@@ -56,7 +56,7 @@ def translates(
     if np.count_nonzero(swept) < _FEWEST:
         return False
     turned = [_rotation(hub, a - turn[middle]) for a in turn]
-    # the middle of the body in the reference, where that differs from the mean picture
+    # the middle of the body in the reference, from the pixels that differ from the mean picture
     y, x = np.nonzero(swept)
     weight = np.abs(some[middle].astype(np.float64) - np.mean(some, axis=0))[y, x] + 1e-9
     place = np.array([np.average(x, weights=weight), np.average(y, weights=weight), 1.0])
@@ -67,7 +67,7 @@ def translates(
 
 
 def residual(pictures: Sequence[Plane], motions: Sequence[Picture], swept: Plane) -> float:
-    """Return the variance of pictures over some pixels, each taken back by the motion (2, 3) of the body."""
+    """Return the variance over some pixels of pictures that are transformed back by the motion (2, 3) of the body."""
     height, width = swept.shape
     back = [
         cv2.warpAffine(
@@ -92,7 +92,7 @@ def _rotation(hub: tuple[float, float], turn: float) -> Picture:
 def _translation(picture: Plane, reference: Plane, swept: Plane, start: Floats) -> Picture:
     """Return the translation of a body from a reference to a picture, refined from a rough displacement.
 
-    It is found by the correlation of the pictures (G. Evangelidis, E. Psarakis, IEEE PAMI 30, 1858, 2008).
+    The translation maximises the correlation of the pictures (G. Evangelidis, E. Psarakis, IEEE PAMI 30, 1858, 2008).
     """
     move = np.eye(2, 3, dtype=np.float32)
     move[:, 2] = start
@@ -101,6 +101,6 @@ def _translation(picture: Plane, reference: Plane, swept: Plane, start: Floats) 
         _, found = cv2.findTransformECC(
             reference, picture, move.copy(), cv2.MOTION_TRANSLATION, criteria, swept, _SMOOTHED
         )
-    except cv2.error:  # the pictures have nothing in common there
+    except cv2.error:  # the alignment does not converge for unrelated pictures
         return move
     return np.asarray(found, dtype=np.float32)

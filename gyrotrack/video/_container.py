@@ -1,7 +1,7 @@
 """Opening a film file safely, and its packets.
 
 Colours are read from the planes of the decoder, because conversion to RGB takes longer than tracking. The arrays are
-views of the buffer of the decoder, whose rows may be padded.
+views of the decoder's buffer, whose rows may be padded.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ _PLANAR_420 = ("yuv420p", "yuvj420p")
 class Frame:
     """One frame of a film."""
 
-    index: int  # position among the decoded frames, counted here from 0
-    pts: int | None  # the stream's own timestamp in units of its time base
+    index: int  # index among the decoded frames, from 0
+    pts: int | None  # timestamp of the stream in units of its time base
     # luma (height, width) and chroma (ceil(height / 2), ceil(width / 2)); grey chroma is 128
     y: Plane
     u: Plane
     v: Plane
     corrupt: bool = False  # whether the decoder marks the frame as damaged
-    interlaced: bool = False  # whether the stream declares it as two fields
+    interlaced: bool = False  # whether the stream declares the frame as two fields
 
     def copy(self) -> Frame:
         """Return a copy of the frame that is independent of the decoder."""
@@ -58,14 +58,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How the coded picture is shown: with square pixels, mirrored left to right, turned as by `numpy.rot90`."""
+    """How the coded picture is displayed: with square pixels, mirrored left to right, rotated as by `numpy.rot90`."""
 
     quarters: int = 0
     mirrored: bool = False
     aspect: float = 1.0  # width of a coded pixel over its height
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Return the size of a picture with square pixels, before it is turned; no side becomes smaller."""
+        """Return the size of a picture with square pixels, before rotation; no side becomes smaller."""
         return round(width * max(self.aspect, 1.0)), round(height * max(1.0 / self.aspect, 1.0))
 
     def apply(self, plane: Plane) -> Plane:
@@ -78,7 +78,7 @@ class Orientation:
 
 
 def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
-    """Turn a decoded PyAV frame into a `Frame`; formats other than 8 bit 4:2:0 are converted first."""
+    """Convert a decoded PyAV frame to a `Frame`; formats other than 8 bit 4:2:0 are converted to this format first."""
     pts = None if frame.pts is None else int(frame.pts)
     if frame.format.name not in _PLANAR_420:
         frame = frame.reformat(format="yuv420p")
@@ -96,7 +96,7 @@ def planes_of(frame: Any, index: int, orientation: Orientation) -> Frame:
 def orientation_of(frame: Any, stream: Any) -> Orientation:
     """Read the display matrix of a frame and the shape of the pixels of its stream.
 
-    Of the matrices, multiples of 90 degrees and mirrors are followed, and others ignored.
+    Only rotations by multiples of 90 degrees and mirrors are applied; other matrices are ignored.
     """
     data, aspect = frame.side_data.get("DISPLAYMATRIX"), _pixel_aspect(stream)
     if data is None:
@@ -112,7 +112,7 @@ films have 4:3; a larger value accepts damaged headers, a smaller one distorts f
 
 
 def _pixel_aspect(stream: Any) -> float:
-    """Return the width of a pixel over its height, 1 if the film states none that is plausible."""
+    """Return the width of a pixel over its height; 1 without a plausible value in the film."""
     stated = float(stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio or 1)
     return stated if 1 / _WIDEST_PIXEL <= stated <= _WIDEST_PIXEL else 1.0
 
@@ -162,7 +162,7 @@ av.logging.set_level(None)
 
 @dataclass(frozen=True)
 class ClipInfo:
-    """Metadata of a film file; they are not relied upon for counting frames."""
+    """Metadata of a film file; the number of frames is never taken from them."""
 
     path: Path  # the file
     # size of the picture with square pixels, before any rotation
@@ -170,12 +170,12 @@ class ClipInfo:
     height: int
     container_fps: float  # frames per second of the container; NaN if it declares none
     frames_declared: int  # number of frames in the header; 0 if it declares none
-    tag_fps: float | None  # capture rate from a tag of the camera (slow motion), if there is one
+    tag_fps: float | None  # capture rate from a tag of the camera (slow motion); None without a tag
     # names of both
     codec: str
     pixel_format: str
     time_base: Fraction  # unit of the timestamps in s
-    # duration in a header without a number of frames [s]; NaN without such a header
+    # duration in a header that has no number of frames [s]; otherwise NaN
     duration_declared: float = float("nan")
 
 
@@ -224,7 +224,7 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
 
 
 def probe(path: Path) -> ClipInfo:
-    """Read what a film declares: size, rates, frame count, tags."""
+    """Read the metadata of a film: size, rates, frame count, tags."""
     with opened(path) as (container, stream):
         context = stream.codec_context
         without = _WITHOUT_RATE & set(str(container.format.name).split(","))
@@ -232,7 +232,7 @@ def probe(path: Path) -> ClipInfo:
         width, height = Orientation(aspect=_pixel_aspect(stream)).size(context.width, context.height)
         header = read_header(path) if _is_photron(path) else read_stack(path) if _is_stack(path) else None
         if isinstance(header, TiffStack) and header.fps is None:
-            rate = None  # that of the stream of raw pixels is arbitrary
+            rate = None  # the rate of a stream of raw pixels is arbitrary
         return ClipInfo(
             path=path,
             width=width,
@@ -248,19 +248,19 @@ def probe(path: Path) -> ClipInfo:
 
 
 def _declared_duration(container: Any, stream: Any) -> float:
-    """Return the duration of a film whose header has no number of frames [s], NaN if it is not declared."""
+    """Return the declared duration of a film whose header has no number of frames [s]; otherwise NaN."""
     if stream.frames or not container.duration or len(container.streams) != 1:
         return float("nan")  # a sound track may be longer than the video
     return float(container.duration / av.time_base)
 
 
 _MISSING = 1.2
-"""Largest ratio of the nominal rate to the average one that missing frames explain [1]. Chosen: a smaller value uses a
-rate biased by missing frames, a larger one the inverse of an unusual time base."""
+"""Largest ratio of the nominal rate to the average rate that missing frames explain [1]. Chosen: a smaller value uses
+a rate biased by missing frames, a larger one the inverse of an unusual time base."""
 
 
 def _nominal_rate(stream: Any) -> Any:
-    """Return the rate of a stream; the average is biased by missing frames, the nominal one by unusual time bases."""
+    """Return the rate of a stream: missing frames bias the average rate, unusual time bases the nominal rate."""
     average, nominal = stream.average_rate, stream.base_rate
     if average and nominal and 1.0 <= float(nominal / average) < _MISSING:
         return nominal
@@ -268,7 +268,7 @@ def _nominal_rate(stream: Any) -> Any:
 
 
 def is_film(path: Path) -> bool:
-    """Return whether a path is that of a film by its suffix, or a folder of numbered pictures."""
+    """Return whether a path has the suffix of a film, or is a folder of numbered pictures."""
     return path.suffix.lower() in _FILM_SUFFIXES or (path.is_dir() and bool(_pictures_in(path)))
 
 
@@ -277,7 +277,7 @@ def _pictures_in(folder: Path) -> list[Path]:
 
 
 def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
-    """Return the pattern of the names of the pictures in a folder, and the number of the first one."""
+    """Return the pattern of the names of the pictures in a folder, and the number of the first picture."""
     pictures = _pictures_in(folder)
     if not pictures:
         raise VideoError(
@@ -297,10 +297,10 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
         first = next(a + 1 for a, b in pairwise(numbers) if b != a + 1)
         raise VideoError(
             f"{folder}: {lost} pictures are missing, first number {first}.",
-            "Times are counted from the pictures: complete it.",
+            "Times are counted from the pictures: add the missing pictures.",
         )
     digits = f"%0{widths.pop()}d" if widths else "%d"
-    # names may consist of the number alone, and joining a path with nothing adds no separator
+    # a name may consist of the number alone, and joining a path with an empty name adds no separator
     escaped = f"{folder.resolve()}{os.sep}{head}".replace("%", "%%")
     return f"{escaped}{digits}{suffix}", {"start_number": str(numbers[0])}
 
@@ -314,7 +314,7 @@ def _is_stack(path: Path) -> bool:
 
 
 def _stack_frames(path: Path) -> tuple[TiffFrames, dict[str, str]]:
-    """Return the pictures of a TIFF stack, and how they are to be read."""
+    """Return the pictures of a TIFF stack, and the options for their demultiplexer."""
     stack = read_stack(path)
     _check_sides(path, stack.width, stack.height)
     rate = Fraction(stack.fps or 1.0).limit_denominator(100_000)
@@ -324,7 +324,7 @@ def _stack_frames(path: Path) -> tuple[TiffFrames, dict[str, str]]:
 
 
 def _raw_frames(path: Path) -> tuple[GreyFrames, dict[str, str]]:
-    """Return the frames beside a header of a Photron camera, and how they are to be read."""
+    """Return the frames beside a header of a Photron camera, and the options for their demultiplexer."""
     header = read_header(path)
     _check_sides(path, header.width, header.height)
     size, rate = f"{header.width}x{header.height}", Fraction(header.fps).limit_denominator(1000)
@@ -334,7 +334,8 @@ def _raw_frames(path: Path) -> tuple[GreyFrames, dict[str, str]]:
 def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a file's bytes in hexadecimal.
 
-    Of a film in several files (pictures in a folder, frames beside a header) it is that of their digests.
+    For a film in several files (pictures in a folder, frames beside a header), the result is the SHA-256 of their
+    digests.
     """
     if path.is_dir():
         return hashlib.sha256("".join(map(file_sha256, _pictures_in(path))).encode()).hexdigest()
@@ -396,8 +397,8 @@ def _tagged_rate(metadata: Any) -> float | None:
 
 _SONY_RATE = re.compile(rb'<VideoFrame\b[^>]*\bcaptureFps="([0-9.]+)[pi]"')
 _LONGEST_XML = 2**20
-"""Largest part of a description that is read [bytes]. Chosen: memory; a longer description may hold the capture rate
-beyond it."""
+"""Largest part of a description that is read [bytes]. Chosen: memory; a longer description may contain the capture
+rate beyond this part."""
 
 
 def _sony_rate(path: Path) -> float | None:
@@ -439,7 +440,7 @@ def _reason(error: Exception) -> str:
 
 
 def packets_of(packets: Any) -> Iterator[Any]:
-    """Yield the packets of a demultiplexer up to the end, or to the first damage of the file."""
+    """Yield the packets of a demultiplexer up to the end of the file, or to its first damage."""
     while True:
         try:
             packet = next(packets, None)
@@ -451,9 +452,9 @@ def packets_of(packets: Any) -> Iterator[Any]:
 
 
 def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]:
-    """Decode packets in order without damaged ones; stop if these exceed `most_bad` + 2 times the decoded frames.
+    """Decode packets in order, skipping damaged ones; stop if these exceed `most_bad` + 2 times the decoded frames.
 
-    Yields (frame, number of damaged packets so far); at the end (None, their total).
+    Yields (frame, number of damaged packets so far); at the end (None, total number of damaged packets).
     """
     bad = good = 0
     while bad <= most_bad + 2 * good:
@@ -478,14 +479,14 @@ class Packets:
     # shape (n,); timestamps in units of the time base, and sizes in bytes
     stamps: npt.NDArray[np.int64]
     size: npt.NDArray[np.int64]
-    key: npt.NDArray[np.bool_]  # shape (n,); which packets are key frames
-    complete: bool  # whether all of the film's packets are among them
+    key: npt.NDArray[np.bool_]  # shape (n,); whether packets are key frames
+    complete: bool  # whether all packets of the film have a timestamp
     # whether the container stores the timestamps of the frames; AVI and raw streams only count packets
     exact: bool = True
 
 
 def read_packets(path: Path) -> Packets:
-    """Read what a film's packets declare, without decoding anything."""
+    """Read timestamps, sizes and key flags of a film's packets, without decoding."""
     with opened(path) as (container, stream):
         exact = any(name in str(container.format.name) for name in ("mp4", "matroska"))
         found = [(p.pts, p.size, p.is_keyframe) for p in packets_of(container.demux(stream))]
@@ -501,12 +502,12 @@ def read_packets(path: Path) -> Packets:
 
 
 def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
-    """Return the timestamps of a film's packets in units of the time base, sorted, without decoding anything."""
+    """Return the sorted timestamps of a film's packets in units of the time base, without decoding."""
     return read_packets(path).stamps
 
 
 def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.copy) -> list[Frame]:
-    """Decode up to `count` key frames spread evenly over a film, copied by `keep`, of the index -1."""
+    """Decode up to `count` key frames spread evenly over a film, copied by `keep`; their index is -1."""
     with opened(path) as (container, stream):
         keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
     wanted = {keys[int(i)] for i in np.linspace(0, len(keys) - 1, min(count, len(keys)))} if keys else set()
@@ -522,7 +523,7 @@ def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.cop
 
 
 def _decode_alone(packet: Any, stream: Any) -> list[Any]:
-    """Decode one key packet by itself; the decoder is flushed for the next one."""
+    """Decode one key packet by itself; the decoder is flushed for the next packet."""
     try:
         frames = [*packet.decode(), *stream.codec_context.decode(None)]
     except av.error.FFmpegError:

@@ -1,8 +1,8 @@
 """Decoding of a film: all frames in sequence, single frames by their timestamps, and the detection of repeated frames.
 
-Damaged packets are skipped. To detect repetitions, some rows of each frame are compared with those of the previous
-one. A repeated frame repeats the sensor noise, too, so that the difference is much smaller than between any other two
-frames.
+Damaged packets are skipped. To detect repetitions, some rows of each frame are compared with the same rows of the
+previous frame. A repeated frame also repeats the sensor noise, so that the difference is much smaller than between any
+other two frames.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from gyrotrack.video._time_base import stamp_warnings
 T = TypeVar("T")
 
 CHUNK = 8
-"""Frames that are transferred at a time [frames]. Chosen: waking a thread for each one would take longer than its
-decoding; more take memory."""
+"""Frames that are transferred at a time [frames]. Chosen: waking a thread for each frame would take longer than
+decoding the frame; more take memory."""
 _CHUNK_BYTES = 5_000_000
 """Largest size of the frames that are transferred at a time [bytes]. Chosen: memory; several chunks exist at a time."""
 WAITING = 2
 """Largest number of waiting chunks [1]. Chosen: memory; fewer let the decoder wait."""
 _PATIENCE = 0.05
-"""Time after which a waiting thread checks whether it is to stop [s]. Chosen: a longer time delays the end, a shorter
+"""Time after which a waiting thread checks whether it must stop [s]. Chosen: a longer time delays the end, a shorter
 one costs time."""
 
 
@@ -107,18 +107,18 @@ class ReadAhead(Generic[T]):
 
 
 _STAMP_S = 2e-3
-"""Difference of the declared duration that rounding of timestamps explains [s]. Derived: twice the resolution of
-timestamps in whole ms."""
+"""Largest difference of the declared duration that rounding of timestamps explains [s]. Derived: twice the resolution
+of timestamps in whole ms."""
 _NO_STAMP = -(1 << 63)
 """Value for a missing timestamp [ticks]. Source: AV_NOPTS_VALUE of FFmpeg."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a film that begins with a key frame and can be decoded by itself."""
+    """A part of a film that begins with a key frame and can be decoded separately."""
 
-    first: int = 0  # index of its first frame in the film
-    # timestamps of its key frame and of the first frame beyond it, in units of the time base; None: ends of the
+    first: int = 0  # index in the film of the first frame of the part
+    # timestamps of the key frame and of the first frame after the part, in units of the time base; None: ends of the
     # film
     start: int | None = None
     stop: int | None = None
@@ -127,9 +127,9 @@ class Part:
 class Reader:
     """All frames of a film, or of a part, once, in order of presentation.
 
-    With one thread frames are decoded on demand, with more a separate thread decodes some frames ahead, and the decoder
-    uses this number of threads. A packet that cannot be decoded is skipped and counted. After the iteration `decoded`,
-    `stamps` and `warnings` describe the film.
+    With one thread, frames are decoded on demand. With several threads, a separate thread decodes some frames ahead,
+    and the decoder uses this number of threads. A packet that cannot be decoded is skipped and counted. After the
+    iteration `decoded`, `stamps` and `warnings` describe the film.
     """
 
     def __init__(
@@ -172,7 +172,7 @@ class Reader:
             if raw is None:
                 return
             if part.start is not None and (raw.pts is None or raw.pts < part.start):
-                continue  # refers to frames before the key frame
+                continue  # the frame refers to frames before the key frame
             if part.stop is not None and raw.pts is not None and raw.pts >= part.stop:
                 return
             if self._size is None:
@@ -206,11 +206,11 @@ class Reader:
 
     @property
     def stamps(self) -> npt.NDArray[np.int64]:
-        """Timestamps of the frames so far in units of the time base, the smallest integer where a frame has none."""
+        """Timestamps of the decoded frames in units of the time base; frames without one have the smallest integer."""
         return np.array(self._pts, dtype=np.int64)
 
     def pts_seconds(self) -> npt.NDArray[np.float64]:
-        """Return the timestamps of the frames so far in s, NaN where a frame has none."""
+        """Return the timestamps of the decoded frames [s]; NaN for frames without a timestamp."""
         return pts_seconds(self.stamps, float(self.info.time_base))
 
     @property
@@ -220,14 +220,14 @@ class Reader:
 
 
 def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.float64]:
-    """Return timestamps in s, NaN where a frame has none; `tick` is the time base [s]."""
+    """Return timestamps [s], NaN for frames without one; `tick` is the time base [s]."""
     return np.where(stamps == _NO_STAMP, np.nan, stamps * tick)
 
 
 def film_warnings(
     info: ClipInfo, seconds: npt.NDArray[np.float64], bad_packets: int, corrupt: int
 ) -> tuple[str, ...]:
-    """Return warnings about a decoded film; `seconds` (n,) are NaN without a timestamp; `corrupt` is a number."""
+    """Return warnings about a decoded film; `seconds` (n,) is NaN without a timestamp; `corrupt` counts frames."""
     found = []
     if info.frames_declared > len(seconds):
         found.append(
@@ -273,7 +273,7 @@ def frames_at(
 ) -> dict[int, Frame]:
     """Decode the frames with the given timestamps (units of the time base), if they exist; their index is -1.
 
-    Other frames are decoded only where these frames refer to them.
+    Other frames are decoded only if the requested frames refer to them.
     """
     wanted = set(stamps)
     ranges = _ranges(path, sorted(wanted))
@@ -293,7 +293,7 @@ def frames_at(
 
 
 def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int, int, int]]:
-    """Return the runs of packets from a key packet to the next that hold the stamps: first, stop, their stamps."""
+    """Return the runs of packets between key packets that contain the stamps: first, stop, stamps of the run."""
     keys: list[tuple[int, int]] = []
     count = 0
     with opened(path) as (container, stream):
@@ -311,7 +311,7 @@ def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int, int, int]]:
 def _decoded(
     packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: Any, wanted: set[int]
 ) -> Iterator[Any]:
-    """Decode the packets from number `first` to before `stop`; the decoder is emptied at the end."""
+    """Decode the packets from number `first` to `stop` - 1; the decoder is flushed at the end."""
     stream.codec_context.flush_buffers()
     for number, packet in packets:
         if number >= first:
@@ -333,28 +333,28 @@ SAME = 0.3
 """Largest difference of a repeated frame from the previous one, relative to the recent typical difference [1]. Chosen:
 a smaller value keeps repeats that were encoded again, a larger one drops frames of slow motion."""
 SMALL = 0.35
-"""Size of a packet, relative to its neighbours, below which it has little information [1]. Chosen: a smaller value
+"""Smallest size of an informative packet, relative to its neighbours [1]. Chosen: a smaller value
 overlooks repeats, a larger one reports predicted frames."""
 _AROUND = 31
 """Length of a running quantile [packets or frames]. Chosen: more follow changes of the film late, fewer are dominated
 by repeats."""
 _LARGE = 80
-"""Quantile of the sizes that is typical of new frames [percent]. Chosen: a lower one is that of repeats where most
-frames are repeated, a higher one that of scene changes."""
+"""Quantile of the sizes that is typical of new frames [percent]. Chosen: if most frames are repeated, a lower quantile
+is the size of repeats; a higher one is the size of scene changes."""
 _ROWS = 12
 """Rows of a frame that are compared [rows]. Chosen: fewer overlook a small motion, more cost time."""
 _MOST = 0.8
-"""Quantile of the differences that is typical of new frames [1]. Chosen: 3 in 4 frames may be repeated; a lower one is
-that of repeats, a higher one that of a cut."""
+"""Quantile of the differences that is typical of new frames [1]. Chosen: 3 in 4 frames may be repeated; a lower
+quantile is the difference of repeats, a higher one the difference at a cut."""
 _FEWEST = 5
-"""Smallest number of repeats from which their spacing is judged [1]. Chosen: fewer are regular by chance, more leave
+"""Smallest number of repeats for a test of their spacing [1]. Chosen: fewer are regular by chance, more leave
 short films uncorrected."""
 
 Rows = npt.NDArray[np.uint8]
 
 
 class RepeatDetector:
-    """Detects frames of a film that repeat the previous one.
+    """Detects frames of a film that repeat the previous frame.
 
     `regular` states whether runs of repeated frames are periodic, as after a conversion to another rate, according to
     the packets of the whole film or to the frames so far.
@@ -368,7 +368,7 @@ class RepeatDetector:
         self._run = False
 
     def same(self, frame: Frame) -> bool:
-        """Return whether the next frame of the film repeats the previous one."""
+        """Return whether the next frame of the film repeats the previous frame."""
         rows, last, again = _rows(frame), self._last, False
         if last is not None:
             apart = _difference(rows, last)
@@ -389,15 +389,15 @@ class RepeatDetector:
 def _difference(rows: Rows, last: Rows) -> float:
     """Return the difference of two pictures, independent of flicker of the illumination.
 
-    The sum of |a - g b|, with the gain g that makes their means equal. Without it, two frames of equal brightness
-    differ so much less than their neighbours that one seems to repeat the other.
+    The difference is the sum of |a - g b|, with the gain g that makes the means equal. Without the gain, two frames at
+    the same flicker phase would differ less than their neighbours, as if one repeated the other.
     """
     gain = cv2.sumElems(rows)[0] / max(cv2.sumElems(last)[0], 1.0)
     return cv2.norm(cv2.addWeighted(rows, 1.0, last, -gain, 0.0, dtype=cv2.CV_32F), cv2.NORM_L1)
 
 
 def _usual(differences: tuple[float, ...]) -> float:
-    """Return the typical difference of unrepeated frames, a high quantile (3 in 4 may be repeated; not a cut)."""
+    """Return the typical difference of new frames: a high quantile, because 3 in 4 frames may be repeated."""
     return sorted(differences)[min(len(differences) - 2, int(_MOST * len(differences)))]
 
 
@@ -408,7 +408,7 @@ def _rows(frame: Frame) -> Rows:
 
 
 def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
-    """Return which packets contain little information: much smaller than their neighbours, or equal in size."""
+    """Return a mask of packets with little information: much smaller than their neighbours, or equal in size."""
     if len(packets.size) < _AROUND:
         return np.zeros(0, dtype=np.int64)
     if packets.key.all():
@@ -419,12 +419,12 @@ def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
 
 
 def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return where runs of neighbours begin."""
+    """Return the positions at which runs of neighbours begin."""
     return place[np.diff(place, prepend=-2) > 1]
 
 
 REGULAR = 0.8
-"""Smallest share of the distances of repeats that are equal, for repeats that are periodic [1]. Chosen: a smaller value
+"""Smallest share of equal distances between repeats that are periodic [1]. Chosen: a smaller value
 finds a period in chance, a larger one needs all repeats to be detected."""
 
 

@@ -1,7 +1,7 @@
-"""Interlaced film: each frame holds two fields, the even and the odd lines, captured half a period apart.
+"""Interlaced film: each frame contains two fields, the even and the odd lines, captured half a period apart.
 
-A field is a picture at its own time. It is shown in the size of the frame; its lines are half a line of the field, one
-of the frame, lower for the odd field, which the interpolation respects.
+A field is a picture at its own time, interpolated to the size of the frame. The lines of the odd field are one line of
+the frame lower than the lines of the even field, which the interpolation takes into account.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy.typing as npt
 Plane = npt.NDArray[np.uint8]
 
 _MOVES = 8.0
-"""Change between frames from which a pixel counts as moving [grey levels]. Chosen: a smaller value includes noise, a
+"""Smallest change between frames of a moving pixel [grey levels]. Chosen: a smaller value includes noise, a
 larger one leaves few pixels."""
 _FEWEST_MOVING = 50
-"""Smallest number of moving pixels that show the order of the fields [pixels]. Chosen: fewer decide by noise, more
-leave slow films undecided."""
+"""Smallest number of moving pixels that determine the order of the fields [pixels]. Chosen: fewer decide by noise,
+more leave slow films undecided."""
 
 
 def field(plane: Plane, *, odd: bool) -> Plane:
@@ -40,11 +40,12 @@ def field(plane: Plane, *, odd: bool) -> Plane:
 
 
 def first_field(frames: Sequence[Plane]) -> int | None:
-    """Return which field of successive frames is the earlier one, 0 the even and 1 the odd lines; None if there is one.
+    """Return the earlier field of successive frames: 0 (even lines), 1 (odd lines), None if they are not interlaced.
 
-    In a moving part of an interlaced frame, a line differs from its neighbours, of the other field, by more than from
-    the next lines of its own field. A film that is only declared as interlaced has one picture in both fields. The
-    order follows from the smallest changes: the later field of a frame is nearer to the earlier one of the next frame.
+    In a moving part of an interlaced frame, a line differs more from the neighbouring lines, which belong to the other
+    field, than from the next lines of its own field. A film that is only declared as interlaced has one picture in
+    both fields. The order follows from the smallest changes: the later field of a frame resembles the earlier field of
+    the next frame more than the other pairs.
     """
     if len(frames) < 3:
         return None

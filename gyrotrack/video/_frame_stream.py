@@ -1,4 +1,4 @@
-"""Frames of a file that the decoder does not read, as a stream of raw 8 bit pixels for its demultiplexer."""
+"""Frames of a file in a format unknown to the decoder, as a stream of raw 8 bit pixels for its demultiplexer."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 
 class FrameStream(ABC):
-    """Frames as raw pixels, of which one frame at a time is in memory; with the methods of a file.
+    """Frames as raw pixels, with the methods of a file; only one frame at a time is in memory.
 
     Parameters
     ----------
@@ -19,7 +19,7 @@ class FrameStream(ABC):
     def __init__(self, frames: int, size: int) -> None:
         self._frames, self._size = frames, size
         self._place = 0
-        self._number = -1  # of the frame in memory
+        self._number = -1  # number of the frame in memory
         self._frame = b""
 
     @abstractmethod
@@ -42,7 +42,7 @@ class FrameStream(ABC):
         return found
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Move to a byte."""
+        """Move to a byte and return its number."""
         start = (0, self._place, self._frames * self._size)[whence]
         self._place = max(start + offset, 0)
         return self._place

@@ -1,10 +1,10 @@
 """Films of Photron high-speed cameras: a text header (``.cih``) beside the raw frames (``.mraw``).
 
 The header has one entry per line, ``Image Width : 1024``. The frames follow each other without gaps. A pixel has
-``Color Bit`` bits: 8, 10 and 12 are packed with the most significant bit first, 16 are little-endian. Of these
-``EffectiveBit Depth`` bits are measured, the lower or the higher ones (``EffectiveBit Side``).
+``Color Bit`` bits: 8, 10 and 12 are packed with the most significant bit first, 16 are little-endian. ``EffectiveBit
+Depth`` of these bits are measured, either the lower or the higher bits (``EffectiveBit Side``).
 
-Sources: headers written by PFV and by the PDC library of Photron; the packing is the one that pyMRAW reads.
+Sources: headers written by PFV and by the PDC library of Photron; the packing is that of pyMRAW.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _AGAIN = "Save the film again as MRAW, or as an uncompressed AVI."
 
 @dataclass(frozen=True)
 class PhotronHeader:
-    """What a header declares, in agreement with the length of the frames."""
+    """Content of a header, checked against the size of the file of frames."""
 
     path: Path  # the header
     fps: float  # capture rate [1/s]
@@ -44,8 +44,8 @@ class PhotronHeader:
     # size of a frame [px]
     width: int
     height: int
-    bits: int  # of a pixel in the file
-    first_bit: int  # of the eight that are used, counted from the most significant one
+    bits: int  # bits of a pixel in the file
+    first_bit: int  # first of the eight bits that are used, counted from the most significant bit
     mosaic: bool  # whether neighbouring pixels have filters of different colours
 
     @property
@@ -153,7 +153,7 @@ class GreyFrames(FrameStream):
 
 
 def grey_of(raw: npt.NDArray[np.uint8], bits: int, first_bit: int) -> npt.NDArray[np.uint8]:
-    """Return eight bits of each pixel, from `first_bit` counted from the most significant one; the rest is cut off."""
+    """Return eight bits of each pixel, from `first_bit`, counted from the most significant bit; others are lost."""
     if bits == 8:
         return raw
     if bits == _WORDS:
@@ -163,10 +163,10 @@ def grey_of(raw: npt.NDArray[np.uint8], bits: int, first_bit: int) -> npt.NDArra
 
 
 def without_mosaic(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Return the mean of the 3 x 3 pixels about each one with the weights 1, 2, 1 along both sides.
+    """Return the mean of the 3 x 3 pixels about each pixel, with the weights 1, 2, 1 along both axes.
 
-    The header does not state which pixel has which filter. With these weights each place has a quarter red, a half
-    green and a quarter blue, wherever the pattern begins.
+    The header does not state which pixel has which filter. With these weights every pixel contains a quarter of red, a
+    half of green and a quarter of blue, independent of the start of the pattern.
     """
     total = np.pad(grey, 1, mode="reflect").astype(np.uint16)
     total = total[:-2] + 2 * total[1:-1] + total[2:]

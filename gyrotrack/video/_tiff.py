@@ -1,8 +1,8 @@
-"""Films in a TIFF file of many pictures (a stack), as ImageJ, Micro-Manager and OME programs write them.
+"""Films in a TIFF file of many pictures (a stack), written by ImageJ, Micro-Manager and OME programs.
 
 Grey pictures of 8 to 32 bits are scaled to 8 bits by the darkest and the brightest pixel of some of them; colours of 8
 bits are kept. The time between two pictures is read from the description of ImageJ (``finterval`` [s]) or of OME
-(``TimeIncrement``), if it is there.
+(``TimeIncrement``), if present.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from gyrotrack.video._frame_stream import FrameStream
 
 SUFFIXES = (".tif", ".tiff")
 _SAMPLED = 20
-"""Pictures from which the range of the brightness is taken [pictures]. Chosen: time; fewer may saturate a picture that
-is brighter."""
+"""Number of pictures that determine the range of the brightness [pictures]. Chosen: time; fewer may saturate a picture
+that is brighter."""
 _INTERVAL = re.compile(r"finterval=([0-9.eE+-]+)")
 _INCREMENT = re.compile(r'TimeIncrement="([0-9.eE+-]+)"')
 _UNIT = re.compile(r'TimeIncrementUnit="([^"]+)"')
@@ -35,7 +35,7 @@ cameras."""
 
 @dataclass(frozen=True)
 class TiffStack:
-    """What a stack holds."""
+    """Content of a stack."""
 
     path: Path
     frames: int
@@ -43,7 +43,7 @@ class TiffStack:
     width: int
     height: int
     colour: bool
-    fps: float | None  # rate by its description [1/s]
+    fps: float | None  # rate from the description [1/s]; None without one
 
 
 def read_stack(path: Path) -> TiffStack:
@@ -86,7 +86,7 @@ def _number(text: str) -> float:
 
 
 class TiffFrames(FrameStream):
-    """The pictures of a stack as grey pixels of 8 bits, or as red, green and blue ones."""
+    """The pictures of a stack as grey or RGB pixels of 8 bits."""
 
     def __init__(self, stack: TiffStack) -> None:
         super().__init__(stack.frames, stack.width * stack.height * (3 if stack.colour else 1))

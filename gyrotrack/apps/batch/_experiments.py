@@ -46,9 +46,9 @@ class Experiment:
     clips: tuple[Clip, ...] = ()
     data: Path | None = None  # an existing case file instead of films
     surface: str = ""  # surface on which the casing turns
-    inertia_rotor: str | None = None  # moments of inertia as `gyrotrack.io._records.Inertia` reads them
+    inertia_rotor: str | None = None  # moments of inertia in the format of `gyrotrack.io._records.Inertia`
     inertia_casing: str | None = None
-    folder: str = ""  # unique name of its folder of results
+    folder: str = ""  # unique name of the folder of results
 
     @property
     def alone(self) -> bool:
@@ -91,7 +91,7 @@ def folder_name(label: str) -> str:
 
 
 def unique_name(label: str, taken: set[str]) -> str:
-    """Return a name of a folder for a label that is not in `taken`, and add the name to `taken`."""
+    """Return a folder name for a label that is not in `taken`, and add this name to `taken`."""
     name = stem = folder_name(label)
     number = 1
     while name.casefold() in taken:

@@ -70,7 +70,7 @@ class Run:
                 self._followers.setdefault(name, []).append(step)
 
     def preview(self) -> dict[str, str]:
-        """Return the state of each step, "kept" or "to do", without running or writing anything."""
+        """Return the state of each step, "kept" or "to do"; nothing is run or written."""
         self._read_sources()
         for step in self.steps.values():
             if self._ready(step) and (kept := self._kept(step)[0]) is not None:
@@ -191,12 +191,12 @@ class Run:
 def _answer(future: Future[dict[str, Any]]) -> dict[str, Any]:
     try:
         return future.result()
-    except Exception as error:  # any error of a cluster whose worker is lost
+    except Exception as error:  # a cluster may raise any error when it loses a worker
         return failure("crash", f"The worker was lost ({type(error).__name__}).", "")
 
 
 def _error(answer: dict[str, Any]) -> dict[str, Any]:
-    """Return the error of an answer, {} if there is none; an invalid answer is an internal error."""
+    """Return the error of an answer, or {} without an error; an invalid answer is an internal error."""
     found = answer["document"].get("error")
     if isinstance(found, dict):
         return found
@@ -217,9 +217,9 @@ class Row:
     films: int
     tracked: int
     frames: int
-    # verdict of the fit, effects found by the diagnosis or improvement, verdict of the diagnosis
+    # verdict of the fit, effects found by `diagnose` or `improve`, verdict of the diagnosis
     fit: str
-    # figures of merit of the fit [rad/s, 1]
+    # rmse [rad/s] and misfit [1] of the fit
     rmse_casing: float | None
     reduced_chi2: float | None
     misfit: float | None
@@ -227,8 +227,8 @@ class Row:
     missing: str
     trusted: bool  # whether every step returned a trusted result (exit code 0)
     warnings: int
-    seconds: float  # total duration of its steps, in this run or an earlier one [s]
-    problem: str  # first failure, with its step
+    seconds: float  # total duration of the steps of the case, in this run and earlier runs [s]
+    problem: str  # message of the first failure, with the name of the step
 
 
 def summarise(
@@ -328,7 +328,7 @@ class BatchResult:
 
 
 def preview(steps: Sequence[Step], output: Path) -> dict[str, str]:
-    """Return the state of each step by name, without running any."""
+    """Return the state of each step by name; no step is run."""
     return Run(tuple(steps), output, Journal(output / _JOURNAL)).preview()
 
 

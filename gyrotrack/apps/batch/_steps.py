@@ -1,7 +1,7 @@
 """The steps of a batch, their order, and the journal of completed steps.
 
-A step is complete if its key (program version, arguments, contents of its sources, fingerprints of the steps that it
-needs) is in the journal, and its output has not changed since.
+A step is complete if its key is in the journal and its output has not changed since. The key depends on the program
+version, the arguments, the contents of the sources, and the fingerprints of the required steps.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Step:
 
 @dataclass
 class Outcome:
-    """Outcome of a step: "done", "kept" (from an earlier run), "failed", or "blocked" by a failed one."""
+    """Outcome of a step: "done", "kept" (from an earlier run), "failed", or "blocked" by a failed step."""
 
     state: str
     document: dict[str, Any] = field(default_factory=dict)
@@ -69,12 +69,12 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether there is an output."""
+        """Whether the step has an output."""
         return self.state in {"done", "kept"}
 
 
 def plan(experiments: Sequence[Experiment], results: Path, request: Request) -> tuple[Step, ...]:
-    """Return all steps, each after those that it needs."""
+    """Return all steps; each step follows the steps that it needs."""
     steps = (
         step for e in experiments for step in _experiment_steps(e, results.resolve() / e.folder, request)
     )
@@ -134,7 +134,7 @@ def _sync(e: Experiment, casing: Step, rotors: Sequence[Step], case: Path) -> St
 
 
 def arguments_for(step: Step, steps: Mapping[str, Step], ended: Mapping[str, Outcome]) -> list[str]:
-    """Return the final arguments of a step: without failed films, with the name of the latest fit."""
+    """Return the final arguments of a step: failed films are removed, and the name of the latest fit is inserted."""
     lost = {str(steps[name].output) for name in step.needs_any if not ended[name].good}
     made = [ended[name].document for name in step.needs if steps[name].verb in {"fit", "improve"}]
     fits = [_fit_of(document) for document in made if document]
@@ -187,7 +187,7 @@ class Journal:
                 self._records[record["step"]] = record
 
     def kept(self, step: Step, key: str) -> Outcome | None:
-        """Return the outcome in an earlier run if neither sources nor output of the step have changed."""
+        """Return the outcome of an earlier run; None if the sources or the output of the step have changed."""
         record = self._records.get(step.name, {})
         document, known = record.get("document", {}), record.get("fingerprint")
         if record.get("key") != key or not known or fingerprint(step, document) != known:
@@ -225,7 +225,7 @@ class Journal:
 def step_key(
     step: Step, words: list[str], results: Path, contents: Mapping[Path, str], before: list[str]
 ) -> str:
-    """Return a hash of all that determines the output of a step, independent of the location of the folders."""
+    """Return a hash of all inputs that determine the output of a step, independent of the location of the folders."""
     names = {str(path): digest for path, digest in contents.items()}
     top = str(results.resolve())
     stated = [names.get(word, word.replace(top, "results")) for word in words]
@@ -234,8 +234,8 @@ def step_key(
 
 
 def fingerprint(step: Step, document: Mapping[str, Any]) -> str:
-    """Return a hash of the output of a step, or "" if it does not exist."""
-    if step.verb in {"fit", "improve"}:  # the same ledger contains later fits
+    """Return a hash of the output of a step, or "" if there is no output."""
+    if step.verb in {"fit", "improve"}:  # use the fit alone, because its ledger contains later fits
         return _fit_digest(step.output, str(_fit_of(document)))
     return file_digest(step.output) or ""
 
@@ -271,7 +271,7 @@ _SIGN = "batch.running."
 
 
 def new_sign(results: Path) -> Path:
-    """Return a new file in a locked folder, and remove that of a killed batch; the steps on a cluster end with it."""
+    """Return a new file in a locked folder, and remove older ones; removal of this file ends steps on a cluster."""
     for left in results.glob(f"{_SIGN}*"):
         left.unlink(missing_ok=True)
     sign = results.resolve() / f"{_SIGN}{secrets.token_hex(8)}"

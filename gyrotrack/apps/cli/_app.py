@@ -127,7 +127,7 @@ def main(last: list[Callable[[], None]]) -> None:
             with suppress(OSError, ValueError, AttributeError):
                 stream.flush()
         marks.close()
-        os._exit(code)  # otherwise Python takes some tenths of a second to clear its modules
+        os._exit(code)  # otherwise Python needs some tenths of a second to clear its modules
 
     last.append(end)
     marks.enter_context(marking())
@@ -148,7 +148,9 @@ def prepare_process() -> None:
     if root.name not in {"site-packages", "dist-packages"}:  # child processes must find the source checkout
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
     if os.path.expanduser("~").startswith("~"):  # noqa: PTH111 - Path.home() raises: no $HOME and an unknown user
-        os.environ["HOME"] = "/nonexistent"  # as usual for users without a home; libraries need a value
+        os.environ["HOME"] = (
+            "/nonexistent"  # the usual value for users without a home; libraries need a value
+        )
     catch_sigterm()
 
 

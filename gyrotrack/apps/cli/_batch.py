@@ -84,10 +84,10 @@ def batch_command(
 ) -> int:
     """Track, synchronise, fit, diagnose and report every case of a manifest or a folder.
 
-    Steps that were completed with the same films and settings are not repeated. If a film fails, the others are still
-    processed. In a folder, casing*.mp4 and rotor*.mp4 form a case, NAME_casing.mp4 and NAME_rotor*.mp4 form the case
-    NAME; other films are only tracked. The address of a scheduler is read from the command line, the environment or
-    your own settings file, never from a gyrotrack.toml in the folder of the data.
+    Steps that were completed with the same films and settings are not repeated. If a film fails, the other films are
+    still processed. In a folder, casing*.mp4 and rotor*.mp4 form a case, NAME_casing.mp4 and NAME_rotor*.mp4 form the
+    case NAME; other films are only tracked. The address of a scheduler is read from the command line, the environment
+    or your own settings file, never from a gyrotrack.toml in the folder of the data.
 
     Example: gyrotrack batch films/ -o results --casing-fps 260 --rotor-fps 1000 --inertia-rotor 5.54e-5
     --inertia-casing 2.06e-5
@@ -211,8 +211,8 @@ def config_command(
     folder may not set addresses, ports, certificates, --force or paths outside of the folder.
 
     --tracking shows every number of tracking, video and synchronisation with its unit, meaning and origin: derived,
-    measured, a source, or chosen. --fitting shows those of fits, noise estimates, searches and verdicts. They are part
-    of the program; no file changes them.
+    measured, a source, or chosen. --fitting shows the numbers of fits, noise estimates, searches and verdicts. These
+    numbers are part of the program and cannot be set in a file.
 
     Example: gyrotrack config extract
     """
@@ -299,7 +299,9 @@ def work() -> None:
 
     catch_sigterm()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # output of libraries is not an answer
+    os.dup2(
+        os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+    )  # output of libraries must not be read as an answer
     tasks: queue.SimpleQueue[list[str]] = queue.SimpleQueue()
 
     def listen() -> None:

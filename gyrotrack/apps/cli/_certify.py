@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from gyrotrack.apps.batch._workers import Workers
 
 _WIDTH = 79
-# seconds between two writes of the ledger, and recordings that a worker of a cluster simulates in one command
+# time between two writes of the ledger [s], and number of recordings that a cluster worker simulates in one command
 _KEPT, _PART = 20.0, 4
 _RECORDINGS, _FILMS = 200, 20
 _POINTS_PER_SECOND = 500
@@ -100,7 +100,7 @@ def certify_command(
         out.result({"outcomes": [vars(o) for o in outcomes]})
         return DONE
     for case in cases if film else ():
-        Filming.of(read_case(case))  # refuses a case without films before hours are spent
+        Filming.of(read_case(case))  # raises an error for a case without films, before hours of computation
     pool = WorkerPool() if workers is None else WorkerPool(workers - 1)
     with pool:
         with out.progress("analysing the recording") as progress:
@@ -111,7 +111,7 @@ def certify_command(
             known = earlier.outcomes if earlier is not None else ()
             empty = Certificate.of_answer(found, (), n, seed, film=film)
             keep = _Keeper(out, progress, study.ledger, fit_id, empty, known)
-            progress(0, len(planned(found, n)))  # the first recording takes its time
+            progress(0, len(planned(found, n)))  # show progress before the first recording, which takes long
             if scheduler is None and not film:
                 done = certify(found, n, seed=seed, extra=own, known=known, workers=pool, keep=keep)
             else:
@@ -136,7 +136,7 @@ def certify_command(
 def _from_film(
     found: Diagnosis, item: Item, cases: Sequence[Path], seed: int, own: Sequence[Effect]
 ) -> Outcome:
-    """Render the films of one simulated experiment, run the whole chain on them, and return its answer."""
+    """Render the films of one simulated experiment, analyse them from tracking to fit, and return the answer."""
     from fitting.discovery._certificate import hypotheses, outcome_of_records
     from fitting.inference._case_file import read_record
     from fitting.inference._replica import motion_of
@@ -170,7 +170,7 @@ def _from_film(
 
 
 class _Keeper:
-    """Shows progress and expected duration of a test, and stores its outcomes from time to time."""
+    """Shows progress and expected duration of a test, and stores its outcomes regularly."""
 
     def __init__(
         self,
@@ -186,7 +186,7 @@ class _Keeper:
         self._begun = self._stored = monotonic()
 
     def __call__(self, outcomes: Sequence[Outcome], total: int) -> None:
-        """Take note of the outcomes so far, of `total`."""
+        """Show the outcomes so far, out of `total`, and store them if the last write was long ago."""
         self._progress(len(outcomes), total)
         now = monotonic()
         new = len(outcomes) - len(self._known)
@@ -199,7 +199,7 @@ class _Keeper:
             self._stored = now
 
     def store(self, done: Certificate) -> None:
-        """Store a test, complete or not, with its fit; keep the outcomes of a longer one."""
+        """Store a complete or partial test with its fit; the outcomes of a longer test are kept."""
         made = {(o.kind, o.effect, o.number) for o in done.outcomes}
         longer = [o for o in self._known if (o.kind, o.effect, o.number) not in made]
         n = max([done.n, *(o.number + 1 for o in longer if o.kind == "null")])
@@ -211,7 +211,7 @@ def _item(text: str) -> Item:
     kind, _, rest = text.partition(":")
     effect, _, number = rest.rpartition(":")
     if not number.isdecimal():
-        raise UsageError(f"{text[:60]!r} names no simulated recording.", "Write kind:effect:number.")
+        raise UsageError(f"{text[:60]!r} does not name a simulated recording.", "Write kind:effect:number.")
     return kind, effect, int(number)
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fitting.study._comparison import Comparison
     from fitting.study._population import Population
 
-# runs whose values are listed one by one; runs that a worker of a cluster fits in one command
+# largest number of runs whose values are listed; number of runs that a cluster worker fits in one command
 _LISTED, _PART = 12, 8
 _SECONDS_PER_DAY = 86400.0
 _TIME = re.compile(r"time(?:\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])])?", re.IGNORECASE)
@@ -140,7 +140,7 @@ def _files(runs: Sequence[Path]) -> list[Path]:
 
 
 def _single_body(files: Sequence[Path]) -> str:
-    """Return the name of the single body that the first case records; "" if it is a ledger."""
+    """Return the name of the body in the first case; "" if all files are ledgers."""
     from fitting.inference._case_file import read_record
 
     first = next((f for f in files if f.suffix == ".h5" and f.is_file()), None)
@@ -153,7 +153,7 @@ def _by_numbers(path: Path) -> list[tuple[int, str]]:
 
 
 def _model_names(case: Path, request: FitRequest) -> tuple[str, ...]:
-    """Return the effects of the requested model for runs like this one."""
+    """Return the names of the effects in the requested model, for the bodies of this case."""
     if case.suffix != ".h5":
         raise UsageError(f"{case} cannot be fitted.", "With --model, give cases (.h5) or folders of cases.")
     return tuple(sorted(request.model_for(open_study([case], None)).names))
@@ -172,10 +172,10 @@ def _fitted(case: Path, wanted: tuple[str, ...]) -> bool:
 def _fit(
     cases: Sequence[Path], words: Sequence[str], place: Workers, size: int, progress: Progress
 ) -> dict[str, str]:
-    """Fit a model to each case; return the message of each that failed.
+    """Fit a model to each case; return the error messages of failed cases.
 
-    Every fit is stored in the ledger of its case when it is ready. Cases that were sent together are sent again one by
-    one if one of them failed.
+    Every fit is stored in the ledger of its case when it is complete. If one of several cases in a command fails,
+    these cases are fitted again one by one.
     """
     failed: dict[str, str] = {}
     parts = [list(cases[i : i + size]) for i in range(0, len(cases), size)]
@@ -238,7 +238,7 @@ def _read_times(path: Path) -> tuple[dict[str, float], str]:
 
 
 def _times_of(fits: Mapping[str, Any], times: Mapping[str, float]) -> dict[str, float]:
-    """Return the times of runs, which the table names with or without folder and suffix."""
+    """Return the times of runs; the table may name runs with or without folder and suffix."""
     short = {Path(name).name.removesuffix(".h5"): value for name, value in times.items()}
     found = {run: times.get(run, short.get(Path(run).name)) for run in fits}
     missing = [run for run, value in found.items() if value is None]
@@ -248,7 +248,7 @@ def _times_of(fits: Mapping[str, Any], times: Mapping[str, float]) -> dict[str, 
 
 
 def comparison_table(found: Comparison) -> str:
-    """Return a comparison as text: each run of a few, or the population of many."""
+    """Return a comparison as text: every run if there are few runs, else the population."""
     from fitting._numbers import probability, rounded
 
     runs = {r.run for p in found.parameters for r in p.repeats}

@@ -282,7 +282,7 @@ def export_command(
         option(
             "--table",
             "motion: angles of the bodies; markers: every marker; frames: every frame; inputs: recorded inputs; "
-            "points: paths of points; errors: errors that samples share (CSV, Parquet, JSON).",
+            "points: paths of points; errors: errors common to samples (CSV, Parquet, JSON).",
         ),
     ] = Table.motion,
     force: shared.Force = False,

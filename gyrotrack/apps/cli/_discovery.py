@@ -97,7 +97,7 @@ def laws_command(
 
 
 def check_picture(picture: Path | None, *, force: bool, reads: Sequence[Path | None]) -> None:
-    """Refuse a picture of an unknown format, or one that would replace a file."""
+    """Raise an error for a picture of an unknown format, or a picture that would replace a file."""
     from gyrotrack.io._atomic import refuse_existing
 
     if picture is None:
@@ -109,7 +109,7 @@ def check_picture(picture: Path | None, *, force: bool, reads: Sequence[Path | N
 
 
 def drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool) -> list[str]:
-    """Draw a result, if a picture is wanted, and return a confirmation line."""
+    """Draw a result if a picture is requested, and return a confirmation line."""
     if picture is None:
         return []
     from gyrotrack.plotting._results import write_picture
@@ -119,7 +119,7 @@ def drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool)
 
 
 def _laws_table(found: Laws, fit_id: str) -> str:
-    """Return the result as text: summary, variables of the torque, laws, and where they differ."""
+    """Return the result as text: summary, variables of the torque, laws, and where the laws differ."""
     from fitting._numbers import speed, speed_unit
 
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]

@@ -174,7 +174,9 @@ def _fixed_values(fix: Sequence[str]) -> dict[str, float]:
     return held
 
 
-_MIN_SHARE = 1e-3  # smaller contributions to the variance are omitted from the table, not from the document
+_MIN_SHARE = (
+    1e-3  # smallest contribution to the variance in the table; the JSON document contains all contributions
+)
 
 
 def budget_command(
@@ -320,7 +322,7 @@ def diagnose_command(
     study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
-        began = process_time()  # workers share the work of a test, as they share this
+        began = process_time()  # CPU time: a test is distributed among workers in the same way as this search
         fit, fit_id = study.base(start)
         own = shared.own_effects(effects, friction=friction)
         found = diagnose(fit, own, workers=workers)
@@ -365,11 +367,11 @@ def improve_command(
         own = shared.own_effects(effects)
         kept = study.recorder(parent, base)
         history = improve(base, own, progress=progress, workers=workers, keep=kept)
-        # a report needs it, and most of the work is done
+        # the report needs the diagnosis, and most of the work is done
         found = diagnose(base, own, candidates=history[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept.entries]
-    # what the diagnosis does not establish, adding it does not establish
+    # adding an effect does not establish an effect that the diagnosis leaves undecided
     verdict = found.verdict if len(history) == 1 or found.verdict == "undecided" else history_verdict(history)
     said = _FAULT if len(history) == 1 and verdict == "missing_effect" else _VERDICTS[verdict]
     if history.stopped:
@@ -398,7 +400,9 @@ def ladder_command(
     rotor: shared.RotorKind = "windows",
     name: Annotated[str | None, option("--name ID=TEXT", "Name a fit: f2='quadratic drag'.")] = None,
     note: Annotated[str | None, option("--note ID=TEXT", "Write a note on a fit; empty removes it.")] = None,
-    delete: Annotated[str | None, option("--delete ID", "Delete a fit on which no other is based.")] = None,
+    delete: Annotated[
+        str | None, option("--delete ID", "Delete a fit on which no other fit is based.")
+    ] = None,
     ledger: shared.LedgerFile = None,
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
@@ -417,7 +421,7 @@ def ladder_command(
         if text is not None:
             fit_id, equals, content = text.partition("=")
             if not equals:
-                what = f"--{key} {text[:40]} contains no name of a fit."
+                what = f"--{key} {text[:40]} does not contain the name of a fit."
                 raise UsageError(what, f"Write it as --{key} f2='text'.")
             found = study.entry(fit_id.strip())
             study.ledger.annotate(found.fit_id if found else fit_id, **{key: content})

@@ -61,7 +61,7 @@ _RESULT: ContextVar[list[str]] = ContextVar("result")
 def running(arguments: Sequence[str]) -> Iterator[None]:
     """Store the arguments of the command that runs within the context, and print its JSON document at the end.
 
-    After an error the document of the error is the only one.
+    After an error, only the document of the error is printed.
     """
     token, result = _ARGUMENTS.set(tuple(arguments)), _RESULT.set([])
     try:
@@ -129,8 +129,8 @@ class Output:
         """Yield a callback (done, total) that draws a progress bar, or does nothing without a terminal.
 
         With a `unit` the bar also shows the rate. With ``GYROTRACK_PROGRESS=json`` in the environment the progress is
-        written to stderr as JSON lines ``{"progress": {"label", "done", "total"}}``, at most five a second, and the
-        angles of films that are tracked as ``{"angles": {"body", "part", "frame", "angle"}}``.
+        written to stderr as JSON lines ``{"progress": {"label", "done", "total"}}``, at most five lines a second. The
+        angles of tracked films are written as ``{"angles": {"body", "part", "frame", "angle"}}``.
         """
         if os.environ.get("GYROTRACK_PROGRESS") == "json":
             from gyrotrack.tracking._live_angles import angles_sent_to
@@ -177,7 +177,7 @@ _INTERVAL = 0.2  # s
 
 
 def write_angles(body: str, part: int, frames: NDArray[np.int64], angles: NDArray[np.float64]) -> None:
-    """Write angles of frames to stderr as one JSON line, which is shorter than what a pipe takes at once.
+    """Write angles of frames to stderr as one JSON line, short enough for a pipe to write without splitting.
 
     Several processes write to the same pipe; see `gyrotrack.tracking._live_angles.Sink`.
     """
@@ -188,11 +188,11 @@ def write_angles(body: str, part: int, frames: NDArray[np.int64], angles: NDArra
         sys.stderr.flush()
 
 
-_ANGLES = 64  # angles of a line
+_ANGLES = 64  # largest number of angles in a line
 
 
 def duration(seconds: float) -> str:
-    """Return an expected duration in words, with the digits of an estimate."""
+    """Return an expected duration as text, rounded as an estimate: "40 s", "3 min" or "1.2 h"."""
     if seconds < 90:
         return f"{max(1, round(seconds))} s"
     return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
@@ -207,7 +207,7 @@ def _interactive() -> bool:
 
 
 def _console(stream: Any, file: Any = None) -> Console:
-    """Return a console that formats for a stream, and writes to it or to another file."""
+    """Return a console that formats for a stream, and writes to this stream or to another file."""
     from rich.console import Console
 
     terminal = stream is not None and stream.isatty()
@@ -242,7 +242,7 @@ class StdoutError(OutputError):
 
 
 def _print(text: str) -> None:
-    """Write to stdout; a StdoutError says why the system refuses, and nothing is written there any more."""
+    """Write to stdout; after a system error, raise a StdoutError and discard all further output."""
     hint = "Check where the output of the command goes."
     if sys.stdout is None:
         raise StdoutError("The result cannot be printed: stdout is closed.", hint)
@@ -258,7 +258,7 @@ def _print(text: str) -> None:
 
 
 def discard_stdout() -> None:
-    """Drop what was not written to stdout, and all that follows: Python would try it again when it ends."""
+    """Discard the buffered and all later output to stdout: Python would try to write it again at exit."""
     with suppress(OSError, ValueError, AttributeError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -309,7 +309,7 @@ def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
 
 
 def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
-    """Return the cross-validation errors of each case, in units of the noise, and of the casing rate."""
+    """Return the cross-validation errors of each case as text: in units of the noise, and of the casing rate."""
     from fitting._numbers import speed, speed_unit
 
     if not predicted:
@@ -355,7 +355,7 @@ _WORDS = 40
 
 
 def _candidate_lines(d: Diagnosis, shown: Sequence[Candidate]) -> list[str]:
-    """Return the candidates as a table: the name in words with its numbers, its key beneath."""
+    """Return the candidates as a table: the name in words with its numbers, and the key beneath."""
     import textwrap
 
     from fitting.discovery._select import equivalence_classes
@@ -405,7 +405,7 @@ def _curves(d: Diagnosis) -> list[str]:
 
     lines = []
     body = d.fit.problem.data[0].record.body
-    # a random torque explains those of an answer in which nothing is established
+    # if the verdict is undecided, a random torque explains the torque in these intervals
     marked = "largest" if d.verdict == "undecided" else "lack of fit"
     for t in d.torques:
         intervals = [(f.t_start, f.t_stop) for f in d.failures if f.label == t.label and f.body == t.body]
@@ -425,7 +425,7 @@ def _curves(d: Diagnosis) -> list[str]:
 
 
 def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
-    """Return a history of fits as text, one bar per fit; `record` is the record of any of the cases."""
+    """Return a history of fits as text, one bar per fit; `record` is the record of any case of the fits."""
     from fitting._numbers import speed, speed_unit
     from fitting.effects._words import change_name
 
@@ -453,7 +453,7 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
         lines += [f"        {r['added']}"] if words != r["added"] else []
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
             lines += [f"      {line}" for line in _wrapped(comment)]
-    # the last fit that a command happens to show may have parameters that nothing justifies
+    # the last fit shown by a command may have parameters that are not justified
     best = min(steps, key=lambda r: r["bic"] if math.isfinite(r.get("bic") or math.nan) else math.inf)
     counted = bool(best.get("samples"))
     noise = best.get("rmse_noise")
@@ -486,7 +486,7 @@ _BLOCKS, _ASCII = "▁▂▃▄▅▆▇█", "_.,-~=+#"
 
 
 def sparkline(value: NDArray[np.float64], *, width: int = WIDTH) -> str:
-    """Return a curve as one line of characters, each for the farthest value from zero in an interval; space: none."""
+    """Return a curve as one line: each character shows the value farthest from zero in its interval (space: none)."""
     levels = _levels()
     n, parts = len(value), min(width, len(value))
     edges = [n * k // parts for k in range(parts + 1)] if parts else []

@@ -1,4 +1,4 @@
-"""Parameters of a fit as text: each effect in words, beneath it its parameters by symbol, value and key."""
+"""Parameters of a fit as text: each effect in words, and beneath it the symbols, values and keys of its parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WIDTH = 79
 
 
 def parameter_lines(fit: Fit, intervals: Mapping[str, Interval] | None = None) -> list[str]:
-    """Return all parameters, those that are not determined, degenerate ones, and profile intervals."""
+    """Return the lines of all parameters, undetermined parameters, degenerate parameters, and profile intervals."""
     from fitting.inference._result import GENERATED, estimate_text, not_determined
     from fitting.study._serialisation import not_determined_together
 
@@ -34,13 +34,13 @@ def parameter_lines(fit: Fit, intervals: Mapping[str, Interval] | None = None) -
 
 
 def in_words(fit: Fit, name: str) -> str:
-    """Return a parameter in words, with the case of a joint fit."""
+    """Return a parameter in words; in a joint fit, with its case."""
     case = name.partition("@")[2]
     return fit.name(name).words + (f" ({case})" if case and len(fit.labels) > 1 else "")
 
 
 def _grouped(fit: Fit, texts: Mapping[str, str]) -> list[str]:
-    """Return a text for each parameter, by symbol and key, beneath the name of its effect."""
+    """Return lines with the text, symbol and key of each parameter, beneath the name of its effect."""
     lines: list[str] = []
     effect = ""
     for name, text in texts.items():
@@ -56,14 +56,14 @@ def _grouped(fit: Fit, texts: Mapping[str, str]) -> list[str]:
 
 
 def _key(fit: Fit, name: str) -> str:
-    """Return the key of a parameter as commands take it."""
+    """Return the key of a parameter in the form that commands accept."""
     key = fit.name(name).key or name.partition("@")[0]
     case = name.partition("@")[2]
     return f"{key}@{case}" if case and len(fit.labels) > 1 else key
 
 
 def _aligned(text: str, key: str) -> list[str]:
-    """Return a text with a key at the right end of the line, or on a second line."""
+    """Return a text with a key right-aligned on the same line, or on a second line if there is no room."""
     room = _WIDTH - len(text) - len(key)
     return [f"{text}{' ' * room}{key}"] if room > 1 else [text, f"{key:>{_WIDTH}}"]
 
@@ -79,6 +79,6 @@ def _interval(i: Interval, unit: str) -> str:
 
 
 def key_beneath(words: str, key: str) -> list[str]:
-    """Return a heading in words, and beneath it the key if it is another text."""
+    """Return a heading in words, and beneath it the key if the key differs from the words."""
     lines = textwrap.wrap(words, _WIDTH, subsequent_indent="  ") or [key]
     return lines if key in {"", words} else [*lines, f"  ({key})"]

@@ -204,7 +204,9 @@ def view_command(
         else:
             out.show(f"open: {url}", "end: Ctrl-C, or the button Quit")
         sys.stdout.flush()
-        displays = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")  # a terminal has no browser
+        displays = os.environ.get("DISPLAY") or os.environ.get(
+            "WAYLAND_DISPLAY"
+        )  # no browser without a display
         if browser and not window and (displays or sys.platform in {"darwin", "win32"}):
             import webbrowser
 
@@ -235,12 +237,12 @@ def view_command(
 
 
 def _only_case(sources: Sequence[Path]) -> Path | None:
-    """Return the case among the sources, which must be the only source; None if there is none."""
+    """Return the case among the sources, None without a case; a case must be the only source."""
     from gyrotrack.io._hdf5 import read_kind
 
     cases = [s for s in sources if s.suffix.lower() in (".h5", ".hdf5") and read_kind(s) == "case"]
     if cases and len(sources) > 1:
-        raise UsageError("The workbench opens one case at a time.", "Give the case alone.")
+        raise UsageError("The workbench opens one case at a time.", "Give only the case.")
     return cases[0] if cases else None
 
 

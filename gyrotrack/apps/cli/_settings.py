@@ -142,7 +142,7 @@ def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True)
 
 
 def _not_permitted(key: str, value: Any, folder: Path) -> str:
-    """Return the reason why an untrusted file may not set `key` to `value`; "" if it may."""
+    """Return the reason why an untrusted file may not set `key` to `value`; "" if this is permitted."""
     if key not in FOUND:
         return "a settings file found in the working folder may not set this option"
     if key == "model" and value in {"reduced", "general", "linear"}:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 _PAPER_ROTOR, _PAPER_CASING = 5.54e-5, 2.06e-5  # kg m2
-_WINDOWS = (0.025, 0.35, 0.75)  # default starts of the rotor windows, as shares of the duration
+_WINDOWS = (0.025, 0.35, 0.75)  # default starts of the rotor windows [duration]
 
 
 def simulate_command(
@@ -85,8 +85,8 @@ def simulate_command(
 ) -> None:
     """Simulate a case of the paper's gyroscope with chosen effects, as data or as films.
 
-    The default moments of inertia are those of the paper, 5.54e-5 and 2.06e-5 kg m2. A stated uncertainty is stored in
-    the case; the simulated bodies have the stated values.
+    The default moments of inertia are those of the paper, 5.54e-5 and 2.06e-5 kg m2. The simulated bodies have exactly
+    the given moments of inertia; an uncertainty, if given, is stored in the case.
 
     Example: gyrotrack simulate -o case.h5 --add casing.air.quadratic --strength 0.03
     """
@@ -165,7 +165,7 @@ def reveal_command(
     ledger: shared.LedgerFile = None,
     as_json: shared.Json = False,
 ) -> None:
-    """Open a sealed challenge and score an answer: one given here, or the latest fit of the case.
+    """Open a sealed challenge and score an answer: that of --answer, or the latest fit of the case.
 
     Example: gyrotrack reveal case.seal.json case.h5
     """
@@ -174,7 +174,7 @@ def reveal_command(
 
     out = Output(as_json=as_json)
     if (case is None) == (answer is None):
-        what = "An answer is needed before the file is opened."
+        what = "The file can be opened only with an answer."
         raise UsageError(what, "Give the fitted case, or --answer.")
     named, found = _stated(answer) if case is None else _fitted(case, ledger)
     refuse_special(seal)
@@ -216,7 +216,7 @@ def demo_command(
     as_json: shared.Json = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Run the whole analysis of the sample clips: films, angles, common clock, model, missing effect, report.
+    """Run the whole analysis of the sample clips: tracking, synchronisation, fit, missing effect, report.
 
     Example: gyrotrack demo -o gyrotrack_demo
     """
@@ -239,7 +239,7 @@ def demo_command(
 
 
 def _check_ledger(case: Path, *, force: bool) -> None:
-    """Raise an OutputError if there are fits of this case, unless a killed demo has made it."""
+    """Raise an OutputError if the case already has fits, unless an interrupted demo made the case."""
     from fitting.study._history import Ledger
     from gyrotrack.io._atomic import is_left, refuse_existing
 
@@ -249,19 +249,19 @@ def _check_ledger(case: Path, *, force: bool) -> None:
 def _analyse(
     out: Output, folder: Path, study: dict[str, Any], recordings: list[Path], case: Path, *, force: bool
 ) -> dict[str, Any]:
-    """Run the whole analysis; return its document."""
+    """Run the whole analysis and return its JSON document."""
     from fitting.study._history import Ledger
 
     out.show(f"1. Track the markers in the films of one run, in {folder}\n")
     _extract(out, folder, study["clip"], recordings, force=force)
-    out.show("\n2. Synchronise the cameras by the angle of the casing, which both of them see\n")
+    out.show("\n2. Synchronise the cameras by the angle of the casing, which both cameras see\n")
     casing = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] == "casing"]
     rotors = [r for r, c in zip(recordings, study["clip"], strict=True) if c["body"] != "casing"]
     keys = ("inertia_rotor", "inertia_casing", "label", "surface")
     options = [w for k in keys for w in (f"--{k.replace('_', '-')}", str(study[k]))]
     _run(out, [["sync", *casing, *rotors, "-o", case, *options]], [case], force=force)
     ledger = Ledger.default_for(case).path
-    ledger.unlink(missing_ok=True)  # the demo starts without earlier fits
+    ledger.unlink(missing_ok=True)  # discard the fits of an interrupted demo
     try:
         return _study(out, case, folder / study["clip"][-1]["file"], force=force)
     except BaseException:
@@ -270,7 +270,7 @@ def _analyse(
 
 
 def _study(out: Output, case: Path, film: Path, *, force: bool) -> dict[str, Any]:
-    """Fit, diagnose, improve and report; return the documents."""
+    """Fit, diagnose, improve and report; return the JSON documents."""
     from gyrotrack.apps.report._page import write_report
     from gyrotrack.io._hdf5 import read_case
     from gyrotrack.plotting._discovery import story_picture
@@ -364,7 +364,7 @@ def _run(
     *,
     force: bool,
 ) -> None:
-    """Run commands in worker processes and show their results; the first error is raised."""
+    """Run commands in worker processes and show their results; raise the first error."""
     from gyrotrack.apps.batch._workers import LocalWorkers, cores
     from gyrotrack.io._atomic import mark_new
 

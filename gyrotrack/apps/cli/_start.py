@@ -1,4 +1,4 @@
-"""Start of the program, before any library is imported: with too little memory some never return."""
+"""Check the memory before libraries are imported: with too little memory the import may never end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def main() -> None:
             sys.stderr.write(f"error: {message}\n hint: {hint}\n")
         sys.exit(1)
     last: list[Callable[[], None]] = []
-    # registered before all libraries, so it runs after theirs
+    # registered before the exit functions of all libraries, so it runs after them
     atexit.register(lambda: [end() for end in last])
     from gyrotrack.apps.cli._app import main as run
 

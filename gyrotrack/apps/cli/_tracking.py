@@ -44,8 +44,9 @@ def profile_command(
     """Find the markers of a film and write a profile that `extract --profile` reads.
 
     Finds coloured regions that rotate about a common centre and groups them by body; the faster body is the rotor.
-    Uncertain results are reported. The profile is a text file and can be edited. If no markers or only those of one
-    body are found, the texture of a rotating body is shown as an alternative interpretation, which `spindown` measures.
+    Uncertain results are reported. The profile is a text file and can be edited. If no markers, or only markers of one
+    body, are found, the texture of a rotating body is shown as an alternative interpretation; `spindown` measures such
+    a body.
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
@@ -86,7 +87,7 @@ def profile_command(
             body = read_excerpt(video, place, progress)
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
     with new_outputs(target, picture, force=force, reads=reads):
-        if picture is not None:  # the larger file first: if it cannot be written, an old profile stays
+        if picture is not None:  # write the larger file first: if this fails, an old profile is preserved
             write_picture(picture, found, body=body, force=force)
         with new_file(target, force=force) as stream:
             stream.write((comment + to_toml(found.profile)).encode("utf-8", "replace"))
@@ -219,8 +220,8 @@ def extract_command(
         bool,
         option(
             "--links",
-            "The two --points are the joint of two links (double pendulum) and a point of the second one: measure the "
-            "angles of both.",
+            "The two --points are the joint of two links (double pendulum) and a point of the second link: measure "
+            "the angles of both links.",
         ),
     ] = False,
     colour: shared.PointColour = None,
@@ -278,7 +279,7 @@ def extract_command(
     if points or colour is not None:
         if profile is not None or body is not None or overlay is not None or contact_sheet is not None:
             what = "--profile, --body, --overlay and --contact-sheet apply to markers, not to points."
-            raise UsageError(what, "Leave out one of them, or --point and --colour.")
+            raise UsageError(what, "Omit these options, or omit --point and --colour.")
         return _extract_points(
             out,
             video,
@@ -651,7 +652,7 @@ _MOST_ALTERNATIVES = 3
 
 
 def _oscillator_lines(laws: Any) -> list[str]:
-    """Return the restoring torque and the damping of an oscillator, with the sets of laws that are not separated."""
+    """Return the restoring torque and the damping of an oscillator, with the sets of indistinguishable laws."""
     from fitting._numbers import rounded
 
     def of(chosen: tuple[str, ...], classes: tuple[tuple[str, ...], ...]) -> str:
@@ -694,7 +695,7 @@ def _response_lines(response: Response | None) -> list[str]:
 
 
 def _first_order_lines(document: dict[str, Any]) -> list[str]:
-    """Return the constants of the first-order fit of a body that recorded inputs drive."""
+    """Return the constants of the first-order fit of a body driven by recorded inputs."""
     from fitting._numbers import rounded
 
     found = document["first_order"]
@@ -718,7 +719,7 @@ def _first_order_lines(document: dict[str, Any]) -> list[str]:
 
 
 def _law_lines(document: dict[str, Any]) -> list[str]:
-    """Return the strengths of the fitted laws, and what they do to the motion; of an oscillator the latter alone."""
+    """Return the strengths of the fitted laws and their effects on the motion; for an oscillator, only the effects."""
     from fitting._numbers import rounded
 
     known = () if document["oscillator"] is None else document["oscillator"].parameters
@@ -761,7 +762,7 @@ def _lines(document: dict[str, Any]) -> list[str]:
             ("mean", motion.omega_mean, "rad/s", "omega"),
             ("alpha", motion.alpha, "rad/s2", "alpha"),
         ]
-        # the polynomial of a free motion does not describe a driven one
+        # the polynomial of a free motion does not describe a driven motion
         quantities = {"driven": [], "fluctuating": quantities[:1]}.get(motion.kind, quantities)
     for name, q, unit, kind in quantities:
         if q is not None:

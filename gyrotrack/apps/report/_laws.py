@@ -1,4 +1,4 @@
-"""The fitted laws of a single body in words that its owner can check: what each strength does to the motion."""
+"""The fitted laws of a single body in words: the effect of each strength on the motion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LawOfBody:
-    """A strength or shape constant of a fitted law, in `unit`, and what it means."""
+    """A strength or shape constant of a fitted law, in `unit`, and its meaning."""
 
     parameter: str
     words: str
@@ -23,8 +23,8 @@ class LawOfBody:
     meaning: str
 
 
-_SIGNIFICANT = 3.0  # strength from which on its effect is stated [standard uncertainties]
-# what a strength per unit of inertia does to the motion
+_SIGNIFICANT = 3.0  # smallest strength whose effect on the motion is stated [standard uncertainties]
+# effect on the motion of a strength per moment of inertia `a`
 _IN_MOTION: dict[str, Callable[[float], str]] = {
     "touchpoint.constant.b1": lambda a: f"it slows the body by {a:.4g} rad/s2 at any speed",
     "casing.air.linear.b2": lambda a: f"alone, the speed falls to 1/e in {1 / a:.4g} s",
@@ -37,7 +37,7 @@ _IN_MOTION: dict[str, Callable[[float], str]] = {
 
 
 def laws_of_body(fit: Fit) -> tuple[LawOfBody, ...]:
-    """Return the parameters of the laws of a body without joints to others, on which no other torque acts."""
+    """Return the law parameters of a body that has no joints to other bodies; no other torque acts on this body."""
     from fitting.effects._words import of_body
 
     record = fit.problem.data[0].record

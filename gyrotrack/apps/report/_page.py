@@ -197,7 +197,7 @@ def _section(
 
 
 def _torque_of_the_angle(view: StudyView, v: CaseView) -> list[Chart]:
-    """Return the chart of the unmodelled torque against the angle of a case, if a torque repeats in each turn."""
+    """Return the chart of the unmodelled torque against the angle of a case, if the torque repeats in each turn."""
     if not any(f.kind == "ripple" for f in v.failures):
         return []
     fits = (view.base, view.final) if view.improved else (view.base,)
@@ -299,7 +299,7 @@ def _where(view: StudyView) -> list[tuple[str, str]]:
 
 
 def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str, str]]:
-    """Return the strengths of the laws of a single body with their meaning, and its speed in the unit of the file."""
+    """Return the strengths of a single body's laws with their meanings, and its speed in the unit of the file."""
     rows = [
         (
             view.name(law.parameter).words,  # a symbol comes first: k and K differ
@@ -500,7 +500,7 @@ def write_report(
     Parameters
     ----------
     path : Path
-        The file to write: PDF if it ends in ``.pdf``, otherwise HTML. It is written completely or not at all.
+        The file to write: PDF if it ends in ``.pdf``, otherwise HTML. The file is written completely or not at all.
     history : sequence of Step
         The history of fits, base first; at least one.
     diagnosis : Diagnosis or None

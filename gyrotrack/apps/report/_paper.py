@@ -1,4 +1,4 @@
-"""Writes the figures and tables of the paper for any study."""
+"""The figures and tables of the paper, for any study."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class CaseFit:
 
 @dataclass(frozen=True)
 class PaperCase:
-    """One case: data, recordings if there are any, and fits (RM, GM, RM-JF, GM-JF)."""
+    """One case: its data, its recordings (optional), and its fits (RM, GM, RM-JF, GM-JF)."""
 
     label: str
     data: CaseData
@@ -78,7 +78,7 @@ def paper_cases(scan: Scan, data: Sequence[CaseData], cases: Sequence[Case]) -> 
 
 
 def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[np.uint8] | None:
-    """Return the frame (red, green, blue) with the most detected markers, with overlay; None without a film."""
+    """Return the frame (RGB) with the most detected markers, with the overlay; None without a film."""
     from gyrotrack._errors import GyrotrackError
     from gyrotrack.io._schema import STATUS
     from gyrotrack.plotting._frames import Film, find_film
@@ -101,7 +101,7 @@ def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[
     return None
 
 
-# the line width decreases, so that coinciding curves remain visible
+# decreasing line widths keep coinciding curves visible
 _STYLES: dict[str, tuple[str, tuple[float, ...], float]] = {
     "RM": (BLUE, (2.0, 3.0), 3.0),
     "GM": (VERMILLION, (9.0, 3.6), 1.8),
@@ -123,7 +123,7 @@ class PaperFigure:
 
 
 def paper_figures(cases: Sequence[PaperCase], frame: NDArray[np.uint8] | None) -> list[PaperFigure]:
-    """Return the figures of the paper within the context `style`; the first only if a frame of the film was found."""
+    """Return the figures of the paper, within the context `style`; the first figure needs a frame of the film."""
     found = []
     if frame is not None:
         figure = canvas(_WIDE, _WIDE * frame.shape[0] / frame.shape[1])
@@ -309,8 +309,8 @@ def write_figures(
 ) -> list[Path]:
     """Write the figures and tables of the paper for a study.
 
-    `data` and `cases` are the cases that were scanned, `films` folders that may contain the films, for the figure of
-    the gyroscope. Returned are the files: figures (pdf, svg, png), ``figures.tex`` with their captions, one file per
+    `data` and `cases` are the scanned cases. `films` are folders that may contain the films, for the figure of the
+    gyroscope. The result lists the files: figures (pdf, svg, png), ``figures.tex`` with their captions, one file per
     table, and ``tables.tex`` with all tables.
     """
     documents: dict[str, bytes] = {}

@@ -65,7 +65,7 @@ class LimitRow:
 
 
 def parameter_rows(view: StudyView) -> list[Row]:
-    """Return the parameters of the final model, with their values in the base model."""
+    """Return one row per parameter of the final model, with its value in the base model."""
     from fitting.inference._result import not_determined
 
     weak = set(not_determined(view.final.estimates))
@@ -93,7 +93,7 @@ def parameter_rows(view: StudyView) -> list[Row]:
 
 
 def _response_rows(view: StudyView) -> list[Row]:
-    """Return time constant and gains of the final model as rows of the parameters, of a driven body."""
+    """Return the time constant and the gains of a driven body in the final model, as rows of the parameter table."""
     from fitting.inference._first_order import first_order
 
     rows = []
@@ -139,7 +139,7 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
 
 
 def candidate_rows(view: StudyView) -> list[Row]:
-    """Return the candidate effects, best first, with their laws as SVG and as text."""
+    """Return one row per candidate effect, best first, with its law as SVG and as text."""
     from fitting.effects._expression import latex
     from gyrotrack.plotting._discovery import formula
 
@@ -247,7 +247,7 @@ _SIGNIFICANT = 2.0  # standard uncertainties
 
 @dataclass(frozen=True)
 class Plausibility:
-    """One effect in one case: largest torques on both bodies, dissipated energy, its share, and an assessment."""
+    """One effect in one case: largest torques on both bodies, dissipated energy and its share, and an assessment."""
 
     effect: str
     key: str
@@ -263,10 +263,11 @@ class Plausibility:
 def plausibility_rows(fit: Fit) -> list[Plausibility]:
     """Return torque and dissipated energy of each effect along the modelled motion of each case.
 
-    The torque of an effect is the torque of the model minus that of the model without the effect. The dissipated energy
-    is minus the integral of its power; its standard uncertainty follows from the covariance of the parameters of the
-    effect, for a fixed motion. An effect whose law is not friction (it depends on time or angle) may supply energy. A
-    restoring torque is conservative: its work between the ends of the record is not dissipated.
+    The torque of an effect is the torque of the model minus the torque of the model without the effect. The dissipated
+    energy is minus the integral of the power of this torque. The standard uncertainty of the energy follows from the
+    covariance of the parameters of the effect, for a fixed motion. An effect whose law is not friction (it depends on
+    time or angle) may supply energy. A restoring torque is conservative: its work between the ends of the record is
+    not dissipated.
     """
     several = len(fit.problem.data) > 1
     return [row for i in range(len(fit.problem.data)) for row in _plausibility(fit, i, named=several)]
@@ -336,7 +337,7 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
 
 
 def _may_supply(effect: Effect) -> bool:
-    """Return whether a law is not friction: it depends on time or angle, or modifies another torque."""
+    """Return whether a law may supply energy: the law depends on time or angle, or modifies another torque."""
     from fitting.effects._expression import symbols
 
     drives = effect.depends_on_angle or any(p.role == "phase" for p in effect.parameters)
@@ -356,18 +357,18 @@ def _judgement(energy: float, sigma: float, total: float, *, may_supply: bool) -
     return "supplies energy" if may_supply else UNPHYSICAL
 
 
-# contributions of one parameter that are shown, and the least share of the variance
+# largest number of contributions shown per parameter, and smallest shown share of the variance
 _MOST_PARTS, _LEAST_SHARE = 3, 0.005
 
 
 def budget_rows(view: StudyView) -> list[Row]:
-    """Return the parameters of the final model with their combined uncertainties and the largest contributions."""
+    """Return one row per parameter of the final model, with the combined uncertainty and its largest contributions."""
     from fitting._errors import FittingError
     from fitting.inference._budget import budget
 
     try:
         found = budget(view.final)
-    except FittingError:  # of a fit that did not converge
+    except FittingError:  # the fit did not converge
         return []
     rows = []
     for name, b in found.items():
@@ -391,7 +392,7 @@ def budget_rows(view: StudyView) -> list[Row]:
 
 
 def experiment_rows(view: StudyView) -> list[tuple[str, str]]:
-    """Return what was measured in each case: bodies with their moments of inertia, samples, surface."""
+    """Return the measured quantities of each case: bodies with their moments of inertia, samples, surface."""
     rows = []
     for data in view.base.problem.data:
         r = data.record
@@ -420,7 +421,7 @@ _WINDOWS = {"rotor": " in {} windows"}
 
 
 def _counts(data: CaseData) -> str:
-    """Return the number of samples of each body, and that of equivalent independent ones, in words."""
+    """Return text with the number of samples of each body, and the number of equivalent independent samples."""
     parts = (
         f"{b.name} {sum(map(len, b.series))}{_WINDOWS.get(b.role, '').format(len(b.series))}"
         for b in data.record.bodies
@@ -432,7 +433,7 @@ _LIBRARIES = ("numpy", "scipy", "h5py", "matplotlib", "av", "opencv-contrib-pyth
 
 
 def origin_rows(fit: Fit, given: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return the rows of the provenance: those `given`, the data of the fit, the versions."""
+    """Return the rows of the provenance: the rows `given`, the data of the fit, the versions."""
     from gyrotrack._versions import __version__
 
     rows = [(str(k), str(v)) for k, v in given.items()]

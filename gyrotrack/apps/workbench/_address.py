@@ -1,7 +1,7 @@
 """One server per folder: a second `gyrotrack view` opens the page of the first.
 
-While it runs, a server keeps its address in ``.NAME.address`` beside the lock of the folder or case, readable by its
-user only, because the address contains the secret. An address is used only if its server answers.
+A running server stores its address in ``.NAME.address`` beside the lock of the folder or case. Only its user can read
+this file, because the address contains the secret. An address is used only if its server answers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from urllib.error import URLError
 from urllib.parse import urlsplit
 from urllib.request import ProxyHandler, Request, build_opener
 
-_WAIT = 2.0  # time for an answer [s]
+_WAIT = 2.0  # longest wait for the answer of a server [s]
 _MAX_SIZE = 2000  # bytes
 
 
@@ -28,7 +28,7 @@ class Address:
     def publish(self, url: str) -> None:
         """Store the address of this server."""
         self.clear()
-        with suppress(OSError):  # a second program then says that the folder is in use
+        with suppress(OSError):  # without the file, a second program reports that the folder is in use
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
             with os.fdopen(os.open(self._file, flags, 0o600), "w", encoding="utf-8") as stream:
                 json.dump({"url": url, "host": socket.gethostname(), "pid": os.getpid()}, stream)

@@ -1,8 +1,9 @@
-"""Manual corrections of markers: made in one frame, listed, and deleted without a trace.
+"""Manual corrections of markers: each is made in one frame, is listed, and can be deleted completely.
 
-The angle of the body in a corrected frame is that of the clicked marker alone, with the uncertainty of a click. The
-recording documents the corrections: ``corrections`` in its ``extra`` attribute contains for each one marker, frame,
-position, angle before and after, date and version, and what the frame contained before, so that it can be restored.
+The angle of the body in a corrected frame is the angle of the clicked marker alone, with the uncertainty of a click.
+The recording documents the corrections: ``corrections`` in its ``extra`` attribute contains for each correction the
+marker, frame, position, angle before and after, date and version. It also contains the previous content of the frame,
+so that the content can be restored.
 """
 
 from __future__ import annotations
@@ -21,10 +22,8 @@ from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 
 CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
-JUMP = (
-    5.0  # deviation from the neighbouring frames, in standard uncertainties, above which a click is doubted
-)
-_SAME = 1e-9  # difference of two times that are the same [s]
+JUMP = 5.0  # deviation from the neighbouring frames above which a click needs confirmation [standard uncertainties]
+_SAME = 1e-9  # largest difference of equal times [s]
 _MIN_RADIUS = 5.0  # smallest distance from the centre of a clicked position [px]
 _TURN = 2 * np.pi
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
@@ -36,7 +35,7 @@ _BODY = ("time", "angle", "sigma", "sigma_paper", "n_markers")
 
 
 def corrected(recording: Recording, marker: str, frame: int, place: Sequence[float] | None) -> Recording:
-    """Return a recording with the centre of a marker at `place` [px] in one frame, or with it lost there (None)."""
+    """Return a recording with the centre of a marker at `place` [px] in one frame; None marks it as lost there."""
     track = _track(recording, marker, frame)
     before = float(track.angle_fine[frame])
     angle = sigma = float("nan")
@@ -72,7 +71,7 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
 
 
 def without_correction(recording: Recording, marker: str, frame: int) -> Recording:
-    """Return a recording with what one frame contained before a correction; a UsageError if there is none."""
+    """Return a recording with the content of one frame before its correction; a UsageError without a correction."""
     track = _track(recording, marker, frame)
     listed = corrections(recording)
     note = next((c for c in listed if (c["marker"], c["frame"]) == (marker, frame)), None)
@@ -80,7 +79,7 @@ def without_correction(recording: Recording, marker: str, frame: int) -> Recordi
         raise UsageError("There is no such correction.", "Reload the page.")
     previous = note.get("previous")
     if previous is None:
-        what = "This correction was made by an earlier version, which did not keep what it replaced."
+        what = "This correction was made by an earlier version, which did not keep the replaced values."
         raise UsageError(what, "Track the film again.")
     changed = {n: getattr(track, n).copy() for n in _MEASURED}
     for name, value in previous["marker"].items():
@@ -111,10 +110,10 @@ def corrections(recording: Recording) -> list[dict[str, Any]]:
 
 
 def jump(recording: Recording, marker: str, frame: int, place: Sequence[float]) -> float | None:
-    """Return by how much a clicked position deviates from the neighbouring frames [rad], or None if it fits to them.
+    """Return the deviation of a clicked position from the neighbouring frames [rad]; None if it is not significant.
 
-    The angle expected is interpolated between the neighbouring frames. It is compared in units of the uncertainty of
-    the click and of the typical deviation of all frames from their neighbours.
+    The expected angle is interpolated between the neighbouring frames. The deviation is compared with the uncertainty
+    of the click and the typical deviation of all frames from their neighbours.
     """
     track = _track(recording, marker, frame)
     angle, sigma = _clicked(recording, frame, place)
@@ -132,7 +131,7 @@ def jump(recording: Recording, marker: str, frame: int, place: Sequence[float]) 
     return float(apart) if abs(apart) > JUMP * np.hypot(sigma, typical) else None
 
 
-_FEWEST = 5  # samples with which a deviation is judged
+_FEWEST = 5  # smallest number of samples for the typical deviation
 
 
 def _track(recording: Recording, marker: str, frame: int) -> MarkerTrack:
@@ -154,7 +153,7 @@ def _clicked(recording: Recording, frame: int, place: Sequence[float]) -> tuple[
 
 
 def _content(recording: Recording, track: MarkerTrack, frame: int) -> dict[str, Any]:
-    """Return what a frame contains of a marker and of its body, with null for unknown numbers."""
+    """Return the values of a marker and of its body in a frame, with null for unknown numbers."""
     for c in corrections(recording):
         if c["frame"] == frame and recording.markers[c["marker"]].body == track.body and c.get("previous"):
             row = c["previous"]["body"]
@@ -177,7 +176,7 @@ def _plain(value: Any) -> Any:
 
 
 def _documented(recording: Recording, listed: list[dict[str, Any]]) -> Recording:
-    """Return a recording with a list of corrections, and their number among its warnings."""
+    """Return a recording with a list of corrections, and with a warning that states their number."""
     notes = [w for w in recording.warnings if "by hand" not in w]
     if listed:
         notes.append(f"{len(listed)} frame{'s are' if len(listed) > 1 else ' is'} corrected by hand.")
@@ -188,7 +187,7 @@ def _documented(recording: Recording, listed: list[dict[str, Any]]) -> Recording
 
 
 def _with_angle(track: MarkerTrack, frame: int, angle: float, sigma: float) -> MarkerTrack:
-    """Return a marker with a new angle in one frame, and without corners there."""
+    """Return a marker with a new angle [rad] in one frame, without corners in this frame."""
     values: dict[str, Any] = dict.fromkeys(_MEASURED, np.nan)
     values |= {"angle_fine": angle, "sigma_calibrated": sigma}
     values["status"] = STATUS["blurred" if np.isfinite(angle) else "lost"]
@@ -201,7 +200,7 @@ def _with_angle(track: MarkerTrack, frame: int, angle: float, sigma: float) -> M
 def _with_row(
     body: BodyTrack, time: float, angle: float, sigma: float, paper: float, count: float
 ) -> BodyTrack:
-    """Return a body with a new angle [rad] at one time, or without one if it is NaN; its speed is recomputed."""
+    """Return a body with a new angle [rad] at one time (NaN removes the sample); the speed is recomputed."""
     others = np.abs(body.time - time) > _SAME
     kept: dict[str, Any] = {n: getattr(body, n)[others] for n in _BODY}
     if np.isfinite(angle):

@@ -1,8 +1,8 @@
-"""The films of the workbench: frames of the clips of a case, positions of markers in them, and previews of tracking.
+"""The films of the workbench: frames of the clips of a case, marker positions in frames, and previews of tracking.
 
 The preview runs in a separate process, ``python -m gyrotrack.apps.workbench._films``, with a JSON request as its only
-argument. An excerpt of the film is copied without decoding to a temporary folder and tracked by the same functions as
-the film.
+argument. An excerpt of the film is copied without decoding to a temporary folder. The functions that track films then
+track the excerpt.
 """
 
 from __future__ import annotations
@@ -89,11 +89,11 @@ class Clips:
         return rows
 
     def frame(self, key: str, index: int, *, overlay: bool) -> bytes:
-        """Return a frame as JPEG; a VideoError says that there is no such clip, film or frame."""
+        """Return a frame as JPEG; a VideoError is raised if the clip, film or frame does not exist."""
         return jpeg(self._picture(key, index, overlay=overlay), SHOWN_WIDTH, QUALITY)
 
     def marks(self, key: str, index: int) -> dict[str, Any]:
-        """Return centre and markers in a frame [px], with the size of the frame, for the overlay of the page."""
+        """Return the centre and the markers in a frame [px], and the frame size, for the overlay of the page."""
         clip = self._clips.get(key)
         if clip is None or not 0 <= index < len(clip.recording.time):
             raise VideoError("There is no such frame.", "Reload the page.")
@@ -152,7 +152,7 @@ class SourceFrames:
         self._film: Film | None = None
 
     def picture(self, path: Path, index: int) -> Picture:
-        """Return a frame in colour (BGR); a VideoError says that there is no such film or frame."""
+        """Return a frame in colour (BGR); a VideoError is raised if the film or frame does not exist."""
         with self._lock:
             if path != self._path or self._film is None:
                 self._end()
@@ -174,7 +174,7 @@ class SourceFrames:
 
 
 def profile_text(wanted: Any) -> str:
-    """Return the markers that were picked in a frame as a profile in TOML."""
+    """Return the markers that the user clicked in a frame as a profile in TOML."""
     data = wanted if isinstance(wanted, dict) else {}
     allowed = {k: data[k] for k in ("name", "centre", "circle_colour", "marker") if k in data}
     return to_toml(parse(allowed, "profile"))
@@ -218,11 +218,10 @@ def preview(
 ) -> dict[str, Any]:
     """Track the start of a film with the markers of a profile, by default that of the paper.
 
-    If tracking `makes` a "case", the whole body is registered instead; `points` (x, y) [px] of the first frame are
-    rotated with it.
-    Returned are ``frames``; ``centre``, position [px] or null in each frame; ``markers``: name, body, and for each
-    frame the position [px] or null, and whether the marker is complete; ``kept``, fraction of frames with an angle, by
-    body; ``warnings``.
+    If tracking `makes` a "case", the whole body is registered instead, and `points` (x, y) [px] of the first frame are
+    rotated with the body. The result contains ``frames``; ``centre``, position [px] or null in each frame;
+    ``markers``: name, body, and for each frame the position [px] or null, and whether the marker is complete;
+    ``kept``, fraction of frames with an angle, by body; ``warnings``.
     """
     with scratch_folder() as folder:
         excerpt = folder / f"excerpt{film.suffix.lower()}"
@@ -267,24 +266,24 @@ def _of_whole_body(
     return recording, _rotated_points(recording, tracked, points)
 
 
-# tracking of the start of a film, by what the tracking of the whole film makes
+# tracking of the start of a film, by the kind of file that tracking of the whole film makes
 _STARTS = {"recording": _of_markers, "case": _of_whole_body}
 
 _MIDDLE = (
-    1.15  # radius of the middle of a marker over that of its inner corners, where the film does not show it
+    1.15  # radius of the middle of a marker if the outer edge is not found [radius of the inner corners]
 )
-# number of frames in which the outer edge of a marker is sought, and their distance
+# number and spacing of the frames in which the outer edge of a marker is searched
 _SAMPLED, _APART = 5, 8
-_FARTHEST = 3.0  # radius up to which it is sought, over that of the inner corners
-_INSIDE = (1.04, 1.12)  # radii of the colour of a marker, over that of the inner corners
+_FARTHEST = 3.0  # largest radius of the search for the outer edge [radius of the inner corners]
+_INSIDE = (1.04, 1.12)  # radii between which the colour of a marker is measured [radius of the inner corners]
 _STEPS = 80
 _STATUS = {code: word.replace("_", " ") for word, code in STATUS.items()}
 
 
 def marker_middles(recording: Recording, picture: Callable[[int], Picture]) -> dict[str, float]:
-    """Return the radius of the middle of each marker over that of its inner corners, from pictures of the film.
+    """Return the radius of the middle of each marker over the radius of its inner corners, from frames of the film.
 
-    Outwards from the inner corners the colour is that of the marker, up to its outer edge.
+    A marker has uniform colour from its inner corners to its outer edge.
     """
     found, seen = {}, {}
     for m in recording.markers.values():
@@ -302,13 +301,13 @@ def marker_middles(recording: Recording, picture: Callable[[int], Picture]) -> d
 
 
 def _spread(known: NDArray[np.intp]) -> list[int]:
-    """Return a few of the first frames that show a marker: they are decoded in one pass, without seeking."""
+    """Return a few of the first frames that show a marker; these frames can be decoded without seeking."""
     first = known[: _SAMPLED * _APART : _APART]
     return [int(k) for k in first]
 
 
 def _outer_edge(picture: Picture, centre: NDArray[np.float64], angle: float, radius: float) -> float:
-    """Return the radius at which the colour of a marker ends, over that of its inner corners; nan if it does not."""
+    """Return the radius of the outer edge of a marker over the radius of its inner corners; nan without an edge."""
     share = np.linspace(_INSIDE[0], _FARTHEST, _STEPS)
     place = centre + radius * share[:, None] * np.array([np.cos(angle), -np.sin(angle)])
     column, row = np.rint(place).astype(int).T
@@ -325,7 +324,7 @@ def _outer_edge(picture: Picture, centre: NDArray[np.float64], angle: float, rad
 def marker_positions(
     recording: Recording, frames: slice = slice(None), middles: Mapping[str, float] | None = None
 ) -> list[dict[str, Any]]:
-    """Return each marker in some frames: name, body, middle [px] or None, completeness, status, inner corners."""
+    """Return the markers in given frames: name, body, middle [px] or None, completeness, status, inner corners."""
     found = []
     for m in recording.markers.values():
         known = np.isfinite(m.rho)
@@ -357,7 +356,7 @@ def _rotated_points(
 ) -> list[dict[str, Any]]:
     """Rotate points of the first frame about the hub by the measured angle."""
     hub = complex(*tracked.ring.hub)
-    if not points:  # by default a point on the ring
+    if not points:  # by default, one point on the ring is shown
         points = [(hub.real + 0.5 * (tracked.ring.inner + tracked.ring.outer), hub.imag)]
     found = []
     for n, point in enumerate(points, 1):
@@ -377,8 +376,8 @@ def positions(place: Any) -> list[list[float] | None]:
 
 
 def main() -> None:
-    """Answer one request."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # removes the temporary folder
+    """Answer the request in the argument of the process."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # SystemExit removes the temporary folder
     warnings.simplefilter("ignore")
     request = json.loads(sys.argv[1])
     try:

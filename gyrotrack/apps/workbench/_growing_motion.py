@@ -1,7 +1,8 @@
-"""Angles of a film that grow while it is tracked, in bounded memory, and their motion for the charts.
+"""Growing series of angles of a film during tracking, in bounded memory, and their motion for the charts.
 
-A film is tracked in parts, several at a time, each of which begins its angles anew; they are joined as the recording
-joins them. The parts are those that the running command reports, or those of the checkpoint of an interrupted one.
+A film is tracked in parts, several parts at a time. The angles of each part are unwrapped separately, then joined in
+the same way as in the recording. The parts come from the running command, or from the checkpoint of an interrupted
+command.
 """
 
 from __future__ import annotations
@@ -21,22 +22,22 @@ Array = NDArray[np.float64]
 Part = dict[str, tuple[Array, Array]]  # frames and angles as seen [rad] by body
 Piece = tuple[Array, Array, Array]  # time [s], angle [rad], speed [rad/s]
 
-MOST = 4000  # samples that are kept of a film
+MOST = 4000  # largest number of samples kept per film
 _WIDTH = 9  # samples of the running median of a speed
 
 
 class GrowingMotion:
-    """The angles that a running command has reported: of all frames, or of every n-th one of a long film."""
+    """The angles that a running command has reported: for all frames, or for every n-th frame of a long film."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._every = 1
         self._parts: dict[tuple[int, str], tuple[list[int], list[float]]] = {}
         self._kept = 0
-        self.reported = 0  # frames so far, which tells a page that there are new ones
+        self.reported = 0  # number of frames so far; an increase indicates new angles to a page
 
     def add(self, report: Mapping[str, Any]) -> None:
-        """Add the angles of some frames of a part; a frame that is reported again begins the part anew."""
+        """Add the angles of some frames of a part; if a frame is reported again, the part is restarted."""
         frames, angles = [int(f) for f in report["frame"]], [float(a) for a in report["angle"]]
         with self._lock:
             key = int(report["part"]), str(report["body"])
@@ -71,7 +72,7 @@ class GrowingMotion:
 
 
 def stored_parts(records: Iterable[Record]) -> list[Part]:
-    """Return the finished parts of the checkpoint of a film in order."""
+    """Return the finished parts in the checkpoint of a film, in the order of the film."""
     parts = sorted(
         (r for r in records if isinstance(r.facts.get("part"), int) and "stamps" in r.arrays),
         key=lambda r: int(r.facts["part"]),
@@ -88,14 +89,14 @@ def stored_parts(records: Iterable[Record]) -> list[Part]:
     return found
 
 
-# a body alone turns as it is seen
+# the angle of a single body is used as seen, with its sign
 _SENSES = {"single": 1}
 
 
 def joined_motion(parts: Iterable[Part], rate: float) -> dict[str, list[Piece]]:
     """Return the motion of each body in the parts of a film, with angles that continue from one part to the next.
 
-    `rate` is that of the frames [1/s]. The first angle is zero. As in a recording with markers, the angles increase.
+    `rate` is the frame rate [1/s]. The first angle is zero. As in a recording with markers, the angles increase.
     """
     found: dict[str, list[tuple[Array, Array]]] = {}
     last: dict[str, tuple[Array, Array]] = {}

@@ -1,7 +1,7 @@
 """Undo and redo of the start page: changes of the stored state, field by field, and of recordings.
 
-A change of the state is stored as the fields that it changed, so that undoing it keeps what was changed since, for
-example by the end of a step that was running.
+A change of the state is stored as a list of changed fields. Undoing the change therefore keeps later changes of other
+fields, for example by the end of a running step.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 from gyrotrack._errors import UsageError
 
 _LISTS = ("sources", "removed")
-_MOST = 200  # changes that can be undone
+_MOST = 200  # largest number of changes that can be undone
 
 
 class Change(NamedTuple):
     """One changed field: list and key of a source (both "" for a field of the state), name, values before and after.
 
-    Without a name the source itself was added to, or removed from, the list: the values are its content, or None.
+    Without a name, the source itself was added to, or removed from, the list. The values are then the content of the
+    source, or None.
     """
 
     list: str
@@ -30,7 +31,7 @@ class Change(NamedTuple):
 
 
 def difference(before: dict[str, Any], after: dict[str, Any]) -> list[Change]:
-    """Return the fields in which two states differ."""
+    """Return the changes between two states, one per changed field."""
     found = [
         Change("", "", name, (before.get(name), after[name]))
         for name in after
@@ -77,16 +78,16 @@ class History:
 
     @property
     def undo_label(self) -> str:
-        """Name of the change that `undo` takes back; empty if there is none."""
+        """Name of the change that `undo` will undo; empty without a change."""
         return self._done[-1][0] if self._done else ""
 
     @property
     def redo_label(self) -> str:
-        """Name of the change that `redo` makes again; empty if there is none."""
+        """Name of the change that `redo` will redo; empty without a change."""
         return self._undone[-1][0] if self._undone else ""
 
     def add(self, label: str, undo: Callable[[], None], redo: Callable[[], None]) -> None:
-        """Store a change that was made; what was undone before can no longer be redone."""
+        """Store a completed change; changes that were undone before can no longer be redone."""
         if self._busy:
             return
         self._done = [*self._done, (label, undo, redo)][-_MOST:]
@@ -96,11 +97,11 @@ class History:
         """Undo the last change."""
         with lock:
             if not self._done:
-                raise UsageError("There is nothing to undo.", "Every change is as it was at the start.")
+                raise UsageError("There is nothing to undo.", "No changes were made, or all were undone.")
             self._move(self._done, self._undone, 1)
 
     def redo(self, lock: RLock) -> None:
-        """Make the last change again that was undone."""
+        """Redo the change that was undone last."""
         with lock:
             if not self._undone:
                 raise UsageError("There is nothing to redo.", "Undo a change first.")

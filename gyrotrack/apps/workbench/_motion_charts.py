@@ -1,7 +1,7 @@
-"""Charts of angle and speed of every film of the work folder, also while it is tracked.
+"""Charts of angle and speed of every film of the work folder, also during tracking.
 
-The motion of a tracked film is that of its recording. While a film is tracked, the angles found so far are shown; after
-an interruption those of its checkpoint. When the clips are synchronised, all are drawn on the clock of the casing.
+For a tracked film, the motion of its recording is shown; during tracking, the angles found so far; after an
+interruption, the angles of its checkpoint. If the clips are synchronised, all are drawn on the clock of the casing.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Curve = tuple[str, str, str, list[Piece]]  # film, body, colour, pieces
 
-_DRAWN = 900  # points of a curve
+_DRAWN = 900  # largest number of drawn points of a curve
 _CASING, _FILMED_WITH, _ROTORS = BLUE, SKY, (VERMILLION, GREEN, ORANGE, PURPLE)
 _TURN = 2 * np.pi
-# names of curves; that of a body alone is not repeated
+# names of curves: film and body, or the film alone for a single body
 _LABEL, _LABELS = "{}, {}", {"single": "{}"}
 
 
 def motion_board(project: Project) -> dict[str, Any]:
-    """Return the charts of angle and speed of all films and tables as a document; without charts if none is known."""
+    """Return the charts of angle and speed of all films and tables as a document; empty if no motion is known."""
     curves: list[Curve] = []
     offsets = _offsets(project)
     rotors = 0
@@ -56,7 +56,7 @@ def motion_board(project: Project) -> dict[str, Any]:
                 colour = _ROTORS[rotors % len(_ROTORS)]
                 rotors += 1
             elif x.body == "rotor":
-                continue  # the casing in the films of the rotor serves the synchronisation
+                continue  # the casing in the films of the rotor is used for synchronisation only
             else:
                 colour = _FILMED_WITH if body == "rotor" else _CASING
             offset = offsets.get(Path(x.file).name, 0.0)
@@ -78,7 +78,12 @@ def _chart(name: str, title: str, unit: str, curves: Sequence[Curve], column: in
             )
     finding = f"{title} of {len(traces)} film{'' if len(traces) == 1 else 's'}."
     return Chart(
-        name, title, unit, tuple(traces), finding, caption="Each film on its own clock until synchronised."
+        name,
+        title,
+        unit,
+        tuple(traces),
+        finding,
+        caption="Each film has its own clock before synchronisation.",
     )
 
 
@@ -120,7 +125,9 @@ def _from_speed(time: Array, omega: Array) -> Piece:
 def _thinned(time: Array, angle: Array, omega: Array) -> Piece:
     if not len(time):
         return time, angle, omega
-    if np.isfinite(omega).sum() < len(omega) / 2:  # the record is shorter than the smoothing of its speed
+    if (
+        np.isfinite(omega).sum() < len(omega) / 2
+    ):  # the record is shorter than the smoothing window of the speed
         omega = speed(time, angle)
     few = np.unique(np.linspace(0, len(time) - 1, min(len(time), _DRAWN)).astype(int))
     return time[few], angle[few] - angle[0], omega[few]

@@ -41,11 +41,11 @@ if TYPE_CHECKING:
     from fitting.inference._problem import Projection
     from fitting.inference._result import Fit
 
-_BACKGROUND = 10  # added to the niceness of computations: the page is answered first
+_BACKGROUND = 10  # added to the niceness of computations, so that requests of the page have priority
 
 
 def in_background(process: int) -> None:
-    """Lower the priority of a process; where the system has none, nothing changes."""
+    """Lower the priority of a process, if the system supports priorities."""
     with suppress(OSError, AttributeError):
         os.setpriority(os.PRIO_PROCESS, process, os.getpriority(os.PRIO_PROCESS, 0) + _BACKGROUND)
 
@@ -60,14 +60,16 @@ _MAX_ANSWER = 2**26  # bytes
 class Job:
     """One command."""
 
-    words: tuple[str, ...]  # the arguments of ``python -m module``, by default of `gyrotrack`
+    words: tuple[str, ...]  # the arguments of ``python -m module``; the default module is `gyrotrack`
     module: str = "gyrotrack"
     state: State = "waiting"  # state of the job
     # progress of the command
     label: str = ""
     done: int = 0
     total: int | None = None
-    document: dict[str, Any] = field(default_factory=dict)  # its JSON document, or ``{"error": ...}``
+    document: dict[str, Any] = field(
+        default_factory=dict
+    )  # JSON document of the command, or ``{"error": ...}``
     began: float = field(default_factory=monotonic)
     process: subprocess.Popen[str] | None = None
     motion: GrowingMotion = field(default_factory=GrowingMotion)  # angles that the command has found so far
@@ -94,7 +96,7 @@ class Job:
 
 
 class Jobs:
-    """The jobs of one work folder, at most `most` at a time, and one per key."""
+    """The jobs of one work folder: at most `most` run at a time, and one per key."""
 
     def __init__(self, folder: Path, most: int) -> None:
         self._folder = folder
@@ -255,7 +257,7 @@ class Ranker:
         self._seconds: float | None = None  # duration of the last search
 
     def progress(self) -> dict[str, Any]:
-        """Return seconds so far and the expected duration of the search; empty if there is none."""
+        """Return the elapsed and the expected duration of the search [s]; empty without a search."""
         if not self._busy:
             return {}
         return {"seconds": round(monotonic() - self._began, 2), "expected": self._seconds}
@@ -267,7 +269,7 @@ class Ranker:
                 self._end()
 
     def rank(self, model: dict[str, Any]) -> dict[str, Any]:
-        """Return the diagnosis of a model; an unfinished search is cancelled, which raises a GyrotrackError there."""
+        """Return the diagnosis of a model; an unfinished search is cancelled, and its call raises a GyrotrackError."""
         with self._lock:
             if self._busy:
                 self._end()
@@ -316,7 +318,7 @@ class Ranker:
             self._end()
 
 
-_MAX_CANDIDATES = 12  # candidates on the page, whose effect on the residual is predicted
+_MAX_CANDIDATES = 12  # largest number of candidates on the page; their effects on the residual are predicted
 
 
 def _answer(line: str, case: Path) -> dict[str, Any]:
@@ -347,7 +349,9 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
     return {"diagnosis": document, "predicted": predicted, "base_misfit": prediction.misfit}
 
 
-_RESOLVED = 0.05  # excess of the mean square residual over that of the noise, of which shares are given
+_RESOLVED = (
+    0.05  # smallest relative excess of the mean square residual over the noise that is divided into shares
+)
 
 
 def contradiction(effect: Effect) -> str:
@@ -357,20 +361,20 @@ def contradiction(effect: Effect) -> str:
     names = symbols(effect.expression)
     body = {"rotor": "rotor", "bearing": "bearing"}.get(effect.joint, "body")
     if effect.kind == "measurement":
-        return "The same deviation in a recording with another camera, or with the camera at another place."
+        return "The same deviation in a recording with another camera or another camera position."
     if effect.state is not None or "temperature" in names:
-        return "No change when the run is repeated at once, while the friction is still warm."
+        return "No change when the run is repeated immediately, while the contact is still warm."
     if names & {"psi_r", "psi_c", "deflection", "strain"}:
         return "A torque that does not return at the same angle in every turn."
     if "t" in names:
         return "The same torque at another time of a repeated run."
     if "delta" in names:
-        return "A torque that remains while rotor and casing turn equally fast."
+        return "A torque that remains while rotor and casing have the same speed."
     if {"omega_r", "omega_c"} <= names:
         return "The same torque with the other body at rest."
     if effect.joint == "casing" and "omega_r" in names:
         return "The same torque on the casing after the rotor has stopped."
-    return f"Another torque on the {body} at the same speed: one while it speeds up, another while it slows down."
+    return f"Different torques on the {body} at the same speed while speeding up and while slowing down."
 
 
 def main() -> None:
@@ -384,8 +388,8 @@ def main() -> None:
         sys.stdout.flush()
 
 
-_SLIDER_RANGE = 5.0  # half range, in standard errors or else in changes of the residual by its sigma
-_DRAWN = 200  # points of a torque curve
+_SLIDER_RANGE = 5.0  # half range [standard errors], or else [changes of the residual by its sigma]
+_DRAWN = 200  # number of points of a torque curve
 
 
 class Prediction:
@@ -401,7 +405,8 @@ class Prediction:
         """Return the parameters with their ranges, and the derivatives of the residual speeds.
 
         ``parameters``: name, value, low, high, unit, u; ``time`` and ``value`` of each run, the casing first;
-        ``sigma`` of the casing; ``slope[run][parameter][sample]``: derivative of the residual speed by the parameter.
+        ``sigma`` of the casing; ``slope[run][parameter][sample]``: derivative of the residual speed with respect to
+        the parameter.
         """
         fit, layout = self._fit, self._fit.problem.layout
         lower, upper = layout.bounds()
@@ -410,7 +415,7 @@ class Prediction:
         rows, places = [], []
         for k, name in enumerate(layout.names):
             value, estimate = float(fit.theta[k]), fit.estimates.get(name)
-            if estimate is None:  # of the rotor, in a recording of one body
+            if estimate is None:  # a parameter of the rotor, in a recording of one body
                 continue
             known = np.isfinite(estimate.stderr) and estimate.stderr > 0
             size = max(float(np.sqrt(np.mean(slope[0][:, k] ** 2))), 1e-300)
@@ -436,7 +441,7 @@ class Prediction:
         }
 
     def moved(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the exact residual speeds for changed parameters; a UsageError names an unknown or invalid one."""
+        """Return the exact residual speeds for changed parameters; a UsageError names an invalid parameter."""
         fit, layout = self._fit, self._fit.problem.layout
         theta = fit.theta.copy()
         lower, upper = layout.bounds()
@@ -445,7 +450,9 @@ class Prediction:
             if k < 0:
                 raise UsageError(f"There is no parameter {name[:60]}.", "Reload the page.")
             if not (np.isfinite(value) and lower[k] <= value <= upper[k]):
-                raise UsageError(f"{name} is outside its bounds.", f"They are {lower[k]:g} and {upper[k]:g}.")
+                raise UsageError(
+                    f"{name} is outside its bounds.", f"The bounds are {lower[k]:g} and {upper[k]:g}."
+                )
             theta[k] = value
         predictions = fit.problem.predict(theta)
         rows = predictions[0].rows
@@ -460,7 +467,7 @@ class Prediction:
 
     @cached_property
     def _pure(self) -> Projection:
-        """Whitens rows at the noise that does not depend on the model, as the metrics of a fit."""
+        """Whitening with the noise that does not depend on the model, as in the metrics of a fit."""
         from fitting.inference._problem import Projection
 
         noise = self._fit.noise[0]
@@ -481,8 +488,9 @@ class Prediction:
     def with_candidate(self, candidate: Candidate, columns: CaseColumns) -> dict[str, Any]:
         """Return the predicted residual speeds with an added candidate of the diagnosis, and its torque.
 
-        If the search has refitted the candidate, both are those of the refit. Otherwise the strength of the candidate
-        is that of its score test, the other parameters are refitted to first order, and the torque is None.
+        If the search has refitted the candidate, residual speeds and torque come from this refit. Otherwise the
+        strength of the candidate comes from its score test, the other parameters are refitted to first order, and the
+        torque is None.
         """
         from gyrotrack.plotting._study_data import added_torque
 
@@ -500,7 +508,7 @@ class Prediction:
         return {"value": [v.tolist() for v in values], "misfit": self._misfit(rows), "torque": drawn}
 
     def _linear_change(self, candidate: Candidate, columns: CaseColumns) -> Array:
-        """Return the change of the modelled rows by a candidate and the refitted parameters, to first order."""
+        """Return the first-order change of the modelled rows caused by a candidate and the refitted parameters."""
         fit, screened = self._fit, candidate.screened
         data, prediction, whitener = fit.problem.data[0], fit.predictions[0], fit.noise[0].whitener
         shape = screened.shape[0] if screened.shape else {}

@@ -1,8 +1,8 @@
-"""From films and tables to a case: the steps of the start page of the workbench.
+"""The steps of the start page of the workbench, from films and tables to a case.
 
 Each step is a command that is shown on the page and runs in a separate process in the work folder. Entries and results
-are stored in ``workbench.json`` in that folder, so that nothing is lost when the page or the program is closed;
-interrupted tracking continues from its checkpoint.
+are stored in ``workbench.json`` in this folder, so that closing the page or the program loses nothing. Interrupted
+tracking continues from its checkpoint.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _PREVIEW = "gyrotrack.apps.workbench._films"
 
 
 class Project:
-    """The films, settings and steps of one work folder, to which all files are written."""
+    """The films, settings and steps of one work folder; all files are written to this folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
@@ -71,16 +71,18 @@ class Project:
             if not isinstance(error.__cause__, Timeout | RuntimeError):
                 raise
             what = f"Another workbench is open in {self.folder}."
-            raise ConfigurationError(what, "Use that one, or close it.") from error
+            raise ConfigurationError(what, "Use the open workbench, or close it.") from error
         remove_remains(self.folder)
         self.notes: list[str] = []
         self.state = self._read_state()
         self._saved = self.state.model_dump_json()
         self.history = History()
-        self.when_fitted: Callable[[], object] = lambda: None  # called when a case can be opened
+        self.when_fitted: Callable[[], object] = lambda: (
+            None
+        )  # called when a step has ended and a case can be opened
         self.when_matched: Callable[[], object] = lambda: None  # called when a case is written
         self.when_started: Callable[[], object] = lambda: None  # called when a step begins
-        self._analysing = False  # whether each step is followed by the next one
+        self._analysing = False  # whether the next step starts automatically
         self.revision = 0  # increased by every change, so that all pages show it
         self.jobs = Jobs(self.folder, cores())
         self.uploads = Uploads(self.folder)
@@ -217,7 +219,9 @@ class Project:
         for x in self.state.sources:
             if self.path(x) == path:
                 return x
-        for x in self.state.removed:  # with its markers and its recording
+        for (
+            x
+        ) in self.state.removed:  # a source that was removed comes back with its markers and its recording
             if self.path(x) == path:
                 self.state.removed.remove(x)
                 self.state.sources.append(x)
@@ -244,10 +248,10 @@ class Project:
         s = self.state
         for clip in study.clips:
             if confined and any(f.parent != self.folder for f in (clip.file, clip.profile) if f is not None):
-                what = f"The study refers to {clip.file.name} outside of the work folder."
+                what = f"The study refers to {clip.file.name}, which is not in the work folder."
                 raise UsageError(what, "Put films, profiles and study.toml into one folder.")
             if not clip.file.is_file():
-                continue  # it may be uploaded later
+                continue  # the missing file may be uploaded later
             x = self._add_source(clip.file, "film")
             x.body = clip.body
             if clip.capture_fps is not None:
@@ -259,7 +263,7 @@ class Project:
         s.inertia_casing = study.inertia_casing or s.inertia_casing
 
     def remove(self, key: str) -> None:
-        """Remove a source; its files, settings and markers are kept, so that `restore` brings it back."""
+        """Remove a source; files, settings and markers are kept, so that `restore` can restore the source."""
         with self._changing():
             x = self.source(key)
             for step in ("track", "preview", "profile", "read"):
@@ -288,7 +292,7 @@ class Project:
         self.history.redo(self._lock)
 
     def set(self, key: str, name: str, value: Any) -> None:
-        """Set one field of a source (with its key) or of the case; a UsageError rejects unknown fields and values."""
+        """Set one field of the source with a key, or of the case; a UsageError rejects unknown fields and values."""
         with self._changing():
             if not key:
                 if name not in _FIELDS or not isinstance(value, str):
@@ -311,7 +315,7 @@ class Project:
     async def receive(self, file: Sent, offset: int, pieces: AsyncIterator[bytes]) -> bool:
         """Write an uploaded file to the work folder from byte `offset` on, and add it; return whether it is complete.
 
-        Folders in its name are ignored. What arrives before an interruption is kept: see `upload_state`.
+        Folders in the name are ignored. Bytes that arrive before an interruption are kept: see `upload_state`.
         """
         target = self._upload_target(file)
         part = await self.uploads.receive(file, offset, pieces)
@@ -331,7 +335,7 @@ class Project:
         return True
 
     def upload_state(self, file: Sent) -> dict[str, Any]:
-        """Return how much of a file has arrived; an error says that it cannot be uploaded."""
+        """Return how much of a file has arrived; an error is raised if the file cannot be uploaded."""
         self._upload_target(file)
         return self.uploads.state(file)
 
@@ -370,7 +374,7 @@ class Project:
         return sorted({*own, *(x.profile for x in self.state.sources if x.profile)})
 
     def mark(self, key: str, hub: Any, picks: Any, disc: str) -> None:
-        """Store hub [px], markers, and the colour of a disc or "", write a profile, and preview the tracking."""
+        """Store the hub [px], the markers, and the colour of a disc (or ""), write a profile, and start a preview."""
         with self._changing():
             x = self.source(key)
             try:
@@ -385,7 +389,7 @@ class Project:
             if profile := tracking.profile(x, self._unused_name(f"{Path(x.file).stem}.toml")):
                 x.profile = x.marked = profile
                 self._write_profile(x)
-                x.result = {}  # obsolete: it belongs to other markers
+                x.result = {}  # the old result belongs to other markers
             self._save("change of the markers")
             if tracking.is_marked(x):
                 self.preview(key)
@@ -419,19 +423,19 @@ class Project:
             )
 
     def _previewed(self, job: Job) -> None:
-        """Keep the duration of a preview, from which the progress of the next one is estimated."""
+        """Store the duration of a preview, which is used to estimate the progress of the next preview."""
         with self._lock:
             if job.state == "done":
                 self.state.seconds["preview"] = round(monotonic() - job.began, 2)
             self.revision += 1
 
     def previewed(self, key: str) -> dict[str, Any]:
-        """Return the result of the preview; empty if there is none yet."""
+        """Return the result of the preview; empty before the first preview."""
         job = self.jobs.get(f"preview:{key}")
         return job.document if job is not None and job.state == "done" else {}
 
     def read(self, key: str) -> None:
-        """Read a table in a separate process, without a case: what each column is taken for, and the speeds."""
+        """Read a table in a separate process without writing a case, for the meaning of each column and the speeds."""
         with self._lock:
             x = self.source(key)
             if x.kind != "table":
@@ -454,7 +458,7 @@ class Project:
             self._start(f"profile:{key}", ["profile", argument(x.file), "-o", name], found)
 
     def tracked(self, key: str, index: int) -> dict[str, Any]:
-        """Return the positions of centre and markers in a frame of a tracked film [px]; empty if it is not tracked."""
+        """Return the positions of centre and markers in a frame of a film [px]; empty if the film is not tracked."""
         recording = self.recording(key)
         if recording is None or not 0 <= index < len(recording.time):
             return {}
@@ -478,7 +482,7 @@ class Project:
         }
 
     def _middles_of(self, key: str, recording: Recording) -> dict[str, float]:
-        """Return the radii at which the markers of a film are drawn, computed once."""
+        """Return the radii at which the markers of a film are drawn (cached)."""
         x = self.source(key)
         stamp = (key, x.file, tuple(recording.markers))
         if self._middles is None or self._middles[0] != stamp:
@@ -490,7 +494,7 @@ class Project:
         return self._middles[1]
 
     def recording(self, key: str) -> Recording | None:
-        """Return the recording of a tracked film with markers; the last one is cached."""
+        """Return the recording of a tracked film with markers; the last recording is cached."""
         with self._lock:
             x = self.source(key)
             path = self.folder / x.output
@@ -507,8 +511,8 @@ class Project:
     ) -> dict[str, float] | None:
         """Correct a marker in one frame of a tracked film, or mark it as lost, and rewrite the recording.
 
-        A position far from those of the neighbouring frames is not stored unless it is `confirmed`: returned is then
-        the deviation ``{"jump_deg"}``, else None.
+        A position far from the positions in the neighbouring frames is stored only if it is `confirmed`; otherwise the
+        deviation ``{"jump_deg"}`` [degrees] is returned. The result is None if the correction was stored.
         """
         with self._changing():
             recording = self._tracked_recording(key)
@@ -539,7 +543,7 @@ class Project:
             return None
 
     def uncorrect(self, key: str, marker: str, frame: int) -> None:
-        """Delete a correction: the frame contains again what tracking found."""
+        """Delete a correction and restore the result of tracking in this frame."""
         with self._changing():
             recording = self._tracked_recording(key)
             known = [c for c in corrections(recording) if (c["marker"], c["frame"]) == (marker, frame)]
@@ -561,7 +565,7 @@ class Project:
         return found
 
     def _rewrite(self, key: str, changed: Recording) -> None:
-        """Write a recording with other corrections; the clips must then be synchronised again."""
+        """Write a recording with changed corrections; the clips must then be synchronised again."""
         x = self.source(key)
         path = self.folder / x.output
         command = shlex.join(["gyrotrack", "view"])
@@ -575,7 +579,7 @@ class Project:
         return tracking_of(x).words(x, self.state)
 
     def track(self, keys: Sequence[str] = ()) -> None:
-        """Track films, by default all that are not tracked with their current settings."""
+        """Track films, by default all films that are not tracked with their current settings."""
         with self._lock:
             if missing := self._missing_to_track():
                 raise UsageError(missing[0], "Complete it in step 1.")
@@ -590,15 +594,15 @@ class Project:
                 if tracking_of(x).resumes and (self.folder / f"{x.output}.unfinished").exists():
                     words.append("--resume")
                 if x.result or (self.folder / x.output).exists():
-                    words.append("--force")  # the name was not in use when the film was added
+                    words.append("--force")  # safe: the name was unused when the film was added
                 self._start(f"track:{x.key}", words, partial(self._tracked, x.key, self.track_words(x)))
 
     def is_tracked(self, x: Source) -> bool:
-        """Whether a source has the result of its current settings; always of a table or a recording."""
+        """Whether a source has a result for its current settings; always true for a table or a recording."""
         return x.kind != "film" or (bool(x.result) and x.words == self.track_words(x))
 
     def _is_matchable(self) -> bool:
-        """Whether a case can be made now; a film of a single body becomes a case when it is tracked."""
+        """Whether a case can be made now; tracking the film of a single body makes the case directly."""
         return not self._missing_to_match() and self._route().makes_case(self.state)
 
     def _is_matched(self) -> bool:
@@ -620,7 +624,7 @@ class Project:
         """Start a command; when it has succeeded, call `done` with its document and save the state."""
 
         def finished(job: Job) -> None:
-            with suppress(UsageError), self._changing():  # of a source that was removed
+            with suppress(UsageError), self._changing():  # the source may have been removed
                 self.revision += 1
                 if job.state == "done":
                     self.state.seconds[key.partition(":")[0]] = round(monotonic() - job.began, 2)
@@ -683,7 +687,7 @@ class Project:
             if missing := self._missing_to_match():
                 raise UsageError(missing[0], "Complete it first.")
             if not self._is_matchable():
-                raise UsageError("The film of a single body becomes a case when it is tracked.", "Track it.")
+                raise UsageError("Tracking the film of a single body makes the case.", "Track the film.")
             words = self._match_words()
             case = words[words.index("-o") + 1]
             again = ["--force"] if self.state.match else []
@@ -726,7 +730,7 @@ class Project:
             self._start("fit", ["fit", self.state.case], fitted)
 
     def analyse(self) -> None:
-        """Run all steps that are missing, one after the other: tracking, synchronisation, fit."""
+        """Run all missing steps one after the other: tracking, synchronisation, fit."""
         with self._lock:
             if missing := self._missing_to_track():
                 raise UsageError(missing[0], "Complete it in step 1.")
@@ -734,7 +738,7 @@ class Project:
             self._go_on()
 
     def _go_on(self) -> None:
-        """Start the next step of `analyse`; it ends where an entry is missing, which the page names."""
+        """Start the next step of `analyse`; stop if an entry is missing, which the page then names."""
         films = [x for x in self.state.sources if x.kind == "film"]
         if not self._analysing or any(self._is_tracking(x) for x in films):
             return
@@ -753,7 +757,7 @@ class Project:
         return job is not None and job.is_active
 
     def cancel(self, name: str) -> None:
-        """Cancel a step: "match", "fit", "track:KEY", or "all" that are running."""
+        """Cancel a step: "match", "fit", "track:KEY", or "all" running steps."""
         self._analysing = False
         for key in [k for k in self.jobs.active() if k == name or name == "all"]:
             self.jobs.cancel(key)
@@ -773,7 +777,7 @@ class Project:
                 raise
 
     def _save(self, undoable: str = "") -> None:
-        """Write the state, if it passes the checks of reading; a change with a name can be undone."""
+        """Write the state if it is valid; a change with a name can be undone."""
         try:
             text = json.dumps(self.state.model_dump(), indent=1, allow_nan=False)
             State.model_validate_json(text)
@@ -800,7 +804,7 @@ class Project:
             self._save()
 
     def _read_state(self) -> State:
-        """Return the stored state; a file that cannot be read as one is renamed, and a new state begins."""
+        """Return the stored state; an invalid file is renamed, and the state is then empty."""
         path = self.folder / STATE_FILE
         refuse_special(path, ConfigurationError)
         try:
@@ -828,7 +832,7 @@ _FIELDS = ("label", "surface", "body_name", "inertia_rotor", "inertia_casing", "
 
 
 def _reading_document(document: dict[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of a dry run of `import`."""
+    """Return the part of a dry run of `import` that the page shows."""
     return {k: document.get(k, []) for k in ("reading", "plot", "warnings")}
 
 
@@ -849,7 +853,7 @@ def _rate(value: Any) -> float | None:
 
 
 def _inertia_field(text: str, field: str) -> dict[str, str]:
-    """Return the parsed moment of inertia as text, or the error."""
+    """Return the parsed moment of inertia as text, or the error message."""
     if not text:
         return {"value": "", "error": ""}
     try:
@@ -863,7 +867,7 @@ def _inertia_field(text: str, field: str) -> dict[str, str]:
 
 def _stored_result(document: dict[str, Any]) -> dict[str, Any]:
     """Return the part of a document that is stored and shown."""
-    if "motion" in document:  # of `spindown`
+    if "motion" in document:  # document of `spindown`
         diagnosis = document.get("diagnosis") or {}
         return {
             "motion": document["motion"],

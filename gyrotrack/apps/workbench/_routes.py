@@ -1,7 +1,7 @@
-"""Ways to track a film and to make a case of the sources, as commands.
+"""Commands that track a film and make a case from the sources.
 
-How a film is tracked follows from the body that it shows, and the way to the case from the sources: `gyrotrack sync`
-joins the recordings of films with markers, `import` joins tables, and `spindown` measures a body alone.
+The body in a film determines how the film is tracked. The sources determine how the case is made: `gyrotrack sync`
+joins the recordings of films with markers, `import` joins tables, and `spindown` measures a single body.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gyrotrack.io._records import Inertia
 if TYPE_CHECKING:
     from gyrotrack.apps.workbench._state import Source, State
 
-_ALONE = "single"  # the body of a source that shows one body alone
+_ALONE = "single"  # body of a source that shows a single body
 
 
 def argument(name: str) -> str:
@@ -38,7 +38,7 @@ class Tracking:
         return ["extract", argument(x.file), *_rate(x), *profile, "-o", x.output]
 
     def profile(self, x: Source, unused: str) -> str:
-        """Return the profile to which the clicked markers are written; "" if they are none."""
+        """Return the profile to which the clicked markers are written; "" without a profile."""
         return (x.marked or unused) if x.picks else ""
 
     def is_marked(self, x: Source) -> bool:
@@ -61,7 +61,7 @@ class Registration(Tracking):
         return [*words, *hub, *_entries(state)]
 
     def profile(self, _x: Source, _unused: str) -> str:
-        """Return "": what is clicked are points to follow."""
+        """Return "": the clicks are points to follow, not markers."""
         return ""
 
     def is_marked(self, x: Source) -> bool:
@@ -74,7 +74,7 @@ _OF_MARKERS = Tracking()
 
 
 def tracking_of(x: Source) -> Tracking:
-    """Return how a film is tracked."""
+    """Return the tracking method for a film."""
     return _TRACKING.get(x.body, _OF_MARKERS)
 
 
@@ -89,9 +89,10 @@ def _entries(state: State) -> list[str]:
 
 @dataclass(frozen=True)
 class Route:
-    """A way from sources to a case; this one is that of sources that do not fit together.
+    """A way from sources to a case; the base class is for sources that cannot be combined.
 
-    `fits` states whether its command also fits the case, and `optional` which entries may be missing but not wrong.
+    `fits` states whether the command also fits the case. `optional` names the entries that may be missing, but must be
+    valid if given.
     """
 
     name: str = ""
@@ -99,11 +100,11 @@ class Route:
     optional: tuple[str, ...] = ()
 
     def missing(self, _state: State, _untracked: Sequence[str]) -> list[str]:
-        """Return what is missing to make the case; `untracked` are the names of films."""
+        """Return a message that names the missing entries; `untracked` are the names of films that are not tracked."""
         return ["Films and tables cannot be combined in one case."]
 
     def makes_case(self, _state: State) -> bool:
-        """Whether a separate command makes the case, and not the tracking of the film."""
+        """Whether a separate command, not the tracking of the film, makes the case."""
         return True
 
     def words(self, _state: State, _case: str) -> list[str]:
@@ -117,7 +118,7 @@ class Route:
 
 @dataclass(frozen=True)
 class _OfGyroscope(Route):
-    """The case of a rotor in its casing."""
+    """The case of a rotor in its casing, from films."""
 
     def missing(self, state: State, untracked: Sequence[str]) -> list[str]:
         found = []
@@ -146,7 +147,7 @@ class _OfGyroscope(Route):
 
 @dataclass(frozen=True)
 class _OfTables(_OfGyroscope):
-    """The same from tables."""
+    """The case of a rotor in its casing, from tables."""
 
     def files(self, sources: Sequence[Source]) -> list[str]:
         return ["import", *(word for x in sources for word in (f"--{x.body}", argument(x.file)))]
@@ -154,7 +155,7 @@ class _OfTables(_OfGyroscope):
 
 @dataclass(frozen=True)
 class _OfBody(Route):
-    """The case of a body alone, from one film or table."""
+    """The case of a single body, from one film or table."""
 
     def missing(self, state: State, _untracked: Sequence[str]) -> list[str]:
         several = "A single body needs exactly one film or table; remove the others."

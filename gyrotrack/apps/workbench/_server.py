@@ -1,8 +1,9 @@
 """The server of the workbench, on this machine only.
 
-The server listens on the loopback interface. Requests by other sites are rejected: those under another host name (DNS
-rebinding) by their Host header, forms and scripts by their Origin or Sec-Fetch-Site header; and none of them has the
-token, which is new at each start. The first visit has it in the address, and exchanges it for a cookie.
+The server listens on the loopback interface and rejects requests of other sites. The Host header reveals other host
+names (DNS rebinding), and the Origin or Sec-Fetch-Site header reveals forms and scripts of other sites. Each request
+also needs the token, which is new at each start. The first visit has the token in the address, and exchanges the token
+for a cookie.
 """
 
 from __future__ import annotations
@@ -69,12 +70,14 @@ _HEADERS = (
 class Guard:
     """ASGI middleware that rejects requests without the secret `token`, in a header or a cookie.
 
-    The page with the token in its address is answered with the cookie, and with the address without it.
+    A request with the token in its address is redirected to the address without the token, and sets the cookie.
     """
 
     def __init__(self, app: App, port: int, token: str) -> None:
         self._app = app
-        self._cookie = f"gyrotrack-{port}"  # cookies of all ports are in one place
+        self._cookie = (
+            f"gyrotrack-{port}"  # browsers do not separate cookies by port, so the name contains the port
+        )
         self._hosts = {f"{name}:{port}".encode() for name in ("127.0.0.1", "localhost")}
         self._token = token.encode()
 
@@ -111,7 +114,7 @@ class Guard:
             o.removeprefix(b"http://") not in self._hosts or not o.startswith(b"http://") for o in origins
         ):
             return _FORBIDDEN
-        # a page on another port has the cookie, too
+        # the browser also sends the cookie with requests of pages on other ports
         if any(k == b"sec-fetch-site" and v not in {b"same-origin", b"none"} for k, v in headers):
             return _FORBIDDEN
         if scope["path"] == "/" and scope["method"] == "GET" and b"token=" in scope["query_string"]:
@@ -145,7 +148,7 @@ async def _answer(scope: Scope, status: int, send: Send, *more: tuple[bytes, byt
     await send({"type": "http.response.body", "body": text if scope["method"] != "HEAD" else b""})
 
 
-# a report has no origin: none of its requests is one of the page
+# the sandbox gives the report an opaque origin, so that its requests cannot pass as requests of the page
 _SANDBOX = "sandbox allow-scripts allow-downloads"
 _MAX_BODY = 64 * 1024
 
@@ -194,7 +197,7 @@ def refusal(error: Exception) -> Response:
 
 
 def text(query: dict[str, Any], name: str) -> str:
-    """Return a text of a request; empty if it is missing or not a text, an error if it cannot be stored."""
+    """Return a text of a request; empty if it is missing or not a text; an error for invalid characters."""
     value = query.get(name, "")
     if not isinstance(value, str):
         return ""
@@ -241,10 +244,10 @@ _ADDRESS = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Opened:
-    """A case that was read, with the estimates of its noise, which need no fit."""
+    """A case that was read, with the estimates of its noise, which do not need a fit."""
 
     case: Path
-    stamp: int  # time of its file
+    stamp: int  # modification time of the file
     tracked: Case
     data: CaseData
 
@@ -253,7 +256,7 @@ class Opened:
         """Read a case and estimate its noise."""
         stamp, tracked = _modified(case), read_case(case)
         (data,) = read_cases([case])
-        for name in ("nuisance", "process_noise"):  # kept by `data`
+        for name in ("nuisance", "process_noise"):  # `data` caches these estimates
             getattr(data, name)
         return cls(case, stamp, tracked, data)
 
@@ -263,7 +266,7 @@ class Opened:
         return self.stamp == _modified(self.case)
 
 
-# what the laboratory imports when it opens; importing takes as long as computing its first charts
+# modules that the laboratory needs when it opens; their import takes as long as computing the first charts
 _IMPORTED_AHEAD = (
     "fitting.discovery._residuals",
     "fitting.discovery._verdict",
@@ -276,7 +279,7 @@ _IMPORTED_AHEAD = (
 
 
 def import_for_laboratory() -> None:
-    """Import what the laboratory needs, while the films are tracked or fitted by other processes."""
+    """Import the modules of the laboratory while other processes track or fit the films."""
     for name in _IMPORTED_AHEAD:
         import_module(name)
 
@@ -291,11 +294,11 @@ class Laboratory:
     case: Path
     ledger: Path | None
     jobs: Jobs
-    # the report that this process has written, and its name
+    # file name and content of the report that this process has written
     written: dict[str, bytes] = field(default_factory=dict)
     key: str = field(
         default_factory=lambda: secrets.token_hex(4)
-    )  # of this opening of the case, for the pages
+    )  # identifies this opening of the case for the pages
 
     @classmethod
     def open(
@@ -307,13 +310,13 @@ class Laboratory:
         *,
         opened: Opened | None = None,
     ) -> Laboratory:
-        """Open a case with a fit of its history, by default the latest; without one, the reduced model is fitted."""
+        """Open a case with a fit of its history, by default the latest; without fits, fit the reduced model."""
         tracked = read_case(case) if opened is None else opened.tracked
         study = open_study([case], ledger, read=() if opened is None else (opened.data,))
         entry = study.entry(start)
         base, fit_id = study.base(None) if entry is None else (entry.shown(study.data), entry.fit_id)
         session = Session(study.data[0], base, fit_id, study.ledger, tracked)
-        # prepares the answer to the first request of the page
+        # prepare the answer to the first request of the page
         Thread(target=session.state, kwargs={"whole": True}, daemon=True).start()
         jobs = Jobs(case.resolve().parent, 1)
         clips = films.Clips(tracked, list(folders))
@@ -321,7 +324,7 @@ class Laboratory:
 
     @property
     def report(self) -> Path:
-        """Path of the report, next to the case; of a file of somebody else another name."""
+        """Path of the report, next to the case; another name if a file that is not a report has this name."""
         number, path = 1, self.case.with_suffix(".report.html")
         while not is_report(path):
             number += 1
@@ -376,7 +379,7 @@ class Laboratory:
     def outcome(self, key: str) -> dict[str, Any]:
         """Return state, progress and document of the certificate, or of the plan of the next run."""
         job = self.jobs.get(key)
-        # a finished test is stored with its fit, which may be another one than that shown
+        # a finished test is stored with its fit, which may not be the shown fit
         if key == "certificate" and (job is None or job.state == "done"):
             return {"state": "none", "document": self.session.certificate()}
         if job is None:
@@ -393,7 +396,7 @@ class Laboratory:
         self.clips.close()
 
 
-_MOST_RECORDINGS = 2000  # simulated for one certificate
+_MOST_RECORDINGS = 2000  # largest number of simulated recordings for one certificate
 
 
 class Workbench:
@@ -409,10 +412,10 @@ class Workbench:
         self._laboratory, self.project = laboratory, project
         self._frames = films.SourceFrames()
         self._opening = Lock()
-        self._reading: Future[Opened] | None = None  # of the case that is being fitted
-        self._opened: tuple[str, str, int] | None = None  # case, fit and time of the case that is open
+        self._reading: Future[Opened] | None = None  # data of the case that is being fitted
+        self._opened: tuple[str, str, int] | None = None  # file, fit and modification time of the open case
         if project is not None:
-            # the laboratory is ready when the page asks for it
+            # the laboratory is then ready for the first request of the page
             project.when_fitted = lambda: self._open(project)
             project.when_matched = lambda: self._read_ahead(project.folder / project.state.case)
             project.when_started = lambda: Thread(target=import_for_laboratory, daemon=True).start()
@@ -422,7 +425,7 @@ class Workbench:
     def laboratory(self) -> Laboratory:
         """The open case."""
         if self._laboratory is None:
-            raise UsageError("No case is open.", "Create one from films or tables.")
+            raise UsageError("No case is open.", "Create a case from films or tables.")
         return self._laboratory
 
     def app(self, port: int, token: str) -> Guard:
@@ -556,7 +559,7 @@ class Workbench:
         with self._opening:
             stamp = (p.state.case, str(p.state.fit.get("fit_id", "")), _modified(p.folder / p.state.case))
             if self._laboratory is not None and self._opened == stamp:
-                return {"opened": p.state.case}  # with its fits and its history
+                return {"opened": p.state.case}  # the open laboratory keeps its fits and its history
             if not p.state.case or not (p.folder / p.state.case).is_file():
                 raise UsageError("There is no case yet.", "Track and synchronise the films first.")
             folders = list(dict.fromkeys([p.folder, *(p.path(x).parent for x in p.state.sources)]))
@@ -575,13 +578,15 @@ class Workbench:
         def work() -> None:
             try:
                 reading.set_result(Opened.of(case))
-            except Exception as error:  # it is read again when the laboratory opens, which then says why
+            except (
+                Exception
+            ) as error:  # the laboratory reads the case again when it opens, and then reports the error
                 reading.set_exception(error)
 
         Thread(target=work, daemon=True).start()
 
     def _read_before(self, case: Path) -> Opened | None:
-        """Return the case if it was read ahead, and has not changed since."""
+        """Return the case if it was read ahead and its file has not changed since, else None."""
         reading, self._reading = self._reading, None
         if reading is None or reading.exception() is not None:
             return None
@@ -601,7 +606,7 @@ class Workbench:
             self._address.publish(url)
 
     def interrupt(self) -> None:
-        """End the ranking process, so that no request waits for it."""
+        """End the ranking process, so that no request waits for its answer."""
         if self._laboratory is not None:
             self._laboratory.ranker.close()
 
@@ -630,7 +635,7 @@ class Workbench:
         return endpoint
 
     async def _pulse(self, _request: Request) -> Response:
-        """Answer at once, also while all threads work: what has changed, and what is running."""
+        """Return the changes and the running jobs at once, even if all threads are busy."""
         from starlette.responses import JSONResponse
 
         lab, p = self._laboratory, self.project
@@ -659,7 +664,7 @@ class Workbench:
 
         lab = self._laboratory
         if lab is None or not lab.written:
-            return refusal(UsageError("There is no report yet.", "Write it in the laboratory."))
+            return refusal(UsageError("There is no report yet.", "Write the report in the laboratory."))
         (page,) = lab.written.values()
         return HTMLResponse(page, headers={"content-security-policy": f"{_SANDBOX}; {charts.PAGE_POLICY}"})
 
@@ -708,7 +713,7 @@ class Workbench:
         try:
             file, offset = sent(query, request.headers.get("content-length", ""))
             complete = await self.project.receive(file, offset, request.stream())
-        except ClientDisconnect:  # what has arrived is kept
+        except ClientDisconnect:  # the bytes that have arrived are kept
             return refusal(UsageError("The upload was interrupted.", "Send the file again to continue it."))
         except Exception as error:
             return refusal(error)
@@ -723,11 +728,11 @@ class Workbench:
         return {"stopped": True}
 
 
-_MAX_DIGITS = 15  # of a number of bytes
+_MAX_DIGITS = 15  # largest number of digits of a number of bytes
 
 
 def sent(query: Mapping[str, Any], length: str = "") -> tuple[Sent, int]:
-    """Return the file that a page sends, and the byte from which on; without a size it is the content `length`."""
+    """Return the file that a page sends, and its first byte in the content; the default size is `length`."""
 
     def count(text: str) -> int:
         return int(text) if text.isascii() and text.isdigit() and len(text) < _MAX_DIGITS else -1
@@ -735,7 +740,7 @@ def sent(query: Mapping[str, Any], length: str = "") -> tuple[Sent, int]:
     offset = count(str(query.get("offset", "0")))
     size = count(str(query.get("size", length)))
     if offset < 0:
-        raise UsageError("The upload does not say where it continues.", "Upload the file again.")
+        raise UsageError("The upload does not state where it continues.", "Upload the file again.")
     return Sent(text(dict(query), "name"), size, count(str(query.get("modified", "0")))), offset
 
 
@@ -818,7 +823,7 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, windo
             server.should_exit = True
 
         bench.stop = stop
-        listener.listen()  # connections before the server runs are queued
+        listener.listen()  # connections that arrive before the server runs are queued
         address = f"http://{_ADDRESS}:{port}/?token={token}"
         bench.publish(address)
         announce(address)

@@ -72,7 +72,7 @@ class _Fitting:
 
 
 class Session:
-    """The fits of one case as a tree, one of them current; indices are kept, and `undo` restores a deleted fit."""
+    """The fits of one case as a tree with a current fit; indices never change, and `undo` restores a deleted fit."""
 
     def __init__(
         self, data: CaseData, base: Fit, fit_id: str, ledger: Ledger, case: Case | None = None
@@ -87,12 +87,12 @@ class Session:
         # changes of the tree and of the view: name, undo, redo
         self._undo: list[tuple[str, Callable[[], None], Callable[[], None]]] = []
         self._redo: list[tuple[str, Callable[[], None], Callable[[], None]]] = []
-        self.revision = 0  # increased by every change, so that all pages show it
+        self.revision = 0  # increased by every change, so that all pages show the change
         self._fitting: _Fitting | None = None
         self.fit_seconds: float | None = None  # duration of the last fit
         # cached charts of the first view
         self._first: tuple[tuple[int, ...], dict[str, Any]] | None = None
-        # the markers as the models of the shown and the compared fit predict them, by these two
+        # predicted markers of the shown and the compared fit, and the indices of both fits
         self._ghosts: tuple[tuple[int, ...], list[Ghost]] = ((), [])
         # initial values for each candidate, from the last search
         self.found: dict[str, dict[str, float]] = {}
@@ -110,7 +110,7 @@ class Session:
     def change(
         self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
     ) -> dict[str, Any]:
-        """Add an effect (name or ``body: law``), remove one, or set initial values; fit; an error changes nothing.
+        """Add or remove an effect (name or ``body: law``), or set initial values, and fit; an error changes nothing.
 
         The fit runs without the lock, so that other requests are answered; `cancel` discards its result.
         """
@@ -175,7 +175,7 @@ class Session:
         return self.progress()
 
     def progress(self) -> dict[str, Any]:
-        """Return the running fit: its change, seconds so far, and the expected duration; empty if there is none."""
+        """Return the change, the elapsed and the expected duration [s] of the running fit; empty without a fit."""
         running = self._fitting
         if running is None:
             return {}
@@ -183,9 +183,10 @@ class Session:
         return {"label": running.label, "seconds": seconds, "expected": running.expected}
 
     def ghost(self, clip: str, index: int) -> dict[str, Any] | None:
-        """Return the outlines of the markers where the current model predicts them in a frame [px]; None if unknown.
+        """Return the outlines of the markers predicted by the current model in a frame [px]; None if unknown.
 
-        The difference is magnified by ``factor``, the same for the compared fit, so that a better one is seen.
+        The difference from the measured markers is magnified by ``factor``, which is the same for the compared fit, so
+        that the better fit is visible.
         """
         from gyrotrack.plotting._ghost import ghost_document, ghosts
 
@@ -230,7 +231,7 @@ class Session:
             return _document(self._prediction().moved(values))
 
     def go(self, place: int) -> dict[str, Any]:
-        """Show another step."""
+        """Make another step the current one."""
         with self._lock:
             self._show(self._existing(place))
             return self.state()
@@ -247,7 +248,7 @@ class Session:
         return self._moved_back(self._undo, self._redo, 1)
 
     def redo(self) -> dict[str, Any]:
-        """Make the last change again that was undone."""
+        """Redo the change that was undone last."""
         return self._moved_back(self._redo, self._undo, 2)
 
     def _moved_back(self, source: list[Any], target: list[Any], which: int) -> dict[str, Any]:
@@ -260,13 +261,13 @@ class Session:
             return self.state()
 
     def _record(self, label: str, undo: Callable[[], None], redo: Callable[[], None]) -> None:
-        """Store a change that was made; what was undone before can no longer be redone."""
+        """Store a completed change; changes that were undone before can no longer be redone."""
         self._undo.append((label, undo, redo))
         self._redo.clear()
         self.revision += 1
 
     def _added(self, place: int) -> None:
-        """Show a new step; undoing it removes the step from the tree, also from the ledger."""
+        """Show a new step; undo removes the step from the tree and from the ledger."""
         before, step = (self.current, self.reference), self.steps[place]
         entries: list[Entry] = []
 
@@ -286,14 +287,14 @@ class Session:
         self._record(f"fit {step.change}", undo, redo)
 
     def delete(self, place: int) -> dict[str, Any]:
-        """Delete a step without successors, also from the ledger."""
+        """Delete a step without successors from the tree and from the ledger."""
         with self._lock:
             step = self.steps[self._existing(place)]
             left = [i for i, s in enumerate(self.steps) if not s.is_deleted and i != place]
             if not left:
                 raise GyrotrackError("The only fit cannot be deleted.")
             if any(self.steps[i].parent == place for i in left):
-                raise GyrotrackError("This fit has successors.", "Delete those first.")
+                raise GyrotrackError("This fit has successors.", "Delete the successors first.")
             before = self.current, self.reference
             entries: list[Entry] = []
 
@@ -375,14 +376,14 @@ class Session:
         return step.fit_id
 
     def certificate(self) -> dict[str, Any]:
-        """Return the certificate that is stored with the current fit, as `certify --json`; empty without one."""
+        """Return the certificate of the current fit in the format of `certify --json`; empty without a certificate."""
         from fitting.study._serialisation import certificate_document
 
         with self._lock:
             fit_id = self.steps[self.current].fit_id
             if not fit_id:
                 return {}
-            # written by another process
+            # the certificate was written by another process
             found = type(self._ledger)(self._ledger.path).find(fit_id).latest_certificate()
         return {} if found is None else _document(certificate_document(found))
 
@@ -394,7 +395,7 @@ class Session:
             step.prediction = None
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
-        """Store the parameters of candidates as initial values, and return the answer of the search, typeset."""
+        """Store the parameters of candidates as initial values, and return the typeset answer of the search."""
         from fitting._numbers import symbol_text, typeset, with_uncertainty
 
         candidates = answer.get("diagnosis", {}).get("candidates", [])
@@ -463,7 +464,7 @@ class Session:
             )
 
     def _parameters(self, step: Step) -> list[dict[str, Any]]:
-        """Return the parameters of a fit, and their differences from the compared one in units of u."""
+        """Return the parameters of a fit, and their differences from the compared fit in standard uncertainties."""
         from fitting._numbers import with_uncertainty
 
         compared = self._compared(step)
@@ -484,21 +485,21 @@ class Session:
         return found
 
     def _measures(self, step: Step) -> list[dict[str, str]]:
-        """Return the measures of misfit beside that of the first screen: name, value, explanation."""
+        """Return the measures of misfit that the first screen does not show: name, value, explanation."""
         from fitting._numbers import scaled, short, unit_text
 
         fit, left = step.fit, self._rung(self.current).get("torque_left_Nm")
-        error = "Error on stretches of the recording that were left out of the fit, over the noise"
+        error = "Error in intervals of the recording that were left out of the fit, over the noise"
         found = [
             (
                 "χ²/n",
                 short(fit.reduced_chi2),
-                "Mean square of the residual of single samples over that of the noise: many samples dilute a misfit.",
+                "Mean square residual of single samples over the noise variance. Many samples hide a small misfit.",
             ),
             (
                 "prediction error / noise",
                 short(fit.held_out),
-                f"{error}: it grows if there are too many parameters.",
+                f"{error}. This error grows if there are too many parameters.",
             ),
             (
                 "rms residual",
@@ -514,7 +515,7 @@ class Session:
                 (
                     "unmodelled torque, rms",
                     value,
-                    "Torque that the residual requires beyond the model, in excess of noise.",
+                    "Torque needed beyond the model to explain the residuals, without the contribution of noise.",
                 )
             )
         return [{"name": n, "value": v, "meaning": m} for n, v, m in found]
@@ -558,7 +559,7 @@ class Session:
         return found
 
     def _compared(self, step: Step) -> int:
-        """Return the index of the step to compare with; negative if there is none."""
+        """Return the index of the step to compare with; negative without one."""
         other = self.reference >= 0 and self.steps[self.reference] is not step
         return self.reference if other else step.parent
 
@@ -589,7 +590,7 @@ class Session:
         charts[3:3] = torque_angle_charts(harmonics, names, body, step.fit.torque_unit)
         charts[2:2] = difference_chart(view, names)
         board = dashboard_document(replace(dashboard, charts=tuple(charts)))
-        # those of the sentence, and no others
+        # only the intervals that the sentence names
         board["intervals"] = []
         for f in find_failures(step.fit, list(self._torques(step))):
             factor, prefix = scaled(abs(f.residual_torque_Nm))

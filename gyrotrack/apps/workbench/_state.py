@@ -1,4 +1,4 @@
-"""What the workbench stores in a work folder: films and tables with their settings and results, and the entries."""
+"""The state of a work folder in the workbench: films and tables with settings and results, and all entries."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Pick(BaseModel):
 
 
 _Key = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}$")]
-# an argument of a command
+# text that becomes an argument of a command
 _Text = Annotated[str, Field(max_length=120, pattern=r"^[^\x00-\x1f\x7f]*$")]
 # output files: names without folder, so that a manipulated state file cannot lead out of the work folder
 _OwnFile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.h5)?$")]
@@ -73,5 +73,5 @@ class State(BaseModel):
     fit: dict[str, Any] = Field(default_factory=dict)
     removed: list[Source] = Field(
         default_factory=list
-    )  # with all their settings, so that they can be restored
+    )  # removed sources with all their settings, for `restore`
     seconds: dict[str, FiniteFloat] = Field(default_factory=dict)  # duration of the last run of each step [s]

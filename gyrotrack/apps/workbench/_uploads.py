@@ -1,8 +1,9 @@
-"""Uploads to the work folder that continue where they stopped.
+"""Uploads to the work folder that can be resumed after an interruption.
 
-The bytes that have arrived are kept in ``.upload-KEY.part``, with name and size of the file in ``.upload-KEY.json``.
-KEY is derived from name, size and date of the file, so that the same file, sent again by any page or after a restart,
-is found. Before it continues, the page compares the SHA-256 of the last bytes that have arrived with those of its file.
+The bytes that have arrived are kept in ``.upload-KEY.part``, and name and size of the file in ``.upload-KEY.json``.
+KEY is derived from name, size and date of the file, so that the part is found when any page sends the same file again,
+also after a restart. Before the page resumes, it compares the SHA-256 of the last bytes in the part with the SHA-256
+of the same bytes in its file.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 from gyrotrack._errors import OutputError, UsageError
 from gyrotrack.io._atomic import new_file, open_side_file
 
-_TAIL = 64 * 1024  # bytes whose checksum is compared before an upload continues
+_TAIL = 64 * 1024  # number of bytes whose checksum is compared before an upload is resumed
 _KEY_LENGTH = 16
 _MAX_ENTRY = 4096  # bytes
 
@@ -32,7 +33,7 @@ class Sent(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Name under which its bytes are kept."""
+        """Name under which the bytes of the file are kept."""
         text = f"{self.name}\n{self.size}\n{self.modified}"
         return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
 
@@ -51,7 +52,7 @@ class Uploads:
         return self._folder / f".upload-{key}.json"
 
     def state(self, file: Sent) -> dict[str, Any]:
-        """Return how many bytes of a file have arrived, and the SHA-256 of the last ones."""
+        """Return the number of bytes of a file that have arrived, and the SHA-256 of the last bytes."""
         part, received, tail = self._part(file.key), 0, b""
         if part.exists():
             with open_side_file(part) as stream:
@@ -61,7 +62,7 @@ class Uploads:
         return {"received": received, "tail": len(tail), "sha256": hashlib.sha256(tail).hexdigest()}
 
     def unfinished(self) -> list[dict[str, Any]]:
-        """Return the files of which a part has arrived and that are not being sent now."""
+        """Return the files that have arrived in part and are not being sent now."""
         found = []
         for entry in sorted(self._folder.glob(".upload-*.json")):
             with suppress(OSError, ValueError, KeyError, TypeError, OutputError):
@@ -86,9 +87,9 @@ class Uploads:
             path.unlink(missing_ok=True)
 
     async def receive(self, file: Sent, offset: int, pieces: AsyncIterator[bytes]) -> Path | None:
-        """Write the bytes of a file from `offset` on; return the path of the whole file, or None if some are missing.
+        """Write the bytes of a file from `offset` on; return the path of the complete file, or None before the end.
 
-        What arrives before an interruption is kept. The caller moves the returned file to its place.
+        Bytes that arrive before an interruption are kept. The caller moves the returned file to its place.
         """
         with self._sending(file.key):
             with new_file(self._entry(file.key), force=True) as stream:
@@ -96,7 +97,7 @@ class Uploads:
             part = self._part(file.key)
             with open_side_file(part, os.O_RDWR | os.O_CREAT) as stream:
                 if offset > os.fstat(stream.fileno()).st_size:
-                    what = f"{file.name} cannot continue at byte {offset}: fewer have arrived."
+                    what = f"{file.name} cannot continue at byte {offset}: fewer bytes have arrived."
                     raise UsageError(what, "Upload it again.")
                 stream.truncate(offset)
                 stream.seek(offset)
@@ -114,7 +115,7 @@ class Uploads:
             return part if size == file.size else None
 
     def finished(self, file: Sent) -> None:
-        """Forget a file that has arrived and was moved or refused."""
+        """Remove the records of a file that has arrived and was moved or refused."""
         self._forget(file.key)
 
     @contextmanager

@@ -15,19 +15,19 @@ from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, factor, header_
 from gyrotrack.io.readers._spreadsheets import read_workbook
 from gyrotrack.io.readers._text_table import content_lines, read_text
 
-# a place before the beginning of the file is a ValueError
+# zipfile raises a ValueError for a position before the beginning of the file
 _DAMAGED = (
     zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, ValueError, zlib.error,
 )  # fmt: skip
 _MOST_TABLES = 100
-_START = 2**14  # bytes of a table in which its columns are found
+_START = 2**14  # number of bytes at the start of a table that are read to find its columns
 
 
 def read_zip(path: Path, content: bytes, options: ReadOptions) -> RawTable | Points:
     """Return the table of an Excel workbook, the project of Tracker, or the table of text in an archive.
 
-    Of several tables (phyphox writes one per sensor, and ``meta/``) the only one that contains a motion is read; the
-    option `marker` selects another one by its name.
+    Among several tables (phyphox writes one per sensor, and ``meta/``), the only table that contains a motion is read;
+    the option `marker` selects another table by its name.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:

@@ -1,9 +1,9 @@
 """The clock of a table: rows out of order, restarts of a counter, and steps of the clock.
 
-Rows are sorted where the result is beyond doubt: the file runs backwards, the sorted rows are at equal intervals, or at
-most a stated few rows are displaced. A clock that is set back while a record runs is something else: sorted rows of two
-different times would interleave. If the rows before and after the step are at equal intervals, the later times are
-moved so that the intervals continue; the values on both sides must agree with this.
+Rows are sorted only if the result is certain: the file runs backwards, the sorted rows are at equal intervals, or a
+small share of the rows is displaced. If the clock was set back during a record, sorting would interleave rows of
+different times. In this case, if the rows before and after the step are at equal intervals, the later times are moved
+so that the intervals continue; the values on both sides must agree with this correction.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from gyrotrack.io._records import Floats, Integers
 MIN_SAMPLES = 8
 _TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)
 _DAY = 86400.0
-# relative deviation of an interval up to which it is one of equal ones, and the share of equal ones of a sampler
+# largest relative deviation of equal intervals, and smallest share of equal intervals of a sampler
 _EQUAL, _SAMPLER = 0.02, 0.9
-_HALF = 0.5  # sorted rows of a sampler that are closer than this part of its interval are of different times
-_FAR = 20.0  # smallest step back of a restart [intervals]; a smaller one is a clock that was set
+_HALF = 0.5  # smallest distance of sorted rows of a sampler [interval]; closer rows belong to different times
+_FAR = 20.0  # smallest step back of a restart [intervals]; a smaller step is a clock that was set
 _FEW_DISPLACED = (
     0.01  # largest share of displaced rows that are sorted without equal intervals, and at least one
 )
-_BESIDE = 15  # number of rows on each side of a step whose values are continued across it
+_BESIDE = 15  # number of rows on each side of a step whose values are extrapolated across the step
 _CONTRADICTION = (
     4.0  # smallest difference of the two estimates of a step for a contradiction [standard errors]
 )
-_SLOWEST = 0.4  # interval of samples from which on times without a unit may be milliseconds [s]
+_SLOWEST = 0.4  # smallest interval of samples for which times without a unit may be milliseconds [s]
 _MOST_STEPS = 5  # largest number of gaps that are tested for a clock that was set ahead
 
 
@@ -42,9 +42,10 @@ class Ordered(NamedTuple):
 
 
 def ordered(path: Path, time: Floats, line: Integers, value: Floats | None, notes: list[str]) -> Ordered:
-    """Return the times of a record and the order of its rows, with `notes`; a DatasetError names the line of a doubt.
+    """Return the times of a record and the order of its rows; a DatasetError names the line of an uncertain order.
 
-    `value` is an unwrapped angle or a speed, by which steps of the clock are tested.
+    `value` is an unwrapped angle or a speed, which is used to test steps of the clock. Corrections are added to
+    `notes`.
     """
     time = _continued_counter(path, time, line, notes)
     rows = np.arange(len(time))
@@ -78,7 +79,7 @@ def ordered(path: Path, time: Floats, line: Integers, value: Floats | None, note
 
 
 def _isolated(equal: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], back: Integers) -> bool:
-    """Return whether the intervals before and after each step are usual ones: no row is displaced."""
+    """Return whether the intervals before and after each step are typical, so that no row is displaced."""
     beside = [k + d for k in back.tolist() for d in (-2, -1, 1, 2) if 0 <= k + d < len(equal)]
     return bool(equal[beside].all())
 
@@ -115,7 +116,7 @@ def _continued(
         if seen is not None and abs(seen[0]) > _CONTRADICTION * seen[1]:
             raise DatasetError(
                 f"{path}, line {line[k + 1]}: {size}, and the values on both sides are "
-                f" {usual + seen[0]:.3g} +- {seen[1]:.1g} s apart: rows are missing there.",
+                f"{usual + seen[0]:.3g} +- {seen[1]:.1g} s apart: rows are missing between the two lines.",
                 "Give the part before or after this line as a separate file.",
             )
         checked = "" if seen is None else f"; the values confirm it within {seen[1]:.1g} s"
@@ -128,10 +129,10 @@ def _continued(
 
 
 def _delay(time: Floats, value: Floats | None, k: int) -> tuple[float, float] | None:
-    """Return by how much more time than stated passes after row k according to the values, and its standard error.
+    """Return the delay after row k in excess of the stated interval, from the values, and its standard error.
 
-    Parabolas through the rows on both sides with a common slope and curvature differ by a jump, which is the delay
-    times the slope there. None if the slope does not determine it.
+    Parabolas with a common slope and curvature through the rows on both sides differ by a jump, which is the delay
+    times the slope. The result is None if the slope is too small to determine the delay.
     """
     near = slice(max(k + 1 - _BESIDE, 0), k + 1 + _BESIDE)
     if value is None or not np.isfinite(value[near]).all() or len(value[near]) < MIN_SAMPLES:
@@ -155,7 +156,7 @@ def _delay(time: Floats, value: Floats | None, k: int) -> tuple[float, float] | 
 def _without_forward_steps(
     path: Path, time: Floats, line: Integers, value: Floats | None, notes: list[str]
 ) -> Floats:
-    """Return times without steps ahead: gaps of a sampler across which the values change as in one interval."""
+    """Return times without steps ahead, which are gaps of a sampler with a change of the values as in one interval."""
     step = np.diff(time)
     usual = float(np.median(step)) if len(step) else 0.0
     equal = np.abs(step - usual) < _EQUAL * usual
@@ -176,15 +177,15 @@ def _without_forward_steps(
             continue
         if abs(gap[0]) > _CONTRADICTION * gap[1] and abs(none[0]) < 0.5 * _CONTRADICTION * none[1]:
             notes.append(
-                f"{path.name}, line {line[k + 1]}: the clock steps by {step[k] - usual:+.4g} s while the values go on; "
-                f"later times were moved back by {step[k] - usual:.4g} +- {none[1]:.1g} s"
+                f"{path.name}, line {line[k + 1]}: the clock steps by {step[k] - usual:+.4g} s but the "
+                f"values continue; later times were moved back by {step[k] - usual:.4g} +- {none[1]:.1g} s"
             )
             made = moved
     return made
 
 
 def refuse_slow_clock(where: str, column: str, time: Floats) -> None:
-    """Ask for the unit of times of samples, about which nothing is stated, if they would be far apart in seconds.
+    """Raise an error that requests the unit of times without a unit, if the samples would be far apart in seconds.
 
     `where` is the file and line of the header, `column` the name or number of the column.
     """
@@ -194,12 +195,12 @@ def refuse_slow_clock(where: str, column: str, time: Floats) -> None:
         raise DatasetError(
             f"{where}: the unit of the time in '{column}' is not stated, and its steps of {usual:.4g} would be long "
             "in seconds.",
-            f"State it: --column 't={column} [s]' or --column 't={column} [ms]'.",
+            f"State the unit: --column 't={column} [s]' or --column 't={column} [ms]'.",
         )
 
 
 def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) -> Floats:
-    """Return times without the restarts of a 32-bit counter; another restart is a DatasetError."""
+    """Return times without the restarts of a 32-bit counter; any other restart raises a DatasetError."""
     made = _continued_counter(path, time, line, notes)
     _refuse_restarts(path, made, line)
     return made
@@ -229,7 +230,7 @@ def _refuse_restarts(path: Path, time: Floats, line: Integers) -> None:
         return
     lengths = np.diff([0, *(far + 1), len(time)])
     several = len(far) <= 5 and lengths.min() >= MIN_SAMPLES
-    # every restart begins at the first time of the file again
+    # every restart begins again at the first time of the file
     from_first = np.abs(time[far + 1] - time[0]) < 5 * usual
     if several or (from_first.all() and float(np.median(lengths)) >= MIN_SAMPLES):
         what = f"{path}: times are not strictly increasing (line {line[far[0] + 1]}): the clock restarts."

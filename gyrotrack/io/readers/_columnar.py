@@ -17,8 +17,8 @@ from gyrotrack.io.readers._motion_table import ReadOptions, only_one
 from gyrotrack.io.readers._raw_table import MAX_CELLS, RawTable, refuse_size, table_of
 from gyrotrack.io.readers._spreadsheets import too_many_cells
 
-_MAX_JSON = 2**25  # objects take thirty times their text in memory
-_MOST_NUMBERS = 30_000_000  # of a Parquet file
+_MAX_JSON = 2**25  # largest size of a JSON text [bytes]; the objects need thirty times as much memory
+_MOST_NUMBERS = 30_000_000  # largest number of numbers in a Parquet file
 _NESTED = ("list", "struct", "map", "large_list", "fixed_size_list")
 # columns of time, voltage, position and velocity in a test of a drive train
 _SIDES = {"left": (0, 1, 3, 5), "right": (0, 2, 4, 6)}
@@ -48,7 +48,7 @@ def read_parquet(path: Path, content: bytes, _options: object) -> RawTable:
     if rows * len(plain) > _MOST_NUMBERS:
         raise too_many_cells(path, _MOST_NUMBERS)
     try:
-        # a repeated text is kept once
+        # store repeated texts once
         table = pq.read_table(io.BytesIO(content), columns=plain, read_dictionary=words)
     except Exception as error:
         raise _damaged(path, error) from error
@@ -78,7 +78,7 @@ def _parquet_column(column: Any) -> Any:
 
 
 def read_json(path: Path, content: bytes, options: ReadOptions) -> RawTable:
-    """Return the columns of a JSON table: an object of lists, or a list of objects; ``units`` next to it."""
+    """Return the columns of a JSON table: an object of lists, or a list of objects; ``units`` beside the table."""
     if len(content) > _MAX_JSON:
         what = f"{path} is larger than {_MAX_JSON >> 20} MiB."
         raise DatasetError(what, "Export a part of the record, or CSV.")
@@ -103,7 +103,7 @@ def read_json(path: Path, content: bytes, options: ReadOptions) -> RawTable:
 
 
 def _characterisation(path: Path, document: Mapping[str, Any], options: ReadOptions) -> RawTable:
-    """Return one test of a mechanism by SysId of WPILib: voltage, position and velocity, driven by a motor.
+    """Return one test of a motor-driven mechanism by SysId of WPILib: voltage, position and velocity.
 
     The option `marker` selects the test, and the side of a drive train: "fast-forward left".
     """

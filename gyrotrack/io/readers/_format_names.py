@@ -1,4 +1,4 @@
-"""Names and suffixes of the formats of films and imported files: for readers, help, manual, workbench and messages."""
+"""Names and suffixes of the formats of films and imported files, for readers, help, manual, workbench and messages."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ WAV = "WAV (signal of a pickup)"
 JSON = "JSON (also SysId of WPILib)"
 TEXT = "text (CSV, loggers, Tracker, DeepLabCut, SLEAP, trackpy)"
 
-# the usual suffixes of each; a format is recognised by content
+# usual suffixes of each format; formats are recognised by content
 SUFFIXES = {
     TEXT: (".csv", ".tsv", ".txt", ".dat"),
     ARCHIVE: (".zip", ".xlsx", ".trz"),
@@ -28,7 +28,7 @@ SUFFIXES = {
 }
 ALL = tuple(SUFFIXES)
 
-# those of films, which the decoder recognises by content, except for a header of a Photron camera
+# suffixes of films; the decoder recognises films by content, except for a header of a Photron camera
 FILMS = {
     "MP4": (".mp4", ".m4v", ".3gp"),
     "MOV": (".mov",),
@@ -49,11 +49,11 @@ FILMS = {
 
 
 class Use(NamedTuple):
-    """What a user may have, and what to add to `gyrotrack import`; the table of the manual."""
+    """A kind of data, and the options that `gyrotrack import` needs for it; one row of the table in the manual."""
 
     what: str
     how: str
-    formats: tuple[str, ...]  # in which such data come
+    formats: tuple[str, ...]  # formats of such data
 
 
 USES = (

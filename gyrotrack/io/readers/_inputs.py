@@ -1,6 +1,7 @@
 """Recorded inputs of a motion from columns of a table: options that name them, units, interpolation.
 
-An option reads ``NAME=COLUMN [UNIT] +- U, hold, delay=T, file=PATH``; all but name and column are optional.
+An option has the form ``NAME=COLUMN [UNIT] +- U, hold, delay=T, file=PATH``; all parts except name and column are
+optional.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ _COLUMN = re.compile(
     rf"(?P<column>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_NUMBER}))?\s*"
 )
 EXAMPLE = "Write for example --input 'current=3 [A]' or --input 'command=Torque [N m], hold, delay=0.02'."
-# names with a separate meaning in laws
+# names that already have a meaning in laws
 _TAKEN = {
     "t", "omega_r", "omega_c", "psi_r", "psi_c", "deflection", "delta", "pi",
     "abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", "heaviside",
 }  # fmt: skip
-# share of equal neighbours from which on a column is that of a command, which holds
+# smallest share of equal neighbours in the column of a command, whose last value holds
 _HELD = 0.5
 
 
 class Unit(NamedTuple):
-    """A unit of an input in a file: the SI unit in the style of CF, and value in SI = factor * value + offset."""
+    """A unit of an input in a file: the SI unit in CF notation, and value in SI = factor * value + offset."""
 
     si: str
     factor: float = 1.0
@@ -56,18 +57,18 @@ UNITS: dict[str, Unit] = {
 
 @dataclass(frozen=True)
 class InputOption:
-    """An input that a user names."""
+    """An option that defines an input."""
 
     name: str
     column: str  # header or number
-    unit: str | None = None  # in the file; None: that of the header
-    u: float = math.nan  # standard uncertainty, in the unit of the file; NaN if it is not given
-    interpolation: str = ""  # "" to decide by the values
+    unit: str | None = None  # unit in the file; None: the unit in the header
+    u: float = math.nan  # standard uncertainty, in the unit of the file; NaN if not given
+    interpolation: str = ""  # "": decided by the values
     delay: float = 0.0  # dead time [s]
-    file: Path | None = None  # a separate table, on the same clock
+    file: Path | None = None  # separate table with this input, on the same clock
 
     def place(self, raw: RawTable) -> int | None:
-        """Return the index of its column; None if the table does not have it."""
+        """Return the index of the column; None if the table does not contain the column."""
         wanted = self.column.casefold()
         for index, name in enumerate(raw.names):
             if name and wanted in {name.casefold(), header_of(name)[0].casefold()}:
@@ -76,7 +77,7 @@ class InputOption:
         return number if 0 <= number < len(raw.columns) else None
 
     def made(self, raw: RawTable, index: int, time: Floats) -> Input:
-        """Return the input from a column, at the times of its rows [s]; values that are missing are left out."""
+        """Return the input from a column, at the times of the rows [s]; missing values are omitted."""
         header = raw.names[index] if raw.names else ""
         text = self.unit if self.unit is not None else (raw.units[index] or header_of(header)[1])
         unit = UNITS.get(clean(text))
@@ -101,7 +102,7 @@ class InputOption:
 
 
 def read_input_options(given: Sequence[str]) -> tuple[InputOption, ...]:
-    """Parse options ``NAME=COLUMN [UNIT] +- U, hold, delay=T, file=PATH``; a UsageError says what is wrong."""
+    """Parse options ``NAME=COLUMN [UNIT] +- U, hold, delay=T, file=PATH``; a UsageError names an error."""
     found: list[InputOption] = []
     for text in given:
         first, *more = (part.strip() for part in text.split(","))
@@ -125,7 +126,7 @@ def read_input_options(given: Sequence[str]) -> tuple[InputOption, ...]:
 
 
 def _with(option: InputOption, word: str, text: str) -> InputOption:
-    """Return an option with one more of its words."""
+    """Return an option with one more word parsed."""
     key, equals, value = (part.strip() for part in word.partition("="))
     if word in INTERPOLATIONS:
         return replace(option, interpolation=word)
@@ -143,4 +144,4 @@ def _with(option: InputOption, word: str, text: str) -> InputOption:
 def described(found: Input) -> str:
     """Return interpolation and delay of an input, in words."""
     between = "the last value holds" if found.interpolation == "hold" else "linear between samples"
-    return f"{between}{f'; acts {found.delay:g} s later' if found.delay else ''}"
+    return f"{between}{f'; acts after {found.delay:g} s' if found.delay else ''}"

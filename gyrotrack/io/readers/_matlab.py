@@ -20,8 +20,12 @@ from gyrotrack.io.readers._matlab_process import Damaged, Unreadable, arrays_in,
 from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, table_of
 
 _COMPRESSED = 15  # type of a compressed element of a MATLAB file
-_ARRAYS_OF_ITEMS = {1, 2, 3}  # classes of arrays: cell, struct, object; each item has a tag of 8 bytes
-_MAX_DIMENSIONS = 128  # bytes of the sizes of an array
+_ARRAYS_OF_ITEMS = {
+    1,
+    2,
+    3,
+}  # classes of arrays with items (cell, struct, object); each item has a tag of 8 bytes
+_MAX_DIMENSIONS = 128  # largest number of bytes of the sizes of an array
 
 
 def read_matlab(path: Path, content: bytes, _options: object) -> RawTable:
@@ -62,7 +66,7 @@ def _refuse_inflation(path: Path, content: bytes) -> None:
 
 
 def _refuse_empty_arrays(path: Path, element: bytes, order: Literal["big", "little"]) -> None:
-    """Raise a DatasetError for a struct or cell array of more items than the element has room for."""
+    """Raise a DatasetError for a struct or cell array with more items than fit into the element."""
     flags = (6).to_bytes(4, order) + (8).to_bytes(4, order)
     dimensions = (5).to_bytes(4, order)
     for found in re.finditer(
@@ -79,7 +83,7 @@ def _refuse_empty_arrays(path: Path, element: bytes, order: Literal["big", "litt
 def table_of_arrays(
     path: Path, arrays: Mapping[str, npt.NDArray[Any]], others: Mapping[str, str] = MappingProxyType({})
 ) -> RawTable:
-    """Return the longest vectors of equal length, or the columns of the only matrix, among named arrays."""
+    """Return the longest vectors of equal length among named arrays, or the columns of the only matrix."""
     plain = {k: v for k, v in arrays.items() if v.dtype.kind in "iuf" and v.ndim <= 2 and v.size > 1}
     vectors = {k: v.ravel() for k, v in plain.items() if min(v.shape) == 1 or v.ndim == 1}
     if vectors:

@@ -1,7 +1,7 @@
-"""The arrays of a MATLAB file, read in a separate process: a damaged file ends the compiled reader of SciPy.
+"""The arrays of a MATLAB file, read in a separate process, because a damaged file may crash SciPy's compiled reader.
 
-The process gets the content on stdin. It answers with a line when it is ready, a line of JSON, and the numbers, each
-array as in a file ``.npy``; nothing of the answer is executed.
+The process receives the content on stdin. Its answer is a line when it is ready, a line of JSON, and the numbers, each
+array in the format of a file ``.npy``. No part of the answer is executed.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 READY = b"ready\n"
-_MOST_CPU_S, _MOST_S = 10, 30  # a good file of the largest size takes 1 s
-_MOST_MEMORY = 2**30  # bytes beyond those of the libraries: four times those of the largest file
+_MOST_CPU_S, _MOST_S = 10, 30  # limits of CPU time and time [s]; a valid file of the largest size takes 1 s
+_MOST_MEMORY = 2**30  # memory limit beyond the libraries [bytes]: four times the largest file
 
 
 class Damaged(Exception):  # noqa: N818
@@ -31,7 +31,7 @@ class Unreadable(Exception):  # noqa: N818
 
 
 def arrays_in(content: bytes) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str]]:
-    """Return the numbers of a MATLAB file by name, and a description of each other variable.
+    """Return the numeric arrays of a MATLAB file by name, and a description of each other variable.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def arrays_in(content: bytes) -> tuple[dict[str, npt.NDArray[Any]], dict[str, st
 
 
 def description(array: npt.NDArray[Any]) -> str:
-    """Return the shape of an array and the kind of its values."""
+    """Return the shape of an array and the kind of its values as text."""
     kind = "struct" if array.dtype.names else {"O": "cell", "U": "text"}.get(array.dtype.kind, "numbers")
     return f"{' x '.join(map(str, array.shape)) or 'scalar'} {kind}"
 
@@ -102,7 +102,7 @@ def _read(content: bytes) -> dict[str, npt.NDArray[Any]]:
 
 
 def _limit() -> None:
-    """Limit the memory and the time of this process, where the system can."""
+    """Limit the memory and the CPU time of this process, if the system supports limits."""
     try:
         import resource
         from pathlib import Path

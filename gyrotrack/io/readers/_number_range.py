@@ -1,4 +1,4 @@
-"""Numbers in files that arithmetic cannot handle: too large, too small, or too close together."""
+"""Check of numbers in files for which arithmetic fails: too large, too small, or too close together."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Case, Floats, Series
 
-# the same as in `fitting.inference._record`, so that each case that is written can be fitted
-LARGEST = 1e20  # largest angle [rad], rate [rad/s], time [s] and uncertainty: products of several are finite
-SMALLEST = 1e-20  # of the largest angle or rate of a body that is not at rest
-PRECISION = 1e18  # of a value over its uncertainty; floating-point numbers have 1e16
-SHORTEST = 1e-12  # sampling step [s]
+# the same limits as in `fitting.inference._record`, so that every written case can be fitted
+LARGEST = 1e20  # largest angle [rad], rate [rad/s], time [s] and uncertainty: products of several values remain finite
+SMALLEST = 1e-20  # smallest maximum of the angle or rate of a moving body [rad, rad/s]
+PRECISION = 1e18  # largest value over its uncertainty; floating-point numbers have 1e16
+SHORTEST = 1e-12  # shortest sampling step [s]
 _HINT = "Check the units and the columns."
 
 _Arguments = ParamSpec("_Arguments")
@@ -26,7 +26,7 @@ _Arguments = ParamSpec("_Arguments")
 
 @contextmanager
 def usable_numbers(file: object) -> Iterator[None]:
-    """Raise a `DatasetError` where arithmetic fails with the content of a file."""
+    """Raise a `DatasetError` in this context if arithmetic with the content of a file fails."""
     try:
         yield
     except (ArithmeticError, csv.Error, zlib.error, RecursionError) as error:
@@ -35,7 +35,7 @@ def usable_numbers(file: object) -> Iterator[None]:
 
 
 def within_number_range(read: Callable[_Arguments, Case]) -> Callable[_Arguments, Case]:
-    """Let a reader of files raise a `DatasetError` for numbers that arithmetic cannot handle."""
+    """Decorate a reader of files: numbers for which arithmetic fails raise a `DatasetError`."""
 
     @wraps(read)
     def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> Case:
@@ -48,13 +48,13 @@ def within_number_range(read: Callable[_Arguments, Case]) -> Callable[_Arguments
 
 
 def check_numbers(case: Case) -> None:
-    """Raise a `DatasetError` if a case contains numbers that arithmetic cannot handle."""
+    """Raise a `DatasetError` if a case contains numbers for which arithmetic fails."""
     for name, series in (("casing" if len(case.rotor.time) else "body", case.casing), ("rotor", case.rotor)):
         _check(name, series)
 
 
 def check_motion(name: str, quantity: str, time: Floats, value: Floats, sigma: Floats | None) -> None:
-    """Raise a `DatasetError` if times [s] or values and their uncertainties cannot be computed with."""
+    """Raise a `DatasetError` if arithmetic with times [s], or with values and their uncertainties, fails."""
     numbers = {"time": time, quantity: value} | (
         {} if sigma is None else {f"uncertainty of {quantity}": sigma}
     )
@@ -67,7 +67,7 @@ def check_motion(name: str, quantity: str, time: Floats, value: Floats, sigma: F
     if sigma is not None:
         known = sigma > 0
         if not (np.maximum(np.abs(value[known]), SMALLEST) < PRECISION * sigma[known]).all():
-            what = f"The uncertainty of {quantity} of the {name} is less than {1 / PRECISION:g} of it."
+            what = f"The uncertainty of {quantity} of the {name} is less than {1 / PRECISION:g} of the value."
             raise DatasetError(what, _HINT)
     if len(time) > 1 and not np.median(np.abs(np.diff(time))) > SHORTEST:
         raise DatasetError(f"The times of the {name} are less than {SHORTEST:g} s apart.", _HINT)

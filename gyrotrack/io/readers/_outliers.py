@@ -1,8 +1,9 @@
-"""Single samples that no smooth motion contains: a lost point, a mistaken marker, a transmission error.
+"""Single samples that are inconsistent with a smooth motion: a lost point, a mistaken marker, a transmission error.
 
-A sample is compared with the parabolas through the three samples before it and through the three after it. An outlier
-deviates from both in the same direction; a step or a kink of the motion from one of them only; a motion with few
-samples a period from both, in opposite directions.
+A sample is compared with the parabola through the three samples before it, and with the parabola through the three
+samples after it. An outlier deviates from both parabolas in the same direction. A sample at a step or a kink of the
+motion deviates from one parabola only. In a motion with few samples per period, samples deviate from both parabolas in
+opposite directions.
 """
 
 from __future__ import annotations
@@ -12,17 +13,18 @@ import numpy as np
 from gyrotrack.io._records import Floats, Integers
 from gyrotrack.io.readers._motion_table import MotionTable, scatter
 
-# standard errors of either prediction, itself 4.5 standard uncertainties of a sample: of a million normal deviates the
-# largest is five, and the noise of real records has longer tails
+# smallest deviation of an outlier from either prediction [standard errors of the prediction, each 4.5 standard
+# uncertainties of a sample]: of a million normal deviates the largest is five, and the noise of real records has
+# longer tails
 _FAR = 10.0
-_ALIKE = 0.5  # largest difference of the two deviations [the smaller one]
-_RARE = 0.02  # largest share of outliers: more of them are the noise of the record
+_ALIKE = 0.5  # largest difference of the two deviations [the smaller deviation]
+_RARE = 0.02  # largest share of outliers; a larger share is noise of the record
 
 
 def without_outliers(
     table: MotionTable, value: Floats, notes: list[str], *, keep_all: bool = False
 ) -> tuple[MotionTable, Floats]:
-    """Return a table and its unwrapped values without outliers, which are added to `notes`."""
+    """Return a table and its unwrapped values without outliers; `notes` then states the excluded outliers."""
     if keep_all or table.counted or len(value) < 15:
         return table, value
     sigma = scatter(table.time, value) if table.sigma is None else table.sigma
@@ -39,7 +41,7 @@ def without_outliers(
 
 
 def outliers(time: Floats, value: Floats, sigma: Floats) -> Integers:
-    """Return the samples that deviate from the parabolas of both sides, by at least 10 standard errors and alike.
+    """Return the samples that deviate from the parabolas of both sides equally, and by at least 10 standard errors.
 
     Parameters
     ----------
@@ -63,5 +65,5 @@ def outliers(time: Floats, value: Floats, sigma: Floats) -> Integers:
         error[side] = np.sqrt(sigma[middle] ** 2 + np.einsum("ij,ij->i", weights**2, sigma[near] ** 2))
     size = np.abs(off)
     far = (size > _FAR * error).all(axis=0)
-    alike = np.abs(off[0] - off[1]) < _ALIKE * size.min(axis=0)  # and therefore of equal signs
+    alike = np.abs(off[0] - off[1]) < _ALIKE * size.min(axis=0)  # implies equal signs
     return np.asarray(middle[far & alike])

@@ -1,7 +1,8 @@
-"""Doubts about what a column is, before anything is computed from it.
+"""Checks of the meaning of a column, before its values are used.
 
-A column that counts the rows is neither a counter of revolutions nor a clock; intervals between pulses are not their
-times; an angle that wraps states its own unit; and an angle and its speed in one table state each other's.
+A column that counts the rows is neither a counter of revolutions nor a clock. Intervals between pulses are not times
+of pulses. The range of an angle that wraps determines its unit. An angle and its speed in one table determine the
+units of each other.
 """
 
 from __future__ import annotations
@@ -13,21 +14,21 @@ import numpy as np
 from gyrotrack.io._records import Floats
 from gyrotrack.io.readers._raw_table import TURN, RawTable
 
-_FEWEST = 8  # smallest number of values that show a rule
+_FEWEST = 8  # smallest number of values for a rule
 _BACKWARD = 0.05  # smallest share of steps back of a column that is not a clock
-_PARTS = 30  # number of parts of a record in which the growth of intervals is compared
-_LEAST_CHANGE = 0.3  # smallest change of the logarithm of intervals that shows their law
+_PARTS = 30  # number of parts of a record for which the growth of intervals is compared
+_LEAST_CHANGE = 0.3  # smallest change of the logarithm of intervals that determines their law
 _POWERS = (
     1.5,
     3.5,
-)  # exponents between the growth of intervals and the intervals, for viscous and dry friction
-_POWER_LAW_R2 = 0.98  # share of the variance that the power law must explain
+)  # exponents of the growth of intervals as a power of the intervals: viscous and dry friction
+_POWER_LAW_R2 = 0.98  # smallest share of the variance that the power law must explain
 _EQUAL_STEPS = 0.99  # smallest share of equal steps of a sampled clock
-_EQUAL = 0.01  # relative deviation of equal steps
+_EQUAL = 0.01  # largest relative deviation of equal steps
 _WHOLE = 0.05  # largest deviation of the number of pulses per turn from a whole number
 _PERIODS = {"rad": TURN, "deg": 360.0, "turns": 1.0, "gon": 400.0, "mrad": 1e3 * TURN}
-_NEAR = 0.03  # relative deviation of a period or a ratio of units from its nominal value
-# factor between the slopes of an angle and its speed if one of them, or the time, is in another unit
+_NEAR = 0.03  # largest relative deviation of a period or a ratio of units from its nominal value
+# ratios of the slopes of an angle to its speed if the angle, the speed or the time is in another unit
 _RATIOS = (
     (math.pi / 180, "one of them is in degrees, the other in rad"),
     (180 / math.pi, "one of them is in degrees, the other in rad"),
@@ -42,11 +43,12 @@ _RATIOS = (
     (1e3, "the time is in ms"),
     (1e6, "the time is in us"),
 )
-# passages of the middle of its range by an oscillating body, clear of it by this share of the range
+# smallest number of passages through the middle of the range by an oscillating body, and hysteresis [range]
 _PASSAGES, _CLEAR = 4, 0.1
-# of an angle that wraps at no whole turn: smallest jumps, their smallest number, largest other steps [range]
+# an angle that wraps at a value other than a whole turn: smallest jump [range], number of jumps, largest other step
+# [range]
 _WHOLE_RANGE, _JUMPS, _SMALL_STEP = 0.8, 3, 0.25
-_LEAST_RATIO_R2 = 0.9  # share of the variance of a speed that the slopes of the angle must explain
+_LEAST_RATIO_R2 = 0.9  # smallest share of the variance of a speed that the slopes of the angle must explain
 
 
 def counts_rows(values: Floats) -> bool:
@@ -63,9 +65,9 @@ def row_numbers(raw: RawTable) -> list[int]:
 
 
 def are_intervals(values: Floats) -> bool:
-    """Return whether a column of events contains the intervals between them and not their times.
+    """Return whether a column of events contains the intervals between events instead of their times.
 
-    Times increase; intervals of a body whose speed changes both ways do not.
+    Times always increase; the intervals of a body whose speed rises and falls do not.
     """
     known = values[np.isfinite(values)]
     if len(known) < _FEWEST or not (known > 0).all():
@@ -74,16 +76,16 @@ def are_intervals(values: Floats) -> bool:
 
 
 def may_be_intervals(values: Floats) -> bool:
-    """Return whether increasing values may as well be the intervals between pulses of a body that slows down.
+    """Return whether increasing values may also be intervals between the pulses of a body that slows down.
 
-    The intervals v of a body with friction in proportion to a power of its speed grow by steps in proportion to a power
-    of v: the square for viscous friction, the cube for dry friction. Times of pulses follow such a law only by chance.
+    If friction is proportional to a power of the speed, the intervals v grow by steps proportional to a power of v:
+    the square for viscous friction, the cube for dry friction. Times of pulses follow such a law only by chance.
     """
     known = values[np.isfinite(values)]
     if len(known) < 2 * _FEWEST or not (known > 0).all():
         return False
     part = max(len(known) // _PARTS, 1)
-    rough = known[::part]  # steps of neighbours may be lost in their noise
+    rough = known[::part]  # the steps between neighbours may be smaller than the noise
     step = np.diff(rough)
     if not (step > 0).all() or len(step) < _FEWEST:
         return False
@@ -96,9 +98,9 @@ def may_be_intervals(values: Floats) -> bool:
 
 
 def are_exchanged(time: Floats, angle: Floats, turn: float) -> bool:
-    """Return whether the column of the angle grows in the equal steps of a sampler, and that of the time does not.
+    """Return whether the column of the angle grows in equal steps, like the times of a sampler, and the time does not.
 
-    Angles of pulses also grow in equal steps, but in whole parts of a `turn`.
+    Angles of pulses also grow in equal steps, but in integer fractions of a `turn`.
     """
     if not _has_equal_steps(angle) or _has_equal_steps(time) or (np.diff(time) < 0).mean() > _BACKWARD:
         return False
@@ -115,7 +117,7 @@ def _has_equal_steps(values: Floats) -> bool:
 
 
 def wrapping_unit(angle: Floats) -> str:
-    """Return the unit in which an angle wraps at a whole turn; "" if it does not."""
+    """Return the unit in which an angle wraps at a whole turn; "" if there is no such unit."""
     known = angle[np.isfinite(angle)]
     if len(known) < _FEWEST:
         return ""
@@ -126,7 +128,7 @@ def wrapping_unit(angle: Floats) -> str:
     turns = step[jumps]
     sense = np.sign(np.median(turns))
     others = np.delete(step, jumps)
-    # between the jumps the angle grows in the other sense
+    # between the jumps the angle changes in the opposite sense
     if (np.sign(turns) != sense).any() or float(others.sum()) * sense >= 0:
         return ""
     beside = np.clip(np.concatenate([jumps - 1, jumps + 1]), 0, len(step) - 1)
@@ -138,10 +140,10 @@ def wrapping_unit(angle: Floats) -> str:
 
 
 def doubt_of_rad(angle: Floats) -> str:
-    """Return what would be unusual about an angle of which no unit is stated if it were in rad; "" if nothing.
+    """Return the reason why an angle without a unit would be implausible in rad; "" without a reason.
 
     Pendulums and spiral springs oscillate by less than half a turn to either side, and a sampled body turns by less
-    than half a turn between two samples; in degrees most numbers are larger than that.
+    than half a turn between two samples. Most angles in degrees exceed these limits.
     """
     known = angle[np.isfinite(angle)]
     if len(known) < _FEWEST:
@@ -160,7 +162,7 @@ def doubt_of_rad(angle: Floats) -> str:
 
 
 def wraps_at_no_turn(angle: Floats) -> bool:
-    """Return whether an angle jumps back and forth by its whole range again and again, and else changes little."""
+    """Return whether an angle repeatedly jumps by its whole range, and otherwise changes in small steps."""
     known = angle[np.isfinite(angle)]
     if len(known) < _FEWEST or not float(np.ptp(known)):
         return False
@@ -170,9 +172,10 @@ def wraps_at_no_turn(angle: Floats) -> bool:
 
 
 def ratio_of_units(time: Floats, angle: Floats, omega: Floats) -> tuple[float, str]:
-    """Return the ratio of the slopes of an angle to a speed, both in SI, and the units that would explain it.
+    """Return the ratio of the slopes of an angle to a speed, both in SI, and the units that would explain the ratio.
 
-    The ratio is nan if the speed is not that of the angle; the text is empty if they agree or no unit explains it.
+    The ratio is nan if the speed does not belong to the angle. The text is empty if both agree or no unit explains the
+    ratio.
     """
     known = np.isfinite(time) & np.isfinite(angle) & np.isfinite(omega)
     time, angle, omega = time[known], angle[known], omega[known]
@@ -198,7 +201,7 @@ def ratio_of_units(time: Floats, angle: Floats, omega: Floats) -> tuple[float, s
 
 
 def rises(values: Floats, least: float | Floats) -> int:
-    """Return how often a curve rises by more than `least` above its lowest value since the previous rise.
+    """Return the number of rises of a curve by more than `least` above its lowest value since the previous rise.
 
     A rise ends where the curve has fallen by more than `least` below the highest value.
     """

@@ -1,8 +1,8 @@
 """Binary and XML files: HDF5 of SLEAP, DeepLabCut, movement and gyrotrack, and projects of OSP Tracker.
 
 A project (.trk) is XML with the points of each track in every frame, scale, axes and frame rate. In HDF5 files, pandas
-stores the names of columns as a pickle, which can contain code. It is never executed: only opcodes for lists and tuples
-of strings are interpreted, any other is an error.
+stores the names of columns as a pickle, which can contain code. The pickle is never executed: only opcodes for lists
+and tuples of strings are interpreted; any other opcode raises an error.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MAX_OPCODES = 10_000
 
 
 def listed_names(stored: bytes) -> list[tuple[str, ...]]:
-    """Return a pickled list of tuples of strings; anything else is a DatasetError."""
+    """Return a pickled list of tuples of strings; any other content raises a DatasetError."""
     try:
         found = _interpreted(bytes(stored))
     except (ValueError, IndexError, KeyError, TypeError, UnicodeError) as error:
@@ -96,7 +96,7 @@ _FOREIGN = "Supported: analysis files of SLEAP, tables of DeepLabCut, poses of m
 
 
 def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
-    """Read points from an HDF5 file of another program, or a body of a case or exported netCDF file, without links."""
+    """Read points from an HDF5 file of another program, or a body from a case or exported netCDF file; no links."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             READER.check_tree(file)
@@ -125,10 +125,10 @@ def _foreign(path: Path, file: Any) -> Points:
 
 
 def _case_body(path: Path, body: str) -> RawTable:
-    """Return a body of a case, from `sync` or `import`: the series that is fitted."""
+    """Return a body of a case from `sync` or `import`: the fitted series."""
     with READER.open(path, CASE) as file:
         stored = read_stored_case(file, READER)
-    # a single body has its name, or none, and that of the group in which it is stored
+    # a single body is found by its own name (optional), and by the name of its group
     bodies = {"casing": stored.casing, stored.casing.name: stored.casing}
     if stored.rotor is not None:
         bodies["rotor"] = stored.rotor
@@ -157,7 +157,7 @@ def _exported_body(path: Path, file: Any, body: str) -> RawTable:
 
 def _movement(path: Path, file: Any) -> Points:
     """Return the keypoints in a netCDF of `movement`: position (time, space, keypoint, individual)."""
-    # until 0.16 the names of the dimensions were in the plural
+    # until version 0.16 the names of the dimensions were plural
     names = file["keypoint"] if "keypoint" in file else file["keypoints"]
     position, times = file["position"], file["time"]
     for dataset in (position, times):
@@ -253,11 +253,13 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.30
 
 
 _MAX_PROJECT = 2**26  # bytes
-_MAX_MARKUP = 3_000_000  # elements and attributes of the XML, which take 250 bytes of memory each
+_MAX_MARKUP = (
+    3_000_000  # largest number of elements and attributes of the XML, which need 250 bytes of memory each
+)
 
 
 def read_project(path: Path, content: bytes, _options: object) -> Points:
-    """Return the point masses of a Tracker project, in its coordinates (m, y upwards), with the origin."""
+    """Return the point masses of a Tracker project in its coordinates (m, y upwards), and the origin."""
     if re.search(rb"<!(DOCTYPE|ENTITY)", content[:100_000], re.IGNORECASE):
         what = f"{path} declares XML entities."
         raise DatasetError(what, "A Tracker project contains none; export it again.")

@@ -1,4 +1,4 @@
-"""Tables of tracked points: text of OSP Tracker, DeepLabCut, SLEAP, and tables with a row per particle and frame."""
+"""Tables of tracked points: text of OSP Tracker, DeepLabCut, SLEAP, and tables with one row per particle and frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PLACES = {"x": {"x", "position_x", "x_px"}, "y": {"y", "position_y", "y_px"}}
 
 
 def particles_of(raw: RawTable) -> Points | None:
-    """Return the points of a table with a row per particle and frame, as of trackpy and TrackMate; None for another.
+    """Return the points of a table with one row per particle and frame (trackpy, TrackMate); None for any other table.
 
     The column `ep` of trackpy is the standard uncertainty of x and of y.
     """
@@ -50,7 +50,7 @@ def read_point_table(path: Path, lines: Lines) -> Points | None:
     """Read points from the lines of a file; None if it is not a table of points."""
     first = split(lines[0][1], delimiter_of(lines[0][1]))
     if _PARTICLE & {cell.casefold() for cell in first}:
-        return None  # a table with a row per particle and frame
+        return None  # a table with one row per particle and frame
     if first[0].casefold() == "scorer":
         return _deeplabcut(path, lines)
     if "frame_idx" in first:
@@ -59,7 +59,7 @@ def read_point_table(path: Path, lines: Lines) -> Points | None:
 
 
 def _tracker(path: Path, lines: Lines) -> Points | None:
-    """Read an export of OSP Tracker: a line with the names of the tracks, then t, x, y."""
+    """Read an export of OSP Tracker: a line with the names of the tracks, then columns t, x, y."""
     for above in range(min(3, len(lines))):
         head = lines[above][1]
         delimiter = delimiter_of(head)
@@ -99,7 +99,7 @@ def _axis(name: str) -> tuple[str, str]:
     """Split ``x``, ``x_{mass A}``, ``x_A``, ``A_x``, ``A.x`` or ``x (m)`` into axis and track."""
     bare = re.sub(r"\s*[\[(][^\])]*[\])]$", "", name.strip())
     unit = header_of(name)[1]
-    if "/" in unit or factor("", unit) is not None:  # an axis of a sensor, not a coordinate
+    if "/" in unit or factor("", unit) is not None:  # the axis of a sensor, not a coordinate
         return "", ""
     bare = re.sub(r"_(px|m|cm|mm)$", "", bare)
     found = re.fullmatch(r"([xyXY])(?:[_ ]\{?(.+?)\}?)?|(.+?)[_. ]([xyXY])", bare)
@@ -110,12 +110,12 @@ def _axis(name: str) -> tuple[str, str]:
     return ("", "") if sensor else (axis, track)
 
 
-# vectors of the sensors of a phone or an inertial unit, other than the angular velocity
+# vectors from sensors of a phone or an inertial unit, except the angular velocity
 _SENSOR = re.compile(r"(lin(ear)?[_ ]?)?(acc|accel\w*|mag|magnet\w*|gravity|grav)$", re.IGNORECASE)
 
 
 def _tracks(heads: list[str], titles: list[str], path: Path) -> dict[str, tuple[int, int]]:
-    """Return the columns of x and y of each track; a name above a group of columns applies until the next one."""
+    """Return the columns of x and y of each track; a name above a group of columns applies until the next name."""
     seen: dict[str, dict[str, int]] = {}
     title = ""
     for i, head in enumerate(heads):

@@ -50,7 +50,7 @@ class PointAngle:
     notes: tuple[str, ...]
     taken: tuple[Taken, ...]
     used: frozenset[str]  # names of the points that were used
-    sigma: Floats | None = None  # standard uncertainty of the angle, if that of the point is known
+    sigma: Floats | None = None  # standard uncertainty of the angle, if the uncertainty of the point is known
     doubts: tuple[str, ...] = ()
 
 
@@ -98,8 +98,8 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
 def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str, ...]:
     """Return a warning if the path is a circle about a centre that is not the given one.
 
-    The path of a point of a rigid body is a circle about the centre of rotation. The standard uncertainty of the fitted
-    centre is that of the least-squares fit, increased for the correlation of the residuals.
+    The path of a point of a rigid body is a circle about the centre of rotation. The standard uncertainty of the
+    fitted centre is the uncertainty of the least-squares fit, increased for the correlation of the residuals.
     """
     known = arm[np.isfinite(arm).all(axis=1)]
     found = circle_centre(known)

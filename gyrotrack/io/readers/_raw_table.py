@@ -23,12 +23,12 @@ from gyrotrack.io._atomic import refuse_special
 from gyrotrack.io._records import Floats, Integers
 
 # limits of a table, so that reading a file takes at most about 1 GB of memory
-MAX_BYTES = 2**28  # of a file, and of what an archive expands to
+MAX_BYTES = 2**28  # largest size of a file, and of an unpacked archive [bytes]
 MAX_ROWS = 5_000_000
 MAX_COLUMNS = 5_000
-MAX_CELLS = 10_000_000  # cells of text; numbers take a tenth of their memory
-_LONGEST_NAME = 500  # characters of a header
-_LONGEST_UNIT = 30  # characters of a unit that is not in the tables below
+MAX_CELLS = 10_000_000  # largest number of cells of text; numbers need a tenth of their memory
+_LONGEST_NAME = 500  # largest number of characters of a header
+_LONGEST_UNIT = 30  # largest number of characters of a unit that is not in the tables below
 # errors of spreadsheets
 CELL_ERRORS = ("#n/a", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!")
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", *CELL_ERRORS}
@@ -192,7 +192,7 @@ _HEADER_WORDS = {
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
 
-# units that may replace the name in a header; shorter units may be symbols of other quantities
+# units that may replace the name in a header; shorter units may also be symbols of other quantities
 _NAMED_BY_UNIT = {
     unit for role in ("angle", "omega") for unit in UNITS[role] if len(unit) > 2
 } | {"ms", "us", "sec", "seconds", "milliseconds", "microseconds"}  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a file was taken for: the quantity, the unit and the reason for each column, and what was left out."""
+"""The interpretation of a file: quantity, unit and reason for each column, and the unused columns."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 
 from gyrotrack.io.readers._raw_table import factor
 
-_SAME_UNIT = 1e-9  # relative difference of two units of the same size
-_MOST_NAMES = 12  # number of unused columns that are named
+_SAME_UNIT = 1e-9  # largest relative difference of equal units
+_MOST_NAMES = 12  # largest number of unused columns that are named
 
 
 @dataclass(frozen=True)
 class Taken:
-    """One column or point, and what it was taken for."""
+    """One column or point, and its interpretation."""
 
     column: str
     quantity: str
@@ -33,7 +33,7 @@ class Reading:
     left_out: tuple[str, ...]  # columns or points that are not used
 
     def lines(self) -> tuple[str, str]:
-        """Return two lines: what each column was taken for and why; what was left out."""
+        """Return two lines: the interpretation of each column with its reason; the unused columns."""
         parts = [
             f"{t.quantity} from {t.column}{f' [{t.unit}]' if t.unit else ''} ({t.why})" for t in self.taken
         ]
@@ -56,10 +56,10 @@ class Reading:
 
 
 def units_of_file(document: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
-    """Return the units in which a file states angles and speeds, with their factors to SI, where they are others.
+    """Return the units of angles and speeds in a file, with their factors to SI, if they are not SI units.
 
-    `document` is that of a reading. An angle in degrees has a speed in degrees per second; a speed in turns per minute
-    has no unit of an angle.
+    `document` is the document of a `Reading`. If the angle is in degrees, the speed is in degrees per second; a speed
+    in turns per minute does not determine a unit of the angle.
     """
     for column in document["columns"]:
         quantity, unit = column["quantity"], column["unit"]

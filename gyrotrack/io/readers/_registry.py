@@ -101,7 +101,7 @@ FORMATS: tuple[Format, ...] = (
 
 
 def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
-    """Read the motion of one body from any supported file; errors name file and line, or the missing option."""
+    """Read the motion of one body from any supported file; errors name the file and line, or the missing option."""
     options = options or ReadOptions()
     name, found = _content(Path(path), options)
     made = _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)
@@ -112,12 +112,12 @@ def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
 
 
 def _with_inputs(made: MotionTable, options: ReadOptions) -> MotionTable:
-    """Return a motion with the inputs that have files of their own; a UsageError for a file without such columns."""
+    """Return a motion with its inputs from the file or from separate tables; a UsageError if columns are missing."""
     if made.reading is None or not options.inputs:
         return made
     missing = [o for o in options.inputs if o.file is None and o.name not in {i.name for i in made.inputs}]
     if missing:
-        what = f"{made.path} is not a table of angles or speeds, from which --input reads a column."
+        what = f"{made.path} is not a table of angles or speeds; --input reads a column of such a table."
         raise UsageError(
             what, f"Give the input in a separate table: --input '{missing[0].name}=2, file=TABLE'."
         )
@@ -126,7 +126,7 @@ def _with_inputs(made: MotionTable, options: ReadOptions) -> MotionTable:
         found, of_file = _input_of_file(option)
         inputs.append(found)
         taken.append(of_file)
-        notes.append(f"the times of {of_file.column} are those of {made.path.name}: both are on one clock")
+        notes.append(f"the times of {of_file.column} and of {made.path.name} are on one clock")
     order = {o.name: k for k, o in enumerate(options.inputs)}
     inputs.sort(key=lambda i: order[i.name])
     reading = replace(made.reading, taken=tuple(taken))
@@ -134,7 +134,7 @@ def _with_inputs(made: MotionTable, options: ReadOptions) -> MotionTable:
 
 
 def _input_of_file(option: InputOption) -> tuple[Input, Taken]:
-    """Return an input from a separate table, and what is said of it."""
+    """Return an input from a separate table, and its interpretation."""
     assert option.file is not None  # noqa: S101 - the caller selects these
     _, raw = _content(option.file, ReadOptions())
     if isinstance(raw, Points):
@@ -148,7 +148,7 @@ def _input_of_file(option: InputOption) -> tuple[Input, Taken]:
         )
     clock = columns.place.get("t", 0)
     if clock == place:
-        what = f"{raw.header_place}: the column of the input {option.name} is that of the time."
+        what = f"{raw.header_place}: the column of the input {option.name} contains the time."
         raise DatasetError(what, "Give another column.")
     unit = columns.unit.get("t", "")
     time = raw.numbers(clock, "t", times=True) * scale_of(raw, "t", unit)
@@ -163,7 +163,7 @@ def _input_of_file(option: InputOption) -> tuple[Input, Taken]:
 
 
 def read_passages(path: Path, options: ReadOptions) -> Passages | None:
-    """Read the passages of a pendulum through light gates; None if a file contains something else."""
+    """Read the passages of a pendulum through light gates; None if a file contains other data."""
     _, found = _content(Path(path), options)
     return None if isinstance(found, Points) else passages_of(found, options)
 
@@ -211,7 +211,7 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
 
 
 def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
-    """Return the rows of one body, if a table contains several (for example those of `export`)."""
+    """Return the rows of one body if a table contains several bodies, for example a table of `export`."""
     labels = (c for n, c in zip(raw.names, raw.columns, strict=True) if n.casefold() == "body")
     names = next((c for c in labels if isinstance(c, list)), None)
     if names is None:
@@ -221,7 +221,7 @@ def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
     body = options.body if options.body in bodies else bodies[0] if len(bodies) == 1 else None
     if body is None:
         what = f"{raw.path} contains the bodies {', '.join(bodies)[:80]}."
-        raise DatasetError(what, "Import it with --casing and --rotor.")
+        raise DatasetError(what, "Import the table with --casing and --rotor.")
     rows = np.flatnonzero(words == body)
     columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[i] for i in rows] for c in raw.columns)
     return replace(raw, columns=columns, line=raw.line[rows])

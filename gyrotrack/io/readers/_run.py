@@ -1,14 +1,14 @@
 """The part of a recording with free motion: without excluded intervals, drive, brake and rest.
 
 Speeds are estimated in blocks of samples. The end of a drive (by motor or hand) is a changepoint of the deceleration:
-before it the speed is constant or increases, after it the body slows down. A brake is a deceleration of at least three
-times the previous one, to the end of the motion; rest is a speed that is consistent with zero; a disturbance is a speed
-that increases again. A body that does not slow down in between is not cut.
+before this point the speed is constant or increases, afterwards the body slows down. A brake is a deceleration of at
+least three times the previous deceleration, until the end of the motion. Rest is a speed that is consistent with zero.
+A disturbance is a speed that increases again. The motion of a body that does not slow down in between is not cut.
 
-An oscillation is cut at the start while a hand holds or moves the body, where periods and amplitudes do not continue
-the later ones smoothly. Rest at its end is cut only if the resolution of the file exceeds the noise: the error of a
-quantised value is white while the value passes through several steps, but at rest it is a constant of up to half a
-step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
+The start of an oscillation is cut while a hand holds or moves the body, where periods and amplitudes do not continue
+the later values smoothly. Rest at the end of an oscillation is cut only if the resolution of the file exceeds the
+noise. The error of a quantised value is white while the value passes through several steps. At rest, this error is a
+constant of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MIN_CROSSINGS = 12  # smallest number of zero crossings for the detection of ir
 _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregular period and amplitude
 # largest extent of the means at rest: standard errors (of 200 normal deviates the range is 5.5), share of the range
 _STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
-_MIN_STEPS = 2  # smallest deflection for which quantisation errors are independent [steps of the resolution]
+_MIN_STEPS = 2  # smallest deflection with independent quantisation errors [steps of the resolution]
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def read_cuts(given: Sequence[str]) -> tuple[tuple[float, float], ...]:
 
 
 def within(time: Floats, limits: Limits) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return which times are within the limits and outside of the excluded intervals."""
+    """Return a mask of the times within the limits and outside of the excluded intervals."""
     keep = np.ones(len(time), dtype=bool)
     if limits.start is not None:
         keep &= time >= limits.start
@@ -76,7 +76,7 @@ def within(time: Floats, limits: Limits) -> np.ndarray[tuple[int, ...], np.dtype
 def enough_within(
     time: Floats, limits: Limits, where: str = ""
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return which times are within the limits as `within`; too few are a UsageError, which begins with `where`."""
+    """Return the mask of `within`; too few times raise a UsageError, whose message begins with `where`."""
     keep = within(time, limits)
     if not keep.all() and keep.sum() < MIN_SAMPLES:
         span = f"{time[0]:.6g} to {time[-1]:.6g} s"
@@ -93,7 +93,7 @@ def limited(table: MotionTable, limits: Limits) -> MotionTable:
 
 
 def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTable, Floats]:
-    """Return samples of the free motion and unwrapped values [rad] or [rad/s], without drive, brake and rest."""
+    """Return the samples of the free motion and the unwrapped values [rad] or [rad/s], without drive, brake, rest."""
     if limits.keep_all or len(table.time) < 8 * _MIN_BLOCK:
         return table, value
     time, speed, error = speeds(table, value)
@@ -143,7 +143,7 @@ def _without_hand(table: MotionTable, value: Floats) -> tuple[MotionTable, Float
     keep = np.arange(len(value)) >= first
     note = (
         f"{table.path.name}: before {table.time[first]:.2f} s the body is held or moved (periods or amplitudes "
-        f"do not continue the later ones); {first} samples were excluded (--keep-all keeps them)"
+        f"do not continue the later values); {first} samples were excluded (--keep-all keeps them)"
     )
     return table.only(keep, note), value[keep]
 
@@ -151,9 +151,10 @@ def _without_hand(table: MotionTable, value: Floats) -> tuple[MotionTable, Float
 def start_of_oscillation(time: Floats, value: Floats) -> int:
     """Return the first sample of the free part of an oscillation, 0 if it is free from the beginning.
 
-    Period and logarithm of the amplitude of a free oscillation are smooth functions of time. They are fitted by
-    polynomials; outliers in the first quarter are excluded, which deviate by more than six times the scatter and by
-    more than 1 % of the period or 5 % of the amplitude. `value` is the angle or the angular velocity.
+    Period and logarithm of the amplitude of a free oscillation are smooth functions of time, and are fitted by
+    polynomials. The free part begins after the last outlier in the first quarter. An outlier deviates by more than six
+    times the scatter, and by more than 1 % of the period or 5 % of the amplitude. `value` is the angle or the angular
+    velocity.
     """
     value = value - 0.5 * (np.quantile(value, 0.05) + np.quantile(value, 0.95))
     crossings = upward_crossings(value)
@@ -184,7 +185,7 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
 
 
 def upward_crossings(value: Floats, share: float = 0.02) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Return the samples of the upward zero crossings of a curve, with a hysteresis of this share of its range."""
+    """Return the samples of the upward zero crossings of a curve, with a hysteresis of `share` of its range."""
     least = share * float(np.ptp(value))
     state = np.where(value > least, 1, np.where(value < -least, -1, 0))
     clear = np.flatnonzero(state)
@@ -194,7 +195,7 @@ def upward_crossings(value: Floats, share: float = 0.02) -> np.ndarray[tuple[int
 
 
 def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:
-    """Return an oscillation up to where the resolution shows no more of it, or where the body is at rest."""
+    """Return an oscillation until it is smaller than the resolution of the file, or the body is at rest."""
     last = _end_of_resolution(table, value)
     what = f"the deflection is at most {_MIN_STEPS} steps of the resolution"
     if last == len(value):
@@ -211,7 +212,7 @@ def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Float
 
 
 def _end_of_resolution(table: MotionTable, value: Floats) -> int:
-    """Return the sample after the last deflection beyond `_MIN_STEPS` steps of a resolution coarser than the noise."""
+    """Return the sample after the last deflection above `_MIN_STEPS` steps of a resolution coarser than the noise."""
     step = table.least_sigma * np.sqrt(12)
     deflection = value - np.median(value[-max(len(value) // 50, 1) :])
     beyond = np.flatnonzero(np.abs(deflection) > _MIN_STEPS * step)
@@ -228,10 +229,10 @@ def _end_of_resolution(table: MotionTable, value: Floats) -> int:
 def end_of_oscillation(time: Floats, value: Floats, sigma: Floats) -> int:
     """Return the sample from which an oscillation is at rest to the end of the record, else the number of samples.
 
-    At rest the means over eighths of a period vary by less than 8 of their standard errors, or by less than 0.2 % of
-    the range of the record: dry friction then holds the body at a place that depends on the last reversal, and no law
-    is determined by it. The rest lasts for at least a period, else all is motion. `value` is the angle or the
-    angular velocity.
+    At rest the means over eighths of a period vary by less than 8 standard errors, or by less than 0.2 % of the range
+    of the record. Dry friction then holds the body at a position that depends on the last reversal and contains no
+    information about the laws. A rest of less than a period counts as motion. `value` is the angle or the angular
+    velocity.
     """
     crossings = upward_crossings(value - 0.5 * (value.min() + value.max()))
     if len(crossings) < 2:
@@ -249,7 +250,7 @@ def end_of_oscillation(time: Floats, value: Floats, sigma: Floats) -> int:
 
 
 def speeds(table: MotionTable, value: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return times, angular velocities [rad/s] and their standard errors in blocks of samples."""
+    """Return times [s], angular velocities [rad/s] and their standard errors in blocks of samples."""
     size = max(_MIN_BLOCK, len(table.time) // (_BLOCKS * (4 if table.counted else 1)))
     edges = np.arange(0, len(table.time) - size + 1, size)
     time, speed, error = (np.empty(len(edges)) for _ in range(3))
@@ -274,7 +275,7 @@ def _coasts(speed: Floats) -> bool:
 
 
 def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
-    """Return the first block of the free motion, and whether the body was driven before."""
+    """Return the first block of the free motion, and whether the body was driven before this block."""
     top = float(speed.max())
     last_high = int(np.flatnonzero(speed >= 0.99 * top)[-1])
     falling = np.flatnonzero(speed[last_high:] < 0.85 * top)
@@ -301,10 +302,10 @@ def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
 
 
 def _first_free(time: Floats, speed: Floats, begin: int, reach: int) -> int:
-    """Return the first block from `begin` on that continues the parabola through the later ones up to `reach`.
+    """Return the first block from `begin` on that continues the parabola through the later blocks up to `reach`.
 
-    A line before the changepoint describes a constant drive only: after a drive that varies, the last blocks before its
-    end may still agree better with the line of the free motion.
+    This correction is needed because the line before the changepoint describes only a constant drive: after a varying
+    drive, the last driven blocks may agree better with the line of the free motion.
     """
     for first in range((begin + reach) // 2, begin - 1, -1):
         x, y = time[first + 1 : reach + 1] - time[first], speed[first + 1 : reach + 1]
@@ -315,7 +316,7 @@ def _first_free(time: Floats, speed: Floats, begin: int, reach: int) -> int:
         residual = y - design @ coefficients
         variance = float(residual @ residual) / (len(x) - 3) * (1 + np.linalg.inv(design.T @ design)[0, 0])
         if abs(speed[first] - coefficients[0]) > _SIGNIFICANT * np.sqrt(variance):
-            return first + 2  # the block after it may still contain the end of the drive
+            return first + 2  # the next block may still contain the end of the drive
     return min(begin + 1, len(time) - 1)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io.readers._raw_table import MAX_CELLS, RawTable
 
-_MOST_CELLS = 2_000_000  # of a workbook, whose XML is slow to read
+_MOST_CELLS = 2_000_000  # largest number of cells of a workbook, whose XML is slow to read
 
 
 def read_workbook(path: Path, content: bytes) -> RawTable:
@@ -27,10 +27,10 @@ def read_workbook(path: Path, content: bytes) -> RawTable:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         sheets, cells = [], 0
         for sheet in book.worksheets:
-            sheet.reset_dimensions()  # a stated size may be far beyond the cells
+            sheet.reset_dimensions()  # the stated size may exceed the cells by far
             rows: list[list[Any]] = []
             for row in sheet.iter_rows(values_only=True):
-                cells += max(len(row), 1)  # a row far below the others follows empty ones
+                cells += max(len(row), 1)  # a row far below the others is preceded by empty rows
                 if cells > _MOST_CELLS:
                     break
                 rows.append(list(row))
@@ -43,7 +43,7 @@ def read_workbook(path: Path, content: bytes) -> RawTable:
 
 
 def _refuse_markup(path: Path, content: bytes) -> None:
-    """Raise a DatasetError for a workbook whose XML has more elements than can be read in a few seconds."""
+    """Raise a DatasetError for a workbook whose XML has too many elements to be read in a few seconds."""
     large = small = 0
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         for name in archive.namelist():
@@ -58,7 +58,7 @@ def _refuse_markup(path: Path, content: bytes) -> None:
 
 
 def too_many_cells(path: Path, most: int = MAX_CELLS) -> DatasetError:
-    """Return the error for a table of too many cells."""
+    """Return the error for a table with too many cells."""
     what = f"{path} has more than {most:,} cells."
     return DatasetError(what, "Export the columns of time and angle alone, as CSV.")
 

@@ -29,22 +29,22 @@ from gyrotrack.io.readers._raw_table import (
 
 _QUOTED = re.compile(r'"[^"]*"')
 _NO_CELL_ERROR = f"#(?!{'|'.join(re.escape(e[1:]) for e in CELL_ERRORS)})"
-# a comment after the last number of a line, and one that fills the line
+# a comment after the last number of a line, and a comment that fills the line
 _COMMENT = re.compile(rf"(?<=[\d.])[\s,;]+{_NO_CELL_ERROR}.*$", re.IGNORECASE)
 _COMMENT_LINE = re.compile(rf"\s*{_NO_CELL_ERROR}", re.IGNORECASE)
 
-# what `str.splitlines` splits at
+# characters at which `str.splitlines` splits
 _LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"
 
 Lines = Sequence[tuple[int, str]]
 _LONGEST_LINE = 2**24  # characters
-_SAMPLE = 50  # number of lines by which the separator is found
+_SAMPLE = 50  # number of lines that determine the separator
 _MOST_SETTINGS = 10  # largest number of lines of settings between header and samples
-_FEW_ROWS = 5  # largest number of rows of a transposed table, which has five times as many columns at least
+_FEW_ROWS = 5  # largest number of rows of a transposed table, which has at least five times as many columns
 
 
 def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
-    """Return numbered lines without blank ones, comments, repeated headers and text below the samples, and notes."""
+    """Return numbered lines without blank lines, comments, repeated headers and text below the samples; and notes."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16", errors="replace")
     elif b"\0" in content:
@@ -71,7 +71,7 @@ def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tu
             for number, line in lines
             if not ("#" in line and _COMMENT_LINE.match(line))
         ]
-    del text, rows  # as large as the file; the lines are copies
+    del text, rows  # free memory: as large as the file; the lines are copies
     notes = []
     first = next((i for i, (_, line) in enumerate(lines) if _holds_samples(line)), len(lines))
     for _, line in lines[:first]:
@@ -106,24 +106,25 @@ def delimiter_of(line: str) -> str | None:
 
 
 def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
-    """Return whether a line contains samples: its first non-empty cell, or most of them, are numbers or clock times."""
+    """Return whether a line contains samples: its first non-empty cell, or most cells, are numbers or clock times."""
     filled = [c for c in cells if c]
     known = [number_of(c, decimal_comma=comma, times=True) is not None for c in filled]
     return bool(filled) and (known[0] or sum(known) > len(known) / 2)
 
 
 def _delimiter_of_body(lines: Lines) -> str | None:
-    """Return the separator of most lines of the second half, which a title or a header does not change."""
+    """Return the separator of most lines of the second half, which contains no title or header."""
     body = [_QUOTED.sub("", text) for _, text in lines[len(lines) // 2 :][:_SAMPLE]]
     found = next((d for d in (";", "\t", ",") if sum(d in text for text in body) > len(body) / 2), None)
     mixed = found in {"\t", ","} and all(any(map(_is_list, split(text, found))) for text in body)
-    return None if mixed else found  # blanks, with tabs among them or a decimal comma
+    return None if mixed else found  # blanks: the lines contain tabs among blanks, or a decimal comma
 
 
 def _header(above: Lines, delimiter: str | None, width: int) -> tuple[list[str], list[str], int]:
     """Return the names of the columns, their units if in a separate line, and the line of the names.
 
-    Of several lines with a cell for each column (names, symbols, units) the one with most known names is the header.
+    Among several lines with a cell for each column (names, symbols, units), the header is the line with the most known
+    names.
     """
     cells = [split(text, delimiter) for _, text in above]
     cells = [c[:-1] if len(c) == width + 1 and not c[-1] else c for c in cells]
@@ -142,7 +143,7 @@ def _header(above: Lines, delimiter: str | None, width: int) -> tuple[list[str],
 
 
 def _plain_numbers(lines: Lines, delimiter: str | None) -> Floats | None:
-    """Return the samples of a table in which every cell is a number; None for another one."""
+    """Return the samples of a table in which every cell is a number; None for any other table."""
     texts: Iterator[str] = (text for _, text in lines)
     if delimiter != "," and any("," in text for _, text in lines[:_SAMPLE]):
         texts = (text.replace(",", ".") for text in texts)
@@ -153,7 +154,7 @@ def _plain_numbers(lines: Lines, delimiter: str | None) -> Floats | None:
 
 
 def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable:
-    """Return the table in the lines of a text file; lines and header must have equal numbers of cells."""
+    """Return the table in the lines of a text file; all lines and the header must have the same number of cells."""
     delimiter = _delimiter_of_body(lines)
     comma = delimiter != ","
     first = next(
@@ -164,7 +165,7 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
     wide = len(split(lines[(first + len(lines)) // 2][1], delimiter))
     names, units, header_line = _header(lines[:first], delimiter, wide)
     header_line = header_line or lines[first][0]
-    # a title, separated from the samples by an empty line, may have as many words as there are columns
+    # a title that an empty line separates from the samples may have as many words as there are columns
     apart = bool(names) and delimiter is None and lines[first][0] > lines[first - 1][0] + 1
     titled = apart and not any(map(role_of, names))
     if titled:
@@ -176,7 +177,7 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
         head = tuple(names) or blank, tuple(units) or blank
         return RawTable(path, *head, tuple(numbers.T), line, header_line, comma, notes)
     if (len(lines) - first) * wide > MAX_CELLS:
-        what = f"{path} has more than {MAX_CELLS:,} cells, which are not all numbers."
+        what = f"{path} has more than {MAX_CELLS:,} cells, not all of which are numbers."
         raise DatasetError(what, "Export the columns of time and angle alone.")
     rows = [split(text, delimiter) for _, text in lines[first:]]
     usual = max({len(r) for r in rows}, key=[len(r) for r in rows].count)
@@ -184,7 +185,7 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
     preamble: list[str] = []
     regular = all(len(r) == usual for r in rows[above_table:-1])
     if 0 < above_table <= _MOST_SETTINGS and len(names) != usual and regular:
-        # settings of the instrument, in a separate table
+        # settings of the instrument in a separate table above the samples
         preamble = [
             f"{path.name}: ignored the lines before line {lines[first + above_table][0]} (another table)"
         ]

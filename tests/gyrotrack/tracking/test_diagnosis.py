@@ -235,7 +235,7 @@ def test_a_body_that_is_smeared_along_its_circles_is_blurred(along, blurred):
     if not blurred:
         refuse_blurred(film, frames, ring, 1.0)
         return
-    with pytest.raises(RefusedFilmError, match="blurred beyond use") as error:
+    with pytest.raises(RefusedFilmError, match="too blurred to be tracked") as error:
         refuse_blurred(film, frames, ring, 1.0)
     assert error.value.evidence["detail"] == pytest.approx(share)
     assert error.value.evidence["change_sigma"] == pytest.approx(change)

@@ -176,7 +176,9 @@ class TestRepeatedFrames:
     def test_those_that_fill_gaps(self, shoot):
         recording = extract(shoot("filled.mp4", EVEN, FILLED, EVEN))
         again = np.diff(FILLED, prepend=-1) == 0
-        assert _told(recording, "6 frames repeat", "the first is frame 37", "They replace missing frames")
+        assert _told(
+            recording, "6 frames repeat", "the first is frame 37", "The repeats replace missing frames"
+        )
         np.testing.assert_allclose(recording.time, EVEN, atol=1e-5)
         for marker in recording.markers.values():
             assert (marker.status[again] == STATUS["lost"]).all()

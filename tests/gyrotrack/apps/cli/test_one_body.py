@@ -110,7 +110,7 @@ def test_prior_from_another_study(gyrotrack, wheel, tmp_path):
     assert "prior from first.h5 (f2): touchpoint.constant.b1" in again.out
     said = gyrotrack("fit", second, "--prior", second)
     assert said.code == 2
-    assert "used twice" in said.err
+    assert "use these data twice" in said.err
 
 
 @pytest.mark.slow

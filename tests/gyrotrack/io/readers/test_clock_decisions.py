@@ -130,7 +130,7 @@ class TestSetBack:
         """The motion goes on by six rows more or less than the times; noise of a tenth of a row."""
         value = motion(TIME + DT * rows * (K >= 200)) + 0.02 * np.random.default_rng(1).standard_normal(N)
         if refused:
-            with pytest.raises(DatasetError, match="rows are missing there"):
+            with pytest.raises(DatasetError, match="rows are missing between"):
                 in_order(self.back(5.3), value)
         else:
             _, said = in_order(self.back(5.3), value)
@@ -142,7 +142,7 @@ class TestSetBack:
     def test_the_values_contradict_by_four_standard_errors(self, monkeypatch, delay, refused):
         monkeypatch.setattr(module, "_delay", lambda *_: (delay, 1e-3))
         if refused:
-            with pytest.raises(DatasetError, match="rows are missing there"):
+            with pytest.raises(DatasetError, match="rows are missing between"):
                 in_order(self.back(5.3))
         else:
             assert in_order(self.back(5.3))[0].time == pytest.approx(TIME)

@@ -128,7 +128,7 @@ def test_lost_rows_are_not_step_of_the_clock(tmp_path):
     np.testing.assert_allclose(read.time, TIME[keep])
     # a clock that is set back while rows are lost contradicts the values
     stated = np.where(np.arange(400) < 200, TIME, TIME - 0.2)[keep]
-    with pytest.raises(DatasetError, match=r"line 198: the clock steps by .* rows are missing there"):
+    with pytest.raises(DatasetError, match=r"line 198: the clock steps by .* rows are missing between"):
         read_motion(write(tmp_path / "b.csv", stated, value[keep], head="t,angle"))
 
 
