@@ -30,6 +30,7 @@ from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import EstimationError
 from fitting.dynamics._model import Model
 from fitting.effects._expression import Expr, Tape, divisors, symbols
+from fitting.effects._mechanism import MAIN
 from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
@@ -44,7 +45,7 @@ from fitting.inference._problem import (
     raised_noise,
     refine_level,
 )
-from fitting.inference._record import Record, Samples
+from fitting.inference._record import Record
 from fitting.inference._result import Fit, outcome
 from fitting.inference._sampled import predicted_samples
 from fitting.inference._ties import follow
@@ -105,7 +106,7 @@ def with_initial_shapes(
 def _comes_to_rest(problem: Problem, theta: Array) -> bool:
     """Return whether a casing comes to rest or reverses, as measured or in the model."""
     for d in problem.data:
-        speed = np.abs(d.initial_speeds[1][:, 1])
+        speed = np.abs(d.initial_speeds[1][:, MAIN])
         if (speed[len(speed) // 20 :] < _AT_REST * speed.max(initial=0.0)).any():
             return True
     return any(p.path.jumps for p in problem.predict(theta))
@@ -362,10 +363,18 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
         raise EstimationError(
             "the cases of a joint fit need different labels", "give them with --label when making a case"
         )
-    known = {d.record.parts for d in data}
+    known = {(d.record.parts, d.record.mechanism) for d in data}
     if len(known) > 1:
         raise EstimationError(
-            "one body alone and a rotor in its casing cannot be fitted together", "fit them one by one"
+            "one body alone and a rotor in its casing cannot be fitted together"
+            if len({d.record.mechanism for d in data}) == 1
+            else "recordings of different bodies or joints cannot be fitted together",
+            "fit them one by one",
+        )
+    if data[0].record.mechanism != model.mechanism:
+        raise EstimationError(
+            "the model is of other bodies than the recording",
+            f"name laws of {', '.join(data[0].record.mechanism.bodies)}, for example with case.model(...)",
         )
     foreign = [e.name for e in model.effects if not e.bodies <= data[0].record.parts]
     if foreign:
@@ -418,10 +427,10 @@ def _changes_sign(divisor: Expr, data: CaseData) -> bool:
     little slower or faster than the record.
     """
     names = symbols(divisor)
-    if not names or not names <= {"t", "omega_r", "omega_c", "delta"}:
-        return False  # a constant, a parameter that the fit may move, or an angle
     time, speeds = data.initial_speeds
-    measured = {"omega_r": speeds[:, 0], "omega_c": speeds[:, 1], "delta": speeds[:, 0] - speeds[:, 1]}
+    measured = data.record.mechanism.motion(speeds.T)
+    if not names or not names <= {"t", *measured}:
+        return False  # a constant, a parameter that the fit may move, or an angle
     motion = {"t": np.concatenate([time, time[[0, -1]]])}
     for name, value in measured.items():
         low, high = float(value.min()), float(value.max())
@@ -502,7 +511,7 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
         scale = 1.4826 * float(np.median(np.abs(x)))
         influence, slope = psi(x / scale)
         value = model + samples.sigma * scale * influence / max(float(slope.mean()), 0.1)
-        runs.append(Samples(samples.time, value, samples.sigma))
+        runs.append(replace(samples, value=value))
     made = CaseData.of(replace(data.record, casing=runs[0], rotor=tuple(runs[1:])), data.criteria)
     return CaseData(
         data.record, made.casing, made.rotor, free_inertia=data.free_inertia, criteria=data.criteria
