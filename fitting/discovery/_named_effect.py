@@ -46,6 +46,7 @@ from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols
 from fitting.effects._library import LIBRARY
+from fitting.effects._mechanism import GYROSCOPE, Mechanism
 from fitting.effects._words import effect_name
 from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import (
@@ -105,7 +106,7 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     """Return how well the data test the form of an effect, which does not depend on an angle, in its own fit."""
     cases = [CaseColumns(found, i) for i in range(len(found.predictions))]
     torques = [_torque(c, effect) for c in cases]
-    variable = _variable(effect)
+    variable = _variable(effect, found.model.mechanism)
     values = [c.along_motion(variable) for c in cases]
     knots = np.linspace(min(v.min() for v in values), max(v.max() for v in values), _KNOTS)
     slow = _has_time_constant(effect)
@@ -151,14 +152,18 @@ def _senses(effect: Effect, torques: Sequence[Array]) -> list[float]:
     return [share if own.any() else 0.0 for share, own in zip(shares, torques, strict=True)]
 
 
-def _variable(effect: Effect) -> str:
+_OWN_SPEED = dict(GYROSCOPE.sites) | {"factor": "delta"}
+
+
+def _variable(effect: Effect, mechanism: Mechanism = GYROSCOPE) -> str:
     """Return the only variable of a law; time if it has several or a state, the speed of its body if it has none."""
     names = symbols(effect.expression) - {p.symbol for p in effect.parameters}
-    motion = dict(effect.mechanism.sites)
+    motion = dict(mechanism.sites)
     speeds = names & {*motion.values()}
     if effect.state is not None or "t" in names or effect.inputs or len(speeds) > 1:
         return "t"
-    return next(iter(speeds), motion.get(effect.site, "t") if effect.joint != "inertia" else "t")
+    own = _OWN_SPEED.get(effect.joint, "t") if mechanism == GYROSCOPE else motion.get(effect.site, "t")
+    return next(iter(speeds), own)
 
 
 def _has_time_constant(effect: Effect) -> bool:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import SimulationError
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
+from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter
 from fitting.effects._mechanism import MAIN
 from fitting.inference._fit import fit
@@ -347,7 +348,7 @@ def with_free_shape(found: Fit, effect: Effect, criteria: Criteria) -> Fit | Non
     general = with_shape_parameter(effect)
     if general is None:
         return None
-    model = found.model.with_only(general if e.name == effect.name else e for e in found.model.effects)
+    model = Model(tuple(general if e.name == effect.name else e for e in found.model.effects))
     symbol = general.parameters[-1].symbol
     best: Fit | None = None
     for start in general.parameters[-1].grid or (general.parameters[-1].start,):

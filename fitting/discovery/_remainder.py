@@ -41,6 +41,7 @@ from fitting.discovery._residuals import ResidualTorque, format_torque, residual
 from fitting.discovery._select import Candidate, Selection
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._inputs import values_at
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import TORQUES, Effect, Parameter, at_site, bodies_of
 from fitting.effects._expression import Tape, symbols
 from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism
@@ -88,13 +89,18 @@ class Torques:
     that of the base, an effect has not made the fit more complete, and the base takes its place.
     """
 
+    _mechanism = GYROSCOPE
+    _inertias: tuple[str, ...] = (INERTIA_ROTOR, INERTIA_CASING)
+
     def __init__(self, base: Fit, end: Fit, *, residual: bool) -> None:
         curves = residual_torques(end) if residual else []
         if residual and end is not base:
             of_base = residual_torques(base)
             if _mean_square(of_base) < _mean_square(curves):
                 end, curves = base, of_base
-        self._base, self._end, self._mechanism = base, end, end.model.mechanism
+        self._base, self._end = base, end
+        self._mechanism = end.model.mechanism
+        self._inertias = self._mechanism.inertias
         self._time = [np.linspace(*d.record.span, _POINTS) for d in end.problem.data]
         self.unmodelled = self._difference(end)
         if residual:
@@ -182,7 +188,7 @@ class Torques:
         motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
         # the deflection belongs to the motion; states of effects, for example a temperature, are those of the fit
         for i, name in enumerate(fitted.states[: y.shape[1]]):
-            if i < fitted.speeds:
+            if i < len(self._inertias):
                 y[:, i] = motion[:, i]
             elif name == "deflection":
                 # measured from the equilibrium of the fit: with a constant torque it is another one
@@ -194,7 +200,7 @@ class Torques:
             known = self._end.problem.layout.numbers(self._end.theta, case)
             numbers |= {k: v for k, v in known.items() if k in numbers}
         rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
-        return [numbers[key] * rates[:, i] for i, key in enumerate(self._mechanism.inertias)]
+        return [numbers[key] * rates[:, i] for i, key in enumerate(self._inertias)]
 
 
 def _mean_square(curves: Sequence[ResidualTorque]) -> float:
@@ -300,7 +306,7 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
     """
     if effect.restoring and not base.model.restoring:
         return
-    mechanism = base.model.mechanism
+    mechanism = effect.mechanism
     for site, speed in mechanism.sites:
         variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
         foreign = not bodies_of(site, (speed,), mechanism) <= base.problem.data[0].record.parts

@@ -229,6 +229,9 @@ class CaseColumns:
         self._scaled_torque = {c.name: self._known[c.tau] for c in mechanism.couplings}
         for i, (body, key) in enumerate(zip(mechanism.bodies, mechanism.inertias, strict=True)):
             self._scaled_torque[body] = self.numbers[key] * rates[:, i]
+        # the typical torque of a recording, by the role of the body that is spun up
+        joint, main = mechanism.couplings[0].name, mechanism.main
+        self._typical = {"rotor": self._scaled_torque[joint], "body": self._scaled_torque[main]}
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
         """Return the columns of a candidate for every choice of its shape constants, or for the choices given."""
@@ -289,9 +292,8 @@ class CaseColumns:
 
     @property
     def typical_torque(self) -> Array:
-        """Torque of the first joint in each cell [N m]; of a single body the net torque."""
-        record = self.case.data.record
-        return np.asarray(self._scaled_torque[(*record.joints, record.mechanism.main)[0]])
+        """Torque of the bearing in each cell [N m]; of a single body, or the main one of a chain, the net torque."""
+        return np.asarray(self._typical[self.case.data.record.spun.role])
 
     @staticmethod
     def _shares(effect: Effect) -> tuple[float, ...]:

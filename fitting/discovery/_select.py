@@ -40,7 +40,7 @@ from fitting.discovery._refine import (
     with_values_per_case,
 )
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
-from fitting.effects._effect import Effect
+from fitting.effects._effect import Effect, mechanism_of
 from fitting.effects._expression import substitute, sym
 from fitting.effects._instances import laws_of
 from fitting.effects._library import START
@@ -231,7 +231,7 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
     first, *others = ({(i.name, i.unit) for i in d.record.inputs} for d in base.problem.data)
     varying = {i.name for d in base.problem.data for i in d.record.driving}
     common = {name: unit for name, unit in sorted(first.intersection(*others)) if name in varying}
-    mechanism = base.model.mechanism
+    mechanism = mechanism_of(base.model.effects)
     recorded = [e for e in drives(common, mechanism) if not any(_same_law(e, b) for b in base.model.effects)]
     known = {e.name: e for e in (*laws_of(mechanism).values(), *recorded, *extra)}
     names = set(base.model.names)

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting._arguments import NUMBERS, TEXT, Kind, require
-from fitting._errors import EffectError
+from fitting._errors import EffectError, EstimationError
 from fitting._numbers import on_screen
 from fitting.dynamics._inputs import Input
-from fitting.effects._effect import RATIO, THE_CASING, THE_ROTOR, Effect, Parameter, bodies_of, slope_symbol
+from fitting.effects._effect import RATIO, Effect, Parameter, slope_symbol
 from fitting.effects._expression import (
     ONE,
     ZERO,
@@ -46,7 +46,7 @@ from fitting.effects._expression import (
     total,
 )
 from fitting.effects._library import GENERAL, LINEAR, REDUCED, find
-from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism, inertia_of
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Coupling, Mechanism, inertia_of
 from fitting.effects._user import read_effects, read_toml, resolve
 
 Array = NDArray[np.float64]
@@ -244,32 +244,61 @@ class Model:
         """The effects of the cameras on the measured angles."""
         return tuple(e for e in self.effects if not e.mechanical)
 
-    def equations(self, bodies: Set[str] = THE_ROTOR | THE_CASING) -> tuple[str, ...]:
-        """Return the equations of motion as LaTeX, one line for each body and one for the bearing torque.
+    def refuse_chain(self, what: str) -> None:
+        """Raise an EstimationError for something that is not available for bodies with joints of their own."""
+        if self.mechanism != GYROSCOPE:
+            raise EstimationError(
+                f"{what} is not available for several bodies with joints",
+                "fit, diagnose and improve are",
+            )
+
+    def equations(self, bodies: Set[str] | None = None) -> tuple[str, ...]:
+        """Return the equations of motion as LaTeX, one line for each body and one for the torque of each joint.
 
         Parameters
         ----------
-        bodies : set of str
-            The bodies of the library that the case has: "rotor", "casing".
+        bodies : set of str, optional
+            The bodies that the case has, for example "rotor" and "casing"; by default those of the mechanism.
         """
-        laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": [], "contact": []}
+        mechanism = self.mechanism
+        present = mechanism.bodies if bodies is None else bodies
+        laws: dict[str, list[str]] = {site: [] for site in (*mechanism.bodies, *mechanism.joints, "contact")}
+        factors: dict[str, list[str]] = {site: [] for site in mechanism.joints}
         for e in self.effects:
-            if e.joint in laws:
-                laws[e.joint].append(latex(e.expression))
+            kind = factors if e.joint == "factor" else laws
+            if e.site in kind and e.joint != "inertia":
+                kind[e.site].append(latex(e.expression))
 
         def join(terms: list[str]) -> str:
             return " ".join(t if t.startswith("-") else f"+ {t}" for t in terms).removeprefix("+ ")
 
-        tau = join(laws["bearing"]) or "0"
-        if laws["factor"]:
-            tau = rf"\left({tau}\right) " + " ".join(rf"\left({f}\right)" for f in laws["factor"])
-        bearing = bodies_of("bearing", ()) <= bodies and (bool(laws["bearing"]) or not laws["contact"])
-        rotor = join([*([r"-\tau_{cr}"] if bearing else []), *laws["rotor"], *laws["contact"]])
-        casing = join([*([r"\tau_{cr}"] if bearing else []), *laws["casing"]])
-        casing += "".join(rf" - n \left({c}\right)" for c in laws["contact"])
-        sums = {"rotor": rf"I_r \dot\omega_r = {rotor}", "casing": rf"I_c \dot\omega_c = {casing or '0'}"}
-        lines = tuple(line for body, line in sums.items() if body in bodies)
-        return (*lines, rf"\tau_{{cr}} = {tau}") if bearing else lines
+        lines, torques = [], []
+        used = [
+            c
+            for c in mechanism.couplings
+            if {c.first, c.second} <= {*present} and (laws[c.name] or not laws["contact"])
+        ]
+        for joint in used:
+            tau = join(laws[joint.name]) or "0"
+            if factors[joint.name]:
+                scale = " ".join(rf"\left({f}\right)" for f in factors[joint.name])
+                tau = rf"\left({tau}\right) {scale}"
+            torques.append(f"{_tau(joint)} = {tau}")
+        for i, body in enumerate(mechanism.bodies):
+            of_joints = [_tau(c) if c.second == body else f"-{_tau(c)}" for c in used if body in c[1:]]
+            total_torque = join([*of_joints, *laws[body], *(laws["contact"] if i == 0 else [])])
+            if i == MAIN:
+                total_torque += "".join(rf" - n \left({c}\right)" for c in laws["contact"])
+            name = mechanism.speeds[i].removeprefix("omega_")
+            name = name if len(name) == 1 else rf"\mathrm{{{name}}}"
+            if body in present:
+                lines.append(rf"I_{name} \dot\omega_{name} = {total_torque or '0'}")
+        return (*lines, *torques)
+
+
+def _tau(joint: Coupling) -> str:
+    """Return the symbol of the torque of a joint as LaTeX."""
+    return r"\tau_{cr}" if joint.tau == "tau" else rf"\tau_\mathrm{{{joint.name}}}"
 
 
 def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:

@@ -500,6 +500,11 @@ class Effect:
             raise EffectError(f"the law of {self.name!r} has the unit {format_unit(result)}, not {unit}")
 
 
+def mechanism_of(effects: Iterable[Effect]) -> Mechanism:
+    """Return the mechanism of which effects speak: that of a gyroscope if there are none."""
+    return next((e.mechanism for e in effects), GYROSCOPE)
+
+
 def at_site(
     name: str, site: str, law: str, parameters: tuple[Parameter, ...], mechanism: Mechanism, **more: Any
 ) -> Effect:

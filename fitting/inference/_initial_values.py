@@ -118,7 +118,7 @@ def averaged_fit(
     layout = ParameterLayout.of(model, [d.record for d in data])
     rough = [d.initial_speeds for d in data]
     deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
-    theta = start_values(layout, reference_speed(data), rough, deflections)
+    theta = start_values(layout, reference_speed(data, model.mechanism), rough, deflections)
     return averaged(layout, data, theta, _strengths, _regress, errors)
 
 
@@ -135,7 +135,7 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
         return slow.phase_error
     rough = [d.initial_speeds for d in data]
     deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
-    theta = start_values(layout, reference_speed(data), rough, deflections)
+    theta = start_values(layout, reference_speed(data, model.mechanism), rough, deflections)
     residual = whole = 0.0
     for case, ((times, speeds), deflection) in enumerate(zip(rough, deflections, strict=True)):
         keys, design, target = _equations(layout, case, times, speeds, deflection, theta)

@@ -227,11 +227,15 @@ def _casing_folds(data: CaseData) -> list[Array]:
     return folds
 
 
+def _rotor_folds(data: CaseData) -> list[Array]:
+    ends = data.slices["rotor"].start + np.cumsum([0, *(len(w.z) for w in data.rotor)])
+    return [np.arange(a, b) for a, b in pairwise(ends)]
+
+
 def _folds(data: CaseData) -> Iterator[tuple[str, list[Compressed], list[Array]]]:
     """Yield each body with its runs and the rows that are left out together."""
     yield data.record.mechanism.main, [data.casing], _casing_folds(data)
-    ends = data.slices["rotor"].start + np.cumsum([0, *(len(w.z) for w in data.rotor)])
-    rows = {i: np.arange(a, b) for i, (a, b) in enumerate(pairwise(ends))}
+    rows = _rotor_folds(data)
     for state, name in enumerate(data.record.mechanism.bodies):
         own = [i for i, w in enumerate(data.rotor) if state != MAIN and w.samples.state == state]
         folds = [rows[i] for i in own]

@@ -317,7 +317,8 @@ class TorqueResponse:
         self.edges = np.linspace(*data.record.span, count + 1)
         self.mechanism = data.record.mechanism
         directions = np.diag(1 / np.array(data.record.inertias))
-        found = (_impulses(data, motion, self.edges, d)[self._smooth] for d in directions)
+        states = [w.samples.state for w in data.rotor]
+        found = (_impulses(data, motion, self.edges, d, states)[self._smooth] for d in directions)
         self.bodies = dict(zip(self.mechanism.bodies, found, strict=True))
 
     @property
@@ -380,30 +381,45 @@ class TorqueResponse:
     def whitener(self, noise: TorqueNoise) -> Whitener:
         """Return the whitener of rows with this noise."""
         values, vectors = np.linalg.eigh(self.covariance(noise.time))
-        values = np.concatenate([np.maximum(values, 0.0), self._harmonic_variances(noise.time)])
+        values = np.concatenate(
+            [np.maximum(values, 0.0), self._harmonic_variances(noise.time, self._directions)]
+        )
         return Whitener(vectors, values, noise.rms)
 
-    def _harmonic_variances(self, time: float) -> Array:
-        """Return the variances of the rows of harmonics for torques of rms 1 N m.
+    @cached_property
+    def _directions(self) -> list[Array]:
+        """The accelerations of all bodies by each of the random torques of 1 N m [rad/s2]."""
+        sites = (self.mechanism.main, *self.mechanism.joints)
+        return [np.array(self.mechanism.shares(site)) / self.data.record.inertias for site in sites]
+
+    def _harmonic_variances(self, time: float, directions: Sequence[Array] | None = None) -> Array:
+        """Return the variances of the rows of harmonics for torques of rms 1 N m, by default those of a gyroscope.
 
         Such a row responds to the torque at its frequency, m times the speed. This torque is independent in
         neighbouring blocks.
         """
-        inverse = 1 / np.array(self.data.record.inertias)
-        sites = (self.mechanism.main, *self.mechanism.joints)
-        directions = [inverse * self.mechanism.shares(site) for site in sites]
+        record = self.data.record
+        if directions is None:
+            casing, rotor = 1 / record.I_casing, 1 / record.I_rotor
+            directions = [np.array([0.0, casing]), np.array([-rotor, casing])]
         square = sum(float(self._motion.accelerations(d)[MAIN] ** 2) for d in directions)
         response, frequency = self.data.harmonic_row_responses
         return np.asarray(square * response * 2 * time / (1 + (frequency * time) ** 2))
 
 
-def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Array) -> Array:
-    """Return the rows' response to a unit torque in each cell, by variation of constants."""
+def _impulses(
+    data: CaseData, motion: LinearMotion, cells: Array, direction: Array, states: Sequence[int] = ()
+) -> Array:
+    """Return the rows' response to a unit torque in each cell, by variation of constants.
+
+    `states` are the places in a state of the bodies of the windows, by default of the first body.
+    """
     centres = 0.5 * (cells[1:] + cells[:-1])
     impulses = motion.impulses(centres, direction) * np.diff(cells)[:, None]
     before = motion.integrated(centres)
     parts = []
-    for state, compressed in ((MAIN, data.casing), *((w.samples.state, w) for w in data.rotor)):
+    places = (MAIN, *(states or [0] * len(data.rotor)))
+    for state, compressed in zip(places, (data.casing, *data.rotor), strict=True):
         times = compressed.node_times
         if data.is_angle:
             response = motion.integrated(times)[:, state] @ impulses.T - np.einsum(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import UNBOUNDED
 from fitting.dynamics._model import Model
-from fitting.effects._mechanism import MAIN, Coupling, Mechanism
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Coupling, Mechanism
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal, r_factor
@@ -101,7 +101,7 @@ class Problem:
     @cached_property
     def reference(self) -> float:
         """A typical speed of the bearing, or of the first joint, in these cases [rad/s]."""
-        return reference_speed(self.data)
+        return reference_speed(self.data, self.layout.model.mechanism)
 
     def predict(self, theta: Array) -> list[Prediction]:
         """Return the prediction of each case at physical variables, with the derivatives by the free ones."""
@@ -178,9 +178,8 @@ class Problem:
         return lower, upper
 
 
-def reference_speed(data: Sequence[CaseData]) -> float:
+def reference_speed(data: Sequence[CaseData], mechanism: Mechanism = GYROSCOPE) -> float:
     """Return a typical speed of the bearing, or of the first joint, in these cases [rad/s]."""
-    mechanism = data[0].record.mechanism
     return typical_speed([d.initial_speeds[1] for d in data], mechanism, mechanism.couplings[0])
 
 
