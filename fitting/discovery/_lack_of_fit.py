@@ -42,8 +42,9 @@ from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
 from fitting.dynamics._collocation import Sampler
-from fitting.effects._effect import Effect, Joint, Parameter, bodies_of
+from fitting.effects._effect import TORQUES, Effect, Parameter, at_site, bodies_of
 from fitting.effects._expression import symbols
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._fit import fit as fit_model
@@ -62,14 +63,16 @@ KNOTS = (4, 8)
 lower the power for broad ones."""
 
 
-def speeds(times: Array, prediction: Prediction) -> Array:
-    """Return the speeds of casing, rotor and bearing, shape (3, times) [rad/s]."""
-    y = Sampler(prediction.path.mesh, times).value(prediction.path.y)
-    return np.stack([y[:, 1], y[:, 0], y[:, 0] - y[:, 1]])
+def speeds(times: Array, prediction: Prediction, mechanism: Mechanism = GYROSCOPE) -> Array:
+    """Return the speeds of casing, rotor and bearing, or of all bodies and joints, shape (3, times) [rad/s]."""
+    path = prediction.path
+    motion = mechanism.motion(Sampler(path.mesh, times).value(path.y)[:, : path.speeds].T)
+    main = mechanism.speeds[MAIN]
+    return np.stack([motion[main], *(v for s, v in motion.items() if s != main)])
 
 
-def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
-    """Return the fall of the deviance by any smooth function of a speed as a torque on a body or in the bearing.
+def nonparametric_law(fit: Fit, site: str, speed: str) -> float:
+    """Return the fall of the deviance by any smooth function of a speed as a torque on a body or in a joint.
 
     The function is the same in all cases. It is scored like a candidate, without a refit; the larger fall with 4 or 8
     knots counts.
@@ -78,12 +81,12 @@ def nonparametric_law(fit: Fit, joint: Joint, speed: str) -> float:
     context = ScoreContext(fit, 1)
     values = [c.along_motion(speed) for c in cases]
     least, most = min(float(x.min()) for x in values), max(float(x.max()) for x in values)
-    rotor, casing = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "bearing": (-1.0, 1.0)}[joint]
+    shares = fit.model.mechanism.shares(site)
     found = []
     for count in KNOTS:
         knots = np.linspace(least, most, count)
         shapes = [piecewise_linear(x, knots) for x in values]
-        rows = [c.torque_rows(rotor * h, casing * h) for c, h in zip(cases, shapes, strict=True)]
+        rows = [c.torque_rows(*(x * h for x in shares)) for c, h in zip(cases, shapes, strict=True)]
         found.append(score_of_columns(context, np.concatenate(rows)))
     return max(found)
 
@@ -154,13 +157,15 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
     """
     cases = list(zip(fit.problem.data, fit.predictions, fit.noise, strict=True))
     responses = [TorqueResponse(data, p.motion) for data, p, _ in cases]
-    values = [speeds(r.centres, p) for r, (_, p, _) in zip(responses, cases, strict=True)]
+    values = [
+        speeds(r.centres, p, fit.model.mechanism) for r, (_, p, _) in zip(responses, cases, strict=True)
+    ]
     record = cases[0][0].record
     bodies = (*(b.name for b in record.bodies), *record.joints)
-    choices = _choices(np.concatenate(values, axis=1)[: len(bodies)])
+    choices = _choices(np.concatenate(values, axis=1)[: len(bodies)], len(responses[0].random))
     found, widths = [], np.cumsum([len(knots) for _, knots, _ in choices])[:-1]
     for response, speed, (data, p, noise) in zip(responses, values, cases, strict=True):
-        acting = response.casing, response.casing - response.rotor
+        acting = response.random
         torques = [acting[body] @ piecewise_linear(speed[which], knots) for which, knots, body in choices]
         rows = np.zeros((len(data.z), sum(t.shape[1] for t in torques)))
         rows[: len(response.casing)] = np.concatenate(torques, axis=1)
@@ -171,11 +176,11 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
     return names, joined, np.concatenate(free), np.concatenate(residual), list(shares)
 
 
-def _choices(values: Array) -> list[tuple[int, Array, int]]:
-    """Return the choices: index of the speed, its knots [rad/s], and 0 for the casing or 1 for the bearing."""
+def _choices(values: Array, torques: int = 2) -> list[tuple[int, Array, int]]:
+    """Return which speed, the knots in it [rad/s], and whether on the casing (0) or in which joint (from 1)."""
     return [
         (which, np.linspace(speed.min(), speed.max(), count), body)
-        for (which, speed), count, body in product(enumerate(values), KNOTS, (0, 1))
+        for (which, speed), count, body in product(enumerate(values), KNOTS, range(torques))
     ]
 
 
@@ -209,6 +214,7 @@ class PeriodogramPeak:
     body: str  # name of the body for the user, for example "casing"
     p_value: float  # probability that noise has a peak of this height (an upper bound)
     unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
+    site: str = "casing"  # the body in laws
 
     @property
     def words(self) -> str:
@@ -221,8 +227,8 @@ class PeriodogramPeak:
 
     @property
     def law(self) -> str:
-        """The formula to add to the model, for the option --add."""
-        return f"casing: k*cos({self.rate:.5g}*t + phi)"
+        """The formula to add."""
+        return f"{self.site}: k*cos({self.rate:.5g}*t + phi)"
 
 
 def periodogram_peak(fit: Fit) -> PeriodogramPeak | None:
@@ -269,7 +275,9 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
         for x in noise.process.ratios
     ]
     p_value = min(cases * float(np.dot(p_values, noise.process.weights)), 1.0) if credible else 1.0
-    return PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit)
+    return PeriodogramPeak(
+        rate, k, angle, record.label, record.body, p_value, record.torque_unit, record.mechanism.main
+    )
 
 
 class _Periodogram:
@@ -370,7 +378,7 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
             key = f"{e.name}.{e.amplitude.symbol}"
             others += [abs(x.value) for name, x in fit.estimates.items() if name.partition("@")[0] == key]
     for order in _ORDERS:
-        law = _harmonic_law(order)
+        law = _harmonic_law(order, fit.model.mechanism)
         chi2, torque, phase, count, shares = 0.0, 0.0, 0.0, 0, []
         for index, (data, p, n) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
             if data.measured_angle is None:
@@ -397,7 +405,7 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
     if found.p_value >= criteria.doubt_adequate:
         return found
     with attempt(f"harmonic {found.order} of the angle"):
-        model = fit.model.with_effect(_harmonic_law(found.order))
+        model = fit.model.with_effect(_harmonic_law(found.order, fit.model.mechanism))
         fitted = fit_model(model, fit, start=fit.values | start, noise=fit.noise, quick=True)
         k = fitted.estimates[_HARMONIC_AMPLITUDE]
         if _DETERMINED * k.stderr < abs(k.value) <= max(others):
@@ -405,13 +413,23 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
     return found
 
 
-def _harmonic_law(order: int) -> Effect:
-    return Effect("harmonic", "casing", f"k*sin({order}*psi_c - phi)", _AMPLITUDE_AND_PHASE)
+def _harmonic_law(order: int, mechanism: Mechanism) -> Effect:
+    law = f"k*sin({order}*{mechanism.main_angle} - phi)"
+    return at_site("harmonic", mechanism.main, law, _AMPLITUDE_AND_PHASE, mechanism)
 
 
-# rivals that are not effects of the library
-_SPEEDS: tuple[tuple[Joint, str], ...] = (("casing", "omega_c"), ("rotor", "omega_r"), ("bearing", "delta"))
-UNKNOWN_LAWS = {speed: f"another law of {speed}" for _, speed in _SPEEDS}
+def unknown_law(speed: str) -> str:
+    """Return the name of a law of a speed that is not an effect of the library."""
+    return f"{_UNKNOWN}{speed}"
+
+
+def is_unknown(name: str) -> bool:
+    """Return whether a rival is not an effect of the library: another law of a speed, or a torque in time."""
+    return name.startswith(_UNKNOWN) or name == UNKNOWN_IN_TIME
+
+
+_UNKNOWN = "another law of "
+UNKNOWN_LAWS = {speed: unknown_law(speed) for speed in ("omega_c", "omega_r", "delta")}
 UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 
 
@@ -449,11 +467,11 @@ def nonparametric_rivals(
     effect, bodies = chosen.effect, fit.problem.data[0].record.parts
     variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
     found = [
-        UNKNOWN_LAWS[speed]
-        for joint, speed in _SPEEDS
-        if not (effect.joint == joint and variables <= {speed})
-        and bodies_of(joint, (speed,)) <= bodies
-        and nonparametric_law(fit, joint, speed) > least
+        unknown_law(speed)
+        for site, speed in effect.mechanism.sites
+        if not (effect.joint in TORQUES and effect.site == site and variables <= {speed})
+        and bodies_of(site, (speed,), effect.mechanism) <= bodies
+        and nonparametric_law(fit, site, speed) > least
     ]
     if test is not None and test.any_in_time:
         found.append(UNKNOWN_IN_TIME)

@@ -270,6 +270,7 @@ def laws(
     FittingError
         If the fit cannot be evaluated.
     """
+    base.model.refuse_chain("a search for laws outside the library")
     criteria = criteria or base.criteria
     with recording() as trace:
         measured = measured_with(base, criteria)

@@ -32,6 +32,7 @@ list of candidates is scored again with a free ratio, and the best candidates ar
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +46,7 @@ from fitting.discovery._select import Candidate, Selection, rank
 from fitting.effects._effect import Effect
 from fitting.effects._expression import symbols
 from fitting.effects._library import LIBRARY
+from fitting.effects._mechanism import GYROSCOPE, Mechanism
 from fitting.effects._words import effect_name
 from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import (
@@ -78,9 +80,8 @@ _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: as in
 `fitting.discovery._lack_of_fit`; a smaller value projects out rounding, a larger one ignores some free columns."""
 _TINY = 1e-300
-"""Smallest sum of squared torques by which another sum is divided [1]. Derived: it avoids a division by zero and is
-below any other sum."""
-_OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta", "factor": "delta"}
+"""Smallest mean square torque by which a square is divided [1]. Derived: it avoids a division by zero and is below any
+other square."""
 
 
 @dataclass(frozen=True)
@@ -107,19 +108,21 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     """Return how well the data test the form of `effect`, which is part of the fit and does not depend on an angle."""
     cases = [CaseColumns(found, i) for i in range(len(found.predictions))]
     torques = [_torque(c, effect) for c in cases]
-    variable = _variable(effect)
+    variable = _variable(effect, found.model.mechanism)
     values = [c.along_motion(variable) for c in cases]
     knots = np.linspace(min(v.min() for v in values), max(v.max() for v in values), _KNOTS)
     slow = _has_time_constant(effect)
     deviations, splines, square, torque_square = [], [], 0.0, 0.0
-    for c, (rotor, casing), v in zip(cases, torques, values, strict=True):
+    for c, on_bodies, v in zip(cases, torques, values, strict=True):
         hats = piecewise_linear(v, knots)
-        deviations.append(c.torque_rows(rotor[:, None] * hats, casing[:, None] * hats))
-        square += float(np.sum(hats**2 * (rotor**2 + casing**2)[:, None]))
-        torque_square += float(np.sum(rotor**2 + casing**2))
+        deviations.append(c.torque_rows(*(x[:, None] * hats for x in on_bodies)))
+        squares = np.sum(np.square(on_bodies), axis=0)
+        square += float(np.sum(hats**2 * squares[:, None]))
+        torque_square += float(np.sum(squares))
         spline = _cubic_spline(c.along_motion("t")) if slow else np.zeros((len(v), 0))
-        splines.append(c.torque_rows(-spline * bool(rotor.any()), spline * bool(casing.any())))
-    effects = [c.torque_rows(r[:, None], k[:, None]) for c, (r, k) in zip(cases, torques, strict=True)]
+        senses = _senses(effect, on_bodies)
+        splines.append(c.torque_rows(*(sense * spline for sense in senses)))
+    effects = [c.torque_rows(*(x[:, None] for x in own)) for c, own in zip(cases, torques, strict=True)]
     columns = [np.concatenate(parts, axis=1) for parts in zip(deviations, splines, effects, strict=True)]
     known = zip(found.problem.data, found.predictions, found.noise, columns, strict=True)
     # a deviation may raise the process noise at which it is tested, but only up to the level of the recording
@@ -136,23 +139,33 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     return FormTest(limit, variable, names, p, rise < criteria.equivalence_width)
 
 
-def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, Array]:
-    """Return the torques of a fitted effect on rotor and casing in each cell [N m]."""
+def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, ...]:
+    """Return the torques of a fitted effect on each body in each cell [N m]."""
     shape, strengths = case.fitted(effect)
-    rotor, casing = (x @ strengths[: x.shape[1]] for x in case.torque(effect, shape))
-    return rotor, casing
+    return tuple(x @ strengths[: x.shape[1]] for x in case.torque(effect, shape))
 
 
-def _variable(effect: Effect) -> str:
-    """Return the variable of a law: its speed, or the speed of its body or joint if it has none.
+def _senses(effect: Effect, torques: Sequence[Array]) -> list[float]:
+    """Return the share of a torque in time on each body that an effect drives or brakes."""
+    mechanism = effect.mechanism
+    shares = mechanism.shares(effect.site)
+    if effect.joint == "input":  # which may act on any body
+        shares = tuple(1.0 if body == mechanism.main else -1.0 for body in mechanism.bodies)
+    return [share if own.any() else 0.0 for share, own in zip(shares, torques, strict=True)]
 
-    The variable is time for a law of time, of several speeds, with a state, or with an input.
-    """
+
+_OWN_SPEED = dict(GYROSCOPE.sites) | {"factor": "delta"}
+
+
+def _variable(effect: Effect, mechanism: Mechanism = GYROSCOPE) -> str:
+    """Return the only variable of a law; time if it has several or a state, the speed of its body if it has none."""
     names = symbols(effect.expression) - {p.symbol for p in effect.parameters}
-    speeds = names & {"omega_r", "omega_c", "delta"}
+    motion = dict(mechanism.sites)
+    speeds = names & {*motion.values()}
     if effect.state is not None or "t" in names or effect.inputs or len(speeds) > 1:
         return "t"
-    return next(iter(speeds), _OWN_SPEED.get(effect.joint, "t"))
+    own = _OWN_SPEED.get(effect.joint, "t") if mechanism == GYROSCOPE else motion.get(effect.site, "t")
+    return next(iter(speeds), own)
 
 
 def _has_time_constant(effect: Effect) -> bool:

@@ -226,8 +226,8 @@ def separating_run(
         # a planned run starts with given speeds, an oscillation with a release from an angle
         restoring = [x for x in smooth if any(e.restoring for e in x[1])]
         return _LARGER_AMPLITUDE if len(restoring) > 1 else ""
-    if fit.model.rigid_contact is not None:
-        # the initial speeds of bodies in contact are not independent
+    if fit.model.rigid_contact is not None or fit.problem.data[0].record.is_chain:
+        # the initial speeds of bodies in contact are not independent; runs of a chain are not planned
         return ""
     records = fit.problem.layout.records
     terms = [(e, _mean_values(e, estimates, records)) for _, effects, estimates in smooth for e in effects]

@@ -25,6 +25,7 @@ from fitting._errors import SimulationError
 from fitting.discovery._score import CaseColumns, Score, ScoreContext, score_in_case
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect, Parameter
+from fitting.effects._mechanism import MAIN
 from fitting.inference._fit import fit
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
@@ -311,7 +312,7 @@ def initial_values_of(base: Fit, score: Score) -> dict[str, float]:
 _WIDTHS = (0.02, 0.1, 0.5, 2.0)
 """Trial widths of a step [s]. Chosen: from a few frames to a slow transition; fewer start far from the optimum, more
 cost time."""
-_POWER = re.compile(r"abs\((\w+)\)\*\*([\d.]+)\*sign\(\1\)|(\w+)\*abs\(\3\)|\b(omega_[rc]|delta)\*\*2")
+_POWER = re.compile(r"abs\((\w+)\)\*\*([\d.]+)\*sign\(\1\)|(\w+)\*abs\(\3\)|\b(omega_\w+|delta\w*)\*\*2")
 _JUMP = re.compile(r"heaviside\(t - (\w+)\)")
 
 
@@ -329,7 +330,7 @@ def with_shape_parameter(effect: Effect) -> Effect | None:
         signed, order = power[1] or power[3], float(power[2] or 2.0)
         law = f"abs({signed})**n*sign({signed})" if signed else f"abs({power[4]})**n"
         rest = effect.law.replace(power[0], "")
-        if "omega" in rest.replace("sign(omega_c)", "") or "delta" in rest:
+        if "omega" in rest.replace(f"sign({effect.mechanism.speeds[MAIN]})", "") or "delta" in rest:
             return None
         strength = replace(effect.amplitude, unit="N m s^n")
         exponent = Parameter("n", "1", "shape", max(0.1, order - 1), order + 1, order, meaning="its exponent")

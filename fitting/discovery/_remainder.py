@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 from fitting._criteria import Criteria
 from fitting._numbers import percentage, rounded
 from fitting.discovery._lack_of_fit import (
-    UNKNOWN_LAWS,
     HarmonicTest,
     PeriodogramPeak,
     SmoothTest,
     harmonic_test,
     smooth_test,
+    unknown_law,
 )
 from fitting.discovery._named_effect import FormTest, form_test
 from fitting.discovery._refine import with_shape_parameter
@@ -43,8 +43,9 @@ from fitting.discovery._select import Candidate, Selection
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
-from fitting.effects._effect import Effect, Joint, Parameter, bodies_of
+from fitting.effects._effect import TORQUES, Effect, Parameter, at_site, bodies_of
 from fitting.effects._expression import Tape, symbols
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism
 from fitting.inference._averaging import LARGEST_PHASE_ERROR
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
 from fitting.inference._fit import fit
@@ -92,6 +93,9 @@ class Torques:
     instead of `end`.
     """
 
+    _mechanism = GYROSCOPE
+    _inertias: tuple[str, ...] = (INERTIA_ROTOR, INERTIA_CASING)
+
     def __init__(self, base: Fit, end: Fit, *, residual: bool) -> None:
         curves = residual_torques(end) if residual else []
         if residual and end is not base:
@@ -99,6 +103,8 @@ class Torques:
             if _mean_square(of_base) < _mean_square(curves):
                 end, curves = base, of_base
         self._base, self._end = base, end
+        self._mechanism = end.model.mechanism
+        self._inertias = self._mechanism.inertias
         self._time = [np.linspace(*d.record.span, _POINTS) for d in end.problem.data]
         self.unmodelled = self._difference(end)
         if residual:
@@ -109,12 +115,12 @@ class Torques:
             for label, torque in slow.items():
                 if torque is not None:
                     case = end.labels.index(label)
-                    self.unmodelled[case][0][1] += np.interp(self._time[case], *torque)
+                    self.unmodelled[case][0][MAIN] += np.interp(self._time[case], *torque)
 
     def _add(self, curve: ResidualTorque) -> None:
         case = self._end.labels.index(curve.label)
         added = np.interp(self._time[case], curve.time, curve.torque, left=0.0, right=0.0)
-        self.unmodelled[case][0][1 if curve.body == "casing" else 0] += added
+        self.unmodelled[case][0][self._mechanism.bodies.index(curve.body)] += added
 
     def remaining(self, named: Fit, *, slow: bool = False) -> tuple[float, float]:
         """Return the unexplained share of the mean square torque, and the larger unexplained rms of a body [N m].
@@ -122,9 +128,9 @@ class Torques:
         With `slow`, torques of the angle are excluded.
         """
         explained = self._difference(named)
-        whole, bodies = np.zeros(2), np.zeros(2)
+        whole, bodies = np.zeros((2, len(self._mechanism.bodies)))
         for (smooth, harmonics), (fitted, fitted_harmonics) in zip(self.unmodelled, explained, strict=True):
-            for body in (0, 1):
+            for body in range(len(bodies)):
                 names = {k for k in (*harmonics, *fitted_harmonics) if k[0] == body and not slow}
                 own = {k: harmonics.get(k, 0) for k in names}
                 mean = float(np.mean(smooth[body] ** 2)) + 0.5 * sum(abs(x) ** 2 for x in own.values())
@@ -137,8 +143,8 @@ class Torques:
         return float(bodies.sum() / whole.sum()), float(np.sqrt(bodies.max()))
 
     def of_angle(self, named: Fit) -> float:
-        """Return the rms of the unexplained torques of the angle [N m], of the body with the larger one."""
-        bodies = np.zeros(2)
+        """Return the rms of the torques of the angle that a fit leaves, on the body with more of them [N m]."""
+        bodies = np.zeros(len(self._mechanism.bodies))
         explained = self._difference(named)
         for (_, harmonics), (_, fitted) in zip(self.unmodelled, explained, strict=True):
             for k in {*harmonics, *fitted}:
@@ -152,21 +158,17 @@ class Torques:
         The three numbers are the mean square of the difference over that of the unmodelled torque, over that of the law
         with the free shape, and the rms of the difference [N m]. `fit` has the parameters of the law with a free shape.
         """
-        total, own, unexplained, bodies = 0.0, 0.0, 0.0, np.zeros(2)
+        total, own, unexplained, bodies = 0.0, 0.0, 0.0, np.zeros(len(self._mechanism.bodies))
         for case, t in enumerate(self._time):
             y = Sampler(self._end.predictions[case].path.mesh, t).value(self._end.predictions[case].path.y)
             numbers = fit.problem.layout.numbers(fit.theta, case)
-            known: dict[str, Any] = {
-                "t": t,
-                "omega_r": y[:, 0],
-                "omega_c": y[:, 1],
-                "delta": y[:, 0] - y[:, 1],
-            } | values_at(self._end.problem.data[case].record.inputs, t)
+            known: dict[str, Any] = {"t": t, **self._mechanism.motion(y[:, : len(bodies)].T)}
+            known |= values_at(self._end.problem.data[case].record.inputs, t)
             known |= {p.symbol: numbers[f"{freed.name}.{p.symbol}"] for p in freed.parameters}
             both = Tape([freed.expression, law.expression])(known)
             torque, unit = (np.asarray(x) * np.ones(len(t)) for x in both)
             rest = float(np.mean((torque - unit * (torque @ unit) / max(float(unit @ unit), 1e-300)) ** 2))
-            acts = np.array([law.joint in {body, "bearing"} for body in ("rotor", "casing")], dtype=float)
+            acts = np.abs(self._mechanism.shares(law.site)) if law.joint in TORQUES else np.zeros(len(bodies))
             unexplained += rest * float(acts.sum())
             own += float(np.mean(torque**2) * acts.sum())
             bodies += rest * acts / len(self._time)
@@ -175,26 +177,22 @@ class Torques:
         return of_unmodelled, of_law, float(np.sqrt(bodies.max()))
 
     def _difference(self, fit: Fit) -> list[tuple[list[Array], dict[tuple[int, str], complex]]]:
-        """Return T_fit - T_base of each case [N m].
-
-        The first item contains the smooth torques on rotor and casing, the second the complex amplitudes of the laws of
-        an angle.
-        """
+        """Return T_fit - T_base of each case: smooth torques on the bodies, amplitudes of laws of an angle."""
         found = []
         for case in range(len(self._time)):
             a, b = self._smooth(fit, case), self._smooth(self._base, case)
             with_, without = _amplitudes(fit, case), _amplitudes(self._base, case)
             harmonics = {k: with_.get(k, 0j) - without.get(k, 0j) for k in {*with_, *without}}
-            found.append(([a[0] - b[0], a[1] - b[1]], harmonics))
+            found.append(([x - y for x, y in zip(a, b, strict=True)], harmonics))
         return found
 
-    def _smooth(self, fit: Fit, case: int) -> tuple[Array, Array]:
+    def _smooth(self, fit: Fit, case: int) -> list[Array]:
         t, path = self._time[case], self._end.predictions[case].path
         fitted = fit.predictions[case].path
         motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
         # speeds and deflection are those of the common motion; other states, for example a temperature, are of the fit
         for i, name in enumerate(fitted.states[: y.shape[1]]):
-            if i < 2:
+            if i < len(self._inertias):
                 y[:, i] = motion[:, i]
             elif name == "deflection":
                 # the deflection is measured from the equilibrium of the fit, which a constant torque displaces
@@ -206,7 +204,7 @@ class Torques:
             known = self._end.problem.layout.numbers(self._end.theta, case)
             numbers |= {k: v for k, v in known.items() if k in numbers}
         rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
-        return numbers[INERTIA_ROTOR] * rates[:, 0], numbers[INERTIA_CASING] * rates[:, 1]
+        return [numbers[key] * rates[:, i] for i, key in enumerate(self._inertias)]
 
 
 def _mean_square(curves: Sequence[ResidualTorque]) -> float:
@@ -245,8 +243,8 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
     for e in fit.model.angle_dependent:
         values = {p.role: numbers[f"{e.name}.{p.symbol}"] for p in e.parameters}
         k = values.get("amplitude", 1.0) * np.exp(1j * values.get("phase", 0.0))
-        for body, name in enumerate(("rotor", "casing")):
-            if e.joint in {name, "bearing"}:
+        for body, share in enumerate(e.mechanism.shares(e.site)):
+            if share:
                 found[body, e.name] = complex(k)
     return found
 
@@ -273,26 +271,26 @@ class Grade:
 _INNER_KNOTS = 4
 """Inner knots of a smooth law [1]. Chosen: the law represents any cubic and one bend; fewer leave out the bend, more
 absorb noise."""
-# powers of a speed that no effect of the usual base model contains, by joint and speed
-_SMOOTH_LAWS: tuple[tuple[Joint, str, tuple[int, ...]], ...] = (
-    ("casing", "omega_c", (2, 3)),
-    ("rotor", "omega_r", (0, 1, 3)),
-    ("bearing", "delta", (0, 2, 3)),
-)
+# powers of a speed that no effect of the usual base has, by body or joint; those of a chain are as the casing and the
+# bearing
+_POWERS = {"casing": (2, 3), "rotor": (0, 1, 3), "bearing": (0, 2, 3)}
 
 
-def smooth_law(joint: Joint, speed: str, powers: Sequence[int], low: float, high: float) -> Effect:
-    """Return an effect whose law is a cubic spline of a speed.
-
-    The spline has these powers of the speed and `_INNER_KNOTS` knots between `low` and `high` [rad/s]; it represents
-    any smooth law.
-    """
+def smooth_law(
+    site: str,
+    speed: str,
+    powers: Sequence[int],
+    low: float,
+    high: float,
+    mechanism: Mechanism = GYROSCOPE,
+) -> Effect:
+    """Return a cubic spline of a speed between two values [rad/s], as an effect that represents any smooth law."""
     x = f"(({speed} - {low!r})/{high - low!r})"
     knots = np.linspace(0, 1, _INNER_KNOTS + 2)[1:-1].tolist()
     terms = [f"{x}**{p}" if p else "1.0" for p in powers] + [f"abs({x} - {k!r})**3" for k in knots]
     parameters = tuple(Parameter(f"c{i}", "N m", lower=-np.inf) for i in range(len(terms)))
     law = " + ".join(f"c{i}*{term}" for i, term in enumerate(terms))
-    return Effect(f"any law of {speed}", joint, law, parameters)
+    return at_site(f"any law of {speed}", site, law, parameters, mechanism)
 
 
 def better_law(base: Fit, named: Fit, end: Fit, effect: Effect, criteria: Criteria) -> str:
@@ -315,12 +313,14 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
     """
     if effect.restoring and not base.model.restoring:
         return
-    for joint, speed, powers in _SMOOTH_LAWS:
+    mechanism = effect.mechanism
+    for site, speed in mechanism.sites:
         variables = symbols(effect.expression) - {p.symbol for p in effect.parameters}
-        foreign = not bodies_of(joint, (speed,)) <= base.problem.data[0].record.parts
-        if foreign or (joint == effect.joint and variables <= {speed}):
+        foreign = not bodies_of(site, (speed,), mechanism) <= base.problem.data[0].record.parts
+        if foreign or (effect.joint in TORQUES and site == effect.site and variables <= {speed}):
             continue
-        law = smooth_law(joint, speed, powers, *ranges_of(base)[speed])
+        powers = _POWERS[site if site in _POWERS else "bearing" if site in mechanism.joints else "casing"]
+        law = smooth_law(site, speed, powers, *ranges_of(base)[speed], mechanism)
         start = base.values | {f"{law.name}.{p.symbol}": 0.0 for p in law.parameters}
         found = None
         with attempt(f"a smooth law of {speed} instead of {effect.name}"):
@@ -331,8 +331,10 @@ def _with_smooth_laws(base: Fit, effect: Effect, noise: Sequence[Noise]) -> Iter
 
 def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:
     """Return the smallest and the largest value of each speed along the fitted motion, over all cases [rad/s]."""
-    rotor, casing = np.concatenate([p.path.y[..., :2].reshape(-1, 2) for p in fit.predictions]).T
-    speeds = {"omega_r": rotor, "omega_c": casing, "delta": rotor - casing}
+    mechanism = fit.model.mechanism
+    count = len(mechanism.speeds)
+    found = np.concatenate([p.path.y[..., :count].reshape(-1, count) for p in fit.predictions])
+    speeds = mechanism.motion(found.T)
     return {name: (float(v.min()), float(v.max())) for name, v in speeds.items()}
 
 
@@ -455,7 +457,7 @@ def _complete(
         p_value = _likelihood_ratio(named, best)
         return Grade(None, 1 - share, Remainder(rms, share, p_value, words), unknown=speed, test=tested)
     width = criteria.equivalence_width
-    rivals = tuple(UNKNOWN_LAWS[speed] for f, speed in laws if f.bic < named.bic + width)
+    rivals = tuple(unknown_law(speed) for f, speed in laws if f.bic < named.bic + width)
     replaceable = any(f.deviance < named.deviance + width for f, _ in laws)
     established = tested.is_strong(criteria) and not tested.any_in_time and not replaceable
     return Grade("exact" if established else None, 1.0, None, rivals, test=tested)

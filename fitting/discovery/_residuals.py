@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fitting._criteria import DEFAULT, Criteria
 from fitting._numbers import TORQUE, Units, interval, plain, rounded, span_of
 from fitting.dynamics._collocation import Sampler
+from fitting.effects._mechanism import MAIN
 from fitting.inference._angle_harmonics import AngleHarmonics
 from fitting.inference._case_data import CaseData
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
@@ -75,7 +76,10 @@ variances by rounding; a larger value hides well-determined torques, a smaller o
 
 @dataclass(frozen=True, repr=False)
 class ResidualTorque:
-    """Unmodelled torque on one body with its standard deviation [N m], at times [s] and speeds [rad/s]."""
+    """Unmodelled torque on one body: time [s], torque and its standard deviation [N m], and speeds there.
+
+    `omega_c` is the speed of the casing or main body, `omega_r` that of the rotor or of the next body of a chain.
+    """
 
     label: str
     body: str
@@ -105,7 +109,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     floor = noise.pure**2 * response.covariance(noise.time) if noise.pure > 0 else 0.0
     covariance = np.eye(smooth.stop) + floor
     # covariance of the rows with the torque of each body, for a torque of rms 1 N m
-    responses = {"casing": response.casing, "rotor": response.rotor}
+    responses = response.bodies
     cross = {name: _times_covariance(w, response, time) for name, w in responses.items()}
     for name, w in responses.items():
         covariance = covariance + level**2 * cross[name] @ w.T
@@ -121,16 +125,16 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
         # where the data determine the torque almost completely, the difference of variances is rounding
         sigma = np.sqrt(np.maximum(level**2 - reduction, (_FLOOR * level) ** 2))
         filmed = _is_filmed(response.centres, data, body)
-        values = (v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, 1]))
+        values = (v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, MAIN]))
         curves.append(ResidualTorque(data.record.label, body, *values))
     return curves
 
 
 def _is_filmed(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
-    """Return a mask of the times within the recording of a body; for the rotor, from the first window to the last."""
-    runs = (data.casing,) if body == "casing" else data.rotor
-    first = min(float(r.samples.time[0]) for r in runs)
-    last = max(float(r.samples.time[-1]) for r in runs)
+    """Return which times are within the recording of a body; of the rotor, from its first window to its last."""
+    runs = next(b.series for b in data.record.bodies if b.part == body)
+    first = min(float(r.time[0]) for r in runs)
+    last = max(float(r.time[-1]) for r in runs)
     return np.asarray((times >= first) & (times <= last))
 
 
@@ -254,8 +258,8 @@ def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Fai
     index = fit.labels.index(found.label)
     record, path = fit.problem.data[index].record, fit.predictions[index].path
     t = record.casing.time
-    speed = np.abs(Sampler(path.mesh, t).value(path.y[..., 1]))
-    # the speed amplitude is torque / (I n omega); it is largest at the lowest speed above rest
+    speed = np.abs(Sampler(path.mesh, t).value(path.y[..., MAIN]))
+    # the amplitude of the speed is torque / (I n omega), largest where the casing is slowest without resting
     slowest = max(
         float(speed.min()), float(np.sqrt(amplitude / record.I_casing)), _SLOWEST * float(speed.max())
     )
@@ -263,7 +267,7 @@ def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Fai
     span = float(t[0]), float(t[-1])
     return [
         Failure(
-            found.label, "casing", *span, "ripple", _TURNS[n], size, speed_amplitude, amplitude,
+            found.label, record.mechanism.main, *span, "ripple", _TURNS[n], size, speed_amplitude, amplitude,
             (float(speed.min()), float(speed.max())), record.body, amplitude / size,
             record.torque_unit,
         )
@@ -274,7 +278,7 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
     ratio = curve.torque / np.maximum(curve.sigma, 1e-300)
     outside = np.abs(ratio) > _BAND
     record = fit.problem.data[fit.labels.index(curve.label)].record
-    called = record.body if curve.body == "casing" else curve.body
+    called = record.body if curve.body == record.mechanism.main else curve.body
     change = np.flatnonzero(np.diff(np.sign(ratio) * outside) != 0) + 1
     edges = np.concatenate([[0], change, [len(ratio)]])
     span = curve.time[-1] - curve.time[0]
@@ -337,13 +341,13 @@ def _largest_speed_residual(fit: Fit, curve: ResidualTorque, a: int, b: int) -> 
     """
     index = fit.labels.index(curve.label)
     record = fit.problem.data[index].record
-    runs, state = ((record.casing,), 1) if curve.body == "casing" else (record.rotor, 0)
+    body = next(b for b in record.bodies if b.part == curve.body)
     worst = 0.0
-    for samples in runs:
+    for samples in body.series:
         time, omega = speeds(samples, record.quantity, fit.problem.data[index].smoothing_width)
         inside = (time >= curve.time[a]) & (time <= curve.time[b - 1])
         if inside.any():
-            residual = omega[inside] - modelled_speed(fit, index, state, time[inside])[0]
+            residual = omega[inside] - modelled_speed(fit, index, body.state, time[inside])[0]
             low, high = np.percentile(residual, [5, 95])
             worst = max((worst, float(low), float(high)), key=abs)
     return worst

@@ -36,7 +36,6 @@ from numpy.typing import NDArray
 from fitting._criteria import Criteria
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._inputs import means_in
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import Effect, Parameter, State
 from fitting.effects._expression import Expr, Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
@@ -188,11 +187,6 @@ a smaller one overlooks fast chirps."""
 _MAX_FREQUENCIES = 1500
 """Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
 time."""
-_ACTING = {"rotor": (1.0, 0.0), "casing": (0.0, 1.0), "inertia": (0.0, 1.0)}
-"""Share of the torque of a law that acts on rotor and on casing [1]. Derived: Newton's third law; a torque in the
-bearing, or a factor of this torque, acts on the rotor with -1 and on the casing with 1."""
-# key of the typical torque by the role of the spun body: the bearing torque, or the net torque of a single body
-_TYPICAL = {"rotor": "factor", "body": "inertia"}
 _FINER = 8
 """Ratio of the declared spacing of changepoints to the trial spacing [1]. Chosen: a smaller value overlooks narrow
 maxima of the score, a larger one costs time."""
@@ -223,18 +217,24 @@ class CaseColumns:
         y = Sampler(path.mesh, self.response.centres).value(path.y)
         self._states_of_motion = y
         self._known: dict[str, Any] = {name: y[:, i] for i, name in enumerate(path.states)}
-        self._known |= {"t": self.response.centres, "delta": y[:, 0] - y[:, 1]}
+        mechanism = self.case.dynamics.mechanism
+        self._known |= {"t": self.response.centres, **mechanism.motion(y[:, : path.speeds].T)}
         self._known |= means_in(self.case.data.record.inputs, self.response.edges)
         motion = self.case.data.motion
         deflection = np.interp(self.response.centres, motion.time, motion.deflection)
         self._known = {"deflection": deflection} | self._known
         dynamics = self.case.dynamics
-        tau = Tape([dynamics.bearing_torque])(self._known | dynamics.constants | self.numbers)
-        self._known["tau"] = np.asarray(tau[0]) * np.ones(len(y))
+        torques = Tape(list(dynamics.joint_torques.values()))(self._known | dynamics.constants | self.numbers)
+        taus = zip(dynamics.joint_torques, torques, strict=True)
+        self._known |= {symbol: np.asarray(tau) * np.ones(len(y)) for symbol, tau in taus}
         rates = dynamics.rates(self.response.centres, y, self.numbers)
-        # torque that is multiplied by a factor of the bearing torque, or by an error of the inertia of the casing
-        net = self.numbers[INERTIA_CASING] * rates[:, 1]
-        self._scaled_torque = {"factor": self._known["tau"], "inertia": net}
+        # torque by which a factor of the torque of a joint, or of the acceleration of a body, is multiplied
+        self._scaled_torque = {c.name: self._known[c.tau] for c in mechanism.couplings}
+        for i, (body, key) in enumerate(zip(mechanism.bodies, mechanism.inertias, strict=True)):
+            self._scaled_torque[body] = self.numbers[key] * rates[:, i]
+        # the typical torque of a recording, by the role of the body that is spun up
+        joint, main = mechanism.couplings[0].name, mechanism.main
+        self._typical = {"rotor": self._scaled_torque[joint], "body": self._scaled_torque[main]}
 
     def trials(self, effect: Effect, choices: list[dict[str, float]] | None = None) -> list[Trial]:
         """Return the columns of a candidate for the given choices of its shape constants, by default for its grid."""
@@ -253,9 +253,8 @@ class CaseColumns:
         if effect.joint == "input":
             return [Trial({}, self.torque_rows(*self.torque(effect, {})))]
         unit = self._units(effect, choices)
-        acting = _ACTING.get(effect.joint, (-1.0, 1.0))
         rows = np.zeros((len(self.response.casing), unit.shape[1]))
-        for share, response in zip(acting, (self.response.rotor, self.response.casing), strict=True):
+        for share, response in zip(self._shares(effect), self.response.bodies.values(), strict=True):
             if share:
                 rows += share * (response @ unit)
         rows = self.padded(rows)
@@ -296,28 +295,37 @@ class CaseColumns:
 
     @property
     def typical_torque(self) -> Array:
-        """Torque of the bearing in each cell [N m]; for a single body, the net torque."""
-        return np.asarray(self._scaled_torque[_TYPICAL[self.case.data.record.spun.role]])
+        """Torque of the bearing in each cell [N m]; of a single body, or the main one of a chain, the net torque."""
+        return np.asarray(self._typical[self.case.data.record.spun.role])
 
-    def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, Array]:
-        """Return the torques of an effect of strength 1 on rotor and casing, each (cells, columns) [N m]."""
+    @staticmethod
+    def _shares(effect: Effect) -> tuple[float, ...]:
+        """Return the share of the torque of a law that acts on each body."""
+        return effect.mechanism.shares(effect.site)
+
+    def torque(self, effect: Effect, shape: dict[str, float]) -> tuple[Array, ...]:
+        """Return the torques of a unit strength on each body, each (cells, columns) [N m]."""
         if effect.joint == "input":
             dynamics, y = self.case.dynamics, self._states_of_motion
             by = dynamics.by_delay(
                 effect.inputs[0][0], self.response.centres, self.response.edges, y, self.numbers
             )
-            return self.numbers[INERTIA_ROTOR] * by[:, :1], self.numbers[INERTIA_CASING] * by[:, 1:]
+            keys = dynamics.mechanism.inertias
+            return tuple(self.numbers[key] * by[:, i : i + 1] for i, key in enumerate(keys))
         unit = self._units(effect, [shape])
-        rotor, casing = _ACTING.get(effect.joint, (-1.0, 1.0))
-        return rotor * unit, casing * unit
+        return tuple(share * unit for share in self._shares(effect))
 
     def along_motion(self, variable: str) -> Array:
         """Return the time "t" [s] or a speed [rad/s] at the centre of each cell."""
         return np.asarray(self._known[variable])
 
-    def torque_rows(self, rotor: Array, casing: Array) -> Array:
-        """Return the response of the rows to torques on rotor and casing, each (cells, columns) [N m]."""
-        return self.padded(self.response.rotor @ rotor + self.response.casing @ casing)
+    def torque_rows(self, *torques: Array) -> Array:
+        """Return the response of the rows to torques on each body, each (cells, columns) [N m]."""
+        first, *others = zip(self.response.bodies.values(), torques, strict=True)
+        rows = first[0] @ first[1]
+        for response, torque in others:
+            rows = rows + response @ torque
+        return self.padded(rows)
 
     def _units(self, effect: Effect, choices: Sequence[dict[str, float]]) -> Array:
         """Return the torque of a law of strength 1 in each cell, for all choices of its shape constants (columns)."""
@@ -331,9 +339,9 @@ class CaseColumns:
         for state, rate in zip(effect.states, effect.rates, strict=True):
             values[state.symbol] = self._states(effect, state, rate, shapes)
         with np.errstate(all="ignore"):
-            if effect.joint in self._scaled_torque:
+            if effect.joint in {"factor", "inertia"}:
                 slope = derivative(effect.expression, amplitude)
-                scale = self._scaled_torque[effect.joint][:, None]
+                scale = self._scaled_torque[effect.site][:, None]
                 law = [scale * np.asarray(Tape([slope])(values | {amplitude: 0.0})[0])]
             else:
                 values[amplitude] = 1.0

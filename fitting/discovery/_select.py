@@ -40,9 +40,10 @@ from fitting.discovery._refine import (
     with_values_per_case,
 )
 from fitting.discovery._score import CaseColumns, FamilywiseNull, NullDistribution, Score, score
-from fitting.effects._effect import Effect
+from fitting.effects._effect import Effect, mechanism_of
 from fitting.effects._expression import substitute, sym
-from fitting.effects._library import LIBRARY, START
+from fitting.effects._instances import laws_of
+from fitting.effects._library import START
 from fitting.effects._user import drives
 from fitting.effects._words import change_name
 from fitting.inference._case_data import CaseData
@@ -230,8 +231,9 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
     first, *others = ({(i.name, i.unit) for i in d.record.inputs} for d in base.problem.data)
     varying = {i.name for d in base.problem.data for i in d.record.driving}
     common = {name: unit for name, unit in sorted(first.intersection(*others)) if name in varying}
-    recorded = [e for e in drives(common) if not any(_same_law(e, b) for b in base.model.effects)]
-    known = {e.name: e for e in (*LIBRARY.values(), *recorded, *extra)}
+    mechanism = mechanism_of(base.model.effects)
+    recorded = [e for e in drives(common, mechanism) if not any(_same_law(e, b) for b in base.model.effects)]
+    known = {e.name: e for e in (*laws_of(mechanism).values(), *recorded, *extra)}
     names = set(base.model.names)
     asked = {e.name for e in extra}
     return [
@@ -263,7 +265,7 @@ def needed_drives(base: Fit, effects: Sequence[Effect]) -> set[str]:
 def _same_law(one: Effect, other: Effect) -> bool:
     """Return whether two effects have the same law except for the name of the strength."""
     if (
-        one.joint != other.joint
+        (one.joint, one.site) != (other.joint, other.site)
         or one.inputs != other.inputs
         or one.amplitude is None
         or other.amplitude is None
@@ -305,7 +307,8 @@ def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
             return False
     if not effect.mechanical:
         return base.problem.data[0].is_angle
-    return not (effect.joint == "factor" and not any(e.joint == "bearing" for e in base.model.effects))
+    joints = {e.site for e in base.model.effects if e.joint == "bearing"}
+    return not (effect.joint == "factor" and effect.site not in joints)
 
 
 def _to_refit(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]:

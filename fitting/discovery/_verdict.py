@@ -33,12 +33,11 @@ from fitting._numbers import percentage, plain, probability, rounded, short, typ
 from fitting._workers import Task, WorkerPool, single_blas_thread
 from fitting.discovery._difference import DifferentParameter
 from fitting.discovery._lack_of_fit import (
-    UNKNOWN_IN_TIME,
-    UNKNOWN_LAWS,
     HarmonicTest,
     PeriodogramPeak,
     SmoothTest,
     contradiction,
+    is_unknown,
     nonparametric_rivals,
     significant_peak,
     smooth_test,
@@ -744,7 +743,7 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
         return _start_errors(chosen, names[1:])
     what = "Missing" if chosen.physical else "Fault of the measurement"
     close = "a law close to " if size.form == "approximate" else ""
-    if names[1:] and {*UNKNOWN_LAWS.values(), UNKNOWN_IN_TIME}.issuperset(chosen.indistinguishable_from):
+    if names[1:] and all(map(is_unknown, chosen.indistinguishable_from)):
         others = ", or ".join(names[1:])
         parts = [
             f"{what}: {close}{names[0]}{_strength(chosen)}, or {others}; these data cannot separate them."

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import SimulationError
 from fitting.dynamics._model import Dynamics
+from fitting.effects._mechanism import MAIN
 
 Array = NDArray[np.float64]
 
@@ -51,10 +52,8 @@ _MAX_NEWTON = 25
 """Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; fewer stop too early,
 more delay the failure."""
 MAX_INTERVALS = 40_000
-"""Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
-the failure of stiff motions."""
-_CASING = 1
-"""Index of the speed of the casing in a state vector [1]. Derived: a state begins with omega_r and omega_c."""
+"""Intervals at most [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays the
+failure of stiff ones."""
 _SMALL = 1e-9
 """Relative step of Newton's method after which the error is rounding [1]. Derived: convergence is quadratic, so the
 next step is about the square of this step."""
@@ -185,6 +184,11 @@ class Path:
     # torques cancel, and errors relative to its own speed are rounding
     least_scale: float = 0.0
 
+    @cached_property
+    def speeds(self) -> int:
+        """Number of speeds in a state; they are its first values."""
+        return sum(s.startswith("omega_") for s in self.states)
+
     @property
     def scale(self) -> Array:
         """Scale of the errors of each state, (states,): its largest absolute value; for speeds at least least_scale."""
@@ -193,7 +197,7 @@ class Path:
     def scale_of(self, y: Array) -> Array:
         """Return the scale of the errors for other states `y` at the nodes."""
         largest = 1e-300 + np.abs(y).max(axis=(0, 1))
-        largest[:2] = np.maximum(largest[:2], self.least_scale)
+        largest[: self.speeds] = np.maximum(largest[: self.speeds], self.least_scale)
         return np.asarray(largest)
 
     def angle(self, state: str) -> tuple[Array, Array]:
@@ -335,11 +339,12 @@ class Propagator:
         }
         return other
 
-    def of_speeds(self) -> Propagator:
-        """Return the equations of the first two states (speeds), with the other states held."""
-        if self._a.shape[-1] == 2:
+    def of_speeds(self, count: int) -> Propagator:
+        """Return the equations of the first states, which are speeds, the others held."""
+        if self._a.shape[-1] == count:
             return self
-        return Propagator(self._mesh, self._a[..., :2, :2], {i: m[:2, :2] for i, m in self._jumps.items()})
+        jumps = {i: m[:count, :count] for i, m in self._jumps.items()}
+        return Propagator(self._mesh, self._a[..., :count, :count], jumps)
 
     def nodes(self, defect: Array) -> Array:
         """Return the response at the nodes to right-hand sides (intervals, nodes, n, columns), with fixed edges."""
@@ -368,26 +373,15 @@ class Propagator:
             gain[i - 1] = jump @ gain[i - 1]
         for i, deviation in (added or {}).items():
             gain[i - 1] += deviation
-        step = self._steps()
+        step = self.steps()
         out = np.zeros((gain.shape[0] + 1, *gain.shape[1:]))
         if first is not None:
             out[0] = first
         _fill(out, step, gain)
         return out
 
-    def back(self, last: Array) -> Array:
-        """Return the homogeneous solution with the final value `last`, at all edges, (intervals + 1, n, columns)."""
-        try:
-            inverse: Array = np.asarray(np.linalg.inv(self._steps()))[::-1]
-        except np.linalg.LinAlgError:
-            raise SimulationError(UNBOUNDED) from None
-        out = np.zeros((len(inverse) + 1, *last.shape))
-        out[0] = last
-        _fill(out, inverse, np.zeros_like(out[1:]))
-        return out[::-1]
-
-    def _steps(self) -> Array:
-        """Return the transfer matrices of deviations from edge to edge, jumps included, (intervals, n, n)."""
+    def steps(self) -> Array:
+        """Return the matrices that carry a deviation from edge to edge."""
         if not self._jumps:
             return self._step
         step = self._step.copy()
@@ -481,8 +475,8 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
     """
     ends = rule().ends
     end, begin = float(mesh.edges[-1]), pivot
-    rate = float(ends[1] @ f[-1, :, _CASING])
-    move = -float(edges[-1, _CASING]) / rate if rate else np.inf
+    rate = float(ends[1] @ f[-1, :, MAIN])
+    move = -float(edges[-1, MAIN]) / rate if rate else np.inf
     share = move / (end - begin) if end > begin else np.inf
     if not abs(share) < 0.5:
         raise SimulationError(UNBOUNDED)
@@ -562,7 +556,7 @@ def _stepped(
             y[i + 1] = state
             if not np.isfinite(state).all():
                 return y[: i + 2]
-            if dynamics.dry and sense * y[i + 1, 1] < 0:
+            if dynamics.dry and sense * y[i + 1, MAIN] < 0:
                 last = min(last, width * (i // width + 1))
             if i + 1 == last:
                 break

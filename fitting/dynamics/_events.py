@@ -45,11 +45,10 @@ from fitting.dynamics._collocation import (
     truncation_error,
 )
 from fitting.dynamics._model import Dynamics
+from fitting.effects._mechanism import MAIN
 
 Array = NDArray[np.float64]
 
-_CASING = 1
-"""Place of the casing in a state [1]. Derived: a state begins with omega_r and omega_c."""
 ROUNDING = 1e-10
 """Relative speed below which a change of sign is rounding [1]. Derived: the truncation error of the motion,
 `fitting.dynamics._collocation.TOLERANCE`."""
@@ -71,13 +70,13 @@ class Segments:
         """Return the acceleration of the casing with friction for this sense of motion."""
         with np.errstate(all="ignore"):
             rates = self.dynamics.rates(np.asarray(time), y, self.numbers, np.full(y.shape[:-1], sense))
-            return np.asarray(rates[..., _CASING])
+            return np.asarray(rates[..., MAIN])
 
     def sense_after(self, time: float, y: Array, sense: float) -> float:
         """Return the sense of motion after a time; 0 if the casing is at rest and friction holds it."""
         if not self.dynamics.dry:
             return 1.0
-        if y[_CASING] != 0:
+        if y[MAIN] != 0:
             return sense
         onward, back = self.acceleration(time, y, sense or 1.0), self.acceleration(time, y, -(sense or 1.0))
         if sense == 0 and onward > 0:
@@ -103,8 +102,8 @@ class Segments:
             if not (np.isfinite(first).all() and np.isfinite(then).all()):
                 raise SimulationError(UNBOUNDED)
             # without acceleration at a reversal there is no jump
-            if first[_CASING] != 0:
-                matrix[:, _CASING] -= (first - then) / first[_CASING]
+            if first[MAIN] != 0:
+                matrix[:, MAIN] -= (first - then) / first[MAIN]
         return matrix
 
     def reversals(self, pieces: Sequence[Path]) -> list[Array]:
@@ -114,15 +113,15 @@ class Segments:
             return []
         y, time = np.array(ends), np.array([float(p.mesh.edges[-1]) for p in pieces])
         sense = np.array([float(p.sense[0]) for p in pieces])
-        y[:, _CASING] = 0.0
+        y[:, MAIN] = 0.0
         with np.errstate(all="ignore"):
             before, after = (self.dynamics.rates(time, y, self.numbers, s) for s in (sense, -sense))
         onward = np.append(sense[1:], -sense[-1]) == -sense
-        turns = onward & (sense != 0) & (-sense * after[:, _CASING] > 0) & (before[:, _CASING] != 0)
+        turns = onward & (sense != 0) & (-sense * after[:, MAIN] > 0) & (before[:, MAIN] != 0)
         turns &= np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
         count = len(turns) if turns.all() else int(np.argmin(turns))
         matrices = np.tile(np.eye(y.shape[1]), (count, 1, 1))
-        matrices[:, :, _CASING] -= (before - after)[:count] / before[:count, _CASING, None]
+        matrices[:, :, MAIN] -= (before - after)[:count] / before[:count, MAIN, None]
         return list(matrices)
 
     def continued(
@@ -156,10 +155,10 @@ class Segments:
 
     def _rests(self, path: Path, end: float) -> bool:
         stop, y, sense = float(path.mesh.edges[-1]), path.edges[-1], float(path.sense[0])
-        largest = path.scale[_CASING]
+        largest = path.scale[MAIN]
         between = any(b <= stop for b in self.breaks if b > path.mesh.edges[0] and b not in path.mesh.edges)
         braked = self.acceleration(stop, y, sense) * sense < 0
-        return bool(stop < end and not between and braked and abs(y[_CASING]) <= _STOPPED * largest)
+        return bool(stop < end and not between and braked and abs(y[MAIN]) <= _STOPPED * largest)
 
     def oscillating(self, start: Array, sense: float, known: Path) -> list[Path]:
         """Return the stretches of a motion with many reversals, while its events are those of a known solution.
@@ -215,13 +214,13 @@ class Segments:
             return known if sense == known.sense[0] else None
         first, turn, last = (float(known.mesh.edges[i]) for i in (0, min(known.jumps), -1))
         rate = float(self.acceleration(first, start, sense))
-        delay = -float(start[_CASING]) / rate if rate else math.inf
+        delay = -float(start[MAIN]) / rate if rate else math.inf
         if not 0 < delay < _LONGEST_BEGINNING * (turn - first):
             return None
         later = known.mesh.moved([first, turn, last], [first + delay, turn, last])
         mesh = Mesh(np.concatenate([[first], later.edges]))
         turned = start.copy()
-        turned[_CASING] = 0.0
+        turned[MAIN] = 0.0
         share = (mesh.times[0] - first) / delay
         return replace(
             known,
@@ -243,11 +242,11 @@ class Segments:
 
     def _valid(self, pieces: list[Path]) -> list[Path]:
         """Return the stretches before the first one in which the casing reverses, or friction cannot hold it."""
-        largest = max(float(np.abs(p.y[..., _CASING]).max()) for p in pieces)
+        largest = max(float(np.abs(p.y[..., MAIN]).max()) for p in pieces)
         for i, piece in enumerate(pieces):
             if piece.sense[0] == 0:
                 return pieces[: i + (self._release(piece) is None)]
-            if (piece.y[..., _CASING] * piece.sense[0] < -ROUNDING * largest).any():
+            if (piece.y[..., MAIN] * piece.sense[0] < -ROUNDING * largest).any():
                 return pieces[:i]
         return pieces
 
@@ -266,10 +265,10 @@ class Segments:
                 ending, following = (
                     dynamics.rates(times, edges[at], self.numbers, path.sense[at - side]) for side in (1, 0)
                 )
-                step = (ending - following) / ending[:, _CASING, None]
+                step = (ending - following) / ending[:, MAIN, None]
                 jumps = np.tile(np.eye(y.shape[-1]), (len(at), 1, 1))
-                jumps[:, :, _CASING] -= step
-                offsets = -step * edges[at, _CASING, None]
+                jumps[:, :, MAIN] -= step
+                offsets = -step * edges[at, MAIN, None]
                 shape = Propagator(
                     mesh, a, dict(zip(at.tolist(), jumps, strict=True)), defect=node_defect[..., None]
                 )
@@ -281,7 +280,7 @@ class Segments:
                 nodes = (shape.response + shape.carried(moves))[..., 0]
                 arriving = moves[at - 1, :, 0] + edge_defect[at - 1]
                 arriving += mesh.half[at - 1] * np.einsum("k,eknm,ekm->en", gauss.w, a[at - 1], nodes[at - 1])
-                moved = -(edges[at, _CASING] + arriving[:, _CASING]) / ending[:, _CASING]
+                moved = -(edges[at, MAIN] + arriving[:, MAIN]) / ending[:, MAIN]
                 y += nodes
                 edges += moves[..., 0]
                 edges[at] += arriving - moves[at, :, 0] + ending * moved[:, None]
@@ -303,7 +302,7 @@ class Segments:
                 edges[inner] += (gauss.ends[1] @ f)[inner - 1] * (new.edges - mesh.edges)[inner, None]
                 mesh = new
                 if size < _SMALL or 10 * size**2 < _EXACT < before**2:
-                    edges[at, _CASING] = 0.0
+                    edges[at, MAIN] = 0.0
                     return replace(path, mesh=mesh, y=y, edges=edges)
                 before = size
         raise SimulationError(UNBOUNDED)
@@ -366,11 +365,11 @@ class Segments:
             if earlier is not None and earlier < stop - 1e-6 * (stop - first):
                 stop = earlier
                 continue
-            rate = float(self.dynamics.rates(np.asarray(stop), y, self.numbers, sense)[_CASING])
-            move = -float(y[_CASING]) / rate if rate else np.inf
+            rate = float(self.dynamics.rates(np.asarray(stop), y, self.numbers, sense)[MAIN])
+            move = -float(y[MAIN]) / rate if rate else np.inf
             if not np.isfinite(move):
                 break
-            if abs(y[_CASING]) <= _STOPPED * path.scale[_CASING] or abs(move) < 1e-13 * stop:
+            if abs(y[MAIN]) <= _STOPPED * path.scale[MAIN] or abs(move) < 1e-13 * stop:
                 return path
             if stop + move > mesh.edges[-1]:
                 # the casing does not come to rest within the record
@@ -453,20 +452,20 @@ def halved(path: Path, rough: NDArray[np.bool_], most: int) -> Path:
 
 def _at_rest(path: Path) -> Path:
     y, edges = path.y.copy(), path.edges.copy()
-    y[..., _CASING] = edges[:, _CASING] = 0.0
+    y[..., MAIN] = edges[:, MAIN] = 0.0
     return replace(path, y=y, edges=edges)
 
 
 def _first_crossing(path: Path) -> float | None:
     """Return the approximate time at which the casing first reverses; None if it does not."""
     times = np.concatenate([path.mesh.times, path.mesh.edges[1:, None]], axis=1).ravel()
-    speed = np.concatenate([path.y[..., _CASING], path.edges[1:, None, _CASING]], axis=1).ravel()
+    speed = np.concatenate([path.y[..., MAIN], path.edges[1:, None, MAIN]], axis=1).ravel()
     speed = speed * path.sense[0]
     reversed_ = np.flatnonzero(speed < -ROUNDING * max(float(np.abs(speed).max()), path.least_scale))
     if not len(reversed_):
         return None
     i = int(reversed_[0])
-    before, t = (speed[i - 1], times[i - 1]) if i else (abs(path.edges[0, _CASING]), path.mesh.edges[0])
+    before, t = (speed[i - 1], times[i - 1]) if i else (abs(path.edges[0, MAIN]), path.mesh.edges[0])
     share = max(before, 0.0) / (max(before, 0.0) - speed[i])
     return float(t + share * (times[i] - t))
 
@@ -533,12 +532,12 @@ def solve(
     pieces: list[Path] = []
     jumps: list[Array] = []
     y, time, end = np.asarray(start, dtype=np.float64), float(mesh.edges[0]), float(mesh.edges[-1])
-    sense = run.sense_after(time, y, float(np.sign(y[_CASING])))
+    sense = run.sense_after(time, y, float(np.sign(y[MAIN])))
     known = guess.pieces() if guess is not None and guess.exact else []
     ready: list[Path] = []
     horizon = math.inf
     if dynamics.dry and guess is not None and len(guess.jumps) >= _MANY:
-        run = replace(run, least_scale=_SLOW * float(np.abs(guess.y[..., _CASING]).max()))
+        run = replace(run, least_scale=_SLOW * float(np.abs(guess.y[..., MAIN]).max()))
         horizon = _HORIZON * float(np.diff(guess.mesh.edges[sorted(guess.jumps)]).max())
         ready = run.oscillating(y, sense, guess)
         if len(guess.jumps) - len(ready) > most:
@@ -551,7 +550,7 @@ def solve(
         if pieces:
             last = pieces[-1]
             y, time, sense = last.edges[-1].copy(), float(last.mesh.edges[-1]), -float(last.sense[0])
-            y[_CASING] = 0.0
+            y[MAIN] = 0.0
     while most >= 0 and len(pieces) < _MAX_EVENTS:
         known_piece = known[len(pieces)] if len(pieces) < len(known) else None
         stops = len(pieces) + 1 < len(known)
@@ -571,10 +570,10 @@ def solve(
         if time >= end:
             return _joined(pieces, jumps, breaks)
         y = piece.edges[-1].copy()
-        if abs(y[_CASING]) > ROUNDING * piece.scale[_CASING]:
+        if abs(y[MAIN]) > ROUNDING * piece.scale[MAIN]:
             jumps.append(np.eye(len(y)))
             continue
-        y[_CASING] = 0.0
+        y[MAIN] = 0.0
         following = run.sense_after(time, y, sense) if sense else run.released(time, y)
         jumps.append(run.saltation(time, y, sense, following))
         sense = following

@@ -1,19 +1,19 @@
 """A model: a set of effects, its equations of motion, and their derivatives.
 
-The equations of motion are
+With the torque tau_j of each joint j (all laws between its bodies, times all factors), which drives its second body and
+brakes its first one,
 
-    I_r d(omega_r)/dt = -tau + sum of the torques on the rotor,
-    I_c d(omega_c)/dt = +tau + sum of the torques on the casing,
+    I_b d(omega_b)/dt = sum of the torques on the body b + sum of tau_j (b second) - sum of tau_j (b first),
 
-where the bearing torque tau is the sum of the laws between the bodies, multiplied by all factors. Each state of an
-effect adds one equation. A model is immutable and contains no values of fitted parameters; these are passed separately
-as a mapping from ``<effect>.<symbol>`` to a value.
+and one more equation for each effect with its own state. In a gyroscope the rotor is the first and the casing the
+second body of the bearing. The structure is frozen; numbers are passed separately as a mapping from
+``<effect>.<symbol>`` to a value.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting._arguments import NUMBERS, TEXT, Kind, require
-from fitting._errors import EffectError
+from fitting._errors import EffectError, EstimationError
 from fitting._numbers import on_screen
 from fitting.dynamics._inputs import Input
-from fitting.effects._effect import RATIO, THE_CASING, THE_ROTOR, Effect, Parameter, bodies_of, slope_symbol
+from fitting.effects._effect import RATIO, Effect, Parameter, slope_symbol
 from fitting.effects._expression import (
     ONE,
     ZERO,
@@ -46,6 +46,7 @@ from fitting.effects._expression import (
     total,
 )
 from fitting.effects._library import GENERAL, LINEAR, REDUCED, find
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Coupling, Mechanism, inertia_of
 from fitting.effects._user import read_effects, read_toml, resolve
 
 Array = NDArray[np.float64]
@@ -68,12 +69,22 @@ class Model:
     ----------
     effects : tuple of Effect
         The effects, each once.
+    mechanism : Mechanism
+        The bodies and joints of which all effects speak; it follows from the effects, if there are any.
     """
 
     effects: tuple[Effect, ...]
+    mechanism: Mechanism = field(default=GYROSCOPE, compare=False)
 
     def __post_init__(self) -> None:
         require("effects", self.effects, _EFFECTS)
+        for effect in self.effects:
+            if effect.mechanism != self.effects[0].mechanism:
+                raise EffectError(
+                    f"{self.effects[0].name} and {effect.name} are laws of different bodies",
+                    "use case.model(...), which names the laws of one case",
+                )
+            object.__setattr__(self, "mechanism", effect.mechanism)
         names = [e.name for e in self.effects]
         if len(set(names)) != len(names):
             twice = next(n for n in names if names.count(n) > 1)
@@ -146,7 +157,11 @@ class Model:
         require("name", name, TEXT)
         if name not in self.names:
             raise EffectError(f"{name!r} is not in the model", "it has: " + ", ".join(self.names))
-        return Model(tuple(e for e in self.effects if e.name != name))
+        return self.with_only(e for e in self.effects if e.name != name)
+
+    def with_only(self, effects: Iterable[Effect]) -> Model:
+        """Return the model of some effects of the same bodies."""
+        return Model(tuple(effects), self.mechanism)
 
     def with_fixed(self, values: Mapping[str, float]) -> Model:
         """Return the model with some parameters held at given values.
@@ -173,11 +188,11 @@ class Model:
                     f"{name[:60]} cannot be held at {value}", "give a finite number, in SI units"
                 )
             held[keys[0]] = float(value)
-        return Model(tuple(_holding(e, held) for e in self.effects))
+        return self.with_only(_holding(e, held) for e in self.effects)
 
     def of_bodies(self, bodies: Set[str]) -> Model:
-        """Return the model of the effects that act on, and depend on, these bodies of the library only."""
-        return Model(tuple(e for e in self.effects if e.bodies <= bodies))
+        """Return the model of the effects that act on, and depend on, no other bodies of the library."""
+        return self.with_only(e for e in self.effects if e.bodies <= bodies)
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -206,7 +221,7 @@ class Model:
         If a torque restores an equilibrium, the deflection of the casing is a state.
         """
         physical = (e.about_equilibrium if self.restoring else e for e in self.effects if e.mechanical)
-        return Model(tuple(e for e in physical if not e.depends_on_angle))
+        return self.with_only(e for e in physical if not e.depends_on_angle)
 
     @cached_property
     def angle_dependent(self) -> tuple[Effect, ...]:
@@ -229,32 +244,61 @@ class Model:
         """The effects of the cameras on the measured angles."""
         return tuple(e for e in self.effects if not e.mechanical)
 
-    def equations(self, bodies: Set[str] = THE_ROTOR | THE_CASING) -> tuple[str, ...]:
-        """Return the equations of motion as LaTeX, one line for each body and one for the bearing torque.
+    def refuse_chain(self, what: str) -> None:
+        """Raise an EstimationError for something that is not available for bodies with joints of their own."""
+        if self.mechanism != GYROSCOPE:
+            raise EstimationError(
+                f"{what} is not available for several bodies with joints",
+                "fit, diagnose and improve are",
+            )
+
+    def equations(self, bodies: Set[str] | None = None) -> tuple[str, ...]:
+        """Return the equations of motion as LaTeX, one line for each body and one for the torque of each joint.
 
         Parameters
         ----------
-        bodies : set of str
-            The bodies of the library that the case has: "rotor", "casing".
+        bodies : set of str, optional
+            The bodies that the case has, for example "rotor" and "casing"; by default those of the mechanism.
         """
-        laws: dict[str, list[str]] = {"rotor": [], "casing": [], "bearing": [], "factor": [], "contact": []}
+        mechanism = self.mechanism
+        present = mechanism.bodies if bodies is None else bodies
+        laws: dict[str, list[str]] = {site: [] for site in (*mechanism.bodies, *mechanism.joints, "contact")}
+        factors: dict[str, list[str]] = {site: [] for site in mechanism.joints}
         for e in self.effects:
-            if e.joint in laws:
-                laws[e.joint].append(latex(e.expression))
+            kind = factors if e.joint == "factor" else laws
+            if e.site in kind and e.joint != "inertia":
+                kind[e.site].append(latex(e.expression))
 
         def join(terms: list[str]) -> str:
             return " ".join(t if t.startswith("-") else f"+ {t}" for t in terms).removeprefix("+ ")
 
-        tau = join(laws["bearing"]) or "0"
-        if laws["factor"]:
-            tau = rf"\left({tau}\right) " + " ".join(rf"\left({f}\right)" for f in laws["factor"])
-        bearing = bodies_of("bearing", ()) <= bodies and (bool(laws["bearing"]) or not laws["contact"])
-        rotor = join([*([r"-\tau_{cr}"] if bearing else []), *laws["rotor"], *laws["contact"]])
-        casing = join([*([r"\tau_{cr}"] if bearing else []), *laws["casing"]])
-        casing += "".join(rf" - n \left({c}\right)" for c in laws["contact"])
-        sums = {"rotor": rf"I_r \dot\omega_r = {rotor}", "casing": rf"I_c \dot\omega_c = {casing or '0'}"}
-        lines = tuple(line for body, line in sums.items() if body in bodies)
-        return (*lines, rf"\tau_{{cr}} = {tau}") if bearing else lines
+        lines, torques = [], []
+        used = [
+            c
+            for c in mechanism.couplings
+            if {c.first, c.second} <= {*present} and (laws[c.name] or not laws["contact"])
+        ]
+        for joint in used:
+            tau = join(laws[joint.name]) or "0"
+            if factors[joint.name]:
+                scale = " ".join(rf"\left({f}\right)" for f in factors[joint.name])
+                tau = rf"\left({tau}\right) {scale}"
+            torques.append(f"{_tau(joint)} = {tau}")
+        for i, body in enumerate(mechanism.bodies):
+            of_joints = [_tau(c) if c.second == body else f"-{_tau(c)}" for c in used if body in c[1:]]
+            total_torque = join([*of_joints, *laws[body], *(laws["contact"] if i == 0 else [])])
+            if i == MAIN:
+                total_torque += "".join(rf" - n \left({c}\right)" for c in laws["contact"])
+            name = mechanism.speeds[i].removeprefix("omega_")
+            name = name if len(name) == 1 else rf"\mathrm{{{name}}}"
+            if body in present:
+                lines.append(rf"I_{name} \dot\omega_{name} = {total_torque or '0'}")
+        return (*lines, *torques)
+
+
+def _tau(joint: Coupling) -> str:
+    """Return the symbol of the torque of a joint as LaTeX."""
+    return r"\tau_{cr}" if joint.tau == "tau" else rf"\tau_\mathrm{{{joint.name}}}"
 
 
 def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:
@@ -290,28 +334,27 @@ def read_model(path: Path, own: Iterable[Effect] = (), inputs: Iterable[Input] =
     return Model(tuple(chosen))
 
 
-INERTIA_ROTOR = "inertia.rotor"
-INERTIA_CASING = "inertia.casing"
-# symbol of the sense of rotation of the casing: +1, -1, or 0 while friction holds the casing
+INERTIA_ROTOR, INERTIA_CASING = map(inertia_of, GYROSCOPE.bodies)
+# the sense in which the main body turns: +1, -1, or 0 while friction holds it
 SENSE = "sense"
-_CASING = 1
-"""Index of the speed of the casing in a state vector [1]. Derived: a state begins with omega_r and omega_c."""
 
 
 class Dynamics:
     """The equations of motion of a model and their derivatives, compiled for evaluation.
 
-    With `angles`, both angles are states, for laws of an angle. Measurement effects are ignored, because they do not
-    change the motion. `inputs` contains the inputs of the recording.
-
-    `states` contains ``omega_r, omega_c``, then ``deflection`` if a torque restores an equilibrium, then the states of
-    effects, then the angles. The initial values of the first `free_starts` states are parameters of the recording.
-    `ratio` is the key of the ratio of a contact without slip; the initial omega_r is then ratio times the initial
-    omega_c. `dry` states that a torque jumps when the casing stops; rates are then given for one sense of rotation.
+    `angles`: the angles are states, as for laws of an angle. Measurement effects are left out: they do not change
+    the motion. `states` are the speeds of the bodies of the `mechanism` (``omega_r, omega_c``), then ``deflection`` if
+    a torque depends on it, then states of effects, then the angles; the initial values of the first `free_starts`
+    belong to the recording. `ratio` is the key of the ratio of a contact without slip: the initial omega_r is then
+    ratio times that of the casing. If `dry`, a torque jumps where the main body (the casing) stops, and rates are given
+    for one sense of its motion; the others turn in one sense. `inputs` are those of the recording.
     """
 
     def __init__(self, model: Model, *, angles: bool = False, inputs: Iterable[Input] = ()) -> None:
         physical = [e for e in model.effects if e.mechanical]
+        self.mechanism = mechanism = model.mechanism
+        # number of speeds in a state
+        self.speeds = len(mechanism.speeds)
         used = {name for e in physical for name, _ in e.inputs}
         self.inputs = tuple(i for i in inputs if i.name in used)
         # key of the dead time of each input, first by name, then by symbol
@@ -321,29 +364,28 @@ class Dynamics:
         self._delays = {i.symbol: delays[i.name] for i in self.inputs if i.name in delays}
         own = [(e, s) for e in physical for s in e.states]
         restoring = any(e.restoring for e in physical)
-        self.free_starts = 3 if restoring else 2
+        self.free_starts = self.speeds + restoring
         self.states = (
-            "omega_r",
-            "omega_c",
+            *mechanism.speeds,
             *(("deflection",) if restoring else ()),
             *(s.symbol for _, s in own),
-            *(("psi_r", "psi_c") if angles else ()),
+            *(mechanism.angles if angles else ()),
         )
         self.start = tuple(s.start for _, s in own)
         rigid = model.rigid_contact
         self.ratio = None if rigid is None else f"{rigid.name}.{RATIO}"
         self.relaxation = "" if rigid is None else f"{rigid.name}.T"
-        # states that are constant while friction holds the casing
-        self._held = slice(_CASING, _CASING + 1) if rigid is None else slice(0, _CASING + 1)
+        # states that are constant while friction holds the main body
+        self._held = slice(MAIN, MAIN + 1) if rigid is None else slice(0, MAIN + 1)
         self.parameters = tuple(f"{e.name}.{p.symbol}" for e in physical for p in e.free)
         self.breakpoints = tuple(f"{e.name}.{e.breakpoint}" for e in physical if e.breakpoint)
         self.constants = {
             k: v for k, v in model.constants.items() if k.rpartition(".")[0] in {e.name for e in physical}
         }
-        self._equations = rates = [_in_one_sense(rate) for rate in self._rates(physical)]
+        self._equations = rates = [self._in_one_sense(rate) for rate in self._rates(physical)]
         self.dry = any(SENSE in symbols(rate) for rate in rates)
         if angles:
-            rates = [*rates, sym("omega_r"), sym("omega_c")]
+            rates = [*rates, *map(sym, mechanism.speeds)]
         outputs = list(rates)
         self._jacobian_at = self._collect(outputs, rates, self.states)
         self._sensitivity_at = self._collect(outputs, rates, self.parameters)
@@ -382,40 +424,60 @@ class Dynamics:
         return places
 
     def _rates(self, physical: list[Effect]) -> list[Expr]:
+        mechanism = self.mechanism
         physical = [e for e in physical if e.joint != "input"]
-        laws: dict[str, list[Expr]] = {j: [] for j in ("rotor", "casing", "bearing", "factor", "inertia")}
-        inverse_rotor, inverse_casing = (div(ONE, sym(k)) for k in (INERTIA_ROTOR, INERTIA_CASING))
-        difference = {"delta": sub(sym("omega_r"), sym("omega_c"))}
+        laws: dict[str, list[Expr]] = {site: [] for site in (*mechanism.bodies, *mechanism.joints)}
+        factors: dict[str, list[Expr]] = {site: [] for site in laws}
+        inverse = {b: div(ONE, sym(key)) for b, key in zip(mechanism.bodies, mechanism.inertias, strict=True)}
+        speed = {b: sym(s) for b, s in zip(mechanism.bodies, mechanism.speeds, strict=True)}
+        differences = {c.delta: sub(speed[c.first], speed[c.second]) for c in mechanism.couplings}
         own: list[Expr] = []
         contacts: list[tuple[Expr, Expr, Expr]] = []
         for e in physical:
-            rename = {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference
+            rename = {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | differences
             if e.joint != "contact":
-                laws[e.joint].append(substitute(e.expression, rename))
+                kind = factors if e.joint in {"factor", "inertia"} else laws
+                kind[e.site].append(substitute(e.expression, rename))
                 continue
-            n = rename[RATIO]
-            rename["slip"] = sub(sym("omega_r"), mul(n, sym("omega_c")))
-            rename["inertia_slip"] = div(ONE, total([inverse_rotor, mul(mul(n, n), inverse_casing)]))
+            n, (rotor, casing) = rename[RATIO], mechanism.bodies
+            rename["slip"] = sub(speed[rotor], mul(n, speed[casing]))
+            rename["inertia_slip"] = div(ONE, total([inverse[rotor], mul(mul(n, n), inverse[casing])]))
             contacts.append((n, rename["inertia_slip"], substitute(e.expression, rename)))
-        tau = total(laws["bearing"])
-        for factor in laws["factor"]:
-            tau = mul(tau, factor)
+        # torque of each joint, by its symbol
+        self.joint_torques = {}
+        for joint in mechanism.couplings:
+            tau = total(laws[joint.name])
+            for factor in factors[joint.name]:
+                tau = mul(tau, factor)
+            self.joint_torques[joint.tau] = tau
         for e in physical:
             if e.rates:
-                rename = (
-                    {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | difference | {"tau": tau}
-                )
-                own += [substitute(rate, rename) for rate in e.rates]
-        rotor = mul(total([neg(tau), *laws["rotor"]]), inverse_rotor)
-        casing = mul(total([tau, *laws["casing"]]), inverse_casing)
+                rename = {p.symbol: sym(f"{e.name}.{p.symbol}") for p in e.parameters} | differences
+                own += [substitute(rate, rename | self.joint_torques) for rate in e.rates]
+        rates = {}
+        for body in mechanism.bodies:
+            of_joints = [self.joint_torques[c.tau] for c in mechanism.couplings if c.second == body]
+            of_joints += [neg(self.joint_torques[c.tau]) for c in mechanism.couplings if c.first == body]
+            rates[body] = mul(total([*of_joints, *laws[body]]), inverse[body])
         for n, inertia, law in contacts:
-            torque = substitute(law, {"torque_held": mul(inertia, sub(mul(n, casing), rotor))})
-            rotor = add(rotor, mul(torque, inverse_rotor))
-            casing = sub(casing, mul(mul(n, torque), inverse_casing))
-        for factor in laws["inertia"]:
-            casing = mul(casing, factor)
-        self.bearing_torque = tau
-        return [rotor, casing, *([sym("omega_c")] if self.free_starts > 2 else []), *own]
+            rotor, casing = mechanism.bodies
+            torque = substitute(law, {"torque_held": mul(inertia, sub(mul(n, rates[casing]), rates[rotor]))})
+            rates[rotor] = add(rates[rotor], mul(torque, inverse[rotor]))
+            rates[casing] = sub(rates[casing], mul(mul(n, torque), inverse[casing]))
+        for body in mechanism.bodies:
+            for factor in factors[body]:
+                rates[body] = mul(rates[body], factor)
+        deflection = [speed[mechanism.main]] if self.free_starts > self.speeds else []
+        return [*rates.values(), *deflection, *own]
+
+    def _in_one_sense(self, rate: Expr) -> Expr:
+        """Return a rate with the sign of the main speed as a separate number, so that it is smooth through rest."""
+        sign = call("sign", sym(self.mechanism.speeds[MAIN]))
+        new: dict[int, Expr] = {}
+        for node in nodes(rate):
+            args = tuple(new[id(a)] for a in node.args)
+            new[id(node)] = sym(SENSE) if node == sign else Expr(node.op, args) if args else node
+        return new[id(rate)]
 
     def _values(self, t: Array, y: Array, numbers: Mapping[str, float]) -> dict[str, object]:
         states = {name: y[..., i] for i, name in enumerate(self.states)}
@@ -452,13 +514,15 @@ class Dynamics:
         return found
 
     def by_input(self, i: Input, t: Array, y: Array, numbers: Mapping[str, float]) -> Array:
-        """Return the derivative of the accelerations of rotor and casing with respect to an input, (times, 2)."""
-        slopes = Tape([derivative(rate, i.symbol) for rate in self._equations[:2]])
+        """Return the derivative of the accelerations of the bodies by an input, (times, bodies)."""
+        slopes = Tape([derivative(rate, i.symbol) for rate in self._equations[: self.speeds]])
         values = self._values(t, y, numbers) | {SENSE: self._sense(y, None)}
         return np.stack([np.asarray(s) * np.ones(len(t)) for s in slopes(values)], axis=1)
 
     def by_delay(self, name: str, t: Array, edges: Array, y: Array, numbers: Mapping[str, float]) -> Array:
-        """Return the derivative of the accelerations with respect to the dead time of an input, (cells, 2).
+        """Return the derivative of the accelerations by the dead time of an input, -d(rate)/du du/dt.
+
+        Its shape is (cells, bodies).
 
         The derivative is -d(rate)/du du/dt at the times `t`; du/dt is the mean between the edges of each cell.
         """
@@ -468,16 +532,16 @@ class Dynamics:
 
     @cached_property
     def first_order(self) -> tuple[Expr, dict[str, Expr]] | None:
-        """Decay rate of the speed of the casing [1/s] and its acceleration per unit of each input, as expressions.
+        """Return the decay rate of the main body's speed [1/s] and its acceleration per unit of each input.
 
         The response is linear and of first order: d(omega_c)/dt = -decay omega_c + sum of slope times input + terms
         that depend on neither. None if the response has another form.
         """
         motion = {*self.states, "t", *(i.symbol for i in self.inputs)}
-        rate = self._equations[_CASING]
-        decay = neg(derivative(rate, "omega_c"))
+        rate, main = self._equations[MAIN], self.mechanism.speeds[MAIN]
+        decay = neg(derivative(rate, main))
         slopes = {i.name: derivative(rate, i.symbol) for i in self.inputs}
-        coupled = any(derivative(rate, s) != ZERO for s in self.states if s != "omega_c")
+        coupled = any(derivative(rate, s) != ZERO for s in self.states if s != main)
         if coupled or decay == ZERO or not slopes or any(e == ZERO for e in slopes.values()):
             return None
         # the response is not linear if a coefficient depends on the motion, the time or an input
@@ -497,15 +561,14 @@ class Dynamics:
         return np.outer([n, 1.0], [n * rotor, casing]) / (casing + n**2 * rotor)
 
     def _sense(self, y: Array, sense: ArrayLike | None) -> Array:
-        return np.asarray(np.sign(y[..., _CASING]) if sense is None else sense, dtype=np.float64)
+        return np.asarray(np.sign(y[..., MAIN]) if sense is None else sense, dtype=np.float64)
 
     def rates(
         self, t: Array, y: Array, numbers: Mapping[str, float], sense: ArrayLike | None = None
     ) -> Array:
         """Return dy/dt, with the shape of y (..., states).
 
-        `sense` is the sense of rotation of the casing, +1 or -1, or 0 while friction holds the casing; by default the
-        sign of omega_c in y.
+        `sense` is +1 or -1 where the main body turns that way, 0 where friction holds it; from y, if not given.
         """
         sense = self._sense(y, sense)
         outputs = self._rates_tape(self._values(t, y, numbers) | {SENSE: sense})
@@ -551,13 +614,3 @@ class Dynamics:
         if self.dry and not sense.all():
             b[..., self._held, :] *= np.abs(sense)[..., None, None]
         return f, a, b
-
-
-def _in_one_sense(rate: Expr) -> Expr:
-    """Return a rate in which the symbol `SENSE` replaces sign(omega_c), so that the rate is smooth through rest."""
-    sign = call("sign", sym("omega_c"))
-    new: dict[int, Expr] = {}
-    for node in nodes(rate):
-        args = tuple(new[id(a)] for a in node.args)
-        new[id(node)] = sym(SENSE) if node == sign else Expr(node.op, args) if args else node
-    return new[id(rate)]

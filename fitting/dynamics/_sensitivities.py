@@ -8,10 +8,12 @@ With the fundamental matrix Phi(t) of the linearised equations, the response to 
 The integrals are running sums over the times at which u is known, for any frequency of u. After the casing has come to
 rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an inverse.
 
-If one mode decays long before the end of the record, all columns of Phi become parallel to the other mode, and the
-inverse is inaccurate. Then the decaying column and its integral are computed backwards from the end; in this direction
-the column grows faster than the other one. This is the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical
-Solution of Boundary Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
+Where one mode decays long before the end of the record, all columns of Phi become parallel to the others, and the
+inverse is inaccurate. Then the columns are the modes from slow to fast decay: with the QR decompositions of the steps,
+Phi_(i+1) Q_i = Q_(i+1) R_i, they are Q_i C_i with triangular C_i = R_i^-1 C_(i+1), computed backwards from the end, in
+which direction a mode grows faster than all slower ones; the integrals of decaying modes as well. This is the dichotomy
+of U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary Value Problems for Ordinary Differential
+Equations, SIAM (1995), ch. 6.
 
 All sensitivities solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the solution (`Propagator` of
 `fitting.dynamics._collocation`). The derivative with respect to the time of a jump is an impulse at that time.
@@ -28,6 +30,7 @@ from numpy.typing import NDArray
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import UNBOUNDED, Path, Propagator, Sampler, rule
 from fitting.dynamics._model import Dynamics
+from fitting.effects._mechanism import MAIN
 
 Array = NDArray[np.float64]
 
@@ -40,7 +43,7 @@ a smaller value gives inaccurate responses, a larger one costs time for the dich
 
 
 class LinearMotion:
-    """The linearised motion of both speeds about a solution.
+    """The linearised motion of the speeds of all bodies about a solution.
 
     States of effects (a temperature, a phase) are coupled with the speeds. If a state decays so fast that Phi has no
     accurate inverse, all states of effects are held.
@@ -48,25 +51,26 @@ class LinearMotion:
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
         self._sense, self._mesh, self._constraint = path.sense, path.mesh, propagator.constraint
-        decaying: list[int] = []
+        self._speeds = path.speeds
+        decaying = slice(0)
         self._nodes = _fundamental(propagator)
         if not _independent(self._nodes):
-            propagator = propagator.of_speeds()
+            propagator = propagator.of_speeds(self._speeds)
             self._nodes = _fundamental(propagator)
             if not _independent(self._nodes):
-                self._nodes, decaying = _slow_and_fast_mode(propagator), [1]
+                self._nodes, decaying = _modes(propagator), slice(1, None)
         steps = path.mesh.half[..., None] * np.tensordot(self._nodes, rule().w, (1, 0))
         self._starts = np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
         self._starts[:-1, :, decaying] = -np.cumsum(steps[::-1, :, decaying], axis=0)[::-1]
         self._starts[-1, :, decaying] = 0.0
 
     def fundamental(self, times: Array) -> Array:
-        """Return the rows of Phi for the speeds at times [s], shape (times, 2, n)."""
-        return Sampler(self._mesh, times).value(self._nodes)[:, :2]
+        """Return the speeds' rows of Phi at some times, shape (times, bodies, n)."""
+        return Sampler(self._mesh, times).value(self._nodes)[:, : self._speeds]
 
     def integrated(self, times: Array) -> Array:
-        """Return the rows of Psi for the speeds at times [s], shape (times, 2, n)."""
-        return Sampler(self._mesh, times).integral(self._starts, self._nodes)[:, :2]
+        """Return the speeds' rows of Psi at some times, shape (times, bodies, n)."""
+        return Sampler(self._mesh, times).integral(self._starts, self._nodes)[:, : self._speeds]
 
     def impulses(self, times: Array, direction: Array) -> Array:
         """Return Phi^-1(s) b, shape (times, n).
@@ -78,8 +82,8 @@ class LinearMotion:
     def _impulses(self, sampler: Sampler, direction: Array) -> Array:
         phi = sampler.value(self._nodes)
         accelerations = np.zeros(phi.shape[:2])
-        accelerations[:, :2] = self.accelerations(direction)
-        held = slice(1, 2) if self._constraint is None else slice(0, 2)
+        accelerations[:, : self._speeds] = self.accelerations(direction)
+        held = slice(MAIN, MAIN + 1) if self._constraint is None else slice(0, MAIN + 1)
         accelerations[:, held] *= np.abs(self._sense[sampler.index])[:, None]
         try:
             return np.asarray(np.linalg.solve(phi, accelerations[..., None])[..., 0])
@@ -94,27 +98,30 @@ class LinearMotion:
         return direction if self._constraint is None else self._constraint @ direction
 
     def moving(self, times: Array) -> Array:
-        """Return 1 at times at which the casing responds to a torque, and 0 while friction holds the casing."""
+        """Return 1 where the main body responds to a torque, 0 where friction holds it."""
         return np.abs(self._sense[Sampler(self._mesh, times).index])
 
     def driven(self, times: Array, nodes: int, direction: Array) -> Callable[[Array], tuple[Array, Array]]:
-        """Return the response function of both bodies at n sample times.
+        """Return the response of the bodies at n sample times to a torque on or between them.
 
-        The function maps torques [N m] at the q Gauss nodes between samples, (n - 1, q, columns), to d omega [rad/s]
-        and d psi [rad], each (2, n, columns), rotor first. `direction` (2,) contains the accelerations of both bodies
-        by a torque of 1 N m.
+        It maps torques [N m] at the q Gauss nodes between samples, (n - 1, q, columns), to d omega and d psi, each
+        (bodies, n, columns), in the order of the speeds. `direction` (bodies,) are the rates that a unit torque gives.
         """
         gauss = rule(nodes)
         half = 0.5 * np.diff(times)
         inner = (times[:-1] + half)[:, None] + half[:, None] * gauss.x
         sampler = Sampler(self._mesh, inner.ravel())
         impulses = self._impulses(sampler, direction).reshape(*inner.shape, -1)
-        psi_inner = sampler.integral(self._starts, self._nodes)[:, :2].reshape(*inner.shape, 2, -1)
+        count = self._speeds
+        psi_inner = sampler.integral(self._starts, self._nodes)[:, :count].reshape(*inner.shape, count, -1)
         impulses *= (half[:, None] * gauss.w)[..., None]
         change = np.ascontiguousarray(impulses.transpose(0, 2, 1))
         delay = np.ascontiguousarray((psi_inner @ impulses[..., None])[..., 0].transpose(0, 2, 1))
         sampler = Sampler(self._mesh, times)
-        maps = sampler.value(self._nodes)[:, :2], sampler.integral(self._starts, self._nodes)[:, :2]
+        maps = (
+            sampler.value(self._nodes)[:, :count],
+            sampler.integral(self._starts, self._nodes)[:, :count],
+        )
 
         def response(torque: Array) -> tuple[Array, Array]:
             sums, late = (
@@ -139,15 +146,29 @@ def _chained(propagator: Propagator, first: Array) -> Array:
     return propagator.with_regular_jumps(_KEPT).chain(zero, zero[:, 0], first)
 
 
-def _slow_and_fast_mode(propagator: Propagator) -> Array:
-    """Return the slowly and the fast decaying mode of the speeds at the nodes, as columns."""
-    slow = _chained(propagator, np.array([[1.0], [0.0]]))
-    end = slow[-1] / np.linalg.norm(slow[-1])
-    fast = propagator.with_regular_jumps(_KEPT).back(np.array([-end[1], end[0]]))
-    size = np.linalg.norm(fast[0])
-    if not np.isfinite(size):
+def _modes(propagator: Propagator) -> Array:
+    """Return the modes of the speeds at the nodes, from slow to fast decay."""
+    steps = propagator.with_regular_jumps(_KEPT).steps()
+    count = steps.shape[-1]
+    # the first column contains the slowest mode, whichever body it moves
+    q = np.empty((len(steps) + 1, count, count))
+    q[0] = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), increasing=True))[0]
+    r = np.empty_like(steps)
+    for i, step in enumerate(steps):
+        q[i + 1], r[i] = np.linalg.qr(step @ q[i])
+    c = np.empty_like(q)
+    c[-1] = np.eye(count)
+    with np.errstate(all="ignore"):
+        try:
+            for i in reversed(range(len(r))):
+                c[i] = np.linalg.solve(r[i], c[i + 1])
+        except np.linalg.LinAlgError:
+            raise SimulationError(UNBOUNDED) from None
+        modes = q @ c
+        modes /= np.linalg.norm(modes[0], axis=0)
+    if not np.isfinite(modes).all():
         raise SimulationError(UNBOUNDED)
-    return propagator.carried(np.concatenate([slow, fast / size], axis=2))
+    return propagator.carried(modes)
 
 
 def _independent(phi: Array) -> bool:
@@ -185,7 +206,7 @@ def sensitivities(dynamics: Dynamics, numbers: Mapping[str, float], path: Path) 
         first[np.arange(1, n0), p + np.arange(starts)] = 1.0
         first[0, p] = numbers[dynamics.ratio]
         if dynamics.ratio in dynamics.parameters:
-            first[0, dynamics.parameters.index(dynamics.ratio)] = path.edges[0, 1]
+            first[0, dynamics.parameters.index(dynamics.ratio)] = path.edges[0, MAIN]
     half = path.mesh.half[..., None]
     flat = forcing.reshape(*forcing.shape[:2], -1)
     node_defect = (half * (rule().s @ flat)).reshape(forcing.shape)

@@ -15,10 +15,11 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal, cast
 
 from fitting._errors import EffectError, ExpressionError, RecordError
 from fitting.effects._expression import FUNCTIONS, Expr, parse, substitute, sym, symbols
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism, renamed
 
 Dimension = tuple[float, ...]
 
@@ -148,6 +149,17 @@ _CONTACT_VARIABLES: dict[str, str] = {"slip": "s-1", "inertia_slip": "kg m2", "t
 NOT_FOR_USERS = frozenset(
     {"temperature", "chirp", "strain", "tau", "psi", "omega", "lag", "bristle", "element_a", "element_b"}
 )
+
+
+def variables_of(mechanism: Mechanism) -> dict[str, str]:
+    """Return the variables of laws about the bodies of a mechanism, with their units."""
+    if mechanism == GYROSCOPE:
+        return VARIABLES
+    # a body oscillates alone
+    absent = {*GYROSCOPE.variables, "deflection"}
+    return {k: u for k, u in VARIABLES.items() if k not in absent} | mechanism.variables
+
+
 _INPUT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 _INPUT, _SLOPE = "input.", "slope."
 
@@ -182,23 +194,27 @@ MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
 """Trial changepoints, as shares of the length of the recording [1]. Chosen: steps of 0.02, without the ends, where a
 change is equivalent to an initial value; fewer start far from the optimum, more cost time."""
 # joints whose law is a torque; laws of other joints are numbers
-_TORQUES: tuple[Joint, ...] = ("rotor", "casing", "bearing", "contact")
+TORQUES: tuple[Joint, ...] = ("rotor", "casing", "bearing", "contact")
 # symbol of the ratio omega_r / omega_c of a contact without slip
 RATIO = "n"
 _CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", "camera.rotor": "rotor"}
 
 
 THE_ROTOR, THE_CASING = frozenset({"rotor"}), frozenset({"casing"})
+# bodies of the places of a gyroscope that are neither a body nor its bearing
 _BODIES: dict[str, frozenset[str]] = {
-    **dict.fromkeys(("rotor", "camera.rotor", "omega_r", "psi_r"), THE_ROTOR),
-    **dict.fromkeys(("casing", "camera.casing", "omega_c", "psi_c"), THE_CASING),
-    **dict.fromkeys(("bearing", "contact", "factor", "inertia", "delta", "tau"), THE_ROTOR | THE_CASING),
+    "camera.rotor": THE_ROTOR,
+    "camera.casing": THE_CASING,
+    **dict.fromkeys(("contact", "factor", "inertia"), THE_ROTOR | THE_CASING),
 }
+# body or joint of a gyroscope on which a law acts that is written for a factor or an inertia
+_SITES = {"factor": "bearing", "inertia": "casing"}
 
 
-def bodies_of(joint: str, variables: Iterable[str]) -> frozenset[str]:
+def bodies_of(joint: str, variables: Iterable[str], mechanism: Mechanism = GYROSCOPE) -> frozenset[str]:
     """Return the bodies on which a law acts at its joint, or on which it depends through its variables."""
-    return frozenset().union(*(_BODIES.get(name, frozenset()) for name in (joint, *variables)))
+    known = _BODIES | mechanism.bodies_by_symbol if mechanism == GYROSCOPE else mechanism.bodies_by_symbol
+    return frozenset().union(*(known.get(name, frozenset()) for name in (joint, *variables)))
 
 
 @dataclass(frozen=True)
@@ -322,6 +338,12 @@ class Effect:
         Names and units of the recorded inputs in the law.
     words : str
         The name in words, for example "quadratic air drag of the casing".
+    mechanism : Mechanism
+        The bodies and joints of which the law speaks: those of a gyroscope, or those of a case with other bodies.
+    place : str
+        The body or joint of the mechanism on which the law acts, if `joint` does not name it.
+    pattern : str
+        The name in the library of the law that was written for this place; empty for a law of the library.
     """
 
     name: str
@@ -344,6 +366,9 @@ class Effect:
     second: State | None = None
     contact: bool = False
     words: str = ""
+    mechanism: Mechanism = GYROSCOPE
+    place: str = ""
+    pattern: str = ""
 
     def __repr__(self) -> str:
         units = ", ".join(f"{p.symbol} [{p.unit}]" for p in self.parameters)
@@ -361,6 +386,16 @@ class Effect:
         if self.state is None:
             return None
         return with_input_symbols(parse(self.state.rate), [name for name, _ in self.inputs])
+
+    @property
+    def site(self) -> str:
+        """The body or joint on which the law acts."""
+        return self.place or _SITES.get(self.joint, self.joint)
+
+    @property
+    def kind_of_law(self) -> str:
+        """The name of the law in the library, whatever the body or joint on which it acts."""
+        return self.pattern or self.name
 
     @property
     def states(self) -> tuple[State, ...]:
@@ -397,30 +432,32 @@ class Effect:
     @cached_property
     def bodies(self) -> frozenset[str]:
         """The bodies on which the effect acts or depends; it does not apply to cases without one of them."""
-        return bodies_of(self.joint, symbols(self.expression).union(*map(symbols, self.rates)))
+        site = self.place or self.joint
+        return bodies_of(site, symbols(self.expression).union(*map(symbols, self.rates)), self.mechanism)
 
     @cached_property
     def depends_on_angle(self) -> bool:
         """Whether the law is a function of an angle: a harmonic of psi."""
-        names = symbols(self.expression)
-        return bool(names & {"psi_r", "psi_c", "psi"})
+        return not symbols(self.expression).isdisjoint((*self.mechanism.angles, "psi"))
 
     @cached_property
     def about_equilibrium(self) -> Effect:
-        """The law of an oscillating body: psi_c is its angle from the equilibrium, a state of the motion.
+        """The law of an oscillating body: its angle is that from the equilibrium, a state of the motion.
 
         A response linearised about the measured angle is not sufficient: over a hundred periods, a change of the
         frequency accumulates to a large phase.
         """
-        if not self.mechanical or "psi_c" not in symbols(self.expression):
+        angle = self.mechanism.main_angle
+        if not self.mechanical or angle not in symbols(self.expression):
             return self
-        return replace(self, law=re.sub(r"\bpsi_c\b", "deflection", self.law))
+        return replace(self, law=renamed(self.law, {angle: "deflection"}))
 
     def parameters_at(self, speeds: Mapping[str, float], length: float) -> tuple[Parameter, ...]:
-        """Return the parameters of recordings with these largest speeds omega_r and omega_c [rad/s] and length [s]."""
+        """Return the parameters of recordings with these largest speeds by symbol [rad/s] and length [s]."""
         used = symbols(self.expression).union(*map(symbols, self.rates))
-        speed = speeds["omega_r" if "omega_r" in used else "omega_c"]
-        return tuple(p.at(speed, length) for p in self.parameters)
+        main = self.mechanism.speeds[MAIN]
+        symbol = next((s for s in self.mechanism.speeds if s in used and s != main), main)
+        return tuple(p.at(speeds[symbol], length) for p in self.parameters)
 
     @cached_property
     def restoring(self) -> bool:
@@ -442,8 +479,10 @@ class Effect:
         """
         own = {p.symbol for p in self.parameters}
         used = symbols(self.expression).union(*map(symbols, self.rates))
-        variables = VARIABLES | (_CONTACT_VARIABLES if self.joint == "contact" else {})
+        variables = variables_of(self.mechanism) | (_CONTACT_VARIABLES if self.joint == "contact" else {})
         variables |= {input_symbol(name): unit for name, unit in self.inputs}
+        own_states = (s.symbol for s in self.states if self.place)
+        variables |= {name: VARIABLES[name.removesuffix(f"_{self.place}")] for name in own_states}
         unknown = used - own - set(variables)
         if self.joint == "contact" and RATIO not in own:
             raise EffectError(f"{self.name!r} acts in a contact but has no ratio {RATIO}", f"declare {RATIO}")
@@ -456,9 +495,24 @@ class Effect:
         units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in variables.items()}
         units |= {p.symbol: parse_unit(p.unit, exponents) for p in self.parameters}
         result = dimension(self.expression, units, exponents)
-        unit = "N m" if self.joint in _TORQUES else "s" if self.joint == "input" else "1"
+        unit = "N m" if self.joint in TORQUES else "s" if self.joint == "input" else "1"
         if not _same(result, parse_unit(unit)):
             raise EffectError(f"the law of {self.name!r} has the unit {format_unit(result)}, not {unit}")
+
+
+def mechanism_of(effects: Iterable[Effect]) -> Mechanism:
+    """Return the mechanism of which effects speak: that of a gyroscope if there are none."""
+    return next((e.mechanism for e in effects), GYROSCOPE)
+
+
+def at_site(
+    name: str, site: str, law: str, parameters: tuple[Parameter, ...], mechanism: Mechanism, **more: Any
+) -> Effect:
+    """Return a law at a body or a joint of a mechanism."""
+    if mechanism == GYROSCOPE:
+        return Effect(name, cast("Joint", site), law, parameters, **more)
+    joint: Joint = "bearing" if site in mechanism.joints else "casing"
+    return Effect(name, joint, law, parameters, mechanism=mechanism, place=site, **more)
 
 
 def with_input_symbols(expression: Expr, names: Iterable[str]) -> Expr:

@@ -377,6 +377,7 @@ _LATEX_NAMES = {
     "temperature": "T", "phi": r"\varphi", "eps": r"\varepsilon", "omega": r"\omega", "psi": r"\psi",
     "tau_T": r"\tau_T", "chirp": r"\chi",
 }  # fmt: skip
+_OF_PLACES = {"omega": r"\omega", "psi": r"\psi", "delta": "D", "temperature": "T"}
 _SUM = 0
 """Precedence of a sum in a typeset formula [1]. Derived: the lowest precedence, so operands need no brackets in a
 sum."""
@@ -395,6 +396,9 @@ def _symbol(name: str) -> str:
     name = name.removeprefix("input.")  # recorded inputs (`input_symbol` of `fitting.effects._effect`)
     if name in _LATEX_NAMES:
         return _LATEX_NAMES[name]
+    head, _, tail = name.partition("_")
+    if tail and head in _OF_PLACES:  # of a body or joint with its own name
+        return rf"{_OF_PLACES[head]}_\mathrm{{{tail}}}"
     head = name.rstrip("0123456789")
     if head and head != name:
         return f"{head}_{{{name[len(head) :]}}}"

@@ -439,10 +439,14 @@ def find(name: str) -> Effect:
             f"{name[:60]!r} does not say on which body the law acts",
             "write rotor:, casing: or bearing: before it, for example casing: -k*omega_c**3",
         )
-    close = difflib.get_close_matches(name, LIBRARY, n=3, cutoff=0.4)
-    raise EffectError(
-        f"there is no effect named {name[:60]!r}",
-        f"did you mean {' or '.join(close)}?" if close else "`gyrotrack effects` lists them all",
+    raise unknown(name, LIBRARY, "`gyrotrack effects` lists them all")
+
+
+def unknown(name: str, names: Iterable[str], hint: str) -> EffectError:
+    """Return the error for an unknown name, with the closest names, or with a hint if there are none."""
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
+    return EffectError(
+        f"there is no effect named {name[:60]!r}", f"did you mean {' or '.join(close)}?" if close else hint
     )
 
 

@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +18,12 @@ from fitting.effects._effect import (
     MOMENTS,
     NONE,
     NOT_FOR_USERS,
-    VARIABLES,
     Dimension,
     Effect,
-    Joint,
     Parameter,
     Role,
     State,
+    at_site,
     dimension,
     format_unit,
     input_symbol,
@@ -32,6 +31,7 @@ from fitting.effects._effect import (
     parse_unit,
     quotient,
     refuse_input_name,
+    variables_of,
     with_input_symbols,
 )
 from fitting.effects._expression import (
@@ -46,7 +46,9 @@ from fitting.effects._expression import (
     sym,
     symbols,
 )
-from fitting.effects._library import LIBRARY, find
+from fitting.effects._instances import find_law
+from fitting.effects._library import LIBRARY
+from fitting.effects._mechanism import GYROSCOPE, Mechanism, renamed, speed_of
 
 # unit of a strength whose unit cannot be derived, because other units were not given
 UNKNOWN_UNIT = "SI"
@@ -56,8 +58,6 @@ time, a larger one starts far from the optimum."""
 _GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Trial values of a shape constant over its initial value [1]. Chosen: two per decade; fewer start far from the
 optimum, more cost time."""
-_BODIES = ("rotor", "casing", "bearing")
-_FIRST_VARIABLE = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
 _EDITS = 2
 """Largest number of edits by which a misspelt name differs from a variable [1]. Chosen: a smaller value suggests
 nothing, a larger one suggests unrelated names."""
@@ -75,6 +75,7 @@ def formula(
     rate: str = "",
     inputs: Mapping[str, str] | None = None,
     words: str = "",
+    mechanism: Mechanism = GYROSCOPE,
 ) -> Effect:
     """Return an effect from a law.
 
@@ -83,25 +84,30 @@ def formula(
     units of the recorded inputs that the law may contain, by name. An EffectError or ExpressionError is raised if the
     law is not understood, if it has no strength to fit, or if its units do not agree.
     """
-    if body not in _BODIES:
-        raise EffectError(
-            f"{body[:30]!r} is an unknown body", "write rotor:, casing: or bearing: before the law"
-        )
+    sites = (*mechanism.bodies, *mechanism.joints)
+    if body not in sites:
+        raise EffectError(f"{body[:30]!r} is an unknown body", f"write {_choice(sites)} before the law")
+    variables = variables_of(mechanism)
+    law, rate = (renamed(text, mechanism.short_names(body)) for text in (law, rate))
     known = dict(inputs or {})
     expression = with_input_symbols(parse(law), known)
     used = symbols(expression) | (symbols(with_input_symbols(parse(rate), known)) if rate else set())
     driving = tuple((name, unit) for name, unit in known.items() if input_symbol(name) in used)
-    own = sorted(s for s in used - set(VARIABLES) if not is_input_symbol(s))
-    for forbidden in sorted((used & NOT_FOR_USERS) - ({"lag"} if rate else set())):
-        raise EffectError(f"{forbidden!r} is not known to a law that has no state of its own", _hint())
-    if not own:
+    own = sorted(s for s in used - set(variables) if not is_input_symbol(s))
+    hidden = NOT_FOR_USERS | {c.tau for c in mechanism.couplings}
+    for forbidden in sorted((used & hidden) - ({"lag"} if rate else set())):
         raise EffectError(
-            f"the law {law!r} has no parameter to fit", "write for example: casing: -k*omega_c**3"
+            f"{forbidden!r} is not known to a law that has no state of its own", _hint(mechanism)
         )
-    _refuse_misspelt(expression, [s for s in own if s not in declared], body, known)
+    if not own:
+        main = mechanism.main
+        raise EffectError(
+            f"the law {law!r} has no parameter to fit", f"write for example: {main}: -k*{speed_of(main)}**3"
+        )
+    _refuse_misspelt(expression, [s for s in own if s not in declared], body, known, mechanism)
     _refuse_product(expression, [s for s in own if s not in declared], known)
     for symbol in sorted(set(declared) - set(own)):
-        raise EffectError(f"the parameter {symbol!r} does not occur in the law {law!r}", _hint())
+        raise EffectError(f"the parameter {symbol!r} does not occur in the law {law!r}", _hint(mechanism))
     amplitude = _strength(law, expression, [s for s in own if not declared.get(s, {}).get("shape", False)])
     roles: dict[str, Role] = {s: "phase" if _is_phase(expression, s) else "shape" for s in own}
     roles[amplitude] = "amplitude"
@@ -110,14 +116,15 @@ def formula(
     timed, jump = _timed(parameters, expression)
     parameters = tuple(p if p.symbol in given else t for p, t in zip(parameters, timed, strict=True))
     unit = declared.get(amplitude, {}).get("unit") or _amplitude_unit(
-        expression, amplitude, parameters, dict(driving)
+        expression, amplitude, parameters, dict(driving), variables
     )
     parameters = tuple(replace(p, unit=unit) if p.symbol == amplitude else p for p in parameters)
-    effect = Effect(
+    effect = at_site(
         name,
-        cast("Joint", body),
+        body,
         law,
         parameters,
+        mechanism,
         signature=signature,
         source=source,
         breakpoint=jump,
@@ -130,19 +137,29 @@ def formula(
     return effect
 
 
+def _choice(sites: Sequence[str]) -> str:
+    return ", ".join(f"{s}:" for s in sites[:-1]) + f" or {sites[-1]}:"
+
+
 def _refuse_misspelt(
-    expression: Expr, undeclared: Sequence[str], body: str, inputs: Mapping[str, str]
+    expression: Expr,
+    undeclared: Sequence[str],
+    body: str,
+    inputs: Mapping[str, str],
+    mechanism: Mechanism,
 ) -> None:
     """Refuse parameters that are not declared and are probably misspelt variables.
 
     These are names within two edits of a variable or an input. In a law without variables, several undeclared names are
     refused as well.
     """
-    variables = [v for v in (*VARIABLES, *inputs) if v not in NOT_FOR_USERS or v in inputs]
+    hidden = NOT_FOR_USERS | {c.tau for c in mechanism.couplings}
+    variables = [v for v in (*variables_of(mechanism), *inputs) if v not in hidden or v in inputs]
+    first = mechanism.joints[body].delta if body in mechanism.joints else speed_of(body)
     for symbol in undeclared:
         # a short name is within two edits of most names
         near = [v for v in variables if len(v) > _EDITS + 2]
-        distance, _, variable = min((edit_distance(symbol, v), not v.endswith(body[0]), v) for v in near)
+        distance, _, variable = min((edit_distance(symbol, v), not first.endswith(v[-1]), v) for v in near)
         if distance <= _EDITS:
             raise EffectError(
                 f"unknown name {symbol!r} in the law; did you mean {variable}?",
@@ -152,7 +169,7 @@ def _refuse_misspelt(
     if len(undeclared) > 1 and not used & set(variables) and not any(map(is_input_symbol, used)):
         raise EffectError(
             f"the law contains no variable of the {body}, only the names {', '.join(undeclared)}; "
-            f"did you mean {_FIRST_VARIABLE[body]}? {_recorded(inputs)}",
+            f"did you mean {first}? {_recorded(inputs)}",
             "if all are parameters, declare them in a file of effects (--effects)",
         )
 
@@ -280,7 +297,11 @@ def _is_phase(expression: Expr, symbol: str) -> bool:
 
 
 def _amplitude_unit(
-    expression: Expr, amplitude: str, parameters: tuple[Parameter, ...], inputs: Mapping[str, str]
+    expression: Expr,
+    amplitude: str,
+    parameters: tuple[Parameter, ...],
+    inputs: Mapping[str, str],
+    variables: Mapping[str, str],
 ) -> str:
     """Return the unit of the strength with which the law is a torque; ``N m s^p`` if an exponent p is fitted."""
     torque = parse_unit("N m")
@@ -288,7 +309,7 @@ def _amplitude_unit(
 
     def needed(shift: str = "") -> Dimension:
         values = exponents | ({shift: exponents[shift] + 1.0} if shift else {})
-        units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in VARIABLES.items()}
+        units: dict[str, Dimension] = {name: parse_unit(unit) for name, unit in variables.items()}
         units |= {input_symbol(name): parse_unit(unit) for name, unit in inputs.items()}
         units |= {p.symbol: NONE if p.symbol == amplitude else parse_unit(p.unit, values) for p in parameters}
         return quotient(torque, dimension(expression, units, values))
@@ -306,25 +327,20 @@ def _amplitude_unit(
     return format_unit(unit)
 
 
-def _hint() -> str:
-    return "a law may contain t, omega_r, omega_c, psi_r, psi_c, delta, deflection and recorded inputs"
+def _hint(mechanism: Mechanism) -> str:
+    deltas = [c.delta for c in mechanism.couplings]
+    known = variables_of(mechanism)
+    variables = (v for v in ("t", *mechanism.speeds, *mechanism.angles, *deltas, "deflection") if v in known)
+    return f"a law may contain {', '.join(variables)} and recorded inputs"
 
 
-_DRIVES = {
-    "rotor": "torque on the rotor proportional to {}",
-    "casing": "torque on the casing proportional to {}",
-    "bearing": "torque between the bodies proportional to {}",
-}
-
-
-def drive(joint: str, name: str, unit: str) -> Effect:
-    """Return the torque on a body or joint proportional to a recorded input, for example ``casing.input.current``.
-
-    `unit` is the unit of the input.
-    """
-    return Effect(
-        f"{joint}.input.{name}",
-        cast("Joint", joint),
+def drive(site: str, name: str, unit: str, mechanism: Mechanism = GYROSCOPE) -> Effect:
+    """Return the torque on a body that is proportional to a recorded input, ``casing.input.current`` for example."""
+    between = "the bodies" if mechanism == GYROSCOPE else f"the bodies of {site}"
+    where = f"between {between}" if site in mechanism.joints else f"on the {site}"
+    return at_site(
+        f"{site}.input.{name}",
+        site,
         f"k*{name}",
         (
             Parameter(
@@ -334,14 +350,15 @@ def drive(joint: str, name: str, unit: str) -> Effect:
                 meaning=f"torque per unit of {name}",
             ),
         ),
-        words=_DRIVES[joint].format(name),
+        mechanism,
+        words=f"torque {where} proportional to {name}",
         signature=f"the torque follows the recorded input {name}",
         inputs=((name, unit),),
     )
 
 
-def dead_time(name: str, unit: str) -> Effect:
-    """Return the dead time after which a recorded input acts, for example ``input.current.delay``."""
+def dead_time(name: str, unit: str, mechanism: Mechanism = GYROSCOPE) -> Effect:
+    """Return the dead time after which a recorded input acts, ``input.current.delay`` for example."""
     return Effect(
         f"input.{name}.delay",
         "input",
@@ -351,19 +368,21 @@ def dead_time(name: str, unit: str) -> Effect:
         words=f"dead time of the input {name}",
         signature=f"every change of the motion follows the recorded input {name} late by the same time",
         inputs=((name, unit),),
+        mechanism=mechanism,
     )
 
 
-def drives(inputs: Mapping[str, str] | Sequence[Any]) -> tuple[Effect, ...]:
-    """Return the effects of recorded inputs: a proportional torque on each body and joint, and a dead time."""
-    units = units_of_inputs(inputs).items()
-    return (*(drive(j, n, u) for n, u in units for j in _BODIES), *(dead_time(n, u) for n, u in units))
+def drives(inputs: Mapping[str, str] | Sequence[Any], mechanism: Mechanism = GYROSCOPE) -> tuple[Effect, ...]:
+    """Return the effects of recorded inputs: torques proportional to each, on and between bodies, and dead times."""
+    units, sites = units_of_inputs(inputs).items(), (*mechanism.bodies, *mechanism.joints)
+    return (
+        *(drive(s, n, u, mechanism) for n, u in units for s in sites),
+        *(dead_time(n, u, mechanism) for n, u in units),
+    )
 
 
-# names of the effects of recorded inputs
-_OF_INPUT = re.compile(
-    r"(?P<joint>rotor|casing|bearing)\.input\.(?P<driven>\w+)|input\.(?P<delayed>\w+)\.delay"
-)
+# effects of recorded inputs
+_OF_INPUT = re.compile(r"(?P<joint>[A-Za-z]\w*)\.input\.(?P<driven>\w+)|input\.(?P<delayed>\w+)\.delay")
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
 _KINDS = {"text": str, "a list": list, "true or false": bool, "a table": dict}
 # keys of a table and the kinds of their values; numbers ("") are checked together with their bounds
@@ -375,7 +394,11 @@ _EFFECT_KEYS = dict.fromkeys(("name", "body", "law", "rate", "signature", "sourc
 }  # fmt: skip
 
 
-def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) -> Effect:
+def resolve(
+    text: str,
+    inputs: Mapping[str, str] | Sequence[Any] | None = None,
+    mechanism: Mechanism = GYROSCOPE,
+) -> Effect:
     """Return an effect from its name in the library or from a formula ``body: law``.
 
     Parameters
@@ -386,6 +409,8 @@ def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) 
         values of those in which the law is linear.
     inputs : mapping of str to str, or sequence of Input, optional
         The recorded inputs that the law may contain: their units by name, or ``record.inputs``.
+    mechanism : Mechanism
+        The bodies and joints of which the law speaks.
 
     Raises
     ------
@@ -399,17 +424,20 @@ def resolve(text: str, inputs: Mapping[str, str] | Sequence[Any] | None = None) 
     known = units_of_inputs(inputs)
     body, colon, law = text.partition(":")
     if colon:
-        return formula(text.strip(), body.strip(), law.strip(), {}, inputs=known)
+        return formula(text.strip(), body.strip(), law.strip(), {}, inputs=known, mechanism=mechanism)
     found = _OF_INPUT.fullmatch(text.strip())
-    if found is None:
-        return find(text.strip())
+    sites = (*mechanism.bodies, *mechanism.joints)
+    if found is None or found["joint"] not in (*sites, None):
+        return find_law(text.strip(), mechanism)
     name = found["driven"] or found["delayed"]
     if name not in known:
         raise EffectError(
             f"{text.strip()[:60]} needs the input {name[:40]}. {_recorded(known)}",
             "record it with `gyrotrack import --input`",
         )
-    return drive(found["joint"], name, known[name]) if found["joint"] else dead_time(name, known[name])
+    if found["joint"]:
+        return drive(found["joint"], name, known[name], mechanism)
+    return dead_time(name, known[name], mechanism)
 
 
 def units_of_inputs(inputs: Mapping[str, str] | Sequence[Any] | None) -> dict[str, str]:

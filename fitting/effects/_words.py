@@ -122,7 +122,7 @@ def _known(key: str, effects: Iterable[Effect]) -> Effect | None:
     if found is None:
         found = {e.name: e for e in (START, SLIP)}.get(key)
     recorded = _OF_INPUT.fullmatch(key)
-    if found is not None or recorded is None:
+    if found is not None or recorded is None or recorded["joint"] not in (*_OWN, None):
         return found
     # the unit of the input is not part of the name
     return (

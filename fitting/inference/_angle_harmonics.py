@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.dynamics._model import Model
-from fitting.effects._library import LIBRARY
+from fitting.effects._instances import law_of_main
 from fitting.inference._case_model import Prediction
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._metrics import slow_responses
@@ -105,7 +105,9 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
         columns = [
             column
             for name in _LAWS
-            for column in case.unit_columns(LIBRARY[name], p.path, p.sensitivity, numbers)
+            for column in case.unit_columns(
+                law_of_main(name, fit.model.mechanism), p.path, p.sensitivity, numbers
+            )
         ]
         rows = project(np.concatenate([np.stack(columns, axis=1), (case.data.z - p.rows)[:, None]], axis=1))
         slow = slow_responses(case.data, p)

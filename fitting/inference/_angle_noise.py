@@ -514,7 +514,7 @@ variance."""
 
 
 def estimate_window_noise(
-    windows: Sequence[Compressed], nuisance: Sequence[Array], level: float, time: float
+    windows: Sequence[Compressed], nuisance: Sequence[Array], level: float | Array, time: float
 ) -> AngleNoise:
     """Estimate the correlated angle noise that all windows of the rotor have in common.
 
@@ -529,10 +529,11 @@ def estimate_window_noise(
         log L = -1/2 [log det V + n log(r'V^-1 r)],   V = 1 + rho R_T + process noise,
 
     and the covariance of the rows is the mean over the posterior of s, rho and T, with priors uniform in ln rho and
-    ln T. A window is too short to separate angle noise from process noise, whose rms `level` [rad/s2] and correlation
-    `time` [s] are those of the casing.
+    ln T. A window is too short to separate angle noise from process noise, whose rms [rad/s2], the same `level` for all
+    windows or one for each, and correlation `time` [s] follow from those of the casing.
     """
-    groups = [_WindowGroups(w, n, level, time) for w, n in zip(windows, nuisance, strict=True)]
+    levels = np.broadcast_to(level, len(windows))
+    groups = [_WindowGroups(*one, time) for one in zip(windows, nuisance, levels, strict=True)]
     count = sum(len(g.projected) for g in groups)
     if count < _FEWEST_GROUPS:
         return AngleNoise()
@@ -554,8 +555,8 @@ def estimate_window_noise(
     best = 2 * float(log_likelihood.max() - white)
     density = np.exp(log_likelihood - log_likelihood.max())
     density /= density.sum()
-    levels = np.sqrt(ratios * scales)
-    per_time = np.sum(density * levels**2, axis=1)
+    sizes = np.sqrt(ratios * scales)
+    per_time = np.sum(density * sizes**2, axis=1)
     scale = float(np.sum(density * scales))
     kept = per_time > _NEGLIGIBLE_SHARE * per_time.sum()
     covariances = [
@@ -564,7 +565,7 @@ def estimate_window_noise(
         for w in windows
     ]
     return AngleNoise.of_posterior(
-        np.repeat(times, len(ratios)), levels.ravel(), density.ravel(), best, covariances
+        np.repeat(times, len(ratios)), sizes.ravel(), density.ravel(), best, covariances
     )
 
 

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from fitting._errors import EstimationError
 from fitting._numbers import on_screen, percentage, rounded
 from fitting.dynamics._collocation import Sampler
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._library import NUISANCE
+from fitting.effects._mechanism import MAIN
 from fitting.inference._case_data import CAMERA_COLUMNS, INERTIA_RATIO, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._compression import Compressed
@@ -208,24 +208,26 @@ def _input_rows(case: CaseModel, prediction: Prediction, theta: Array, name: str
     for i in case.dynamics.inputs:
         if i.name == name:
             by = case.dynamics.by_input(i, response.centres, y, numbers)
-            by *= i.uncertainty(response.centres)[:, None] * [numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]]
-            rows[: len(response.casing)] += response.rotor @ by[:, 0] + response.casing @ by[:, 1]
+            inertias = [numbers[key] for key in case.dynamics.mechanism.inertias]
+            by *= i.uncertainty(response.centres)[:, None] * inertias
+            torques = zip(response.bodies.values(), by.T, strict=True)
+            rows[: len(response.casing)] += sum(own @ torque for own, torque in torques)
     return rows
 
 
 def _inertia_rows(case: CaseModel, prediction: Prediction, theta: Array, body: str, value: float) -> Array:
     """Return the derivative of the rows of a case by the relative error of a moment of inertia of this value."""
     rows = np.zeros(len(case.data.z))
-    if getattr(case.data.record, f"I_{body}") != value:
+    state = case.dynamics.mechanism.bodies.index(body)
+    if case.data.record.inertias[state] != value:
         return rows
     response = TorqueResponse(case.data, prediction.motion)
     path, numbers = prediction.path, case.layout.numbers(theta, case.case)
     y = Sampler(path.mesh, response.centres).value(path.y)
     rates = case.dynamics.rates(response.centres, y, numbers)
     # a larger moment of inertia acts as the torque -I d(omega)/dt eps
-    rotor = body == "rotor"
-    smooth = response.rotor if rotor else response.casing
-    rows[: len(smooth)] = smooth @ (-value * rates[:, 0 if rotor else 1])
+    smooth = response.bodies[body]
+    rows[: len(smooth)] = smooth @ (-value * rates[:, state])
     return rows
 
 
@@ -302,7 +304,7 @@ def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
     records = fit.problem.layout.records
     parts = [b.part for b in reversed(records[0].bodies)]
     for body in parts[:1] if _ratio_has_prior(fit) else parts:
-        known = [(getattr(r, f"I_{body}"), getattr(r, f"I_{body}_u")) for r in records]
+        known = [(b.inertia, b.inertia_u) for r in records for b in r.bodies if b.part == body]
         several = len(set(known)) > 1
         for value, u in dict.fromkeys(known):
             if math.isfinite(u) and u > 0:
@@ -363,13 +365,11 @@ def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
     data = []
     for d in fit.problem.data:
         r = d.record
-        rotor, casing = (
-            moved.get(("rotor", r.I_rotor), r.I_rotor),
-            moved.get(("casing", r.I_casing), r.I_casing),
-        )
+        names = zip(r.mechanism.bodies, r.inertias, strict=True)
+        rotor, casing, *further = (moved.get((name, value), value) for name, value in names)
         if _ratio_has_prior(fit):
             casing = r.I_casing * rotor / r.I_rotor
-        data.append(d.with_inertia(rotor, casing))
+        data.append(d.with_inertia(rotor, casing, further))
     share, per_case = layout.choices
     start = {n: float(x) for n, x in zip(layout.names, fit.theta, strict=True)}
     again = refit(fit.model, data, share=share, per_case=per_case, start=start, ranges=layout.ranges)
@@ -403,4 +403,4 @@ def _changed_rows(data: CaseData, prediction: Prediction, of: Callable[[Array, A
         t = run.samples.time
         return of(t, Sampler(path.mesh, t).value(path.y[..., state]))[:, None]
 
-    return data.sample_rows(change(data.casing, 1), [change(w, 0) for w in data.rotor])[:, 0]
+    return data.sample_rows(change(data.casing, MAIN), [change(w, w.samples.state) for w in data.rotor])[:, 0]

@@ -4,6 +4,10 @@ The library of laws speaks of a casing and its touch point. A single body has it
 ``wheel.air.quadratic`` (``casing.air.quadratic`` of the library) and ``wheel.support.constant``
 (``touchpoint.constant``), and in a case of one body ``air.quadratic`` and ``support.constant`` suffice. In formulas its
 speed is ``omega`` and its angle ``psi``.
+
+Several bodies that are connected by joints are a chain. The library is written for each of its bodies and joints (see
+`fitting.effects._instances`): ``wheel.air.quadratic``, ``belt.linear``. In formulas the speeds are ``omega_wheel`` and
+``delta_belt``, and in a law of the wheel or of the belt ``omega`` and ``delta`` suffice.
 """
 
 from __future__ import annotations
@@ -22,15 +26,15 @@ from fitting._arguments import PATH, require
 from fitting._errors import EffectError, RecordError
 from fitting.dynamics._inputs import Input
 from fitting.dynamics._model import NAMED, Model
+from fitting.effects._instances import PLACES
 from fitting.effects._library import LIBRARY
+from fitting.effects._mechanism import GYROSCOPE, Coupling, Mechanism
 from fitting.effects._user import resolve
 from fitting.inference._error_modes import ErrorMode
 from fitting.inference._record import Record, is_body_name, make_record
 
 Array = NDArray[np.float64]
 
-# prefixes of names in the library, and what follows the name of a body in their place
-_PLACES = (("touchpoint.", "support."), ("external.", "external."), ("casing.", ""))
 _GYROSCOPE = ("casing", "rotor")
 _KEYS = ("t", "omega", "angle", "u", "inertia", "inertia_u", "modes")
 _VARIABLES = {"omega": "omega_c", "psi": "psi_c"}
@@ -47,7 +51,7 @@ def outward(name: str, body: str) -> str:
         return f"{body}:{law}"
     if name.startswith("initial.omega_c"):
         return name.replace("omega_c", "omega", 1)
-    for inner, outer in _PLACES:
+    for inner, outer in PLACES:
         if name.startswith(inner):
             return f"{body}.{outer}{name.removeprefix(inner)}"
     return name
@@ -68,7 +72,7 @@ def inward(name: str, body: str) -> str:
         return name.replace("omega", "omega_c", 1)
     named = name.startswith(f"{body}.")
     rest = name.removeprefix(f"{body}.")
-    for inner, outer in _PLACES[:-1]:
+    for inner, outer in PLACES[:-1]:
         if rest.startswith(outer):
             return inner + rest.removeprefix(outer)
     of_casing = f"casing.{rest}"
@@ -112,6 +116,7 @@ class Case:
         label: str = "case",
         surface: str = "",
         inputs: Mapping[str, Mapping[str, Any]] | Sequence[Input] = (),
+        joints: Mapping[str, tuple[str, str]] | None = None,
         **bodies: Mapping[str, Any] | Sequence[Mapping[str, Any]],
     ) -> Case:
         """Make a case from arrays.
@@ -122,14 +127,19 @@ class Case:
             Name of the recording, and what it turned on.
         inputs : mapping of str to mapping, or sequence of Input
             Recorded inputs on which torques may depend: ``{"current": {"t": t, "value": i, "unit": "A"}}``.
+        joints : mapping of str to (str, str), optional
+            The joints of several bodies: ``{"belt": ("motor", "drum")}``. The speed of a joint is that of its first
+            body minus that of its second one; its torque drives the second body and brakes the first one.
         **bodies : mapping of arrays
-            One body by its name, or ``casing`` and ``rotor`` of a gyroscope. Each has times ``t`` [s] and ``omega``
+            One body by its name, ``casing`` and ``rotor`` of a gyroscope, or several bodies with `joints`. The first of
+            several may come to rest and reverse; the others turn in one sense. Each has times ``t`` [s] and ``omega``
             [rad/s] or ``angle`` [rad], their standard uncertainty ``u`` (array or number; estimated without it), and
             ``inertia`` [kg m2] with its uncertainty ``inertia_u``. Without an inertia torques of a body alone are per
-            unit of inertia [rad/s2]; a gyroscope needs both. The rotor may have several such mappings, one for each
-            window in which it was measured. ``modes`` are errors that samples share, by name:
-            ``{"tilt": {"basis": b, "covariance": c}}`` with a row of `b` for each sample (see `fitting.ErrorMode`), and
-            optionally the name of a ``group`` whose amplitudes several series share, and an ``origin``.
+            unit of inertia [rad/s2]; several bodies need all. The rotor, and each body of a chain but the first, may
+            have several such mappings, one for each window in which it was measured. ``modes`` are errors that samples
+            share, by name: ``{"tilt": {"basis": b, "covariance": c}}`` with a row of `b` for each sample (see
+            `fitting.ErrorMode`), and optionally the name of a ``group`` whose amplitudes several series share, and an
+            ``origin``.
 
         Returns
         -------
@@ -146,36 +156,45 @@ class Case:
                 "a case needs a body",
                 "write for example Case.from_arrays(wheel=dict(t=t, omega=omega, u=0.01))",
             )
-        gyroscope = set(names) == set(_GYROSCOPE)
-        if len(names) > 1 and not gyroscope:
+        gyroscope = set(names) == set(_GYROSCOPE) and joints is None
+        if len(names) > 1 and not gyroscope and not joints:
             raise RecordError(
-                f"bodies {', '.join(sorted(names))}: a case has one body, or the casing and the rotor of a gyroscope",
-                "give one body, or casing=dict(...) and rotor=dict(...)",
+                f"bodies {', '.join(sorted(names))}: a case has one body, or the casing and the rotor of a gyroscope, "
+                "or bodies with joints",
+                'give one body, casing=dict(...) and rotor=dict(...), or joints={"belt": ("motor", "drum")}',
             )
-        if not gyroscope and not is_body_name(names[0]):
+        mechanism = _mechanism(names, joints) if joints else GYROSCOPE
+        if len(names) == 1 and not is_body_name(names[0]):
             raise RecordError(
                 f"{names[0][:40]!r} cannot be the name of a body alone: laws have a meaning for it",
                 "choose another name, for example wheel or disc",
             )
         main = "casing" if gyroscope else names[0]
-        series = {name: _series(name, bodies[name], several=gyroscope and name == "rotor") for name in names}
+        others = [name for name in mechanism.bodies if name in bodies and name != main]
+        series = {name: _series(name, bodies[name], several=name in others) for name in names}
         quantities = {s.quantity for several in series.values() for s in several}
         if len(quantities) > 1:
             raise RecordError(
                 "one body has speeds and the other angles", "give omega for both, or angle for both"
             )
         inertias = {name: several[0].inertia for name, several in series.items()}
-        if gyroscope and any(value is None for value, _ in inertias.values()):
+        without = [name for name, (value, _) in inertias.items() if value is None]
+        if without and others:
             raise RecordError(
-                "a gyroscope needs the inertia of both bodies: torques between them follow from their ratio",
-                "add inertia=... [kg m2] to casing and to rotor",
+                "a gyroscope needs the inertia of both bodies: torques between them follow from their ratio"
+                if gyroscope
+                else f"{without[0]} has no inertia: torques between bodies follow from the ratios of their inertias",
+                f"add inertia=... [kg m2] to {' and to '.join(sorted(names))}",
             )
-        (inertia, inertia_u), (rotor, rotor_u) = inertias[main], inertias.get("rotor", (1.0, math.nan))
+        inertia, inertia_u = inertias[main]
+        values = [(float(value or 1.0), u) for value, u in (inertias[n] for n in others)]
+        rotor, rotor_u = values[0] if others else (1.0, math.nan)
+        windows = [(name, s) for name in others for s in series[name]]
         record = make_record(
             casing=series[main][0].arrays,
-            rotor=[s.arrays for s in series["rotor"]] if gyroscope else [],
+            rotor=[s.arrays for _, s in windows],
             I_casing=1.0 if inertia is None else inertia,
-            I_rotor=1.0 if rotor is None else rotor,
+            I_rotor=rotor,
             I_casing_u=inertia_u,
             I_rotor_u=rotor_u,
             label=_text("label", label),
@@ -183,13 +202,14 @@ class Case:
             quantity="angle" if quantities == {"angle"} else "omega",
             per_inertia=inertia is None,
             inputs=_inputs(inputs),
-            name="" if gyroscope or main == "casing" else main,
+            name="" if others or main == "casing" else main,
             modes=[
-                mode
-                for name, several in series.items()
-                for i, s in enumerate(several)
-                for mode in _modes(name, "rotor" if name == "rotor" and gyroscope else "casing", i, s)
+                *_modes(main, "casing", 0, series[main][0]),
+                *(m for i, (name, s) in enumerate(windows) for m in _modes(name, "rotor", i, s)),
             ],
+            mechanism=mechanism,
+            states=[mechanism.bodies.index(name) for name, _ in windows],
+            further=values[1:],
         )
         return cls(record)
 
@@ -251,11 +271,54 @@ def model_of(effects: str | Sequence[str], record: Record) -> Model:
             f"a {wrong} is not a law" if wrong else "a model needs a law",
             'write for example "air.linear" or "casing: -k*omega_c**3"',
         )
-    if len(names) == 1 and names[0] in NAMED:
+    if len(names) == 1 and names[0] in NAMED and not record.is_chain:
         return Model.of(names[0]).of_bodies(record.parts)
     # a plus within a formula belongs to it
     names = [n for e in names for n in ([e] if ":" in e else e.split("+"))]
-    return Model(tuple(resolve(inward(n.strip(), record.name), record.inputs) for n in names))
+    known = (inward(n.strip(), record.name) for n in names)
+    return Model(tuple(resolve(n, record.inputs, record.mechanism) for n in known))
+
+
+def _mechanism(names: Sequence[str], joints: object) -> Mechanism:
+    """Return the mechanism of bodies, the main one first, and joints; a RecordError if they are not a chain."""
+    if not isinstance(joints, Mapping) or not all(
+        isinstance(pair, Sequence) and not isinstance(pair, str) and len(pair) == 2
+        for pair in joints.values()
+    ):
+        raise RecordError(
+            "joints is not a mapping of names to two bodies", 'write joints={"belt": ("motor", "drum")}'
+        )
+    if len(names) < 2:
+        raise RecordError(f"a joint connects two bodies, but {names[0]} is the only one", "leave joints out")
+    known = {"casing", *names, *joints}
+    wrong = next(
+        (n for n in (*names, *joints) if not isinstance(n, str) or n == "casing" or not is_body_name(n)), None
+    )
+    if wrong is not None:
+        raise RecordError(
+            f"{str(wrong)[:40]!r} cannot be the name of a body or a joint: laws have a meaning for it",
+            "choose another name, for example wheel or belt",
+        )
+    if len(known) <= len(names) + len(joints):
+        raise RecordError("a body and a joint have the same name", "give each its own name")
+    for joint, (first, second) in joints.items():
+        if first not in names or second not in names or first == second:
+            raise RecordError(
+                f"the joint {joint} is between {str(first)[:30]} and {str(second)[:30]}",
+                f"name two of the bodies {', '.join(names)}",
+            )
+    reached = {names[0]}
+    for _ in names:
+        reached |= {body for pair in joints.values() if reached & {*pair} for body in pair}
+    loose = [n for n in names if n not in reached]
+    if loose:
+        raise RecordError(
+            f"no joint connects {loose[0]} to {names[0]}",
+            "bodies without a common joint are separate cases",
+        )
+    main, *others = names
+    couplings = tuple(Coupling(joint, first, second) for joint, (first, second) in joints.items())
+    return Mechanism((others[0], main, *others[1:]), couplings)
 
 
 @dataclass(frozen=True)

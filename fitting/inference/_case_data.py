@@ -29,6 +29,7 @@ from fitting._criteria import DEFAULT, NOISE, Criteria
 from fitting.dynamics._collocation import Path, Sampler
 from fitting.dynamics._sensitivities import angles
 from fitting.effects._library import NUISANCE
+from fitting.effects._mechanism import MAIN
 from fitting.inference._angle_noise import (
     AngleNoise,
     estimate_angle_noise,
@@ -217,6 +218,7 @@ def _beyond_noise(modes: Array, samples: Samples) -> Array:
 class CaseData:
     """A record, projected once and used for every model.
 
+    `rotor` are the windows of the rotor, and in a chain the runs of all bodies but the main one (see `Record`).
     `noiseless` states that the values were computed for a planned run: no noise is estimated from them. `free_inertia`
     states that the ratio of the moments of inertia is a parameter of the model, with a prior from their stated
     uncertainties. `slips` are slips of whole turns in the measured angles; record and rows contain the corrected
@@ -302,9 +304,12 @@ class CaseData:
         start_sigma = tuple(u if math.isnan(s) else s for s in self.record.start_sigma)
         return self._of_same_samples(record=replace(self.record, start_sigma=start_sigma))
 
-    def with_inertia(self, rotor: float, casing: float) -> CaseData:
-        """Return the same data with other moments of inertia [kg m2]."""
-        return self._of_same_samples(record=replace(self.record, I_rotor=rotor, I_casing=casing))
+    def with_inertia(self, rotor: float, casing: float, further: Sequence[float] = ()) -> CaseData:
+        """Return the same data with other moments of inertia [kg m2], `further` of later bodies of a chain."""
+        later = tuple((x, u) for x, (_, u) in zip(further, self.record.further, strict=True))
+        return self._of_same_samples(
+            record=replace(self.record, I_rotor=rotor, I_casing=casing, further=later)
+        )
 
     def with_free_inertia(self, *, free: bool) -> CaseData:
         """Return the same data for a model with a free ratio of the moments of inertia, or a fixed one."""
@@ -372,8 +377,10 @@ class CaseData:
         The parts are fiftieths of a run, or sixteenths of the period of an oscillation.
         """
         record, found = self.record, [0.0]
-        for inertia, runs in ((record.I_casing, (self.casing,)), (record.I_rotor, self.rotor)):
-            for samples in (run.samples for run in runs if len(run.samples) > 1):
+        inertias = [record.I_casing, *(record.inertias[run.samples.state] for run in self.rotor)]
+        for inertia, run in zip(inertias, (self.casing, *self.rotor), strict=True):
+            samples = run.samples
+            if len(samples) > 1:
                 part = min(float(np.ptp(samples.time)) / _RUN_PARTS, self.motion.period / _PERIOD_PARTS)
                 time = np.arange(samples.time[0], samples.time[-1], part)
                 value = np.interp(time, samples.time, samples.value)
@@ -441,10 +448,13 @@ class CaseData:
         return np.concatenate([self.casing.node_times, *(w.node_times for w in self.rotor)])
 
     @cached_property
-    def _times_of_bodies(self) -> tuple[Array, Array]:
-        """Times of the nodes of the casing, and of the nodes of all windows."""
-        count = len(self.casing.node_times)
-        return self.node_times[:count], self.node_times[count:]
+    def _times_of_bodies(self) -> tuple[tuple[int, list[int], Array], ...]:
+        """Place in a state, numbers of the runs, and times of the nodes of all runs, of each body."""
+        runs = {MAIN: [0]}
+        for i, run in enumerate(self.rotor, 1):
+            runs.setdefault(run.samples.state, []).append(i)
+        times = [self.casing.node_times, *(w.node_times for w in self.rotor)]
+        return tuple((state, own, np.concatenate([times[i] for i in own])) for state, own in runs.items())
 
     @cached_property
     def z(self) -> Array:
@@ -537,7 +547,11 @@ class CaseData:
         ]
         for body, noise, runs in (
             (self.record.body, self._correlated_noise, (self.casing,)),
-            ("rotor", self._correlated_rotor_noise, self.rotor),
+            (
+                " and the ".join(b.name for b in self.record.bodies[1:]),
+                self._correlated_rotor_noise,
+                self.rotor,
+            ),
         ):
             ratio = self._excess_angle_noise(noise, runs)
             if ratio:
@@ -559,14 +573,23 @@ class CaseData:
             or min(len(w.z) for w in self.rotor) < _WINDOW_ROWS
         ):
             return AngleNoise()
-        # only the random torque between the bodies acts on the rotor, but both act on the casing
-        share = record.I_casing / record.I_rotor / math.sqrt(2)
-        process = self.process_noise
+        # only the random torques of its joints act on the rotor, but that of the ground acts on the casing as well
+        mechanism, process = record.mechanism, self.process_noise
+        torques = math.sqrt(1 + mechanism.joints_of(mechanism.main))
+        levels = {
+            b.state: record.I_casing
+            / b.inertia
+            / torques
+            * math.sqrt(mechanism.joints_of(b.part))
+            * process.level
+            for b in record.bodies[1:]
+        }
+        level = np.array([levels[run.state] for run in record.rotor]) if record.is_chain else levels[0]
         nuisance = [
             np.concatenate([camera_columns(w.samples), _beyond_noise(modes, w.samples)], axis=1)
             for w, modes in zip(self.rotor, self.mode_columns[1], strict=True)
         ]
-        return estimate_window_noise(self.rotor, nuisance, share * process.level, process.time)
+        return estimate_window_noise(self.rotor, nuisance, level, process.time)
 
     @cached_property
     def process_noise(self) -> ProcessNoise:
@@ -678,7 +701,7 @@ class CaseData:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """The rows of the casing, the rotor, the harmonics and the priors of nuisance parameters."""
+        """The rows of the casing, the other runs ("rotor"), the harmonics and the priors of nuisance parameters."""
         a = len(self.casing.z)
         b = a + sum(len(w.z) for w in self.rotor)
         return {
@@ -693,7 +716,7 @@ class CaseData:
 
     @cached_property
     def initial_speeds(self) -> tuple[Array, Array]:
-        """Times and rough speeds of rotor and casing, (times, 2)."""
+        """Times and rough speeds of the bodies, (times, bodies)."""
         if self.record.driving:
             # the response to a step is a small part of a record
             return initial_speeds(self.record, _DRIVEN_POINTS, _DRIVEN_SAMPLES)
@@ -716,10 +739,9 @@ class CaseData:
         """Times and angular velocities of each body, smoothed as in the paper, for figures of merit."""
         record = self.record
         found = {}
-        for body, runs in (("casing", (record.casing,)), ("rotor", record.rotor)):
-            parts = [speeds(run, record.quantity, self.smoothing_width) for run in runs]
-            if parts:
-                found[body] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
+        for body in record.bodies:
+            parts = [speeds(run, record.quantity, self.smoothing_width) for run in body.series]
+            found[body.part] = np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
         return found
 
     @property
@@ -797,12 +819,13 @@ class CaseData:
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
         """Return the rows of a solution, or of a sensitivity of its states (intervals, nodes, states, columns)."""
-        casing, *rotor = (
-            self._observed(path.mesh.sampler(times), path, body.state, nodes)
-            for body, times in zip(self.record.bodies, self._times_of_bodies, strict=False)
-        )
-        ends = np.cumsum([len(w.node_times) for w in self.rotor])[:-1]
-        rows = self._rows(casing, [window for values in rotor for window in np.split(values, ends)])
+        found: dict[int, Array] = {}
+        runs = (self.casing, *self.rotor)
+        for state, own, times in self._times_of_bodies:
+            ends = np.cumsum([len(runs[i].node_times) for i in own])[:-1]
+            values = self._observed(path.mesh.sampler(times), path, state, nodes)
+            found |= dict(zip(own, np.split(values, ends), strict=True))
+        rows = self._rows(found[0], [found[i] for i in range(1, len(runs))])
         return self.whitened(self._projected_by_samples(path, nodes, rows))
 
     def _observed(self, sampler: Sampler, path: Path, state: int, nodes: Array | None) -> Array:
@@ -819,7 +842,7 @@ class CaseData:
         if not path.kinks and not everywhere:
             return rows
         first = 0
-        for state, run in ((1, self.casing), *((0, w) for w in self.rotor)):
+        for state, run in ((MAIN, self.casing), *((w.samples.state, w) for w in self.rotor)):
             k = run.lift.shape[1]
             whole = (
                 self._observed(Sampler(path.mesh, run.samples.time), path, state, nodes)

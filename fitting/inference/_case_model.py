@@ -24,6 +24,7 @@ from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, Sensitivity, sensitivities
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape, derivative
+from fitting.effects._mechanism import MAIN
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import Compressed
 from fitting.inference._parameters import ParameterLayout
@@ -55,7 +56,7 @@ class AngleRows(NamedTuple):
     columns: Array  # (rows, 2), derivatives with respect to the two strengths
     strength: Array  # the present strengths
     value: Array  # (rows,), response at these strengths
-    # response of speed and angle of rotor and casing at the samples of the casing at these strengths, (2, 2, samples);
+    # response of speed and angle of the bodies at the samples of the casing at these strengths, (2, bodies, samples);
     # None for an error of the measurement
     motion: Array | None = None
 
@@ -80,15 +81,15 @@ def angle_dependent_rows(
     inner = ((t[:-1] + half)[:, None] + half[:, None] * rule(_GAUSS).x).ravel()
     between = np.repeat(np.arange(len(half)), _GAUSS)
     sampler = Sampler(path.mesh, inner)
-    known = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
-    known["delta"] = known["omega_r"] - known["omega_c"]
-    known["psi_r"] = sampler.integral(*path.angle("omega_r"))
-    known["psi_c"] = psi = sampler.integral(*path.angle("omega_c"))
+    mechanism = effect.mechanism
+    known = mechanism.motion(sampler.value(path.y[..., i]) for i in range(path.speeds))
+    both = zip(mechanism.angles, mechanism.speeds, strict=True)
+    known |= {angle: sampler.integral(*path.angle(speed)) for angle, speed in both}
+    own_angle, own_speed = mechanism.main_angle, mechanism.speeds[MAIN]
+    psi = known[own_angle]
     known |= {"t": inner} | values_at(record.inputs, inner)
     measured, model = data.measured_angle, Sampler(path.mesh, t)
-    on_rotor = {"rotor": 1.0, "casing": 0.0, "bearing": -1.0}[effect.joint]
-    on_casing = {"rotor": 0.0, "casing": 1.0, "bearing": 1.0}[effect.joint]
-    direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
+    direction = np.array(mechanism.shares(effect.site)) / record.inertias
     laws, strength = _unit_laws(effect, numbers)
 
     def torques(tape: Tape) -> Array:
@@ -101,10 +102,10 @@ def angle_dependent_rows(
 
     tape, observed = Tape([effect.expression]), int(data.is_angle)
     if measured is not None:
-        start = 0.0 if data.is_angle else model.integral(*path.angle("omega_c"))[0]
-        deviation = start + measured - model.integral(*path.angle("omega_c"))
+        start = 0.0 if data.is_angle else model.integral(*path.angle(own_speed))[0]
+        deviation = start + measured - model.integral(*path.angle(own_speed))
         deviation = deviation if error is None else deviation + error(t)
-        of_values = deviation if data.is_angle else record.casing.value - model.value(path.y[..., 1])
+        of_values = deviation if data.is_angle else record.casing.value - model.value(path.y[..., MAIN])
     # speeds and angles of the casing due to the law at its present strengths; zero in the first iteration
     own, search, pieces, cubics = np.zeros((2, len(t))), _FixedPoint(), [0], data.angle_cubics
     for _ in range(_PASSES):
@@ -113,10 +114,10 @@ def angle_dependent_rows(
                 pieces.append(cubics.needed(of_values - own[observed]))
                 search = _FixedPoint()
             smooth = np.interp(inner, t, cubics.smooth(deviation - own[1], pieces[-1]))
-            known["psi_c"] = psi + hermite(t, own[1], own[0], inner, interval=between) + smooth
+            known[own_angle] = psi + hermite(t, own[1], own[0], inner, interval=between) + smooth
         unit = torques(tape)
         speed, angle = driven(unit)
-        found = np.stack([speed[1] @ strength, angle[1] @ strength])
+        found = np.stack([speed[MAIN] @ strength, angle[MAIN] @ strength])
         change = np.abs(found[observed] - own[observed]).max()
         if measured is None or change < _NEGLIGIBLE * _unit_error(record.casing):
             break
@@ -125,15 +126,15 @@ def angle_dependent_rows(
     moved = np.stack([speed @ strength, angle @ strength])
     if measured is not None and error is None and strength.any():
         # the part of the response that is not in the smoothed deviation changes the argument
-        stiffness = torques(Tape([derivative(effect.expression, "psi_c")])) @ strength
+        stiffness = torques(Tape([derivative(effect.expression, own_angle)])) @ strength
         for j in range(2):
-            response, search = np.stack([speed[1][:, j], angle[1][:, j]]), _FixedPoint()
+            response, search = np.stack([speed[MAIN][:, j], angle[MAIN][:, j]]), _FixedPoint()
             for _ in range(_PASSES):
                 smooth = cubics.smooth(response[1], pieces[-1])
                 fast = hermite(t, response[1], response[0], inner, interval=between)
                 fast -= np.interp(inner, t, smooth)
                 w, a = driven(unit[:, j] + stiffness * fast)
-                found = np.stack([w[1][:, 0], a[1][:, 0]])
+                found = np.stack([w[MAIN][:, 0], a[MAIN][:, 0]])
                 if np.abs(found[1] - response[1]).max() < _CHANGE * np.std(response[1] - smooth):
                     break
                 response = search.next(response, found)
@@ -169,8 +170,9 @@ def _unit_error(samples: Samples) -> float:
 
 
 def _observed(data: CaseData, speed: Array, angle: Array) -> Array:
-    """Return the rows of speeds and angles of both bodies at the samples of the casing."""
-    return data.casing_rows(angle[1] if data.is_angle else speed[1]) + _rotor_rows(data, speed[0], angle[0])
+    """Return the rows of speeds and angles (bodies, samples, columns) at the samples of the casing."""
+    own = angle[MAIN] if data.is_angle else speed[MAIN]
+    return data.casing_rows(own) + _rotor_rows(data, speed, angle)
 
 
 def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[dict[str, float]], Array]:
@@ -189,9 +191,9 @@ def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[d
 def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
     # the bearing transmits slow changes; the harmonics of the angle of the rotor are below the noise
     t = data.record.casing.time
-    times = [np.clip(w.node_times, t[0], t[-1]) for w in data.rotor]
-    nodes = [hermite(t, angle, speed, w, slopes=not data.is_angle) for w in times]
-    return data.rows(np.zeros((len(data.casing.node_times), angle.shape[1])), nodes)
+    windows = [(w.samples.state, np.clip(w.node_times, t[0], t[-1])) for w in data.rotor]
+    nodes = [hermite(t, angle[i], speed[i], w, slopes=not data.is_angle) for i, w in windows]
+    return data.rows(np.zeros((len(data.casing.node_times), angle.shape[2])), nodes)
 
 
 Array = NDArray[np.float64]
@@ -304,7 +306,7 @@ class CaseModel:
     @cached_property
     def _most_events(self) -> int:
         """Largest number of stops and reversals of a trial; with more, it is unrelated to the measured motion."""
-        sense = np.sign(self.data.initial_speeds[1][:, 1])
+        sense = np.sign(self.data.initial_speeds[1][:, MAIN])
         turned = int((sense[1:] != sense[:-1]).sum())
         return _SPARE_EVENTS + 2 * max(turned, len(self.data.motion.reversals))
 
@@ -337,7 +339,7 @@ class CaseModel:
         mesh, n = self._mesh, len(first)
         mesh, jumps, sense = self._reversals(mesh, first)
         y, edges = (np.tile(first, (*t.shape, 1)) for t in (mesh.times, mesh.edges))
-        measured = [(times, speeds[:, i]) for i in range(2)]
+        measured = [(times, speed) for speed in speeds.T]
         if "deflection" in self.dynamics.states and len(self.data.motion.reversals):
             measured.append((self.data.motion.time, self.data.motion.deflection))
         for i, (t, value) in enumerate(measured):
@@ -355,7 +357,7 @@ class CaseModel:
         mesh = mesh.with_breakpoints(times)
         at = np.searchsorted(mesh.edges, times)
         turned = np.searchsorted(at, np.arange(len(mesh.edges) - 1), side="right")
-        initial_sense = np.sign(first[1]) or 1.0
+        initial_sense = np.sign(first[MAIN]) or 1.0
         if len(times):
             # the initial speed of a body that is released at rest may have either sign
             ends = np.interp([mesh.edges[0], times[0]], motion.time, motion.deflection)
@@ -390,8 +392,8 @@ class CaseModel:
 
         Returns
         -------
-        ndarray, shape (2, 2, samples), or None
-            Speed [rad/s] and angle [rad] of rotor and casing at the samples of the casing.
+        ndarray, shape (2, bodies, samples), or None
+            Speed [rad/s] and angle [rad] of the bodies at the samples of the casing.
         """
         numbers = self.layout.numbers(theta, self.case)
         found = [

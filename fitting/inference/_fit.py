@@ -29,7 +29,9 @@ from numpy.typing import NDArray
 from fitting._criteria import DEFAULT, Criteria
 from fitting._errors import EstimationError
 from fitting.dynamics._model import Model
+from fitting.effects._effect import Effect
 from fitting.effects._expression import Expr, Tape, divisors, symbols
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism
 from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
@@ -44,7 +46,7 @@ from fitting.inference._problem import (
     raised_noise,
     refine_level,
 )
-from fitting.inference._record import Record, Samples
+from fitting.inference._record import Record
 from fitting.inference._result import Fit, outcome
 from fitting.inference._sampled import predicted_samples
 from fitting.inference._ties import follow
@@ -105,7 +107,7 @@ def with_initial_shapes(
 def _comes_to_rest(problem: Problem, theta: Array) -> bool:
     """Return whether a casing comes to rest or reverses, as measured or in the model."""
     for d in problem.data:
-        speed = np.abs(d.initial_speeds[1][:, 1])
+        speed = np.abs(d.initial_speeds[1][:, MAIN])
         if (speed[len(speed) // 20 :] < _AT_REST * speed.max(initial=0.0)).any():
             return True
     return any(p.path.jumps for p in problem.predict(theta))
@@ -356,6 +358,54 @@ def _free_names(problem: Problem) -> set[str]:
     return {n for n in problem.layout.names if n.partition("@")[0] not in problem.layout.absent}
 
 
+def _refuse_other_bodies(model: Model, data: Sequence[CaseData]) -> None:
+    """Raise an EstimationError for a chain whose laws speak of other bodies, or whose bodies come to rest."""
+    for record in (d.record for d in data):
+        if record.mechanism != model.mechanism:
+            raise EstimationError(
+                f"the laws speak of other bodies or joints than the recording {record.label}",
+                f"its bodies and joints: {', '.join((*record.mechanism.bodies, *record.mechanism.joints))}",
+            )
+    if model.mechanism == GYROSCOPE:
+        return
+    for effect in model.effects:
+        for site, speed in model.mechanism.sites[1:]:
+            if _jumps_at_rest(effect, speed) and any(_reverses(d, speed) for d in data):
+                raise EstimationError(
+                    f"{effect.name}: dry friction of {site} cannot be fitted where its speed passes through zero; only "
+                    f"{model.mechanism.main}, the first body of the case, may come to rest or reverse.",
+                    f"Give the body that comes to rest first, or leave out {effect.name}.",
+                )
+
+
+def _reverses(data: CaseData, symbol: str) -> bool:
+    """Return whether the measured speed of a body or joint has both signs."""
+    mechanism, first = data.record.mechanism, data.record.bodies[0]
+    time = data.speeds[first.part][0]
+    speeds = [np.interp(time, *data.speeds[body]) for body in mechanism.bodies]
+    speed = mechanism.motion(speeds)[symbol]
+    least = _AT_REST * float(np.abs(speed).max())
+    return bool(speed.min() < -least and speed.max() > least)
+
+
+def _jumps_at_rest(effect: Effect, speed: str) -> bool:
+    """Return whether a law jumps where a speed passes through zero, as dry friction does."""
+    values = dict.fromkeys(symbols(effect.expression), 1.0)
+    if speed not in values:
+        return False
+    with np.errstate(all="ignore"):
+        before, after = (float(Tape([effect.expression])(values | {speed: x})[0]) for x in (-_REST, _REST))
+    return abs(after - before) > _JUMP
+
+
+_REST = 1e-12
+"""Speed on either side of rest at which a law is evaluated [rad/s]. Chosen: continuous laws do not differ; a smaller
+value is rounding, a larger one takes a steep law for a jump."""
+_JUMP = 1e-3
+"""Smallest jump of a law with parameters of 1 [1]. Chosen: that of dry friction is 2; a smaller value takes a steep law
+for a jump, a larger one overlooks a part of the torque that jumps."""
+
+
 def _check(model: Model, data: Sequence[CaseData]) -> None:
     labels = [d.record.label for d in data]
     if not data or len(set(labels)) != len(labels):
@@ -376,7 +426,7 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
     _refuse_missing_inputs(model, data)
     for effect in model.effects:
         for divisor in divisors(effect.expression):
-            if any(_changes_sign(divisor, d) for d in data):
+            if any(_changes_sign(divisor, d, effect.mechanism) for d in data):
                 raise EstimationError(
                     f"{effect.name} is singular within the measured motion: a divisor of its law, which no "
                     "parameter changes, passes through zero.",
@@ -411,17 +461,17 @@ def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
                     )
 
 
-def _changes_sign(divisor: Expr, data: CaseData) -> bool:
+def _changes_sign(divisor: Expr, data: CaseData, mechanism: Mechanism = GYROSCOPE) -> bool:
     """Return whether an expression without parameters passes through zero along the measured motion.
 
     The range of each speed is extended by a tenth on both sides, but not beyond zero: a trial of the fit may start a
     little slower or faster than the record.
     """
     names = symbols(divisor)
-    if not names or not names <= {"t", "omega_r", "omega_c", "delta"}:
+    if not names or not names <= {"t", *(speed for _, speed in mechanism.sites)}:
         return False  # a constant, a parameter that the fit may move, or an angle
     time, speeds = data.initial_speeds
-    measured = {"omega_r": speeds[:, 0], "omega_c": speeds[:, 1], "delta": speeds[:, 0] - speeds[:, 1]}
+    measured = mechanism.motion(speeds.T)
     motion = {"t": np.concatenate([time, time[[0, -1]]])}
     for name, value in measured.items():
         low, high = float(value.min()), float(value.max())
@@ -478,6 +528,7 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
         )
     criteria = options.get("criteria", DEFAULT)
     known = [c if isinstance(c, CaseData) else CaseData.of(c, criteria) for c in cases]
+    _refuse_other_bodies(model, known)
     found = fit(model, with_free_inertia(known, model.names), **options)
     data = found.problem.data
     for psi in _LOSSES[loss]:
@@ -502,7 +553,7 @@ def _pseudo(data: CaseData, case: int, found: Fit, psi: Psi) -> CaseData:
         scale = 1.4826 * float(np.median(np.abs(x)))
         influence, slope = psi(x / scale)
         value = model + samples.sigma * scale * influence / max(float(slope.mean()), 0.1)
-        runs.append(Samples(samples.time, value, samples.sigma))
+        runs.append(replace(samples, value=value))
     made = CaseData.of(replace(data.record, casing=runs[0], rotor=tuple(runs[1:])), data.criteria)
     return CaseData(
         data.record, made.casing, made.rotor, free_inertia=data.free_inertia, criteria=data.criteria

@@ -23,9 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError, SimulationError
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.dynamics._model import Dynamics, Model
 from fitting.effects._effect import RATIO, Effect
 from fitting.effects._library import LIBRARY
+from fitting.effects._mechanism import MAIN, Coupling, inertia_of
 from fitting.inference._averaging import LARGEST_PHASE_ERROR, Averaged, averaged
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
@@ -36,11 +37,11 @@ from fitting.inference._optimisation import minimise, search
 from fitting.inference._parameters import (
     START_CASING,
     START_DEFLECTION,
-    START_ROTOR,
     ParameterLayout,
     is_power_law,
+    start_of,
 )
-from fitting.inference._problem import Problem, measure_noise, reference_speed
+from fitting.inference._problem import Problem, measure_noise, reference_speed, typical_speed
 from fitting.inference._record import Record, Samples, scales_of
 from fitting.inference._trace import attempt
 
@@ -117,7 +118,7 @@ def averaged_fit(
     layout = ParameterLayout.of(model, [d.record for d in data])
     rough = [d.initial_speeds for d in data]
     deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
-    theta = start_values(layout, reference_speed(data), rough, deflections)
+    theta = start_values(layout, reference_speed(data, model.mechanism), rough, deflections)
     return averaged(layout, data, theta, _strengths, _regress, errors)
 
 
@@ -134,7 +135,7 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
         return slow.phase_error
     rough = [d.initial_speeds for d in data]
     deflections = [_deflection(d, times) for d, (times, _) in zip(data, rough, strict=True)]
-    theta = start_values(layout, reference_speed(data), rough, deflections)
+    theta = start_values(layout, reference_speed(data, model.mechanism), rough, deflections)
     residual = whole = 0.0
     for case, ((times, speeds), deflection) in enumerate(zip(rough, deflections, strict=True)):
         keys, design, target = _equations(layout, case, times, speeds, deflection, theta)
@@ -185,7 +186,7 @@ def start_values(
 ) -> Array:
     """Return initial values of all variables from the rough (times, speeds) of each case.
 
-    A power law starts with a tenth of the linear law's torque at the speed difference `reference` [rad/s].
+    A power law of the first joint starts with a tenth of the linear law's torque at its speed `reference` [rad/s].
     `deflections` are the angles from the equilibrium at the same times [rad]; parameters in `prior` are known, the
     others estimated.
     """
@@ -206,23 +207,40 @@ def start_values(
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
-        starts = (*speeds[0], deflections[case][0])
-        first = dict(zip((START_ROTOR, START_CASING, START_DEFLECTION), starts, strict=True))
+        first = dict(zip(map(start_of, layout.model.mechanism.speeds), speeds[0], strict=True))
+        first[START_DEFLECTION] = deflections[case][0]
         theta[layout.places(case, layout.starts)] = [first[k] for k in layout.starts]
-    pair = ("bearing.linear.d", "bearing.power.f", "bearing.power.g")
-    if all(k in layout.model.free for k in pair):
-        stopping = [
-            layout.numbers(theta, i)[INERTIA_ROTOR] * float(np.abs(speeds[:, 0]).max()) / float(np.ptp(times))
-            for i, (times, speeds) in enumerate(rough)
-        ]
-        # each bearing once, however many cases share it
-        for d, f, g in dict.fromkeys(tuple(layout.places(i, pair).tolist()) for i in range(len(rough))):
-            if theta[f] > 0:
-                continue
-            torque = max(theta[d] * reference, _LEAST_SHARE * max(stopping))
-            theta[f] = _FIRST_SHARE * torque / reference ** theta[g]
-            theta[d] = (1 - _FIRST_SHARE) * torque / reference
+    for i, joint in enumerate(layout.model.mechanism.couplings):
+        typical = reference if i == 0 else typical_speed([s for _, s in rough], layout.model.mechanism, joint)
+        _with_power_law(layout, joint, typical, rough, theta)
     return theta
+
+
+def _with_power_law(
+    layout: ParameterLayout,
+    joint: Coupling,
+    reference: float,
+    rough: Sequence[tuple[Array, Array]],
+    theta: Array,
+) -> None:
+    """Set the strengths of the linear law and of the power law of a joint that has both, if the latter is zero."""
+    pair = (f"{joint.name}.linear.d", f"{joint.name}.power.f", f"{joint.name}.power.g")
+    if not all(k in layout.model.free for k in pair):
+        return
+    place = layout.model.mechanism.bodies.index(joint.first)
+    stopping = [
+        layout.numbers(theta, i)[inertia_of(joint.first)]
+        * float(np.abs(speeds[:, place]).max())
+        / float(np.ptp(times))
+        for i, (times, speeds) in enumerate(rough)
+    ]
+    # each joint once, however many cases share it
+    for d, f, g in dict.fromkeys(tuple(layout.places(i, pair).tolist()) for i in range(len(rough))):
+        if theta[f] > 0:
+            continue
+        torque = max(theta[d] * reference, _LEAST_SHARE * max(stopping))
+        theta[f] = _FIRST_SHARE * torque / reference ** theta[g]
+        theta[d] = (1 - _FIRST_SHARE) * torque / reference
 
 
 def _ratio(speeds: Array, *, rigid: bool) -> float:
@@ -248,17 +266,18 @@ def _equations(
     numbers = layout.numbers(theta, case)
     if dynamics.ratio is not None:
         # independent errors of both speeds would spuriously separate laws that differ by a factor only
-        speeds = np.column_stack([numbers[dynamics.ratio] * speeds[:, 1], speeds[:, 1]])
-    state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - 2))], axis=1)
-    if dynamics.free_starts > 2:
-        state[:, 2] = deflection
+        speeds = np.column_stack([numbers[dynamics.ratio] * speeds[:, MAIN], speeds[:, MAIN]])
+    count, oscillates = dynamics.speeds, dynamics.free_starts > dynamics.speeds
+    state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - count))], axis=1)
+    if oscillates:
+        state[:, count] = deflection
     linear = _strengths(layout, dynamics.parameters)
     with np.errstate(all="ignore"):
         # with zero strengths: the rates by held parameters
         constant, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
     columns = np.array([dynamics.parameters.index(k) for k in linear], dtype=np.intp)
-    weight = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
-    rates = b[:, :2][:, :, columns]
+    weight = np.array([numbers[k] for k in dynamics.mechanism.inertias])
+    rates = b[:, :count][:, :, columns]
     singular = ~np.isfinite(rates).all(axis=(0, 1))
     if singular.any():
         name = linear[int(np.flatnonzero(singular)[0])].rpartition(".")[0]
@@ -267,15 +286,17 @@ def _equations(
             "look for a division by zero or a huge exponent",
         )
     integrals = integrated(times, rates)
-    held = integrated(times, constant[:, :2])
+    held = integrated(times, constant[:, :count])
     # while friction holds the casing, its torque equals the others and contains no information
     everywhere = np.ones(len(times), dtype=bool)
-    used = [everywhere, everywhere if dynamics.free_starts > 2 else _longest_motion(speeds[:, 1])]
+    used = [everywhere] * count
+    used[MAIN] = everywhere if oscillates else _longest_motion(speeds[:, MAIN])
     # the integral of a deflection from a wrong equilibrium drifts, so the initial speed of each period is free
-    free = _periods(deflection) if dynamics.free_starts > 2 else None
+    free = _periods(deflection) if oscillates else None
     blocks, targets = [], []
     balances = [
-        (np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]]) * weight[i], used[i]) for i in (0, 1)
+        (np.column_stack([integrals[:, i], speeds[:, i] - held[:, i]]) * weight[i], used[i])
+        for i in range(count)
     ]
     if dynamics.ratio is not None:
         # the torque of a contact without slip cancels in the sum of ratio times rotor and casing
@@ -307,10 +328,16 @@ def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
     dead_times = _dead_times(layout)
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude" and k not in dead_times]
     # linear in its strength, but nearly collinear with the linear law while its exponent is free
-    curved = ("bearing.heating.", *(("bearing.power.",) if "bearing.power.g" in parameters else ()))
+    joints = [j.name for j in layout.model.mechanism.couplings]
+    curved = (
+        *(f"{j}.heating." for j in joints),
+        *(f"{j}.power." for j in joints if f"{j}.power.g" in parameters),
+    )
     linear = [k for k in every if not k.startswith(curved)] or every
-    if not {"bearing.linear.d", "bearing.power.f"} & {*linear} and "bearing.power.f" in parameters:
-        linear.append("bearing.power.f")
+    for joint in joints:
+        power = f"{joint}.power.f"
+        if not {f"{joint}.linear.d", power} & {*linear} and power in parameters:
+            linear.append(power)
     return linear
 
 
@@ -398,6 +425,10 @@ _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 consistent; fewer may choose a wrong shape, more cost time."""
 
 
+def _laws_of_joint(model: Model, site: str) -> int:
+    return sum(e.joint == "bearing" and e.site == site for e in model.effects)
+
+
 def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -> list[Effect]:
     """Return the effects of a model with shape constants that were not given and that need a search."""
     known = {name.partition("@")[0] for name in given or {}}
@@ -406,8 +437,8 @@ def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -
         roles = {p.role for p in e.parameters}
         shapes = [f"{e.name}.{p.symbol}" for p in e.parameters if p.role == "shape"]
         # the exponent of the bearing's power law has transformed variables and a sufficient initial value
-        alone = e.joint == "bearing" and sum(o.joint == "bearing" for o in layout.model.effects) == 1
-        searched = not alone and e.name != "bearing.power" and e.joint != "contact"
+        alone = e.joint == "bearing" and _laws_of_joint(layout.model, e.site) == 1
+        searched = not alone and e.kind_of_law != "bearing.power" and e.joint != "contact"
         searched = searched and "phase" not in roles and e.amplitude is not None
         if shapes and searched and not known.intersection(shapes):
             effects.append(e)
@@ -442,7 +473,7 @@ def initial_shapes(
 def _without(problem: Problem, theta: Array, effects: list[Effect]) -> Array:
     layout = problem.layout
     names = {e.name for e in effects}
-    model = Model(tuple(e for e in layout.model.effects if e.name not in names))
+    model = layout.model.with_only(e for e in layout.model.effects if e.name not in names)
     smaller = ParameterLayout(model, layout.records, layout.per_case, layout.ranges)
     rest = replace(Problem.of(smaller, problem.data), projections=problem.projections)
     places = [layout.index[n] for n in smaller.names]
@@ -503,7 +534,7 @@ def _grid(problem: Problem, effect: Effect) -> Iterator[dict[str, float]]:
         if p.role != "shape":
             continue
         grid = np.array(p.grid or (p.start,))
-        if effect.name not in LIBRARY and is_power_law(effect, *problem.data[0].initial_speeds):
+        if effect.kind_of_law not in LIBRARY and is_power_law(effect, *problem.data[0].initial_speeds):
             grid = np.array([v for v in _POWERS if p.lower <= v <= p.upper] or [p.start])
         if p.relative:
             grid = grid * (last - first) + (first if p.symbol == effect.breakpoint else 0.0)

@@ -26,7 +26,7 @@ Analysis, Wiley (1998), 1.5), whatever law is missing.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple, Self
@@ -39,10 +39,11 @@ from scipy.special import chdtrc
 from fitting._criteria import Criteria
 from fitting._numbers import span_of
 from fitting.dynamics._collocation import Path, Sampler
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics, Model
+from fitting.dynamics._model import Dynamics
+from fitting.effects._mechanism import MAIN
 from fitting.inference._case_data import SPEED_BLOCKS, CaseData
 from fitting.inference._case_model import CaseModel, Prediction
-from fitting.inference._compression import CASING_DEGREE, integrated
+from fitting.inference._compression import CASING_DEGREE, Compressed, integrated
 from fitting.inference._linear_algebra import (
     block_diagonal,
     orthogonal_to,
@@ -52,7 +53,7 @@ from fitting.inference._linear_algebra import (
 )
 from fitting.inference._noise import Noise, TorqueResponse, tail_probability
 from fitting.inference._problem import Problem, Projection
-from fitting.inference._record import Record, Samples, hermite, median_width, speeds
+from fitting.inference._record import Body, Record, Samples, hermite, median_width, speeds
 
 Array = NDArray[np.float64]
 
@@ -94,7 +95,7 @@ def _velocities(samples: Samples, blocks: int) -> Samples:
     # the sum of the gradients e_(i+1) - e_(i-1) of a block contains the e of both its ends; their variance on the
     # Legendre polynomial of degree k is (2 k + 1) / samples, on average (degree + 1) / samples
     ends = 2 * (CASING_DEGREE + 1) * blocks / len(samples)
-    return Samples(time, omega, noise * np.sqrt(median_noise(cutoff) + ends))
+    return Samples(time, omega, noise * np.sqrt(median_noise(cutoff) + ends), samples.state)
 
 
 def median_noise(cutoff: Array) -> Array:
@@ -150,22 +151,25 @@ class EnergyBalance:
 
 def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
     """Return the energy balance of a fitted case along its solution."""
-    time, omega = case.data.speeds["casing"]
+    mechanism = case.dynamics.mechanism
+    time, omega = case.data.speeds[mechanism.main]
     t = np.linspace(time[0], time[-1], min(_POINTS, len(time)))
     state = Sampler(path.mesh, t).value(path.y)
-    state[:, 1] = np.interp(t, time, omega)
+    state[:, MAIN] = np.interp(t, time, omega)
     numbers = case.layout.numbers(theta, case.case)
     rates = case.dynamics.rates(t, state, numbers)
-    inertia = np.array([numbers[INERTIA_ROTOR], numbers[INERTIA_CASING]])
-    kinetic = 0.5 * (state[:, :2] ** 2) @ inertia
-    power = -np.sum(rates[:, :2] * inertia * state[:, :2], axis=1)
+    inertia = np.array([numbers[key] for key in mechanism.inertias])
+    count = len(inertia)
+    kinetic = 0.5 * (state[:, :count] ** 2) @ inertia
+    power = -np.sum(rates[:, :count] * inertia * state[:, :count], axis=1)
     energy = kinetic + integrated(t, power)
     scale = energy[0] if energy[0] > _SLOW_START * kinetic.max() else kinetic.max()
     model = case.layout.model.smooth
     if any(e.inputs for e in model.effects):
-        rest = Dynamics(Model(tuple(e for e in model.effects if not e.inputs)))
-        lost = rest.rates(t, state[:, [case.dynamics.states.index(s) for s in rest.states]], numbers)[:, :2]
-        scale = max(scale, float(np.trapezoid(np.abs(np.sum(lost * inertia * state[:, :2], axis=1)), t)))
+        rest = Dynamics(model.with_only(e for e in model.effects if not e.inputs))
+        lost = rest.rates(t, state[:, [case.dynamics.states.index(s) for s in rest.states]], numbers)
+        power = np.sum(lost[:, :count] * inertia * state[:, :count], axis=1)
+        scale = max(scale, float(np.trapezoid(np.abs(power), t)))
     return EnergyBalance(t, energy, (energy - energy[0]) / scale)
 
 
@@ -178,11 +182,12 @@ torques."""
 
 
 def held_out(
-    data: CaseData, project: Projection, prediction: Prediction, bodies: Sequence[str] = ("casing", "rotor")
+    data: CaseData, project: Projection, prediction: Prediction, bodies: Sequence[str] | None = None
 ) -> dict[str, float]:
     """Return the cross-validation error of bodies: rms error of rows left out of the fit over their noise, limit 1.
 
-    For ``casing`` each of six intervals of time, for ``rotor`` each window is predicted from all other rows.
+    For ``casing``, and for all bodies of a chain, each of six intervals of time, for ``rotor`` each window is predicted
+    from all other rows. All measured bodies by default.
     """
     jacobian = project(prediction.columns)
     size = np.linalg.norm(jacobian, axis=0)
@@ -191,9 +196,8 @@ def held_out(
     residual = orthogonal_to(used, residual)
     weighted = project.whitener(residual)
     result = {}
-    parts = (("casing", (data.casing,), _casing_folds(data)), ("rotor", data.rotor, _rotor_folds(data)))
-    for body, runs, folds in parts:
-        if body not in bodies:
+    for body, runs, folds in _folds(data):
+        if bodies is not None and body not in bodies:
             continue
         total = sum(r.rest for r in runs) + sum(_error(project, used, weighted, fold) for fold in folds)
         result[body] = float(np.sqrt(total / max(sum(r.n_effective for r in runs), 1.0)))
@@ -228,7 +232,19 @@ def _rotor_folds(data: CaseData) -> list[Array]:
     return [np.arange(a, b) for a, b in pairwise(ends)]
 
 
-_SPEED = {"casing": "omega_c", "rotor": "omega_r"}
+def _folds(data: CaseData) -> Iterator[tuple[str, list[Compressed], list[Array]]]:
+    """Yield each body with its runs and the rows that are left out together."""
+    yield data.record.mechanism.main, [data.casing], _casing_folds(data)
+    rows = _rotor_folds(data)
+    for state, name in enumerate(data.record.mechanism.bodies):
+        own = [i for i, w in enumerate(data.rotor) if state != MAIN and w.samples.state == state]
+        folds = [rows[i] for i in own]
+        if data.record.is_chain:
+            folds = [
+                part for i in own for part in np.array_split(rows[i], min(FOLDS, len(data.rotor[i].lift)))
+            ]
+        if own:
+            yield name, [data.rotor[i] for i in own], folds
 
 
 @dataclass(frozen=True)
@@ -244,7 +260,10 @@ class BodyMetrics:
 
 @dataclass(frozen=True)
 class CaseMetrics:
-    """Figures of merit of one case; `rows` is the number of rows that a model can describe."""
+    """Figures of merit of one case; `rows` is the number of rows that a model can describe.
+
+    Of a chain, `casing` is the main body, `rotor` the first of the others, and `further` are the rest.
+    """
 
     label: str
     casing: BodyMetrics
@@ -252,6 +271,12 @@ class CaseMetrics:
     energy_drift: float
     chi2_per_row: float
     rows: int
+    further: tuple[BodyMetrics, ...] = ()
+
+    @property
+    def bodies(self) -> tuple[BodyMetrics, ...]:
+        """The figures of merit of each measured body, of the main body first."""
+        return tuple(b for b in (self.casing, self.rotor, *self.further) if not math.isnan(b.rmse))
 
     @property
     def misfit(self) -> float:
@@ -277,52 +302,46 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
     """Return the figures of merit of one case."""
     data = case.data
     residual = project(prediction.rows - data.z)
-    chi2 = {name: float(np.sum(residual[where] ** 2)) for name, where in data.slices.items()}
-    errors = held_out(data, project, prediction)
-    quality = {
-        "casing": (chi2["casing"] + chi2["harmonic"] + data.casing.rest, data.casing.n_effective),
-        "rotor": (chi2["rotor"] + sum(w.rest for w in data.rotor), sum(w.n_effective for w in data.rotor)),
-    }
-    bodies = {}
-    for body in _SPEED:
-        if body not in data.speeds:
-            bodies[body] = BodyMetrics(*[float("nan")] * 4)
-            continue
+    square, errors = residual**2, held_out(data, project, prediction)
+    bodies = []
+    for body, (name, runs, folds) in zip(data.record.bodies, _folds(data), strict=True):
         r2, rmse = _speed_quality(case, prediction, theta, body)
-        total, count = quality[body]
-        reduced = total / max(1.0, count)
-        if body == "rotor" and data.record.generated:  # no noise to measure against
-            reduced = errors[body] = float("nan")
-        bodies[body] = BodyMetrics(r2, rmse, reduced, errors[body])
+        chi2 = sum(float(np.sum(square[rows])) for rows in folds)
+        reduced = (chi2 + sum(w.rest for w in runs)) / max(1.0, sum(w.n_effective for w in runs))
+        if body.state != MAIN and data.record.generated:  # no noise to measure against
+            reduced = errors[name] = float("nan")
+        bodies.append(BodyMetrics(r2, rmse, reduced, errors[name]))
+    absent = BodyMetrics(*[float("nan")] * 4)
+    casing, rotor, *further = (*bodies, absent) if len(bodies) == 1 else bodies
     return CaseMetrics(
         data.record.label,
-        bodies["casing"],
-        bodies["rotor"],
+        casing,
+        rotor,
         energy_balance(case, theta, prediction.path).drift,
         *chi2_per_row(data, project, residual),
+        tuple(further),
     )
 
 
-def _speed_quality(case: CaseModel, prediction: Prediction, theta: Array, body: str) -> tuple[float, float]:
-    _, y = case.data.speeds[body]
+def _speed_quality(case: CaseModel, prediction: Prediction, theta: Array, body: Body) -> tuple[float, float]:
+    _, y = case.data.speeds[body.part]
     error = y - _smoothed_model(case, prediction, theta, body)
     spread = float(np.sum((y - y.mean()) ** 2))
     return 1 - float(error @ error) / spread if spread > 0 else 0.0, float(np.sqrt(np.mean(error**2)))
 
 
-def _smoothed_model(case: CaseModel, prediction: Prediction, theta: Array, body: str) -> Array:
+def _smoothed_model(case: CaseModel, prediction: Prediction, theta: Array, body: Body) -> Array:
     """Return the modelled angular velocity of a body, smoothed as the measured one is.
 
     Smoothing removes the response to a torque that repeats with the turn, and must do so from both.
     """
     record, path = case.data.record, prediction.path
-    runs = (record.casing,) if body == "casing" else record.rotor
     response = case.response_to_angles(prediction, theta)
     found = []
-    for run in runs:
-        values = _model_at(case.data, path, body, run.time)
+    for run in body.series:
+        values = _model_at(case.data, path, body.state, run.time)
         if response is not None:
-            speed, angle = response[:, path.states.index(_SPEED[body])]
+            speed, angle = response[:, body.state]
             at = np.clip(run.time, record.casing.time[0], record.casing.time[-1])
             values = values + hermite(record.casing.time, angle, speed, at, slopes=not case.data.is_angle)
         model = Samples(run.time, values, run.sigma)
@@ -330,12 +349,12 @@ def _smoothed_model(case: CaseModel, prediction: Prediction, theta: Array, body:
     return np.concatenate(found)
 
 
-def _model_at(data: CaseData, path: Path, body: str, times: Array) -> Array:
+def _model_at(data: CaseData, path: Path, state: int, times: Array) -> Array:
     """Return the smooth part of the modelled angle [rad], or angular velocity [rad/s], at the times of samples."""
     sampler = Sampler(path.mesh, times)
     if data.is_angle:
-        return np.asarray(sampler.integral(*path.angle(_SPEED[body])))
-    return np.asarray(sampler.value(path.y[..., path.states.index(_SPEED[body])]))
+        return np.asarray(sampler.integral(*path.angle(path.states[state])))
+    return np.asarray(sampler.value(path.y[..., state]))
 
 
 _SEED = 1
@@ -357,7 +376,7 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
     which the time is what is measured).
     """
     measured = data.record.casing
-    exact = _model_at(data, path, "casing", measured.time)
+    exact = _model_at(data, path, MAIN, measured.time)
     third = np.abs(np.diff(measured.value - exact, 3)) / measured.sigma[1:-2]
     noise = measured.sigma * float(np.median(third)) / _NORMAL / np.sqrt(_THIRD_DIFFERENCE)
     # a fixed seed, so that a report is the same in every run
@@ -460,13 +479,13 @@ def _case_by_case(
 def slow_responses(data: CaseData, prediction: Prediction) -> Array:
     """Return the responses of a case's rows to slow torques of 1 N m, on the casing and in the bearing.
 
-    One column for each knot of each, shape (rows, 42); between the knots, a twentieth of the record apart, a torque
-    is linear.
+    One column for each knot of each, shape (rows, 42), and in a chain for the main body and every joint; between the
+    knots, a twentieth of the record apart, a torque is linear.
     """
     response = TorqueResponse(data, prediction.motion)
     times = response.centres
     hats = piecewise_linear(times, np.linspace(times[0], times[-1], KNOTS))
-    columns = np.concatenate([response.casing @ hats, (response.casing - response.rotor) @ hats], axis=1)
+    columns = np.concatenate([w @ hats for w in response.random], axis=1)
     rows = np.zeros((len(data.z), columns.shape[1]))
     rows[: len(columns)] = columns
     return rows

@@ -1,9 +1,9 @@
 """Covariance of the rows of a case, and the level of random torque in the residuals of a model.
 
 Rows in units of the white noise of the angles have the covariance C(s) = 1 + s^2 K. K is the covariance of their
-response to two independent Ornstein-Uhlenbeck torques of rms 1 N m, on the casing and between the bodies, with the
-correlation time of the process noise of the recording. The row of a harmonic of the angle responds only to the torque
-at its frequency and has a separate variance.
+response to independent Ornstein-Uhlenbeck torques of rms 1 N m, on the casing and between the bodies (on the main body
+and in each joint), with the correlation time of the process noise of the recording. The row of a harmonic of the angle
+responds only to the torque at its frequency and has a separate variance.
 
 Two levels matter. The *pure* level is a property of the recording (`fitting.inference._process_noise`): it does not
 depend on a model, and chi-square and cross-validation errors of every fit of the recording use it. The *level* of a fit
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.dynamics._sensitivities import LinearMotion
+from fitting.effects._mechanism import MAIN
 from fitting.inference._case_data import CaseData
 from fitting.inference._process_noise import ProcessNoise
 
@@ -90,7 +91,7 @@ class Noise:
     """Noise of one case, and the random torque in the residuals of a model."""
 
     scale: float  # white noise of the casing's samples, divided by their stated sigma
-    # rms of the process noise of the recording [N m], equal on the casing and between the bodies, and its standard
+    # rms of the process noise of the recording [N m], equal on the main body and in each joint, and its standard
     # uncertainty
     pure: float
     pure_u: float
@@ -140,7 +141,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class TorqueNoise:
-    """A random torque: rms [N m], equal on the casing and between the bodies, and correlation time [s]."""
+    """A random torque: rms [N m], equal on the main body and in each joint, and correlation time [s]."""
 
     rms: float
     time: float
@@ -304,9 +305,9 @@ does not change the result."""
 
 
 class TorqueResponse:
-    """Response of the smooth rows of a case to a random torque on the casing and in the bearing.
+    """Response of the smooth rows of a case to random torques on its bodies and in its joints.
 
-    `rotor` and `casing` (smooth rows, cells) are the responses to a torque of 1 N m on one body in each cell.
+    `bodies` (smooth rows, cells) are the responses to a torque of 1 N m on one body in each cell.
     """
 
     def __init__(self, data: CaseData, motion: LinearMotion) -> None:
@@ -314,9 +315,31 @@ class TorqueResponse:
         self._smooth = data.slices["smooth"]
         count = int(_CELLS_PER_ROW * self._smooth.stop)
         self.edges = np.linspace(*data.record.span, count + 1)
-        inertia = data.record.I_rotor, data.record.I_casing
-        self.rotor = _impulses(data, motion, self.edges, np.array([1 / inertia[0], 0.0]))[self._smooth]
-        self.casing = _impulses(data, motion, self.edges, np.array([0.0, 1 / inertia[1]]))[self._smooth]
+        self.mechanism = data.record.mechanism
+        directions = np.diag(1 / np.array(data.record.inertias))
+        states = [w.samples.state for w in data.rotor]
+        found = (_impulses(data, motion, self.edges, d, states)[self._smooth] for d in directions)
+        self.bodies = dict(zip(self.mechanism.bodies, found, strict=True))
+
+    @property
+    def casing(self) -> Array:
+        """The response to a torque on the main body."""
+        return self.bodies[self.mechanism.main]
+
+    @property
+    def rotor(self) -> Array:
+        """The response to a torque on the first body of the mechanism."""
+        return self.bodies[self.mechanism.bodies[0]]
+
+    def of(self, site: str) -> Array:
+        """Return the response to a torque on a body or in a joint."""
+        joint = self.mechanism.joints.get(site)
+        return self.bodies[site] if joint is None else self.bodies[joint.second] - self.bodies[joint.first]
+
+    @property
+    def random(self) -> tuple[Array, ...]:
+        """The responses to the independent random torques: on the main body and in each joint."""
+        return tuple(self.of(site) for site in (self.mechanism.main, *self.mechanism.joints))
 
     @property
     def centres(self) -> Array:
@@ -341,11 +364,11 @@ class TorqueResponse:
 
     @cached_property
     def _by_time(self) -> tuple[NDArray[np.intp], list[tuple[int, slice]], list[Array]]:
-        """Return the order of the rows by the last cell that affects them, groups of cells, and both responses.
+        """Return the order of the rows by the last cell that affects them, groups of cells, and the responses.
 
         A torque does not affect earlier rows: a group of cells affects only rows from its `first` on.
         """
-        responses = [self.casing.T, (self.casing - self.rotor).T]
+        responses = [w.T for w in self.random]
         changed = np.any([w != 0 for w in responses], axis=0)
         last = np.where(changed.any(axis=0), len(changed) - np.argmax(changed[::-1], axis=0), 0)
         order = np.argsort(last, kind="stable")
@@ -358,29 +381,45 @@ class TorqueResponse:
     def whitener(self, noise: TorqueNoise) -> Whitener:
         """Return the whitener of rows with this noise."""
         values, vectors = np.linalg.eigh(self.covariance(noise.time))
-        values = np.concatenate([np.maximum(values, 0.0), self._harmonic_variances(noise.time)])
+        values = np.concatenate(
+            [np.maximum(values, 0.0), self._harmonic_variances(noise.time, self._directions)]
+        )
         return Whitener(vectors, values, noise.rms)
 
-    def _harmonic_variances(self, time: float) -> Array:
-        """Return the variances of the rows of harmonics for torques of rms 1 N m.
+    @cached_property
+    def _directions(self) -> list[Array]:
+        """The accelerations of all bodies by each of the random torques of 1 N m [rad/s2]."""
+        sites = (self.mechanism.main, *self.mechanism.joints)
+        return [np.array(self.mechanism.shares(site)) / self.data.record.inertias for site in sites]
+
+    def _harmonic_variances(self, time: float, directions: Sequence[Array] | None = None) -> Array:
+        """Return the variances of the rows of harmonics for torques of rms 1 N m, by default those of a gyroscope.
 
         Such a row responds to the torque at its frequency, m times the speed. This torque is independent in
         neighbouring blocks.
         """
         record = self.data.record
-        directions = (0.0, 1 / record.I_casing), (-1 / record.I_rotor, 1 / record.I_casing)
-        square = sum(float(self._motion.accelerations(np.array(d))[1] ** 2) for d in directions)
+        if directions is None:
+            casing, rotor = 1 / record.I_casing, 1 / record.I_rotor
+            directions = [np.array([0.0, casing]), np.array([-rotor, casing])]
+        square = sum(float(self._motion.accelerations(d)[MAIN] ** 2) for d in directions)
         response, frequency = self.data.harmonic_row_responses
         return np.asarray(square * response * 2 * time / (1 + (frequency * time) ** 2))
 
 
-def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Array) -> Array:
-    """Return the rows' response to a unit torque in each cell, by variation of constants."""
+def _impulses(
+    data: CaseData, motion: LinearMotion, cells: Array, direction: Array, states: Sequence[int] = ()
+) -> Array:
+    """Return the rows' response to a unit torque in each cell, by variation of constants.
+
+    `states` are the places in a state of the bodies of the windows, by default of the first body.
+    """
     centres = 0.5 * (cells[1:] + cells[:-1])
     impulses = motion.impulses(centres, direction) * np.diff(cells)[:, None]
     before = motion.integrated(centres)
     parts = []
-    for state, compressed in ((1, data.casing), *((0, w) for w in data.rotor)):
+    places = (MAIN, *(states or [0] * len(data.rotor)))
+    for state, compressed in zip(places, (data.casing, *data.rotor), strict=True):
         times = compressed.node_times
         if data.is_angle:
             response = motion.integrated(times)[:, state] @ impulses.T - np.einsum(
@@ -392,7 +431,8 @@ def _impulses(data: CaseData, motion: LinearMotion, cells: Array, direction: Arr
         # a row within a cell responds only to the part of the cell before it
         cell = np.clip(np.searchsorted(cells, times, side="right") - 1, 0, len(centres) - 1)
         since = times - cells[cell]
-        acceleration = motion.accelerations(direction)[state] * (motion.moving(times) if state else 1.0)
+        acceleration = motion.accelerations(direction)[state]
+        acceleration = acceleration * (motion.moving(times) if state == MAIN else 1.0)
         response[np.arange(len(times)), cell] = acceleration * (0.5 * since**2 if data.is_angle else since)
         parts.append(response)
     return data.rows(parts[0], parts[1:])

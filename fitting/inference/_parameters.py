@@ -31,15 +31,22 @@ from numpy.typing import NDArray
 
 from fitting._errors import EffectError
 from fitting._numbers import Units
-from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
+from fitting.dynamics._model import Model
 from fitting.effects._effect import RATIO, Effect, Parameter
 from fitting.effects._expression import Tape
+from fitting.effects._mechanism import GYROSCOPE, Mechanism
 from fitting.inference._record import Record, scales_of
 from fitting.inference._ties import Follower, followers, resolved
 
 Array = NDArray[np.float64]
 
-START_ROTOR, START_CASING, START_DEFLECTION = "initial.omega_r", "initial.omega_c", "initial.deflection"
+
+def start_of(symbol: str) -> str:
+    """Return the key of the initial value of a speed or of the deflection."""
+    return f"initial.{symbol}"
+
+
+START_ROTOR, START_CASING, START_DEFLECTION = map(start_of, (*GYROSCOPE.speeds, "deflection"))
 _START = Parameter("omega", "rad s-1", "shape", -np.inf, np.inf)
 _DEFLECTION = Parameter("deflection", "rad", "shape", -np.inf, np.inf)
 
@@ -104,12 +111,13 @@ class ParameterLayout:
 
     @property
     def starts(self) -> tuple[str, ...]:
-        """The initial values of each case: both speeds, and the deflection if a torque depends on it.
+        """The initial values of each case: the speeds, and the deflection if a torque depends on it.
 
         In a contact without slip the speed of the rotor follows from that of the casing.
         """
         first = 0 if self.model.rigid_contact is None else 1
-        return (START_ROTOR, START_CASING, START_DEFLECTION)[first : 3 if self.model.restoring else 2]
+        speeds = tuple(map(start_of, self.model.mechanism.speeds[first:]))
+        return (*speeds, START_DEFLECTION) if self.model.restoring else speeds
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -140,7 +148,9 @@ class ParameterLayout:
         """Return parameters by key, constants and inertias of one case."""
         record = self.records[case]
         values = dict(zip(self.model.free, theta[self.places(case, self.model.free)].tolist(), strict=True))
-        inertias = {INERTIA_ROTOR: record.I_rotor, INERTIA_CASING: record.I_casing}
+        names = self.model.mechanism.inertias
+        further = (record.further[i][0] for i in range(len(names) - 2))
+        inertias = dict(zip(names, (record.I_rotor, record.I_casing, *further), strict=True))
         return values | self.model.constants | inertias
 
     def start(self, theta: Array, case: int) -> Array:
@@ -169,10 +179,9 @@ class ParameterLayout:
     @property
     def absent(self) -> tuple[str, ...]:
         """Names, without the case, of initial values of absent bodies, on which no row depends."""
-        present = self.records[0].parts
-        return tuple(
-            key for part, key in (("rotor", START_ROTOR), ("casing", START_CASING)) if part not in present
-        )
+        present, mechanism = self.records[0].parts, self.model.mechanism
+        both = zip(mechanism.bodies, mechanism.speeds, strict=True)
+        return tuple(start_of(speed) for part, speed in both if part not in present)
 
     def unit(self, name: str) -> str:
         """Return the unit of a variable."""
@@ -317,7 +326,7 @@ def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]
     x_ref is the median of the rough (times, speeds) of the cases. A pair is not transformed if f has a value for each
     case and g or d is shared, or vice versa.
     """
-    known = [_variables(*r) for r in rough]
+    known = [_variables(*r, layout.model.mechanism) for r in rough]
     power_laws: list[PowerLaw] = []
     taken: set[str] = set()
     for power in layout.model.smooth.effects:
@@ -355,12 +364,14 @@ def exponent(effect: Effect) -> Parameter | None:
 
 def is_power_law(effect: Effect, times: Array, speeds: Array) -> bool:
     """Return whether a law has the form k x^n with a positive x at these speeds."""
-    return exponent(effect) is not None and _base(effect, _variables(times, speeds)) is not None
+    return (
+        exponent(effect) is not None
+        and _base(effect, _variables(times, speeds, effect.mechanism)) is not None
+    )
 
 
-def _variables(times: Array, speeds: Array) -> dict[str, Array]:
-    rotor, casing = speeds.T
-    return {"t": times, "omega_r": rotor, "omega_c": casing, "delta": rotor - casing}
+def _variables(times: Array, speeds: Array, mechanism: Mechanism) -> dict[str, Array]:
+    return {"t": times, **mechanism.motion(speeds.T)}
 
 
 def _law(effect: Effect, known: dict[str, Array], n: float | None = None) -> Array:
@@ -382,7 +393,7 @@ def _base(effect: Effect, known: dict[str, Array]) -> Array | None:
 
 def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | None:
     """Return the exponent m for which a power law is equal to the other law; None if there is none."""
-    if straight.joint != power.joint or straight.state or straight.inputs:
+    if straight.site != power.site or straight.state or straight.inputs:
         return None
     if straight.depends_on_angle or straight.restoring:
         return None

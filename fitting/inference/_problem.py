@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fitting._errors import SimulationError
 from fitting.dynamics._collocation import UNBOUNDED
 from fitting.dynamics._model import Model
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Coupling, Mechanism
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._linear_algebra import covariance_of, orthogonal_to, orthonormal, r_factor
@@ -99,8 +100,8 @@ class Problem:
 
     @cached_property
     def reference(self) -> float:
-        """A typical speed of the bearing in these cases [rad/s]."""
-        return reference_speed(self.data)
+        """A typical speed of the bearing, or of the first joint, in these cases [rad/s]."""
+        return reference_speed(self.data, self.layout.model.mechanism)
 
     def predict(self, theta: Array) -> list[Prediction]:
         """Return the prediction of each case at physical variables, with the derivatives by the free ones."""
@@ -177,12 +178,14 @@ class Problem:
         return lower, upper
 
 
-def reference_speed(data: Sequence[CaseData]) -> float:
-    """Return a typical speed of the bearing in these cases [rad/s]."""
-    typical = []
-    for d in data:
-        _, speeds = d.initial_speeds
-        typical.append(np.median(np.abs(speeds[:, 0] - speeds[:, 1])))
+def reference_speed(data: Sequence[CaseData], mechanism: Mechanism = GYROSCOPE) -> float:
+    """Return a typical speed of the bearing, or of the first joint, in these cases [rad/s]."""
+    return typical_speed([d.initial_speeds[1] for d in data], mechanism, mechanism.couplings[0])
+
+
+def typical_speed(speeds: Sequence[Array], mechanism: Mechanism, joint: Coupling) -> float:
+    """Return a typical relative speed of a joint, from the speeds (times, bodies) of each case [rad/s]."""
+    typical = [np.median(np.abs(mechanism.motion(s.T)[joint.delta])) for s in speeds]
     return float(np.mean(typical)) or 1.0  # of bodies at rest any
 
 
@@ -232,8 +235,9 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
 
 
 _FIRST_LEVEL = 0.01
-"""First random torque, as a share of the median torque on the rotor [1]. Chosen: a smaller value lets the worst
-interval dominate the search, a larger one hides the shape of laws."""
+"""First random torque, as a share of the median torque on the rotor, or on the body other than the main one where it is
+largest [1]. Chosen: a smaller value lets the worst interval dominate the search, a larger one hides the shape of
+laws."""
 _MOST_AT_REST = 0.5
 """Share of the blocks at rest up to which these are left out where the level of random torque is estimated [1]. Chosen:
 a smaller value includes blocks that do not respond, a larger one leaves few blocks."""
@@ -245,10 +249,10 @@ the error of the initial values, a faster one is white noise."""
 def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
     """Return the noise of a recording, with the response of its rows linearised about a prediction.
 
-    The random torques on the casing and between the bodies have the same rms; their sum accelerates the casing.
+    The random torques on the main body and in the joints have the same rms; their sum accelerates the main body.
     """
-    process = data.process_noise
-    torque = data.record.I_casing / float(np.sqrt(2))
+    process, mechanism = data.process_noise, data.record.mechanism
+    torque = data.record.I_casing / float(np.sqrt(1 + mechanism.joints_of(mechanism.main)))
     pure = TorqueNoise(torque * process.level, process.time)
     whitener = TorqueResponse(data, prediction.motion).whitener(pure)
     return Noise(
@@ -280,7 +284,10 @@ def _first_levels(problem: Problem, theta: Array) -> list[float]:
     for case, p in zip(problem.cases, problem.predict(theta), strict=True):
         numbers = problem.layout.numbers(theta, case.case)
         rates = np.abs(case.dynamics.rates(p.path.mesh.times, p.path.y, numbers))
-        levels.append(_FIRST_LEVEL * case.data.record.I_rotor * float(np.median(rates[..., 0])))
+        inertias = enumerate(case.data.record.inertias)
+        levels.append(
+            max(_FIRST_LEVEL * x * float(np.median(rates[..., i])) for i, x in inertias if i != MAIN)
+        )
     return levels
 
 

@@ -13,7 +13,7 @@ import hashlib
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import compress, pairwise
 from typing import Literal
@@ -25,12 +25,14 @@ from numpy.typing import NDArray
 from fitting._errors import RecordError
 from fitting._numbers import SI, WITHOUT_INERTIA, Units, rounded, span_of
 from fitting.dynamics._inputs import Input
+from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism
 from fitting.inference._error_modes import ErrorMode, checked_modes, of_windows
 from fitting.inference._prior import Prior
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Quantity = Literal["angle", "omega"]
+Role = Literal["rotor", "casing", "body"]
 
 _FEWEST_OF_BODY = 24
 """Smallest number of samples of the first body [samples]. Derived: in a block, 12 for the model and 12 for noise."""
@@ -65,11 +67,15 @@ PRECISION = 1e18
 
 @dataclass(frozen=True, repr=False)
 class Samples:
-    """An uninterrupted run of measured values: time [s], value [rad or rad/s], sigma (same unit)."""
+    """An uninterrupted run of measured values: time [s], value [rad or rad/s], sigma (same unit).
+
+    `state` is the place of the speed of its body in the state of the motion, for a body that is not the main one.
+    """
 
     time: Array
     value: Array
     sigma: Array
+    state: int = 0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -87,9 +93,9 @@ class Body:
     name : str
         The name of the body.
     role : {"rotor", "casing", "body"}
-        Its role in the apparatus; "body" for a single body.
-    part : {"rotor", "casing"}
-        The body of the library whose laws apply to it.
+        Its role in the apparatus; "body" for a single body and for the bodies of a chain.
+    part : str
+        The body of the library whose laws apply to it: "rotor", "casing", or its name in a chain.
     state : int
         Index of its speed in the state of the motion.
     inertia, inertia_u : float
@@ -99,8 +105,8 @@ class Body:
     """
 
     name: str
-    role: Literal["rotor", "casing", "body"]
-    part: Literal["rotor", "casing"]
+    role: Role
+    part: str
     state: int
     inertia: float
     inertia_u: float
@@ -115,6 +121,9 @@ class Body:
 @dataclass(frozen=True, repr=False)
 class Record:
     """One experiment on one clock.
+
+    Of a chain of bodies, `casing` is the main body, the second one of its `mechanism`, and `rotor` are the runs of all
+    others, each with the place of its body in a state.
 
     Parameters
     ----------
@@ -158,9 +167,14 @@ class Record:
     inputs : tuple of Input
         Recorded inputs on which torques may depend.
     name : str
-        Name of a single body; empty for a gyroscope or without a name.
+        Name of a single body; empty for several bodies or without a name.
     modes : tuple of ErrorMode
         Errors that samples share.
+    mechanism : Mechanism
+        The bodies and the joints between them.
+    further : tuple of (float, float)
+        Moments of inertia of the third and later bodies of the mechanism, and their standard uncertainties [kg m2]; NaN
+        if not given.
     """
 
     label: str
@@ -186,6 +200,8 @@ class Record:
     inputs: tuple[Input, ...] = ()
     name: str = ""
     modes: tuple[ErrorMode, ...] = ()
+    mechanism: Mechanism = GYROSCOPE
+    further: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.digest:
@@ -201,7 +217,7 @@ class Record:
             f"Record {self.label!r}: {what}, {first:.6g} to {last:.6g} s",
             f"  {self.body}: {len(self.casing)} samples",
             *(
-                f"  rotor, {len(w)} samples from {w.time[0]:.6g} to {w.time[-1]:.6g} s"
+                f"  {self.mechanism.bodies[w.state]}, {len(w)} samples from {w.time[0]:.6g} to {w.time[-1]:.6g} s"
                 for w in self.rotor[:_SHOWN]
             ),
             *([f"  ... {len(self.rotor) - _SHOWN} more windows"] if len(self.rotor) > _SHOWN else []),
@@ -215,13 +231,29 @@ class Record:
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
-        """The bodies: the casing or the single body, then the rotor if it was measured."""
-        role = _MAIN[bool(self.rotor)]
-        main = Body(
-            self.name or role, role, "casing", 1, self.I_casing, self.I_casing_u, (self.casing,)
-        )  # fmt: skip
-        rotor = Body("rotor", "rotor", "rotor", 0, self.I_rotor, self.I_rotor_u, self.rotor)
-        return (main, *(b for b in (rotor,) if b.series))
+        """The bodies: the main one (the casing or the single body), then the others that were measured."""
+        names, chain = self.mechanism.bodies, self.is_chain
+        role: Role = "body" if chain else _MAIN[bool(self.rotor)]
+        name = names[MAIN] if chain else self.name or role
+        main = Body(name, role, names[MAIN], MAIN, self.I_casing, self.I_casing_u, (self.casing,))
+        others = [main]
+        for i, inertia in {
+            0: (self.I_rotor, self.I_rotor_u),
+            **dict(enumerate(self.further, MAIN + 1)),
+        }.items():
+            runs = tuple(run for run in self.rotor if run.state == i)
+            others.append(Body(names[i], "body" if chain else "rotor", names[i], i, *inertia, runs))
+        return tuple(b for b in others if b.series)
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether its bodies have names and joints of their own, unlike a gyroscope or a single body."""
+        return self.mechanism != GYROSCOPE
+
+    @property
+    def inertias(self) -> tuple[float, ...]:
+        """The moments of inertia in the order of the speeds in a state [kg m2]."""
+        return (self.I_rotor, self.I_casing, *(value for value, _ in self.further))
 
     @property
     def parts(self) -> frozenset[str]:
@@ -231,12 +263,14 @@ class Record:
     @property
     def joints(self) -> tuple[str, ...]:
         """The joints between its bodies."""
-        return tuple("bearing" for _ in self.bodies[1:])
+        return tuple(self.mechanism.joints) if self.rotor else ()
 
     @property
     def spun(self) -> Body:
-        """The body that is spun up or driven; it may drive another body through a joint."""
-        return self.bodies[-1]
+        """The body that is spun up or driven: the rotor of a gyroscope, and the fastest body of a chain."""
+        largest = self.largest_speeds
+        fastest = max(self.bodies, key=lambda b: largest[self.mechanism.speeds[b.state]])
+        return fastest if self.is_chain else self.bodies[-1]
 
     @property
     def single(self) -> bool:
@@ -276,12 +310,15 @@ class Record:
 
     @cached_property
     def largest_speeds(self) -> dict[str, float]:
-        """Largest speeds omega_c and omega_r [rad/s]; that of the fastest body if a body is at rest or not measured.
+        """Largest speeds by symbol [rad/s]; that of the fastest body if a body is at rest or not measured.
 
         To limit outliers and noise, the quantile 0.95 of mean speeds over a few samples is used. A body is at rest if
         this quantile is not larger than noise alone would give.
         """
-        found = {"omega_c": self._largest_speed((self.casing,)), "omega_r": self._largest_speed(self.rotor)}
+        found = {}
+        for i, symbol in enumerate(self.mechanism.speeds):
+            runs = (self.casing,) if i == MAIN else [run for run in self.rotor if run.state == i]
+            found[symbol] = self._largest_speed(runs)
         return {k: v or max(found.values()) or 1.0 for k, v in found.items()}
 
     def _largest_speed(self, runs: Sequence[Samples]) -> float:
@@ -303,7 +340,7 @@ class Record:
 
 
 # role of the body of the series `casing`, without and with a rotor
-_MAIN: tuple[Literal["body", "casing"], ...] = ("body", "casing")
+_MAIN: tuple[Role, ...] = ("body", "casing")
 _BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 # names with a meaning in the library
 _TAKEN = {
@@ -321,7 +358,7 @@ _TAKEN = {
 
 
 def scales_of(records: Sequence[Record]) -> tuple[dict[str, float], float]:
-    """Return the largest speeds omega_c and omega_r [rad/s] and the largest length [s] of records."""
+    """Return the largest speeds by symbol [rad/s] and the largest length [s] of records."""
     speeds = [r.largest_speeds for r in records]
     return {k: max(s[k] for s in speeds) for k in speeds[0]}, max(float(np.ptp(r.span)) for r in records)
 
@@ -352,6 +389,9 @@ def make_record(
     inputs: Sequence[Input] = (),
     name: str = "",
     modes: Sequence[ErrorMode] = (),
+    mechanism: Mechanism = GYROSCOPE,
+    states: Sequence[int] = (),
+    further: Sequence[tuple[float, float]] = (),
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are omitted.
 
@@ -391,6 +431,12 @@ def make_record(
         Name of a single body.
     modes : sequence of ErrorMode
         Errors that samples share.
+    mechanism : Mechanism
+        The bodies and joints of a chain: `casing` is its second body, and `rotor` are the runs of all others.
+    states : sequence of int
+        The number of the body of each run of `rotor` in the mechanism; all are of the first one if empty.
+    further : sequence of (float, float)
+        Moments of inertia of its third and later bodies and their standard uncertainties [kg m2].
 
     Raises
     ------
@@ -399,8 +445,11 @@ def make_record(
         cover the record.
     """
     _refuse_wrong(casing, rotor, quantity)
-    body = _MAIN[bool(rotor)]
-    runs = [_clean(*casing, what=body), *(_clean(*r, what="rotor") for r in rotor)]
+    chain, names = mechanism != GYROSCOPE, mechanism.bodies
+    body = names[MAIN] if chain else _MAIN[bool(rotor)]
+    of = list(states) or [0] * len(rotor)
+    runs = [_clean(*casing, what=body)]
+    runs += [replace(_clean(*r, what=names[i]), state=i) for r, i in zip(rotor, of, strict=True)]
     if len(runs[0]) < _FEWEST_OF_BODY:
         raise RecordError(
             f"{label}: the {body} has {len(runs[0])} usable samples; at least {_FEWEST_OF_BODY} are needed"
@@ -412,13 +461,18 @@ def make_record(
             f"{label}: no rotor window with at least {_FEWEST[quantity]} usable samples",
             "give at least one rotor clip",
         )
+    if chain and not all(kept):
+        raise RecordError(
+            f"{label}: {names[of[kept.index(False)]]} has a run with fewer than {_FEWEST[quantity]} usable samples",
+            "leave it out",
+        )
     return Record(
         label, I_rotor, I_casing, runs[0], windows, quantity, surface=surface, source=source, tracked=tracked,
         start_sigma=tuple(compress(map(float, start_sigma), kept)), I_rotor_u=I_rotor_u, I_casing_u=I_casing_u,
         units=(SI, WITHOUT_INERTIA)[per_inertia], correlated=_stated(*correlated),
         correlated_profile=_profile(correlated_profile, stated=any(_stated(*correlated)[:2])),
         inputs=_covering(inputs, runs[0], windows), name="" if windows else name,
-        modes=of_windows(checked_modes(modes), kept),
+        modes=of_windows(checked_modes(modes), kept), mechanism=mechanism, further=tuple(further),
     )  # fmt: skip
 
 
@@ -532,6 +586,9 @@ def _digest(record: Record) -> str:
         hasher.update(f"{i.name} {i.unit} {i.interpolation} {i.delay!r}".encode())
         for a in (i.time, i.value, *(() if i.u is None else (i.u,))):
             hasher.update(np.ascontiguousarray(a).tobytes())
+    if record.is_chain:
+        states = [run.state for run in record.rotor]
+        hasher.update(f"{record.mechanism} {record.further} {states}".encode())
     for m in record.modes:
         hasher.update(f"{m.key} {m.body} {m.window}".encode())
         for a in (m.time, m.basis, m.covariance):
@@ -590,16 +647,17 @@ in which the speed is nearly constant, a larger one averages a changing speed.""
 
 
 def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> tuple[Array, Array]:
-    """Return times and speeds of rotor and casing (points, 2) from local regressions over at least `samples`."""
+    """Return times and speeds of the bodies (points, bodies) from local regressions over at least `samples`."""
     is_angle = record.quantity == "angle"
     casing = _local(record.casing, min(points, len(record.casing) // samples), is_angle)
-    windows = np.concatenate(
-        [np.zeros((0, 3)), *(_local(w, _pieces(w, record, points, samples), is_angle) for w in record.rotor)]
-    )
     times = np.linspace(*record.span, points)
-    omega_c = np.interp(times, casing[:, 0], casing[:, 1])
-    omega_r = _rotor_curve(windows, times) if len(windows) else np.zeros(points)
-    return times, np.stack([omega_r, omega_c], axis=1)
+    found = np.zeros((points, len(record.mechanism.speeds)))
+    found[:, MAIN] = np.interp(times, casing[:, 0], casing[:, 1])
+    for i in {run.state for run in record.rotor}:
+        runs = [run for run in record.rotor if run.state == i]
+        windows = [_local(w, _pieces(w, record, points, samples), is_angle) for w in runs]
+        found[:, i] = _rotor_curve(np.concatenate(windows), times)
+    return times, found
 
 
 def _pieces(window: Samples, record: Record, points: int, samples: int) -> int:

@@ -13,11 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
+from fitting.effects._mechanism import MAIN
 from fitting.inference._angle_noise import HARMONICS, TURNS_PER_BLOCK, AngleNoise, profile_at
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
@@ -110,7 +112,9 @@ def _recording(motion: FittedMotion, random: Random) -> Record:
         values[i] += compressed.scale * run.sigma * random.standard_normal(len(run))
         if u > 0:  # NaN if no uncertainty is stated
             values[i] += (
-                u * random.standard_normal() * np.gradient(motion.expected(run.time, rotor=i > 0), run.time)
+                u
+                * random.standard_normal()
+                * np.gradient(motion.expected_of(_state(i, run), run.time), run.time)
             )
         if data.is_angle:
             values[i] += _slow_error(run, data.rotor_angle_noise if i else data.angle_noise, random)
@@ -119,7 +123,7 @@ def _recording(motion: FittedMotion, random: Random) -> Record:
     amplitudes = random.standard_normal(data.mode_columns[0].shape[1])
     for value, columns in zip(values, (data.mode_columns[0], *data.mode_columns[1]), strict=True):
         value += columns @ amplitudes
-    casing, *rotor = (Samples(r.time, v, r.sigma) for r, v in zip(runs, values, strict=True))
+    casing, *rotor = (replace(r, value=v) for r, v in zip(runs, values, strict=True))
     return replace(record, casing=casing, rotor=tuple(rotor), digest="")
 
 
@@ -132,16 +136,22 @@ def _other_inertias(motion: FittedMotion, random: Random) -> list[Array]:
     runs = (record.casing, *record.rotor)
     known = {"I_casing": record.I_casing_u, "I_rotor": record.I_rotor_u}
     known = {name: u for name, u in known.items() if math.isfinite(u) and u > 0}
-    if not known:
+    drawn: dict[str, Any] = {
+        name: getattr(record, name) + u * random.standard_normal() for name, u in known.items()
+    }
+    if any(u > 0 for _, u in record.further):
+        drawn["further"] = tuple(
+            (value + (u * random.standard_normal() if u > 0 else 0.0), u) for value, u in record.further
+        )
+    if not drawn:
         return [np.zeros(len(run)) for run in runs]
-    drawn = {name: getattr(record, name) + u * random.standard_normal() for name, u in known.items()}
     other = replace(record, **drawn)
     layout = motion.fit.problem.layout
     records = [other if i == motion.case else r for i, r in enumerate(layout.records)]
     model = CaseModel(replace(data, record=other), replace(layout, records=tuple(records)), motion.case)
     path = model.solve(motion.fit.theta)
     return [
-        motion.expected(run.time, path, rotor=i > 0) - motion.expected(run.time, rotor=i > 0)
+        motion.expected_of(_state(i, run), run.time, path) - motion.expected_of(_state(i, run), run.time)
         for i, run in enumerate(runs)
     ]
 
@@ -158,17 +168,23 @@ def _random_torque(motion: FittedMotion, random: Random) -> list[Array]:
     first, last = record.span
     cells = np.clip(_CELLS_PER_TIME * (last - first) / noise.time, _FEWEST_CELLS, _MOST_CELLS)
     times = np.linspace(first, last, int(cells) + 1)
-    inertia = 1 / record.I_rotor, 1 / record.I_casing
-    speed, angle = np.zeros((2, len(times))), np.zeros((2, len(times)))
-    for direction in ((0.0, inertia[1]), (-inertia[0], inertia[1])):
+    mechanism, inertias = record.mechanism, np.array(record.inertias)
+    speed, angle = np.zeros((2, len(inertias), len(times)))
+    for site in (mechanism.main, *mechanism.joints):
         torque = level * _ornstein_uhlenbeck(times[:-1], noise.time, random)
-        change = motion.prediction.motion.driven(times, 1, np.array(direction))(torque[:, None, None])
+        direction = np.array(mechanism.shares(site)) / inertias
+        change = motion.prediction.motion.driven(times, 1, direction)(torque[:, None, None])
         speed, angle = speed + change[0][..., 0], angle + change[1][..., 0]
     found = []
     for i, run in enumerate(runs):
-        state = 0 if i else 1
+        state = _state(i, run)
         found.append(hermite(times, angle[state], speed[state], run.time, slopes=not motion.data.is_angle))
     return found
+
+
+def _state(number: int, run: Samples) -> int:
+    """Return the place in a state of the body of a run, the main body's first."""
+    return run.state if number else MAIN
 
 
 def _slow_error(run: Samples, noise: AngleNoise, random: Random) -> Array:

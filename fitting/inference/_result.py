@@ -33,6 +33,7 @@ from fitting._errors import EstimationError
 from fitting._numbers import PER_INERTIA, TORQUE, Units, rounded, short, speed, speed_unit, with_uncertainty
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
+from fitting.effects._mechanism import MAIN
 from fitting.effects._words import EffectName, effect_name
 from fitting.inference._angle_harmonics import AngleHarmonics, angle_harmonics
 from fitting.inference._angle_noise import AngleNoise
@@ -81,10 +82,6 @@ _SCREEN = 20
 """Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
 _POINTS = 600
 """Points of a drawn curve [1]. Chosen: fewer show corners, more make larger files."""
-_ROTOR = 0
-"""Number of the rotor in arrays of bodies [1]. Derived: a state begins with omega_r and omega_c."""
-_CASING = 1
-"""Number of the casing in arrays of bodies [1]. Derived: a state begins with omega_r and omega_c."""
 # printed with a fit to a generated curve
 GENERATED = (
     "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "
@@ -259,9 +256,10 @@ def merit_lines(fit: FitSummary) -> list[str]:
     """Return the figures of merit and the noise of a fit as lines of at most 80 columns."""
     lines = [f"{'':<12}{'R2':>10}{f'rmse [{speed_unit()}]':>14}{'prediction':>11}"]
     for case in fit.cases:
-        bodies = [b for b in (case.casing, case.rotor) if not math.isnan(b.rmse)]
-        # a fit that was read from a file does not know the name of a body alone
-        names = (fit.problem.data[0].record.body, "rotor") if isinstance(fit, Fit) else _NAMES[len(bodies)]
+        bodies = case.bodies
+        # a fit that was read from a file does not know the names of bodies
+        named = fit.problem.data[0].record.bodies if isinstance(fit, Fit) else ()
+        names = [b.name for b in named] or _NAMES[len(bodies)]
         for name, body in zip(names, bodies, strict=False):
             title = f"{case.label[:5]} {name}" if len(fit.cases) > 1 else name
             lines.append(f"{title:<12}{body.r2:>10.6f}{speed(body.rmse):>14.4g}{body.held_out:>11.4g}")
@@ -400,7 +398,8 @@ class Fit(FitSummary):
         """Cross-validation error of the casing of the first case, without the other figures of merit."""
         (data, *_), (noise, *_), (prediction, *_) = self.problem.data, self.noise, self.predictions
         project = Projection(data, noise.whitener.at(noise.pure))
-        return held_out(data, project, prediction, ["casing"])["casing"]
+        main = data.record.mechanism.main
+        return held_out(data, project, prediction, [main])[main]
 
     @property
     def body_name(self) -> str:
@@ -428,7 +427,7 @@ class Fit(FitSummary):
         time : array_like, shape (n,), optional
             Times within the record [s]; by default those of the samples (of all windows of a rotor, joined).
         body : str, optional
-            "casing", "rotor", or the name of the body; by default the casing or the single body.
+            "casing", "rotor", or the name of the body; by default the casing, the single or the main body.
         case : int
             Index of the case.
         quantity : {"angle", "omega"}, optional
@@ -448,10 +447,10 @@ class Fit(FitSummary):
     def _place(self, body: str | None, case: int) -> int:
         require("body", body, TEXT.optional)
         record = self.problem.data[self._index(case)].record
-        places = {b.name: b.state for b in record.bodies} | {"casing": _CASING}
+        places = {b.name: b.state for b in record.bodies} | {record.mechanism.main: MAIN}
         if body is not None and body not in places:
             raise EstimationError(f"there is no body {str(body)[:30]!r}", f"bodies: {', '.join(places)}")
-        return _CASING if body is None else places[body]
+        return MAIN if body is None else places[body]
 
     def _index(self, case: int) -> int:
         require("case", case, INTEGER)
@@ -462,11 +461,9 @@ class Fit(FitSummary):
         return int(case)
 
     def _refuse_body(self, body: int) -> None:
-        require(
-            "body",
-            body,
-            Kind("0 (rotor) or 1 (casing)", lambda x: INTEGER.fits(x) and x in (_ROTOR, _CASING)),
-        )
+        names = self.problem.layout.model.mechanism.bodies
+        numbers = " or ".join(f"{i} ({name})" for i, name in enumerate(names))
+        require("body", body, Kind(numbers, lambda x: INTEGER.fits(x) and x in range(len(names))))
 
     @cached_property
     def residual(self) -> Array:
@@ -710,18 +707,19 @@ class Fit(FitSummary):
         return any(d.record.generated for d in self.problem.data)
 
     def measured_speeds(self, case: int, body: int) -> list[tuple[Array, Array]]:
-        """Return times [s] and smoothed speeds [rad/s] of each run of a body: 0 is the rotor, 1 the casing.
+        """Return times [s] and smoothed speeds [rad/s] of each run of a body, by its place in a state.
 
         Parameters
         ----------
         case : int
             Index of the case.
-        body : {0, 1}
-            0 is the rotor, 1 the casing or the single body.
+        body : int
+            0 is the rotor, 1 the casing, the single or the main body; later ones are those of a chain.
         """
         data = self.problem.data[self._index(case)]
         self._refuse_body(body)
-        runs = (data.record.casing,) if body else data.record.rotor
+        own = [run for run in data.record.rotor if run.state == body]
+        runs = [data.record.casing] if body == MAIN else own
         return [speeds(run, data.record.quantity, data.smoothing_width) for run in runs]
 
     def modelled_speed(self, case: int, body: int, time: Array) -> tuple[Array, Array]:
@@ -731,8 +729,8 @@ class Fit(FitSummary):
         ----------
         case : int
             Index of the case.
-        body : {0, 1}
-            0 is the rotor, 1 the casing or the single body.
+        body : int
+            0 is the rotor, 1 the casing, the single or the main body; later ones are those of a chain.
         time : ndarray, shape (n,)
             Times [s].
         """
@@ -772,7 +770,7 @@ class Fit(FitSummary):
         return effect_name(key, self.problem.data[0].record.body, (*own, *self.model.effects))
 
     def speed_residuals(self, case: int) -> tuple[SpeedResidual, tuple[SpeedResidual, ...]]:
-        """Return the residual speed of a case's casing, and of its rotor in each window.
+        """Return the residual speed of a case's casing, and of its rotor in each window (or of all other runs).
 
         Parameters
         ----------
@@ -799,7 +797,7 @@ class Fit(FitSummary):
             The new figure, or that of `ax`.
         """
         if ax is not None:
-            self._draw(ax, case, _CASING, residual=residual)
+            self._draw(ax, case, MAIN, residual=residual)
             return figure_of(ax)
         cases = len(self.labels)
         bodies = sorted({b.state for d in self.problem.data for b in d.record.bodies}, reverse=True)
@@ -813,10 +811,13 @@ class Fit(FitSummary):
         return drawn
 
     def _draw(self, ax: Axes, case: int, body: int, *, residual: bool) -> None:
-        symbol = r"$\omega_c$" if body == _CASING else r"$\omega_r$"
+        record = self.problem.data[case].record
+        suffix = record.mechanism.speeds[body].removeprefix("omega_")
+        symbol = rf"$\omega_{suffix}$" if len(suffix) == 1 else rf"$\omega_\mathrm{{{suffix}}}$"
         if residual:
             casing, rotor = self.speed_residuals(case)
-            draw_speed_residual(ax, [casing] if body == _CASING else rotor)
+            own = [r for r, run in zip(rotor, record.rotor, strict=True) if run.state == body]
+            draw_speed_residual(ax, [casing] if body == MAIN else own)
             ax.set_ylabel(f"{symbol}: residual [rad/s]")
         else:
             runs = self.measured_speeds(case, body)
@@ -880,10 +881,10 @@ class Fit(FitSummary):
                 *(short(v) for v in (body.rmse, body.held_out)),
             )
             for c in self.cases
-            for name, body in (
-                [("body", c.casing)]
-                if math.isnan(c.rotor.rmse)
-                else [("casing", c.casing), ("rotor", c.rotor)]
+            for name, body in zip(
+                [b.part if len(c.bodies) > 1 else "body" for b in self.problem.data[0].record.bodies],
+                c.bodies,
+                strict=False,
             )
         ]
         numbers = [

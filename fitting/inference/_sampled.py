@@ -16,6 +16,7 @@ from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Tape
+from fitting.effects._mechanism import MAIN
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
 from fitting.inference._noise import Noise
@@ -24,8 +25,6 @@ from fitting.inference._record import Samples, hermite
 
 Array = NDArray[np.float64]
 
-_CASING = 1
-"""Place of the casing in a state [1]. Derived: a state begins with omega_r and omega_c."""
 GAUSS = 3
 """Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; fewer lose accuracy in long cells, more cost
 time."""
@@ -68,7 +67,7 @@ def predicted_samples(data: CaseData, case: int, found: Solved) -> Iterator[Arra
     angles = 1 + len(record.rotor) if data.is_angle else 0
     columns = (fitted.mode_columns[0], *fitted.mode_columns[1])
     for i, samples in enumerate((record.casing, *record.rotor)):
-        state = "omega_r" if i else "omega_c"
+        state = path.states[samples.state if i else MAIN]
         sampler = Sampler(path.mesh, samples.time)
         modes = columns[i] @ coefficients[angles : angles + columns[i].shape[1]]
         if not data.is_angle:
@@ -97,9 +96,13 @@ class FittedMotion:
         return self.fit.problem.layout.numbers(self.fit.theta, self.case)
 
     def expected(self, times: Array, path: Path | None = None, *, rotor: bool) -> Array:
-        """Return angles, up to a constant, or speeds of the smooth motion."""
+        """Return angles, up to a constant, or speeds of the smooth motion of rotor or casing."""
+        return self.expected_of(0 if rotor else MAIN, times, path)
+
+    def expected_of(self, state: int, times: Array, path: Path | None = None) -> Array:
+        """Return angles, up to a constant, or speeds of the smooth motion of a body, by its place in a state."""
         path = path or self.prediction.path
-        sampler, state = Sampler(path.mesh, times), int(not rotor)
+        sampler = Sampler(path.mesh, times)
         if self.data.is_angle:
             return sampler.integral(*path.angle(path.states[state]))
         return sampler.value(path.y[..., state])
@@ -139,25 +142,27 @@ class FittedMotion:
         half = 0.5 * np.diff(t)
         inner = ((t[:-1] + half)[:, None] + half[:, None] * rule(GAUSS).x).ravel()
         sampler = Sampler(path.mesh, inner)
-        known = {name: sampler.value(path.y[..., i]) for i, name in enumerate(path.states[:2])}
-        known |= {"delta": known["omega_r"] - known["omega_c"], "t": inner}
-        known |= values_at(record.inputs, inner)
-        known["psi_r"] = sampler.integral(*path.angle("omega_r"))
-        psi = sampler.integral(*path.angle("omega_c")) + (zero if self.data.is_angle else 0.0)
-        on_rotor, on_casing = {"rotor": (1, 0), "casing": (0, 1), "bearing": (-1, 1)}[effect.joint]
-        direction = np.array([on_rotor / record.I_rotor, on_casing / record.I_casing])
+        mechanism = effect.mechanism
+        known = mechanism.motion(sampler.value(path.y[..., i]) for i in range(path.speeds))
+        known |= {"t": inner} | values_at(record.inputs, inner)
+        both = zip(mechanism.angles, mechanism.speeds, strict=True)
+        known |= {angle: sampler.integral(*path.angle(speed)) for angle, speed in both}
+        psi = known[mechanism.main_angle] + (zero if self.data.is_angle else 0.0)
+        direction = np.array(mechanism.shares(effect.site)) / record.inertias
         respond = motion.driven(t, GAUSS, direction)
         tape, law = Tape([effect.expression]), self._law(effect)
         between = np.repeat(np.arange(len(half)), GAUSS)
         own = np.zeros(len(inner))
         for _ in range(_PASSES):
-            torque = np.asarray(tape(law | known | {"psi_c": psi + own})[0]) * np.ones(len(inner))
+            torque = np.asarray(tape(law | known | {mechanism.main_angle: psi + own})[0]) * np.ones(
+                len(inner)
+            )
             speed, angle = (x[..., 0] for x in respond(torque.reshape(len(half), GAUSS, 1)))
-            own = hermite(t, angle[1], speed[1], inner, interval=between)
-        found = [angle[1] if self.data.is_angle else speed[1]]
+            own = hermite(t, angle[MAIN], speed[MAIN], inner, interval=between)
+        found = [angle[MAIN] if self.data.is_angle else speed[MAIN]]
         for run in record.rotor:
-            at = np.clip(run.time, t[0], t[-1])
-            found.append(hermite(t, angle[0], speed[0], at, slopes=not self.data.is_angle))
+            at, i = np.clip(run.time, t[0], t[-1]), run.state
+            found.append(hermite(t, angle[i], speed[i], at, slopes=not self.data.is_angle))
         return found
 
 
@@ -172,7 +177,7 @@ def residuals_of(found: Solved) -> Array:
 
 
 def evaluate(found: Solved, time: Any, body: int, case: int, quantity: str | None) -> Array:
-    """Return the fitted angle [rad] or speed [rad/s] of a body (0 is the rotor, 1 the casing) at some times [s]."""
+    """Return the fitted angle [rad] or speed [rad/s] of a body, by its place in a state, at some times [s]."""
     data = found.problem.data[case]
     measured = data.record.quantity
     require("quantity", quantity, TEXT.optional)
@@ -181,7 +186,8 @@ def evaluate(found: Solved, time: Any, body: int, case: int, quantity: str | Non
         raise EstimationError(f"the quantity is {str(chosen)[:20]!r}", "use angle or omega")
     if chosen == "angle" and measured == "omega":
         raise EstimationError("speeds were measured, which have no start angle", 'use quantity="omega"')
-    runs = (data.record.casing,) if body == _CASING else data.record.rotor
+    numbers = [i for i, run in enumerate(data.record.rotor, 1) if run.state == body] if body != MAIN else [0]
+    runs = [(data.record.casing, *data.record.rotor)[i] for i in numbers]
     first, last = data.record.span
     try:
         at = np.concatenate([r.time for r in runs]) if time is None else np.asarray(time, dtype=np.float64)
@@ -192,7 +198,6 @@ def evaluate(found: Solved, time: Any, body: int, case: int, quantity: str | Non
         raise EstimationError(
             "a time is not within the record", f"give times from {first:.6g} to {last:.6g} s"
         )
-    state = "omega_c" if body == _CASING else "omega_r"
     path = found.predictions[case].path
     sampler = Sampler(path.mesh, flat)
     response = found.problem.cases[case].response_to_angles(found.predictions[case], found.theta)
@@ -201,13 +206,11 @@ def evaluate(found: Solved, time: Any, body: int, case: int, quantity: str | Non
         speed, angle = response[:, body]
         of_laws = hermite(data.record.casing.time, angle, speed, flat, slopes=chosen == "omega")
     if chosen == "omega":
-        value = sampler.value(path.y[..., path.states.index(state)])
+        value = sampler.value(path.y[..., body])
         return np.asarray(value + of_laws).reshape(at.shape)
-    start = _nuisance(case, found)[: 1 + len(data.record.rotor)]
-    angle = sampler.integral(*path.angle(state)) + of_laws
-    if body == _CASING:
-        return np.asarray(angle + start[0]).reshape(at.shape)
+    start = _nuisance(case, found)[numbers]
+    angle = sampler.integral(*path.angle(path.states[body])) + of_laws
     # the start angle differs between the windows
-    begins = np.array([w.time[0] for w in data.record.rotor])
+    begins = np.array([run.time[0] for run in runs])
     window = np.clip(np.searchsorted(begins, flat, side="right") - 1, 0, len(begins) - 1)
-    return np.asarray(angle + start[1:][window]).reshape(at.shape)
+    return np.asarray(angle + start[window]).reshape(at.shape)

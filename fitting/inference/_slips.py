@@ -59,7 +59,7 @@ class Slip:
     @property
     def where(self) -> str:
         """The series, in words."""
-        return f"rotor window {self.window}" if self.window is not None else f"the {self.body}"
+        return f"{self.body} window {self.window}" if self.window is not None else f"the {self.body}"
 
     @property
     def sentence(self) -> str:
@@ -108,7 +108,7 @@ def without_slips(record: Record, criteria: Criteria = DEFAULT) -> tuple[Record,
     runs = []
     for i, run in enumerate((record.casing, *record.rotor)):
         found = slipped_turns(run, criteria)
-        body, window = (record.body, None) if i == 0 else ("rotor", i)
+        body, window = (record.body, None) if i == 0 else (record.mechanism.bodies[run.state], i)
         slips += [Slip(body, window, float(run.time[k]), n) for k, n in found]
         runs.append(_corrected(run, found))
     if not slips:
@@ -129,4 +129,4 @@ def _corrected(samples: Samples, slips: Sequence[tuple[int, int]]) -> Samples:
     value: Array = samples.value.copy()
     for first, turns in slips:
         value[first:] -= _TURN * turns
-    return Samples(samples.time, value, samples.sigma)
+    return replace(samples, value=value)

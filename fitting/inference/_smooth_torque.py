@@ -152,7 +152,8 @@ def _parabolas(data: CaseData, prediction: Prediction) -> Array:
     """Return the responses to the torques of `_DEGREE` in time, on the casing and in the bearing."""
     slow = slow_responses(data, prediction)
     shapes = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, KNOTS), _DEGREE)
-    return np.concatenate([slow[:, :KNOTS] @ shapes, slow[:, KNOTS:] @ shapes], axis=1)
+    each = np.split(slow, slow.shape[1] // KNOTS, axis=1)
+    return np.concatenate([columns @ shapes for columns in each], axis=1)
 
 
 def _sinusoid(response: TorqueResponse, alone: Array, noise: Noise) -> Array:

@@ -112,7 +112,9 @@ class SpeedMap:
         for body, run in (("casing", data.casing), *(("rotor", w) for w in data.rotor)):
             rows = slice(first, first + len(run.z))
             first = rows.stop
-            self.parts.append((rows, *_slopes(run, parts[body], is_angle=data.is_angle)))
+            several = len(run.operators) > 1
+            count = parts["casing" if several and data.record.is_chain else body]
+            self.parts.append((rows, *_slopes(run, count, is_angle=data.is_angle)))
 
     def without_nuisance(self, rows: Array) -> Array:
         """Return rows in their own units without the part that the nuisance columns explain."""

@@ -97,7 +97,10 @@ def test_outliers_cost_little():
 def test_uncertainties_are_valid_with_outliers():
     """4 recordings x 8 parameters, of which about two are independent: rms pull 1 +- 0.25, less where noise of the
     windows is allowed that these data do not have."""
-    found = [robust_fit(Model.of(REDUCED), [make_record(**spoiled(70 + s, **FEWER_FRAMES))], "huber") for s in range(4)]
+    found = [
+        robust_fit(Model.of(REDUCED), [make_record(**spoiled(70 + s, **FEWER_FRAMES))], "huber")
+        for s in range(4)
+    ]
     table = np.array([list(pulls(f, TRUTH).values()) for f in found])
     assert 0.5 < np.sqrt(np.mean(table**2)) < 1.4
     assert np.mean(np.abs(table) < 1.96) > 0.85
