@@ -27,6 +27,7 @@ from fitting.discovery._lack_of_fit import (
     speeds,
 )
 from fitting.discovery._score import CaseColumns
+from fitting.effects._mechanism import GYROSCOPE
 from fitting.inference._spectral_lines import false_alarm_probability
 
 DRAG, UNBALANCE = LIBRARY["casing.air.quadratic"], LIBRARY["casing.unbalance"]
@@ -251,6 +252,7 @@ class TestHighestPeak:
         monkeypatch.setattr(module, "_Periodogram", type("Other", (Peak,), changes))
         sigma = np.array([1e-9, 0.09, 1.0])
         record = SimpleNamespace(
+            mechanism=GYROSCOPE,
             I_casing=2e-5, tracked=tracked, casing=SimpleNamespace(sigma=sigma), label="run", body="casing",
             torque_unit="N m",
         )  # fmt: skip
@@ -400,7 +402,7 @@ class TestHarmonic:
                 for i in range(len(rows))
             ],
             noise=[SimpleNamespace(tested="tested", whitener=SimpleNamespace(at=lambda x: x))] * len(rows),
-            model=SimpleNamespace(effects=effects, with_effect=lambda e: e.law),
+            model=SimpleNamespace(effects=effects, with_effect=lambda e: e.law, mechanism=GYROSCOPE),
             theta=None, values={"a.k": 2.0}, estimates=estimates or {}, torque_unit="N m",
         )  # fmt: skip
         return harmonic_test(base, DEFAULT)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.discovery import _residuals as module
+from fitting.effects._mechanism import GYROSCOPE
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
@@ -14,7 +15,9 @@ def test_the_smallest_speed_is_a_share_of_the_largest(monkeypatch, scale, slowes
     speed = scale * np.linspace(1.0, slowest, 50)
     monkeypatch.setattr(module, "Sampler", lambda mesh, t: SimpleNamespace(value=lambda y: speed))
     casing = SimpleNamespace(time=np.linspace(0.0, 10.0, 50))
-    record = SimpleNamespace(casing=casing, I_casing=1.0, body="casing", torque_unit="N m")
+    record = SimpleNamespace(
+        casing=casing, I_casing=1.0, body="casing", torque_unit="N m", mechanism=GYROSCOPE
+    )
     fit = SimpleNamespace(
         labels=("a",),
         problem=SimpleNamespace(data=[SimpleNamespace(record=record)]),
