@@ -125,7 +125,7 @@ def test_settings_of_tracking_as_text_and_as_json():
     text = str(settings)
     straight = (
         "  STRAIGHT = 4 [1]\n    Smallest curvature of a path that determines a hub, in standard uncertainties\n"
-        "    chosen: a smaller value gives a hub with an unbounded uncertainty, a larger one refuses short arcs"
+        "    chosen: a smaller value gives hubs with an unbounded uncertainty, a larger one refuses short arcs"
     )
     section = text.split("\n\ngyrotrack.tracking._pivot\n")[1].split("\n\n")[0]
     assert straight in section

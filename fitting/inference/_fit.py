@@ -359,11 +359,11 @@ def _free_names(problem: Problem) -> set[str]:
 
 
 def _refuse_other_bodies(model: Model, data: Sequence[CaseData]) -> None:
-    """Raise an EstimationError for a chain whose laws speak of other bodies, or whose bodies come to rest."""
+    """Raise an EstimationError for a chain whose laws name other bodies, or whose bodies come to rest."""
     for record in (d.record for d in data):
         if record.mechanism != model.mechanism:
             raise EstimationError(
-                f"the laws speak of other bodies or joints than the recording {record.label}",
+                f"the laws name bodies or joints that the recording {record.label} does not have",
                 f"its bodies and joints: {', '.join((*record.mechanism.bodies, *record.mechanism.joints))}",
             )
     if model.mechanism == GYROSCOPE:

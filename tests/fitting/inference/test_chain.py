@@ -259,7 +259,7 @@ class TestRefusals:
             ),
         ],
     )
-    def test_cases_that_are_no_chain(self, bodies, joints, message):
+    def test_cases_that_are_not_a_chain(self, bodies, joints, message):
         with pytest.raises(RecordError, match=message):
             Case.from_arrays(**bodies, joints=joints)
 
@@ -271,7 +271,7 @@ class TestRefusals:
             case.model("rotor: -k*omega")
         with pytest.raises(EffectError, match="did you mean omega_wheel"):
             case.model("wheel: -k*omega_c")
-        with pytest.raises(EstimationError, match="speak of other bodies"):
+        with pytest.raises(EstimationError, match="name bodies or joints that"):
             fit(Model.of(["casing.air.linear"]), case)
         with pytest.raises(EffectError, match="laws of different bodies"):
             case.model("belt.linear") + "casing.air.linear"
