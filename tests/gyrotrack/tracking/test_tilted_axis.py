@@ -132,7 +132,7 @@ def test_a_second_link_needs_enough_frames_for_its_noise(count, enough):
     if enough:
         assert np.isfinite(second_link(about, few, "film.mp4").sigma).all()
     else:
-        with pytest.raises(TrackingError, match="seen together in 6 frames"):
+        with pytest.raises(TrackingError, match="seen together in only 6 frames"):
             second_link(about, few, "film.mp4")
 
 
