@@ -87,7 +87,12 @@ def test_a_wrong_inertia_is_reported_with_the_effect(monkeypatch):
         "casing.air.quadratic.k": 1e-10,
     }
     experiment = Experiment(
-        omega_rotor=620.0, duration=60.0, windows=(0.5, 24.0, 48.0), casing_fps=65.0, rotor_fps=250.0, sigma=5e-4
+        omega_rotor=620.0,
+        duration=60.0,
+        windows=(0.5, 24.0, 48.0),
+        casing_fps=65.0,
+        rotor_fps=250.0,
+        sigma=5e-4,
     )
     record = simulate(model, numbers, experiment, seed=8, inertia_rotor=6.2e-5, inertia_casing=2.4e-5)
     base = fit(Model.of(REDUCED), [replace(record, I_casing=1.03 * record.I_casing)])
