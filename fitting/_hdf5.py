@@ -12,13 +12,13 @@ that was changed by another program has no such line, or fails the check.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import h5py
-import numpy as np
 
 MAX_MEMBERS = 20_000
 """Members of a file at most [1]. Chosen: a smaller value refuses recordings of many clips, a larger one lets the check
@@ -99,11 +99,13 @@ class Guard:
         if not filters <= KNOWN_FILTERS:
             what = f"{location(dataset)} uses an unknown compression filter."
             raise self.fail(what, "Write it with gzip or uncompressed.")
-        if dataset.shape is None:
+        shape = dataset.shape
+        if shape is None:
             return
-        claimed = int(np.prod([int(n) for n in dataset.shape], dtype=object)) * dataset.dtype.itemsize
+        size = int(dataset.dtype.itemsize)
+        claimed = math.prod(int(n) for n in shape) * size
         stored = int(dataset.id.get_storage_size())
-        chunk = int(np.prod(dataset.chunks or (0,), dtype=object)) * dataset.dtype.itemsize
+        chunk = math.prod(int(n) for n in dataset.chunks or (0,)) * size
         if claimed > MAX_BYTES or max(claimed, chunk) > stored * MAX_INFLATION + SLACK:
             what = f"{location(dataset)} declares {claimed:,} bytes but contains {stored:,}."
             raise self.fail(what, _NOT_SOUND)

@@ -34,15 +34,17 @@ def write_table(
         f.name: np.asarray(extra[f.name] if f.name in extra else getattr(record, f.name), dtype=f.dtype)
         for f in table.fields
     }
+    datasets = {}
     for f in table.fields:
-        dataset = create_dataset(group, f.name, arrays[f.name])
+        dataset = datasets[f.name] = create_dataset(group, f.name, arrays[f.name])
         dataset.attrs["units"] = f.units
         dataset.attrs["long_name"] = f.long_name
         for key, value in f.attributes.items():
             dataset.attrs[key] = np.asarray(value, dtype=f.dtype) if isinstance(value, list) else value
         release_pages()
+    own: dict[str, Any] = {}
     for f in table.fields:
-        _attach_scales(group, f, arrays[f.name].shape, scales or {})
+        _attach_scales(group, f, datasets, own, scales or {})
     if table.signal:
         group.attrs["NX_class"] = "NXdata"
         group.attrs["signal"] = table.signal
@@ -64,19 +66,31 @@ def create_dataset(group: Any, name: str, array: npt.NDArray[Any]) -> Any:
     )
 
 
-def _attach_scales(group: Any, f: Field, shape: tuple[int, ...], scales: Mapping[str, Any]) -> None:
+def _attach_scales(
+    group: Any, f: Field, datasets: Mapping[str, Any], own: dict[str, Any], scales: Mapping[str, Any]
+) -> None:
+    """Attach the dimension scales of other groups, or `own` of this group, which are added as they are made."""
+    dataset = datasets[f.name]
     for axis, dim in enumerate(f.dims):
         if dim in scales:
-            group[f.name].dims[axis].attach_scale(scales[dim])
+            dataset.dims[axis].attach_scale(scales[dim])
             continue
-        if dim not in group:
-            scale = create_dataset(group, dim, np.arange(shape[axis], dtype="i8"))
-            scale.attrs["units"] = "1"
-            scale.attrs["long_name"] = layout.INDICES[dim.removeprefix("other_")]
-        if not group[dim].is_scale:
-            group[dim].make_scale(dim)
+        if dim not in own:
+            own[dim] = _scale(group, dim, dataset.shape[axis], datasets)
         if f.name != dim:
-            group[f.name].dims[axis].attach_scale(group[dim])
+            dataset.dims[axis].attach_scale(own[dim])
+
+
+def _scale(group: Any, dim: str, size: int, datasets: Mapping[str, Any]) -> Any:
+    """Return the dimension scale `dim` of a group: one of its datasets, or an index of a size."""
+    scale = datasets[dim] if dim in datasets else group.get(dim)
+    if scale is None:
+        scale = create_dataset(group, dim, np.arange(size, dtype="i8"))
+        scale.attrs["units"] = "1"
+        scale.attrs["long_name"] = layout.INDICES[dim.removeprefix("other_")]
+    if not scale.is_scale:
+        scale.make_scale(dim)
+    return scale
 
 
 def write_attributes(group: Any, attributes: Sequence[Attribute], record: Any) -> None:

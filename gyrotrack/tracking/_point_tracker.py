@@ -812,12 +812,18 @@ class _Layers:
         self, frame: Plane | Picture, place: Floats, turn: float, how: int = cv2.INTER_CUBIC
     ) -> Picture:
         """Return the picture about a place, turned by an angle (clockwise as seen); NaN outside the frame."""
+        x, y, outside = self._pixels(frame.shape, place, turn)
+        found = cv2.remap(np.asarray(frame, dtype=np.float32), x, y, how, borderMode=cv2.BORDER_REPLICATE)
+        return np.where(outside, np.float32(np.nan), found)
+
+    def _pixels(
+        self, shape: tuple[int, ...], place: Floats, turn: float
+    ) -> tuple[Picture, Picture, Bools]:
+        """Return the pixels x, y of the patch about a place, and which of them are outside a frame."""
         c, s = math.cos(turn), math.sin(turn)
         x = (place[0] + c * self.grid[0] - s * self.grid[1]).astype(np.float32)
         y = (place[1] + s * self.grid[0] + c * self.grid[1]).astype(np.float32)
-        found = cv2.remap(np.asarray(frame, dtype=np.float32), x, y, how, borderMode=cv2.BORDER_REPLICATE)
-        outside = (x < 0) | (y < 0) | (x > frame.shape[1] - 1) | (y > frame.shape[0] - 1)
-        return np.where(outside, np.float32(np.nan), found)
+        return x, y, (x < 0) | (y < 0) | (x > shape[1] - 1) | (y > shape[0] - 1)
 
     @cached_property
     def _slopes(self) -> tuple[Picture, Picture]:
@@ -850,14 +856,17 @@ class _Layers:
         start = turn
         (left, top), part = around
         behind = self.background[top : top + part.shape[0], left : left + part.shape[1]]
+        shown, behind = (np.asarray(p, dtype=np.float32) for p in (part, behind))
         here = place - np.array([left, top])
         begin = here
         by_s, by_q = self._slopes
         for _ in range(_STEPS):
             rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-            back = self.sampled(behind, here, turn, cv2.INTER_LINEAR)
-            rest = self.sampled(part, here, turn) - self.transparency * back - self.brightness
-            use = np.isfinite(rest)
+            x, y, outside = self._pixels(part.shape, here, turn)
+            back = cv2.remap(behind, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            seen = cv2.remap(shown, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            rest = seen - self.transparency * back - self.brightness
+            use = np.isfinite(rest) & ~outside
             slope = (by_s * back + by_q)[:, use]
             slope[:2] *= -1.0
             size = np.abs(rest[use]) / np.sqrt(self.variance[use])

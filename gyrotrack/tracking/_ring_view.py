@@ -86,22 +86,29 @@ def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
     angle : ndarray, shape (n,)
         Angle of the body in each picture [rad], over a turn or more.
     """
-    turned = _columns(angle, strips.shape[2])
+    count = strips.shape[2]
+    turned, moved = _columns(angle, count), np.empty_like(strips)
     light = np.zeros_like(strips[0])
     # after a motion that is not uniform, the mean picture of the body contains a part of the light
     for _ in range(_ALTERNATIONS):
         body = without_light(strips, light, angle).mean(axis=0)
-        moved = [np.roll(strip - body, k, axis=1) for strip, k in zip(strips, turned, strict=True)]
+        for strip, place, k in zip(strips, moved, turned, strict=True):
+            np.subtract(strip[:, : count - k], body[:, : count - k], out=place[:, k:])
+            np.subtract(strip[:, count - k :], body[:, count - k :], out=place[:, :k])
         orders = np.fft.rfft(np.mean(moved, axis=0), axis=1)
         orders[:, :lowest] = 0.0
-        light = np.asarray(np.fft.irfft(orders, strips.shape[2], axis=1), dtype=np.float32)
+        light = np.asarray(np.fft.irfft(orders, count, axis=1), dtype=np.float32)
     return np.asarray(light)
 
 
 def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
     """Return pictures (n, rows, columns) at the angles (n,) [rad] without the static light."""
-    turned = _columns(angle, strips.shape[2])
-    return np.stack([strip - np.roll(light, -k, axis=1) for strip, k in zip(strips, turned, strict=True)])
+    count = strips.shape[2]
+    twice = np.concatenate([light, light], axis=1)  # its columns from k on are the light turned by k columns
+    found = np.empty_like(strips)
+    for strip, place, k in zip(strips, found, _columns(angle, count), strict=True):
+        np.subtract(strip, twice[:, k : k + count], out=place)
+    return found
 
 
 def _columns(angle: Floats, count: int) -> npt.NDArray[np.int64]:

@@ -657,8 +657,13 @@ def _zone_variances(turned: Floats) -> Floats:
             apart[k, k] = 2.0 * max(limit**2, 1e-14)
     pairs = np.isfinite(apart)
     variance = np.where(pairs.any(axis=1), 0.5 * np.nanmin(np.where(pairs, apart, np.inf), axis=1), np.inf)
+    equations = []
+    for k in np.flatnonzero(pairs.any(axis=1)):
+        others = np.flatnonzero(pairs[k])
+        d = apart[k, others]
+        w = d**-2
+        equations.append((k, others, d, w, w.sum(), _LEAST_SHARE * float(d.min())))
     for _ in range(100):
-        for k in np.flatnonzero(pairs.any(axis=1)):
-            d, w = apart[k, pairs[k]], apart[k, pairs[k]] ** -2
-            variance[k] = max(float(w @ (d - variance[pairs[k]]) / w.sum()), _LEAST_SHARE * float(d.min()))
+        for k, others, d, w, total, least in equations:
+            variance[k] = max(float(w @ (d - variance[others]) / total), least)
     return variance

@@ -66,7 +66,7 @@ def wheel(drag=4e-7):
     time, inertia = np.linspace(0.0, 30.0, 1200), 2e-3
     done = solve_ivp(
         lambda _, y: [y[1], -(1e-3 + 2e-5 * y[1] + drag * y[1] ** 2) / inertia], (0, 30), [0.0, 60.0],
-        t_eval=time, rtol=1e-11, atol=1e-11,
+        t_eval=time, rtol=1e-11, atol=1e-11, method="DOP853",
     )  # fmt: skip
     angle = done.y[0] + 1e-3 * np.random.default_rng(0).standard_normal(len(time))
     samples = (time, angle, np.full(len(time), 1e-3))

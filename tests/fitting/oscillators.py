@@ -39,6 +39,7 @@ def motion(acceleration, start, span, rate=100.0, dry=0.0):
             (begin, span),
             y,
             events=stopped if dry else None,
+            method="DOP853",
             rtol=1e-11,
             atol=1e-13,
             dense_output=True,

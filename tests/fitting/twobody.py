@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -102,11 +102,35 @@ def rates(par, hidden, t, state, noise_casing=0.0, noise_bearing=0.0):
     return on_rotor / I_ROTOR, (on_casing + noise_casing) / I_CASING, wr, wc, warming
 
 
+def calm_rates(par):
+    """Return `rates` of parameters without anything hidden, with the same results in a third of the time."""
+    a2, b1, b2, d, f, g = (par[k] for k in ("a2", "b1", "b2", "d", "f", "g"))
+    cooling, copysign = Hidden().cooling, math.copysign
+
+    def of(t, state, noise_casing=0.0, noise_bearing=0.0):
+        wr, wc, _, _, heat = state
+        diff = wr - wc
+        tau = d * diff + f * copysign(abs(diff) ** g, diff)
+        warming = tau * diff - heat / cooling
+        tau += noise_bearing
+        on_casing = tau - b1 * copysign(1.0, wc) - b2 * wc
+        return (-tau - a2 * wr * abs(wr)) / I_ROTOR, (on_casing + noise_casing) / I_CASING, wr, wc, warming
+
+    return of
+
+
 def simulate(
     par=PAPER, start=(900.0, 5.0), span=200.0, hidden=None, ou=0.0, ou_time=1.0, seed=0, step=0.02
 ) -> Motion:
     """Return the motion; `ou` is the rms of a random torque on the casing and of one in the bearing."""
     return _simulated(tuple(par.items()), start, span, hidden or Hidden(), ou, ou_time, seed, step)
+
+
+def along(state, step, slope):
+    """Return a state of five numbers, moved along a slope."""
+    a, b, c, d, e = state
+    p, q, r, s, t = slope
+    return a + step * p, b + step * q, c + step * r, d + step * s, e + step * t
 
 
 @lru_cache(maxsize=16)
@@ -117,21 +141,20 @@ def _simulated(par, start, span, hidden, ou, ou_time, seed, step):
     casing, bearing = (ornstein_uhlenbeck(rng, n, step, ou, ou_time).tolist() for _ in range(2))
     y = (*start, 0.0, 0.0, 0.0)
     rows, slopes = [y], []
+    rate = calm_rates(par) if replace(hidden, jump=(0.0, 0.0)) == Hidden() else partial(rates, par, hidden)
+    half, sixth = step / 2, step / 6
     for i in range(n - 1):
         t = i * step
         push = hidden.jump[1] if t > hidden.jump[0] - 0.5 * step else 0.0
         middle = push + 0.5 * (casing[i] + casing[i + 1]), 0.5 * (bearing[i] + bearing[i + 1])
-        k1 = rates(par, hidden, t, y, push + casing[i], bearing[i])
-        k2 = rates(par, hidden, t + step / 2, [a + step / 2 * k for a, k in zip(y, k1, strict=True)], *middle)
-        k3 = rates(par, hidden, t + step / 2, [a + step / 2 * k for a, k in zip(y, k2, strict=True)], *middle)
-        late = [a + step * k for a, k in zip(y, k3, strict=True)]
-        k4 = rates(par, hidden, t + step, late, push + casing[i + 1], bearing[i + 1])
-        y = tuple(
-            a + step / 6 * (p + 2 * q + 2 * r + s) for a, p, q, r, s in zip(y, k1, k2, k3, k4, strict=True)
-        )
+        k1 = rate(t, y, push + casing[i], bearing[i])
+        k2 = rate(t + half, along(y, half, k1), *middle)
+        k3 = rate(t + half, along(y, half, k2), *middle)
+        k4 = rate(t + step, along(y, step, k3), push + casing[i + 1], bearing[i + 1])
+        y = along(y, sixth, [p + 2 * q + 2 * r + s for p, q, r, s in zip(k1, k2, k3, k4, strict=True)])
         rows.append(y)
         slopes.append(k1[:2])
-    slopes.append(rates(par, hidden, (n - 1) * step, y, casing[-1], bearing[-1])[:2])
+    slopes.append(rate((n - 1) * step, y, casing[-1], bearing[-1])[:2])
     states = np.array(rows)
     return Motion(step * np.arange(n), states[:, 2:4], states[:, :2], np.array(slopes))
 

@@ -45,7 +45,7 @@ def motion(parameters, speed=60.0):
     b1, b2, k = parameters
     done = solve_ivp(
         lambda _, y: [y[1], -(b1 + b2 * y[1] + k * y[1] ** 2) / INERTIA], (0, 30), [0.0, speed],
-        t_eval=TIME, rtol=1e-11, atol=1e-11,
+        t_eval=TIME, rtol=1e-11, atol=1e-11, method="DOP853",
     )  # fmt: skip
     return done.y
 

@@ -1,16 +1,25 @@
 """Files of others: each bad one is refused in one sentence, and nothing outside is read."""
 
+import shutil
+
 import h5py
 import numpy as np
 import pytest
 
 from gyrotrack import DatasetError, read_case, read_recording, write_recording
 from gyrotrack.io._hdf5 import read_kind
+from tests.gyrotrack.io.conftest import make_recording
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp("recording") / "r.h5"
+    return write_recording(path, make_recording(), command="", settings={})
 
 
 @pytest.fixture
-def path(tmp_path, recording):
-    return write_recording(tmp_path / "r.h5", recording, command="", settings={})
+def path(written, tmp_path):
+    return shutil.copy(written, tmp_path / "r.h5")
 
 
 def refused(path, match, reader=read_recording):

@@ -1,5 +1,7 @@
 """Centre, flattening and static light of a ring, on pictures drawn with a known view."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,13 @@ def spots(displacement=(0.0, 0.0), flattening=(0.0, 0.0), angle=0.0, light=0.0, 
         long, short = np.cos(tilt) * du + np.sin(tilt) * dv, np.cos(tilt) * dv - np.sin(tilt) * du
         grey += 80.0 * np.exp(-0.5 * (long / 14.0) ** 2 - 0.5 * (short / 7.0) ** 2)
     return (grey.reshape(r.shape) + light * np.cos(a - 0.7)).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def drawn(seed, first, last, count, **settings):
+    """Return pictures at equidistant angles, with the grain of a camera unless the seed is None, for several tests."""
+    grain = None if seed is None else np.random.default_rng(seed)
+    return [picture(a, grain=grain, **settings) for a in np.linspace(first, last, count)]
 
 
 def radial(picture):
@@ -301,12 +310,11 @@ class TestSlowBody:
     @pytest.mark.parametrize("turns", [0.5, pytest.param(0.8, marks=pytest.mark.slow), 1.2])
     @pytest.mark.parametrize("across", [False, True])
     def test_shading_does_not_turn_the_ring(self, turns, across):
-        rng = np.random.default_rng(5)
         angle = np.linspace(0.0, turns * TURN, 100)
         x, y = np.meshgrid(np.arange(SIZE[0]) - HUB[0], HUB[1] - np.arange(SIZE[1]))
         shade = 1.0 + 0.1 * (y if across else x) / 75.0
         start = angle + 2e-3 * np.sin(angle + 1.0)
-        pictures = [picture(a, grain=rng) * shade for a in angle]
+        pictures = [p * shade for p in drawn(5, 0.0, turns * TURN, 100)]
         found = [measured(angle, start, pictures, kind=k) for k in (0, 1)]
         plain, own = (f.levelled(f.centre, 0.0, 0.0) - angle for f in found)
         assert (own - own.mean()).std() < min(0.4e-3, 0.7 * (plain - plain.mean()).std())
@@ -332,7 +340,7 @@ class TestSlowBody:
         views, learn = [], texture._OwnView.learn
         monkeypatch.setattr(texture._OwnView, "learn", lambda *a: views.append(learn(*a)) or views[-1])
         angle = np.linspace(0.0, 0.8 * TURN, 124)
-        measured(angle, angle, [picture(a, stretch=(4e-3, 3e-3)) for a in angle], kind=1)
+        measured(angle, angle, drawn(None, 0.0, 0.8 * TURN, 124, stretch=(4e-3, 3e-3)), kind=1)
         assert (abs(views[-1].view.value[2] - 4e-3) < 4e-4) == known
 
     def test_perspective_is_found(self):
@@ -343,12 +351,11 @@ class TestSlowBody:
     @pytest.mark.parametrize("depth", [0.0, 40.0])
     def test_a_shadow_beside_the_rim_is_not_a_displacement(self, depth):
         """It darkens one side of the gap between the disc and the rim, and is static."""
-        rng = np.random.default_rng(9)
         angle = np.linspace(0.0, 0.8 * TURN, 100)
         x, y = np.meshgrid(np.arange(SIZE[0]) - HUB[0], HUB[1] - np.arange(SIZE[1]))
         r, a = np.hypot(x, y), np.arctan2(y, x)
         shadow = depth * np.exp(-0.5 * ((r - 71.0) / 2.0) ** 2) * np.clip(np.cos(a - 0.5), 0.0, None)
-        found = measured(angle, angle, [picture(b, grain=rng) - shadow for b in angle], kind=1)
+        found = measured(angle, angle, [p - shadow for p in drawn(9, 0.0, 0.8 * TURN, 100)], kind=1)
         assert np.std(found.angle - angle) < 0.3e-3
 
     def test_the_shading_is_found(self):
@@ -493,11 +500,10 @@ class TestFastBody:
 
     def error(self, turns, order=ORDER):
         """Return the amplitude of the error with `order` periods per turn [rad]."""
-        rng = np.random.default_rng(6)
         angle = np.linspace(0.0, turns * TURN, 192)
         x, y = np.meshgrid(np.arange(SIZE[0]) - HUB[0], HUB[1] - np.arange(SIZE[1]))
         fixed = 10.0 * np.cos(order * np.arctan2(y, x) + 0.4)
-        found = measured(angle, angle, [picture(a, grain=rng) + fixed for a in angle])
+        found = measured(angle, angle, [p + fixed for p in drawn(6, 0.0, turns * TURN, 192)])
         off = found.angle - angle
         waves = np.stack([np.ones_like(angle), np.cos(order * angle), np.sin(order * angle)], axis=1)
         return float(np.hypot(*np.linalg.lstsq(waves, off, rcond=None)[0][1:]))

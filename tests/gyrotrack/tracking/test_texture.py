@@ -23,27 +23,29 @@ def soft(distance):
 
 @lru_cache(maxsize=32)
 def still(hub, stretch):
-    """Return what does not depend on the angle: places in the plane of the disc, their direction, and the circles."""
+    """Return what does not depend on the angle: places in the plane, visible share of the disc, light of the rim."""
     x, y = np.meshgrid(np.arange(SIZE[0]) - hub[0], hub[1] - np.arange(SIZE[1]))
     p, q = stretch
     u, v = np.linalg.inv([[1 + p, q], [q, 1 - p]]) @ np.stack([x.ravel(), y.ravel()])
     u, v = (w.reshape(x.shape).astype(np.float32) for w in (u, v))
     r, theta = np.hypot(u, v), np.arctan2(v, u)
-    return u, v, theta, soft(r - 74.0) * soft(90.0 - r), soft(r - 92.0)
+    rim, outside = soft(r - 74.0) * soft(90.0 - r), soft(r - 92.0)
+    teeth = [40.0 * rim * (1.0 - outside) * f(5.0 * theta) for f in (np.cos, np.sin)]
+    return u, v, theta, (1.0 - rim) * (1.0 - outside), 150.0 * rim * (1.0 - outside) + 90.0 * outside, teeth
 
 
 def picture(angle, *, hub=HUB, stretch=(0.0, 0.0), below=None, grain=None, arms=2):
     """Return a disc with a bar and screws, turned counter-clockwise by `angle`, in grey levels."""
     angle = float(angle)
-    u, v, theta, rim, outside = still(tuple(hub), tuple(stretch))
+    u, v, theta, disc, fixed, teeth = still(tuple(hub), tuple(stretch))
     c, s = math.cos(angle), math.sin(angle)
     along, across = c * u + s * v, np.abs(c * v - s * u)
     light = 60.0 if below is None else 60.0 + 40.0 * np.cos(3.0 * (theta - float(below)))
     bar = soft(9.0 - across) if arms == 2 else soft(9.0 - across) * soft(along)
     light = light + bar * (170.0 - light)
-    light = light - 90.0 * soft(6.0 - across) * soft(along - 30.0) * soft(66.0 - along)
-    light = light + rim * (150.0 + 40.0 * np.cos(5.0 * (theta - angle)) - light)
-    light = light + outside * (90.0 - light)
+    light = light - 90.0 * soft(6.0 - across) * soft(18.0 - np.abs(along - 48.0))
+    # the rim with its five teeth, and what is outside it, cover the disc
+    light = light * disc + fixed + math.cos(5.0 * angle) * teeth[0] + math.sin(5.0 * angle) * teeth[1]
     return light if grain is None else light + grain.standard_normal(light.shape, np.float32) * 2.0
 
 

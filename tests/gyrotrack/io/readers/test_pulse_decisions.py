@@ -534,8 +534,14 @@ class TestCounts:
             found += len(modes)
         assert least * 40 <= found <= most * 40
 
-    @pytest.mark.parametrize("lost", [0.0, 0.02])
-    @pytest.mark.parametrize(("marks", "turns"), [(2, 60), (4, 40), (20, 40), (60, 40), (60, 100)])
+    @pytest.mark.parametrize(
+        ("marks", "turns", "lost"),
+        [
+            *((2, 60, 0.0), (2, 60, 0.02), (4, 40, 0.0), (4, 40, 0.02), (20, 40, 0.02), (60, 40, 0.0)),
+            *(pytest.param(*p, marks=pytest.mark.slow) for p in ((20, 40, 0.0), (60, 40, 0.02))),
+            *(pytest.param(60, 100, lost, marks=pytest.mark.slow) for lost in (0.0, 0.02)),
+        ],
+    )
     def test_equal_marks_are_not_corrected(self, marks, turns, lost):
         """Times that scatter by 0.02 of an interval, also of mark 0: 0.1 % are significant by chance."""
         found = 0
