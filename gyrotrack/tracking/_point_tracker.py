@@ -816,9 +816,7 @@ class _Layers:
         found = cv2.remap(np.asarray(frame, dtype=np.float32), x, y, how, borderMode=cv2.BORDER_REPLICATE)
         return np.where(outside, np.float32(np.nan), found)
 
-    def _pixels(
-        self, shape: tuple[int, ...], place: Floats, turn: float
-    ) -> tuple[Picture, Picture, Bools]:
+    def _pixels(self, shape: tuple[int, ...], place: Floats, turn: float) -> tuple[Picture, Picture, Bools]:
         """Return the pixels x, y of the patch about a place, and which of them are outside a frame."""
         c, s = math.cos(turn), math.sin(turn)
         x = (place[0] + c * self.grid[0] - s * self.grid[1]).astype(np.float32)
