@@ -265,9 +265,9 @@ class Grade:
 _INNER_KNOTS = 4
 """Inner knots of a smooth law [1]. Chosen: the law represents any cubic and one bend; fewer leave out the bend, more
 absorb noise."""
-# powers of a speed that no effect of the usual base has, by body or joint; those of a chain are as the casing and the
-# bearing
 _POWERS = {"casing": (2, 3), "rotor": (0, 1, 3), "bearing": (0, 2, 3)}
+"""Powers of a speed in a smooth law, by body or joint [1]. Chosen: those that no effect of the usual base has, and in a
+chain those of the casing for each body; more are degenerate with the base, fewer omit laws."""
 
 
 def smooth_law(
