@@ -42,7 +42,7 @@ from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import CaseColumns, ScoreContext, over_many_tests, score_of_columns
 from fitting.discovery._select import Candidate
 from fitting.dynamics._collocation import Sampler
-from fitting.effects._effect import TORQUES, Effect, Parameter, at_site, bodies_of
+from fitting.effects._effect import TORQUES, Effect, Parameter, at_site, bodies_of, mechanism_of
 from fitting.effects._expression import symbols
 from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism
 from fitting.inference._case_data import CaseData
@@ -214,7 +214,6 @@ class PeriodogramPeak:
     body: str  # name of the body for the user, for example "casing"
     p_value: float  # probability that noise has a peak of this height (an upper bound)
     unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
-    site: str = "casing"  # the body in laws
 
     @property
     def words(self) -> str:
@@ -228,7 +227,7 @@ class PeriodogramPeak:
     @property
     def law(self) -> str:
         """The formula to add."""
-        return f"{self.site}: k*cos({self.rate:.5g}*t + phi)"
+        return f"casing: k*cos({self.rate:.5g}*t + phi)"
 
 
 def periodogram_peak(fit: Fit) -> PeriodogramPeak | None:
@@ -275,9 +274,7 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
         for x in noise.process.ratios
     ]
     p_value = min(cases * float(np.dot(p_values, noise.process.weights)), 1.0) if credible else 1.0
-    return PeriodogramPeak(
-        rate, k, angle, record.label, record.body, p_value, record.torque_unit, record.mechanism.main
-    )
+    return PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit)
 
 
 class _Periodogram:
@@ -377,8 +374,9 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
         if e.depends_on_angle and e.amplitude is not None:
             key = f"{e.name}.{e.amplitude.symbol}"
             others += [abs(x.value) for name, x in fit.estimates.items() if name.partition("@")[0] == key]
+    mechanism = mechanism_of(fit.model.effects)
     for order in _ORDERS:
-        law = _harmonic_law(order, fit.model.mechanism)
+        law = _harmonic_law(order, mechanism)
         chi2, torque, phase, count, shares = 0.0, 0.0, 0.0, 0, []
         for index, (data, p, n) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
             if data.measured_angle is None:
@@ -405,7 +403,7 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
     if found.p_value >= criteria.doubt_adequate:
         return found
     with attempt(f"harmonic {found.order} of the angle"):
-        model = fit.model.with_effect(_harmonic_law(found.order, fit.model.mechanism))
+        model = fit.model.with_effect(_harmonic_law(found.order, mechanism))
         fitted = fit_model(model, fit, start=fit.values | start, noise=fit.noise, quick=True)
         k = fitted.estimates[_HARMONIC_AMPLITUDE]
         if _DETERMINED * k.stderr < abs(k.value) <= max(others):

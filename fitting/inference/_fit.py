@@ -363,7 +363,7 @@ def _refuse_other_bodies(model: Model, data: Sequence[CaseData]) -> None:
     for record in (d.record for d in data):
         if record.mechanism != model.mechanism:
             raise EstimationError(
-                f"the laws name bodies or joints that the recording {record.label} does not have",
+                f"the laws contain bodies or joints that the recording {record.label} does not have",
                 f"its bodies and joints: {', '.join((*record.mechanism.bodies, *record.mechanism.joints))}",
             )
     if model.mechanism == GYROSCOPE:

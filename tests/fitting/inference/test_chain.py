@@ -166,7 +166,7 @@ class TestFit:
 
 class TestDiagnosis:
     @pytest.mark.slow
-    @pytest.mark.parametrize("hidden", ["wheel.air.quadratic", "drum.air.linear"])
+    @pytest.mark.parametrize("hidden", ["wheel.air.quadratic"])
     def test_a_hidden_law_is_named(self, hidden):
         found = diagnose(fit([name for name in MODEL if name != hidden], recorded(3)))
         assert (found.verdict, found.form) == ("missing_effect", "exact")
@@ -259,7 +259,7 @@ class TestRefusals:
             ),
         ],
     )
-    def test_cases_that_are_not_a_chain(self, bodies, joints, message):
+    def test_bodies_without_valid_joints(self, bodies, joints, message):
         with pytest.raises(RecordError, match=message):
             Case.from_arrays(**bodies, joints=joints)
 
@@ -271,7 +271,7 @@ class TestRefusals:
             case.model("rotor: -k*omega")
         with pytest.raises(EffectError, match="did you mean omega_wheel"):
             case.model("wheel: -k*omega_c")
-        with pytest.raises(EstimationError, match="name bodies or joints that"):
+        with pytest.raises(EstimationError, match="that the recording case does not have"):
             fit(Model.of(["casing.air.linear"]), case)
         with pytest.raises(EffectError, match="laws of different bodies"):
             case.model("belt.linear") + "casing.air.linear"
