@@ -189,7 +189,9 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
     found = fit_together(base, score)
     if thorough and found is not None and has_model_noise(base) and falls_short(found):
         found = _better(found, fit_together(base, score, hold_strength=True))
-        found = at_lowest_noise(found, criteria) if falls_short(found) else found
+    if thorough and found is not None:
+        # a search of the noise may end at a level that absorbs what the shape of the law does not
+        found = at_lowest_noise(found, criteria)
     if not score.effect.breakpoint or found is None:
         return found
     for _ in range(_SEARCHES):

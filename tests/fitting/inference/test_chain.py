@@ -166,9 +166,9 @@ class TestFit:
 
 class TestDiagnosis:
     @pytest.mark.slow
-    @pytest.mark.parametrize("hidden", ["wheel.air.quadratic"])
-    def test_a_hidden_law_is_named(self, hidden):
-        found = diagnose(fit([name for name in MODEL if name != hidden], recorded(3)))
+    @pytest.mark.parametrize(("hidden", "seed"), [("wheel.air.quadratic", 3), ("drum.air.linear", 4)])
+    def test_a_hidden_law_is_named(self, hidden, seed):
+        found = diagnose(fit([name for name in MODEL if name != hidden], recorded(seed)))
         assert (found.verdict, found.form) == ("missing_effect", "exact")
         assert found.candidates[0].effect.name == hidden
         (value,) = found.candidates[0].estimates.values()
