@@ -170,6 +170,16 @@ def scores_mislead(base: Fit, criteria: Criteria) -> bool:
     return not base.model.restoring and any(e.inputs for e in base.model.effects) and base.fails(criteria)
 
 
+def joints_without_law(base: Fit) -> set[str]:
+    """Return the names of the joints of the recordings on which no law of a model acts.
+
+    Without a joint's torque the motion of both bodies is so wrong that the score of each law of the joint is
+    meaningless.
+    """
+    present = {e.site for e in base.model.effects}
+    return {joint for d in base.problem.data for joint in d.record.joints} - present
+
+
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the optimum of the base; None if it fails.
 
@@ -189,9 +199,7 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
     found = fit_together(base, score)
     if thorough and found is not None and has_model_noise(base) and falls_short(found):
         found = _better(found, fit_together(base, score, hold_strength=True))
-    if thorough and found is not None:
-        # a search of the noise may end at a level that absorbs what the shape of the law does not
-        found = at_lowest_noise(found, criteria)
+        found = at_lowest_noise(found, criteria) if falls_short(found) else found
     if not score.effect.breakpoint or found is None:
         return found
     for _ in range(_SEARCHES):

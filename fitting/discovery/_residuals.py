@@ -118,16 +118,50 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     # angles of thousands of turns: if the constant is not removed first, rounding is as large as a torque
     weighted = inverse @ orthogonal_to(orthonormal(nuisance, _RANK), residual[smooth])
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
+    held = np.asarray(prediction.motion.moving(response.centres) == 0)
     curves = []
     for body in (b.part for b in data.record.bodies):
         mean = level**2 * cross[body].T @ weighted
         reduction = level**4 * np.einsum("ic,ij,jc->c", cross[body], inverse, cross[body], optimize=True)
         # where the data determine the torque almost completely, the difference of variances is rounding
         sigma = np.sqrt(np.maximum(level**2 - reduction, (_FLOOR * level) ** 2))
+        if body == data.record.mechanism.main and held.any():
+            speed, torque, u = _of_the_measured_motion(fit, index, response.centres, y, time)
+            if np.mean(held & (np.abs(speed) > _MOVES * np.abs(speed).max())) > _SHORTEST:
+                # a model in which friction holds a body that moves has no linear response to a torque
+                y[:, MAIN], mean, sigma = speed, torque, np.hypot(u, noise.pure)
         filmed = _is_filmed(response.centres, data, body)
         values = (v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, MAIN]))
         curves.append(ResidualTorque(data.record.label, body, *values))
     return curves
+
+
+def _of_the_measured_motion(
+    fit: Fit, index: int, times: Array, y: Array, width: float
+) -> tuple[Array, Array, Array]:
+    """Return speed, unmodelled torque I dw/dt - T(w), and its uncertainty, from the measured motion of the main body.
+
+    Speed and acceleration are those of the polynomial, quadratic in an angle and linear in a speed, that fits the
+    samples within `width` [s] about each time; `y` are the states of the model.
+    """
+    case, record = fit.problem.cases[index], fit.problem.data[index].record
+    samples, inertia = record.casing, record.inertias[MAIN]
+    degree = 2 if record.quantity == "angle" else 1
+    speed, acceleration, u = np.zeros((3, len(times)))
+    for i, t in enumerate(times):
+        middle = np.clip(t, samples.time[0] + 0.5 * width, samples.time[-1] - 0.5 * width)
+        near = np.abs(samples.time - middle) <= 0.5 * width
+        near[np.argsort(np.abs(samples.time - middle))[: degree + 2]] = True
+        weights = 1 / samples.sigma[near]
+        c, covariance = np.polyfit(
+            samples.time[near] - t, samples.value[near], degree, w=weights, cov="unscaled"
+        )
+        speed[i], acceleration[i], u[i] = c[-degree], degree * c[0], degree * np.sqrt(covariance[0, 0])
+    moved = y.copy()
+    moved[:, MAIN] = speed
+    numbers = fit.problem.layout.numbers(fit.theta, index)
+    modelled = case.dynamics.rates(times, moved, numbers)[:, MAIN]
+    return speed, inertia * (acceleration - modelled), inertia * u
 
 
 def _is_filmed(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
@@ -154,6 +188,9 @@ def _inverse_without_nuisance(covariance: Array, nuisance: Array) -> Array:
     return np.asarray(inverse - weighted @ np.linalg.pinv(columns.T @ weighted, hermitian=True) @ weighted.T)
 
 
+_MOVES = 0.01
+"""Share of the largest speed above which a measured body moves [1]. Chosen: a smaller value takes noise at rest for a
+motion, a larger one overlooks a slow motion that the model excludes."""
 _RANK = 1e-6
 """Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
 rounding, a larger one ignores some nuisance columns."""

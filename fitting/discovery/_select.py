@@ -26,9 +26,11 @@ from fitting.discovery._measurement import StartErrors, starts_are_unknown
 from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._random_torque import describes, is_established, with_random_torque
 from fitting.discovery._refine import (
+    at_lowest_noise,
     fit_from_scratch,
     has_less_process_noise,
     initial_values_of,
+    joints_without_law,
     refined,
     refit,
     refitted_at,
@@ -169,6 +171,13 @@ def rank(
             for w, c in zip(chosen, found, strict=True)
         ]
         chosen = [w or a for w, a in zip(chosen, afresh, strict=True)]
+    uncoupled = joints_without_law(base) if base.fails(criteria) else set()
+    if uncoupled:
+        coupling = [
+            c.effect.mechanical and c.effect.site in uncoupled and not c.screened.absorbed for c in found
+        ]
+        chosen = [w or needed for w, needed in zip(chosen, coupling, strict=True)]
+        afresh = [a or needed for a, needed in zip(afresh, coupling, strict=True)]
     if base.model.restoring:
         # over many periods a refit takes long, and the refit of a law with a small score is degenerate
         most = criteria.refit_oscillation_p
@@ -198,6 +207,11 @@ def rank(
         ]
         refits = iter(recorded_map(workers or WorkerPool(0), _refit_candidate, base, promising, shared_data))
         found = [next(refits) if w else c for c, w in zip(found, chosen, strict=True)]
+        if rivals := _noisier_rivals(found, criteria):
+            again = [_Promising(c, nulls[c.effect.name], family, criteria) for c in rivals]
+            quieter = recorded_map(workers or WorkerPool(0), _at_lowest_noise, base, again, shared_data)
+            renewed = {c.effect.name: c for c in quieter}
+            found = [renewed.get(c.effect.name, c) for c in found]
         if starts_are_unknown(data):
             found.append(_start_candidate(base, family, criteria))
     return ordered(found, criteria)
@@ -336,13 +350,13 @@ class _Promising(NamedTuple):
     null: NullDistribution
     family: FamilywiseNull
     criteria: Criteria
-    thorough: bool
+    thorough: bool = False
     afresh: bool = False  # fitted from scratch, because scores about the base are not reliable
 
 
 def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
     """Fit base and effect together, from the base's optimum or from scratch."""
-    candidate, null, family, criteria, thorough, afresh = promising
+    candidate, _, _, criteria, thorough, afresh = promising
     screened = candidate.screened
     found = (
         fit_from_scratch(base, candidate.effect)
@@ -357,6 +371,40 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
     if not found.converged:
         # a quick search ends far from the minimum if a parameter of the base was at its bound
         found = _refined(found, criteria)
+    return _with_fit(base, promising, found)
+
+
+def _noisier_rivals(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
+    """Return the rivals of the candidate with the lowest BIC whose refits have clearly more process noise.
+
+    The deviance may have two minima in the level of the noise; a search that ends at the higher one ranks a law behind
+    another one of similar shape.
+    """
+    fits = {c.effect.name: c.fit for c in found if c.fit is not None and c.significant}
+    leader = min((c for c in found if c.effect.name in fits), key=lambda c: c.delta_bic, default=None)
+    if leader is None:
+        return []
+    least, best_fit = criteria.rival_share * leader.score, fits[leader.effect.name]
+    return [
+        c
+        for c in found
+        if c.effect.name in fits
+        and c.score > least
+        and has_less_process_noise(best_fit, fits[c.effect.name], criteria)
+    ]
+
+
+def _at_lowest_noise(base: Fit, promising: _Promising) -> Candidate:
+    """Return a candidate with its refit searched again at the lowest process noise, if that is better."""
+    fitted = promising.candidate.fit
+    end = None if fitted is None else at_lowest_noise(fitted, promising.criteria)
+    return promising.candidate if end is None or end is fitted else _with_fit(base, promising, end)
+
+
+def _with_fit(base: Fit, promising: _Promising, found: Fit) -> Candidate:
+    """Return a candidate with the evidence of its refit."""
+    candidate, null, family, criteria, *_ = promising
+    screened = candidate.screened
     delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
     common = None if screened.own_phase else with_common_values(base, screened, found)
     if common is not None:

@@ -195,10 +195,9 @@ class TestRefit:
     @pytest.mark.parametrize(
         ("fall", "raised", "thorough", "calls"),
         [
-            (50.0 - DEFAULT.refit_shortfall + 0.1, True, True, [False, "lowest"]),
+            (50.0 - DEFAULT.refit_shortfall + 0.1, True, True, [False]),
             (50.0 - DEFAULT.refit_shortfall - 0.1, True, True, [False, True, "lowest"]),
-            (1.0, False, True, [False, "lowest"]),
-            (1.0, False, False, [False]),
+            (1.0, False, True, [False]),
             (1.0, True, False, [False]),
             (None, True, True, [False]),
         ],
@@ -208,13 +207,11 @@ class TestRefit:
         assert found == calls
         assert gain == (None if fall is None else pytest.approx(fall))
 
-    def test_the_best_of_all_searches_is_kept(self, monkeypatch):
+    def test_the_repeated_refit_ends_the_search_where_it_suffices(self, monkeypatch):
         calls, gain = self.refitted(monkeypatch, {False: 1.0, True: 45.0})
-        assert (calls, gain) == ([False, True, "lowest"], pytest.approx(45.0))
+        assert (calls, gain) == ([False, True], pytest.approx(45.0))
         calls, gain = self.refitted(monkeypatch, {False: 1.0, True: 5.0}, lowest=20.0)
         assert (calls, gain) == ([False, True, "lowest"], pytest.approx(25.0))
-        calls, gain = self.refitted(monkeypatch, {False: 45.0, True: 0.0}, raised=False, lowest=20.0)
-        assert (calls, gain) == ([False, "lowest"], pytest.approx(65.0))
         calls, gain = self.refitted(monkeypatch, {False: 3.0, True: None}, lowest=0.0)
         assert gain == pytest.approx(3.0)
 
@@ -281,7 +278,6 @@ class TestRefit:
         monkeypatch.setattr(module, "fit_together", together)
         monkeypatch.setattr(module, "distant_changepoints", distant)
         monkeypatch.setattr(module, "local_changepoints", lambda *_: {})
-        monkeypatch.setattr(module, "at_lowest_noise", lambda found, _: found)
         found = refit(Found(), score(STEP, 5.0), DEFAULT)
         assert len(asked) == searches
         assert found.deviance == 90.0 - sum(gains[:searches])

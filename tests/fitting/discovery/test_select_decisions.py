@@ -424,6 +424,45 @@ class TestRank:
             {"camera.clock"} & set(refits)
         )
 
+    @pytest.mark.parametrize(
+        ("law", "joints", "fails", "afresh"),
+        [
+            ("casing.air.quadratic", ("bearing",), True, True),
+            ("casing.air.quadratic", ("bearing",), False, False),
+            ("casing.air.quadratic", (), True, False),
+            ("bearing.linear", ("bearing",), True, False),
+        ],
+    )
+    def test_laws_of_a_joint_without_a_law_are_fitted_from_scratch(
+        self, monkeypatch, law, joints, fails, afresh
+    ):
+        recorded = data()
+        recorded.record.joints = joints
+        problem = SimpleNamespace(data=[recorded], cases=[1], layout=SimpleNamespace(records=[1]))
+        base = Found(model=Model((LIBRARY[law],)), problem=problem, wrong=fails)
+        bearing = ("bearing.constant", "bearing.power", "bearing.quadratic")
+        small = {"casing.air.laminar", "camera.clock", *bearing[1:]}
+        scores = {LIBRARY[n]: 0.0 if n in small else 1e6 for n in (*bearing, "casing.air.laminar")}
+        scores |= {LIBRARY[f"rotor.air.{n}"]: 1e6 for n in ("linear", "quadratic", "disk")}
+        scores |= {LIBRARY["camera.clock"]: 0.0}
+        _, refits = self.ranked(monkeypatch, base, scores)
+        assert {n for n, again in self.afresh.items() if again} == (set(bearing) if afresh else set())
+        assert {*bearing} <= {*refits} if afresh else not {*bearing[1:]} & {*refits}
+        assert "casing.air.laminar" not in refits
+
+    def test_a_rival_with_more_process_noise_is_searched_again(self, monkeypatch):
+        rival, asked = candidate(LAMINAR, -60.0), []
+
+        def again(base, promising):
+            asked.append(promising.candidate.effect)
+            return replace(rival, delta_bic=-99.0)
+
+        monkeypatch.setattr(module, "_noisier_rivals", lambda found, criteria: [rival])
+        monkeypatch.setattr(module, "_at_lowest_noise", again)
+        found, _ = self.ranked(monkeypatch, Found(), {DRAG: 900.0, LAMINAR: 1000.0})
+        assert asked == [LAMINAR]
+        assert next(c for c in found if c.effect is LAMINAR).delta_bic == -99.0
+
     def test_of_a_driven_body_the_needed_laws_alone_are_ranked(self, monkeypatch):
         monkeypatch.setattr(module, "needed_drives", lambda base, effects: {STEP.name})
         found, refits = self.ranked(monkeypatch, Found(), {DRAG: 1000.0, LAMINAR: 500.0, STEP: 0.1})
@@ -602,6 +641,42 @@ class TestRefitted:
         # of an insignificant effect it is not asked for
         _, c = self.refitted(monkeypatch, lambda _: Found(95.0, 90.0), at_noise=5.0)
         assert c.score == 10.0
+
+
+class TestNoisierRivals:
+    """The leader has a score of 100 and a noise level of 1."""
+
+    @pytest.mark.parametrize(
+        ("value", "level", "significant", "noisier"),
+        [
+            (100 * DEFAULT.rival_share + 1, 1.01 / DEFAULT.quieter, True, True),
+            (100 * DEFAULT.rival_share - 1, 1.01 / DEFAULT.quieter, True, False),
+            (100 * DEFAULT.rival_share + 1, 0.99 / DEFAULT.quieter, True, False),
+            (100 * DEFAULT.rival_share + 1, 1.01 / DEFAULT.quieter, False, False),
+        ],
+    )
+    def test_a_rival_of_similar_score_with_more_noise(self, value, level, significant, noisier):
+        leader, rival = (Found(noise=(SimpleNamespace(level=x),)) for x in (1.0, level))
+        first = candidate(DRAG, -80.0, value=100.0, fit=leader)
+        second = candidate(LAMINAR, -40.0, value=value, fit=rival, significant=significant)
+        unknown = candidate(STEP, -90.0, value=200.0, fit=None)
+        assert module._noisier_rivals([second, unknown, first], DEFAULT) == ([second] if noisier else [])
+
+    def test_without_a_significant_refit_there_is_no_leader(self):
+        assert module._noisier_rivals([candidate(fit=None), candidate(significant=False)], DEFAULT) == []
+
+    @pytest.mark.parametrize("better", [True, False])
+    def test_the_better_refit_counts(self, monkeypatch, better):
+        problem = SimpleNamespace(layout=SimpleNamespace(records=[1, 2]))
+        base, before, quiet = Found(problem=problem), Found(80.0, 70.0), Found(50.0, 40.0)
+        monkeypatch.setattr(module, "at_lowest_noise", lambda found, criteria: quiet if better else found)
+        monkeypatch.setattr(module, "with_common_values", lambda *_: None)
+        monkeypatch.setattr(module, "deviance_at_noise_of", lambda base, other: 100.0)
+        known = candidate(fit=before, bic=-20.0, value=30.0)
+        family = lambda p, weights: float(p @ weights)  # noqa: E731 - a single candidate
+        found = module._at_lowest_noise(base, module._Promising(known, Null(), family, DEFAULT))
+        assert (found is known) is not better
+        assert (found.score, found.delta_bic) == ((60.0, -50.0) if better else (30.0, -20.0))
 
 
 class TestOrder:

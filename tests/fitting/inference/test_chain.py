@@ -166,7 +166,9 @@ class TestFit:
 
 class TestDiagnosis:
     @pytest.mark.slow
-    @pytest.mark.parametrize(("hidden", "seed"), [("wheel.air.quadratic", 3), ("drum.air.linear", 4)])
+    @pytest.mark.parametrize(
+        ("hidden", "seed"), [("wheel.air.quadratic", 3), ("drum.air.linear", 4), ("belt.linear", 5)]
+    )
     def test_a_hidden_law_is_named(self, hidden, seed):
         found = diagnose(fit([name for name in MODEL if name != hidden], recorded(seed)))
         assert (found.verdict, found.form) == ("missing_effect", "exact")
