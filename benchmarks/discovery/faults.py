@@ -11,12 +11,10 @@ not repeated.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +27,7 @@ import numpy as np
 from answer import commit
 from experiment import CASES, LIGHT, Hidden, record
 from judge import Share
-from lines import append, read_lines
+from lines import run_each
 from tabular import table
 
 RESULTS = Path(__file__).parent / "faults.jsonl"
@@ -139,7 +137,7 @@ def report(lines: list[dict[str, Any]]) -> str:
     """Return the table: by fault, how often physics is claimed, and how often the fault is named or mended."""
     rows = []
     for fault, words in SAID.items():
-        some = [x for x in lines if x["fault"] == fault]
+        some = [x for x in lines if x["kind"] == fault]
         texts = [" ".join(str(x.get(k)) for k in ("named", "sentence", "warnings")) for x in some]
         claims = Share(x["verdict"] == "unexplained" or x["physical"] for x in some)
         rows.append([fault, len(some), claims, Share(words in t for t in texts) if words else "-"])
@@ -148,35 +146,5 @@ def report(lines: list[dict[str, Any]]) -> str:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--runs", type=int, default=10, metavar="N", help="runs of each fault (10)")
-    parser.add_argument("--first", type=int, default=0, metavar="K", help="number of the first run (0)")
-    parser.add_argument(
-        "--limit-seconds", type=float, default=float("inf"), help="begin no run after this time"
-    )
-    parser.add_argument("--table", action="store_true", help="only print the table")
-    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
-    options = parser.parse_args()
-    began = time.monotonic()
-    done = {x["key"] for x in read_lines(options.output) if "error" not in x}
-    plan = [] if options.table else range(options.first, options.first + options.runs)
-    for number, fault in ((n, f) for n in plan for f in SAID):
-        key = f"{fault}|{number}"
-        if key in done or time.monotonic() - began > options.limit_seconds:
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                line = answer(fault, number, Path(folder))
-            except (RuntimeError, ValueError) as problem:
-                line = {"error": str(problem)}
-        append(options.output, {"key": key, "fault": fault, **line})
-        print(
-            f"{time.monotonic() - began:6.0f} s  {key}  {line.get('error') or line['sentence'][:90]}",
-            flush=True,
-        )
-    print(report([x for x in read_lines(options.output) if "error" not in x]))
-
-
 if __name__ == "__main__":
-    main()
+    run_each(__doc__, RESULTS, SAID, answer, report)

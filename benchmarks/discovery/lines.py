@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import gzip
 import json
 import math
+import tempfile
+import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -47,3 +51,42 @@ def shortened(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [shortened(v) for v in value]
     return value
+
+
+def run_each(
+    words: str,
+    results: Path,
+    kinds: Iterable[str],
+    answer: Callable[[str, int, Path], dict[str, Any]],
+    report: Callable[[list[dict[str, Any]]], str],
+) -> None:
+    """Run a benchmark of numbered runs of each kind from its command line, and print its table.
+
+    `answer` makes the line of a kind and a number in an empty folder; runs with a line are not repeated. `words`
+    describe the benchmark.
+    """
+    parser = argparse.ArgumentParser(description=words, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--runs", type=int, default=10, metavar="N", help="runs of each kind (10)")
+    parser.add_argument("--first", type=int, default=0, metavar="K", help="number of the first run (0)")
+    parser.add_argument(
+        "--limit-seconds", type=float, default=float("inf"), help="begin no run after this time"
+    )
+    parser.add_argument("--table", action="store_true", help="only print the table")
+    parser.add_argument("-o", "--output", type=Path, default=results)
+    options = parser.parse_args()
+    began = time.monotonic()
+    done = {x["key"] for x in read_lines(options.output) if "error" not in x}
+    plan = [] if options.table else range(options.first, options.first + options.runs)
+    for number, kind in ((n, k) for n in plan for k in kinds):
+        key = f"{kind}|{number}"
+        if key in done or time.monotonic() - began > options.limit_seconds:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                line = answer(kind, number, Path(folder))
+            except (RuntimeError, ValueError) as problem:
+                line = {"error": str(problem)}
+        append(options.output, {"key": key, "kind": kind, **line})
+        told = line.get("error") or line["sentence"][:90]
+        print(f"{time.monotonic() - began:6.0f} s  {key}  {told}", flush=True)
+    print(report([x for x in read_lines(options.output) if "error" not in x]))

@@ -10,10 +10,8 @@ pairs.jsonl is one pair; a pair that has its answer is not repeated.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,7 @@ from answer import commit
 from experiment import CASES, LIGHT, Hidden, record
 from faults import gyrotrack
 from judge import Share
-from lines import append, read_lines
+from lines import run_each
 from tabular import table
 
 RESULTS = Path(__file__).parent / "pairs.jsonl"
@@ -117,35 +115,5 @@ def report(lines: list[dict[str, Any]]) -> str:
     return table(["pairs", "number", "said to differ", "an effect is named", "right"], rows)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--runs", type=int, default=10, metavar="N", help="pairs of each kind (10)")
-    parser.add_argument("--first", type=int, default=0, metavar="K", help="number of the first pair (0)")
-    parser.add_argument(
-        "--limit-seconds", type=float, default=float("inf"), help="begin no pair after this time"
-    )
-    parser.add_argument("--table", action="store_true", help="only print the table")
-    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
-    options = parser.parse_args()
-    began = time.monotonic()
-    done = {x["key"] for x in read_lines(options.output) if "error" not in x}
-    plan = [] if options.table else range(options.first, options.first + options.runs)
-    for number, kind in ((n, k) for n in plan for k in KINDS):
-        key = f"{kind}|{number}"
-        if key in done or time.monotonic() - began > options.limit_seconds:
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                line = answer(kind, number, Path(folder))
-            except (RuntimeError, ValueError) as problem:
-                line = {"error": str(problem)}
-        append(options.output, {"key": key, "kind": kind, **line})
-        print(
-            f"{time.monotonic() - began:6.0f} s  {key}  {line.get('error') or line['sentence'][:90]}",
-            flush=True,
-        )
-    print(report([x for x in read_lines(options.output) if "error" not in x]))
-
-
 if __name__ == "__main__":
-    main()
+    run_each(__doc__, RESULTS, KINDS, answer, report)
