@@ -226,7 +226,7 @@ class PeriodogramPeak:
 
     @property
     def law(self) -> str:
-        """The formula to add."""
+        """The formula to add to the model, for the option --add."""
         return f"casing: k*cos({self.rate:.5g}*t + phi)"
 
 

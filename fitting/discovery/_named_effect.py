@@ -158,7 +158,10 @@ _OWN_SPEED = dict(GYROSCOPE.sites) | {"factor": "delta"}
 
 
 def _variable(effect: Effect, mechanism: Mechanism = GYROSCOPE) -> str:
-    """Return the only variable of a law; time if it has several or a state, the speed of its body if it has none."""
+    """Return the variable of a law: its speed, or the speed of its body or joint if it has none.
+
+    The variable is time for a law of time, of several speeds, with a state, or with an input.
+    """
     names = symbols(effect.expression) - {p.symbol for p in effect.parameters}
     motion = dict(mechanism.sites)
     speeds = names & {*motion.values()}

@@ -143,7 +143,7 @@ class Torques:
         return float(bodies.sum() / whole.sum()), float(np.sqrt(bodies.max()))
 
     def of_angle(self, named: Fit) -> float:
-        """Return the rms of the torques of the angle that a fit leaves, on the body with more of them [N m]."""
+        """Return the rms of the unexplained torques of the angle [N m], of the body with the larger one."""
         bodies = np.zeros(len(self._mechanism.bodies))
         explained = self._difference(named)
         for (_, harmonics), (_, fitted) in zip(self.unmodelled, explained, strict=True):
@@ -284,7 +284,11 @@ def smooth_law(
     high: float,
     mechanism: Mechanism = GYROSCOPE,
 ) -> Effect:
-    """Return a cubic spline of a speed between two values [rad/s], as an effect that represents any smooth law."""
+    """Return an effect whose law is a cubic spline of a speed.
+
+    The spline has these powers of the speed and `_INNER_KNOTS` knots between `low` and `high` [rad/s]; it represents
+    any smooth law.
+    """
     x = f"(({speed} - {low!r})/{high - low!r})"
     knots = np.linspace(0, 1, _INNER_KNOTS + 2)[1:-1].tolist()
     terms = [f"{x}**{p}" if p else "1.0" for p in powers] + [f"abs({x} - {k!r})**3" for k in knots]

@@ -165,7 +165,7 @@ def _of_the_measured_motion(
 
 
 def _is_filmed(times: Array, data: CaseData, body: str) -> NDArray[np.bool_]:
-    """Return which times are within the recording of a body; of the rotor, from its first window to its last."""
+    """Return a mask of the times within the recording of a body; for the rotor, from the first window to the last."""
     runs = next(b.series for b in data.record.bodies if b.part == body)
     first = min(float(r.time[0]) for r in runs)
     last = max(float(r.time[-1]) for r in runs)

@@ -191,7 +191,7 @@ class Model:
         return self.with_only(_holding(e, held) for e in self.effects)
 
     def of_bodies(self, bodies: Set[str]) -> Model:
-        """Return the model of the effects that act on, and depend on, no other bodies of the library."""
+        """Return the model of the effects that act on, and depend on, these bodies of the library only."""
         return self.with_only(e for e in self.effects if e.bodies <= bodies)
 
     @cached_property

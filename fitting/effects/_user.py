@@ -335,7 +335,10 @@ def _hint(mechanism: Mechanism) -> str:
 
 
 def drive(site: str, name: str, unit: str, mechanism: Mechanism = GYROSCOPE) -> Effect:
-    """Return the torque on a body that is proportional to a recorded input, ``casing.input.current`` for example."""
+    """Return the torque on a body or joint proportional to a recorded input, for example ``casing.input.current``.
+
+    `unit` is the unit of the input.
+    """
     between = "the bodies" if mechanism == GYROSCOPE else f"the bodies of {site}"
     where = f"between {between}" if site in mechanism.joints else f"on the {site}"
     return at_site(
@@ -358,7 +361,7 @@ def drive(site: str, name: str, unit: str, mechanism: Mechanism = GYROSCOPE) -> 
 
 
 def dead_time(name: str, unit: str, mechanism: Mechanism = GYROSCOPE) -> Effect:
-    """Return the dead time after which a recorded input acts, ``input.current.delay`` for example."""
+    """Return the dead time after which a recorded input acts, for example ``input.current.delay``."""
     return Effect(
         f"input.{name}.delay",
         "input",
@@ -373,7 +376,7 @@ def dead_time(name: str, unit: str, mechanism: Mechanism = GYROSCOPE) -> Effect:
 
 
 def drives(inputs: Mapping[str, str] | Sequence[Any], mechanism: Mechanism = GYROSCOPE) -> tuple[Effect, ...]:
-    """Return the effects of recorded inputs: torques proportional to each, on and between bodies, and dead times."""
+    """Return the effects of recorded inputs: a proportional torque on each body and joint, and a dead time."""
     units, sites = units_of_inputs(inputs).items(), (*mechanism.bodies, *mechanism.joints)
     return (
         *(drive(s, n, u, mechanism) for n, u in units for s in sites),
