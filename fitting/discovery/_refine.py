@@ -31,6 +31,7 @@ from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise
 from fitting.inference._oscillation import are_smooth
 from fitting.inference._result import Fit
+from fitting.inference._speed_residuals import holds_moving_body
 from fitting.inference._trace import attempt, with_purpose
 
 Array = NDArray[np.float64]
@@ -170,14 +171,17 @@ def scores_mislead(base: Fit, criteria: Criteria) -> bool:
     return not base.model.restoring and any(e.inputs for e in base.model.effects) and base.fails(criteria)
 
 
-def joints_without_law(base: Fit) -> set[str]:
-    """Return the names of the joints of the recordings on which no law of a model acts.
+def is_far_from_the_motion(base: Fit, criteria: Criteria) -> bool:
+    """Return whether a model fails because it holds a body that moves, or has no law of a joint of two bodies.
 
-    Without a joint's torque the motion of both bodies is so wrong that the score of each law of the joint is
-    meaningless.
+    Oscillating bodies, which friction holds again and again, are excluded.
     """
-    present = {e.site for e in base.model.effects}
-    return {joint for d in base.problem.data for joint in d.record.joints} - present
+    if base.model.restoring or not base.fails(criteria):
+        return False
+    joints = {joint for d in base.problem.data for joint in d.record.joints}
+    if joints - {e.site for e in base.model.effects}:
+        return True
+    return any(holds_moving_body(base, i) for i in range(len(base.problem.data)))
 
 
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:

@@ -26,7 +26,7 @@ from fitting.inference._noise import TorqueNoise, TorqueResponse, decaying_sums,
 from fitting.inference._problem import Projection
 from fitting.inference._record import speeds
 from fitting.inference._result import Fit
-from fitting.inference._speed_residuals import modelled_speed
+from fitting.inference._speed_residuals import holds_moving_body, modelled_speed
 
 Array = NDArray[np.float64]
 
@@ -118,18 +118,15 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     # angles of thousands of turns: if the constant is not removed first, rounding is as large as a torque
     weighted = inverse @ orthogonal_to(orthonormal(nuisance, _RANK), residual[smooth])
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
-    held = np.asarray(prediction.motion.moving(response.centres) == 0)
     curves = []
     for body in (b.part for b in data.record.bodies):
         mean = level**2 * cross[body].T @ weighted
         reduction = level**4 * np.einsum("ic,ij,jc->c", cross[body], inverse, cross[body], optimize=True)
         # where the data determine the torque almost completely, the difference of variances is rounding
         sigma = np.sqrt(np.maximum(level**2 - reduction, (_FLOOR * level) ** 2))
-        if body == data.record.mechanism.main and held.any():
-            speed, torque, u = _of_the_measured_motion(fit, index, response.centres, y, time)
-            if np.mean(held & (np.abs(speed) > _MOVES * np.abs(speed).max())) > _SHORTEST:
-                # a model in which friction holds a body that moves has no linear response to a torque
-                y[:, MAIN], mean, sigma = speed, torque, np.hypot(u, noise.pure)
+        if body == data.record.mechanism.main and holds_moving_body(fit, index):
+            y[:, MAIN], mean, u = _of_the_measured_motion(fit, index, response.centres, y, time)
+            sigma = np.hypot(u, noise.pure)
         filmed = _is_filmed(response.centres, data, body)
         values = (v[filmed] for v in (response.centres, mean, sigma, y[:, 0], y[:, MAIN]))
         curves.append(ResidualTorque(data.record.label, body, *values))
@@ -188,9 +185,6 @@ def _inverse_without_nuisance(covariance: Array, nuisance: Array) -> Array:
     return np.asarray(inverse - weighted @ np.linalg.pinv(columns.T @ weighted, hermitian=True) @ weighted.T)
 
 
-_MOVES = 0.01
-"""Share of the largest speed above which a measured body moves [1]. Chosen: a smaller value takes noise at rest for a
-motion, a larger one overlooks a slow motion that the model excludes."""
 _RANK = 1e-6
 """Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
 rounding, a larger one ignores some nuisance columns."""

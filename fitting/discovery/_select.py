@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
@@ -30,7 +30,7 @@ from fitting.discovery._refine import (
     fit_from_scratch,
     has_less_process_noise,
     initial_values_of,
-    joints_without_law,
+    is_far_from_the_motion,
     refined,
     refit,
     refitted_at,
@@ -171,13 +171,9 @@ def rank(
             for w, c in zip(chosen, found, strict=True)
         ]
         chosen = [w or a for w, a in zip(chosen, afresh, strict=True)]
-    uncoupled = joints_without_law(base) if base.fails(criteria) else set()
-    if uncoupled:
-        coupling = [
-            c.effect.mechanical and c.effect.site in uncoupled and not c.screened.absorbed for c in found
-        ]
-        chosen = [w or needed for w, needed in zip(chosen, coupling, strict=True)]
-        afresh = [a or needed for a, needed in zip(afresh, coupling, strict=True)]
+    elif is_far_from_the_motion(base, criteria):
+        near = _nearest(base, [c.effect for c in found if c.effect.mechanical], criteria)
+        chosen = afresh = [c.effect.name in near[: criteria.refit_most] for c in found]
     if base.model.restoring:
         # over many periods a refit takes long, and the refit of a law with a small score is degenerate
         most = criteria.refit_oscillation_p
@@ -188,9 +184,7 @@ def rank(
     if restoring_only:
         possible = possible_restoring(base.model, effects, data, criteria)
         if possible is None:
-            error = {e.name: equation_error(base.model.with_effect(e), data) for e in effects}
-            most = criteria.equation_error * min(error.values(), default=math.inf)
-            possible = {name for name, value in error.items() if value <= most}
+            possible = {*_nearest(base, effects, criteria)}
         chosen = [c.effect.name in possible for c in found]
         found = [
             c if w else replace(c, score=0.0, p_value=1.0, significant=False)
@@ -215,6 +209,13 @@ def rank(
         if starts_are_unknown(data):
             found.append(_start_candidate(base, family, criteria))
     return ordered(found, criteria)
+
+
+def _nearest(base: Fit, effects: Iterable[Effect], criteria: Criteria) -> list[str]:
+    """Return the names of the effects with which the equations of motion describe the measured speeds best."""
+    error = {e.name: equation_error(base.model.with_effect(e), base.problem.data) for e in effects}
+    most = criteria.equation_error * min(error.values(), default=math.inf)
+    return sorted((name for name, value in error.items() if value <= most), key=lambda name: error[name])
 
 
 def _start_candidate(base: Fit, family: FamilywiseNull, criteria: Criteria) -> Candidate:

@@ -72,6 +72,26 @@ def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Arra
     return value, np.sqrt(np.maximum(variance, 0.0))
 
 
+_MOVES = 0.01
+"""Share of the largest speed above which a measured body moves [1]. Chosen: a smaller value takes noise at rest for a
+motion, a larger one overlooks a slow motion that the model excludes."""
+_HELD = 0.01
+"""Smallest share of the times at which friction holds a moving body in a model that is far from the motion [1]. Chosen:
+a smaller value excludes a rest that begins a little too early, a larger one accepts a wrong rest."""
+
+
+def holds_moving_body(fit: Fitted, case: int) -> bool:
+    """Return whether friction holds the main body in a model for a part of the record in which the body moves.
+
+    The motion of such a model has no linear response to a torque, so that scores and unmodelled torques about it are
+    meaningless.
+    """
+    times, speeds = fit.problem.data[case].initial_speeds
+    speed = np.abs(speeds[:, CASING])
+    held = fit.predictions[case].motion.moving(times) == 0
+    return bool(np.mean(held & (speed > _MOVES * speed.max())) > _HELD)
+
+
 _PARTS = {"casing": 2, "rotor": 5}
 """Parts of a block over which a residual speed is averaged, by body [1]. Chosen: fewer blur residuals, more are noisy;
 a window of the rotor is one block."""

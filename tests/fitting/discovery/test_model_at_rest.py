@@ -1,5 +1,7 @@
 """The unmodelled torque on a body that moves while friction holds it in the model."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from cases import shared
@@ -7,6 +9,7 @@ from cases import shared
 import fitting.discovery._residuals as module
 from fitting import Case, fit
 from fitting.discovery._residuals import residual_torques
+from fitting.inference import _speed_residuals as speed_residuals
 
 INERTIA, FRICTION, DECAY = 2e-3, 5e-3, 30.0
 
@@ -37,21 +40,32 @@ def test_the_torque_is_that_of_the_measured_motion(quantity):
 
 
 @pytest.mark.parametrize(
-    ("speed", "more", "used"),
-    [(1.01 * module._MOVES, 1, True), (0.99 * module._MOVES, 1, False), (-1.0, 1, True), (1.0, 0, False)],
+    ("speed", "held", "wrong"),
+    [
+        (1.01 * speed_residuals._MOVES, 9, True),
+        (0.99 * speed_residuals._MOVES, 9, False),
+        (-1.0, 9, True),
+        (1.0, 2, True),
+        (1.0, 1, False),
+        (1.0, 0, False),
+    ],
 )
-def test_a_body_that_rests_as_in_the_model_has_a_linear_response(monkeypatch, speed, more, used):
-    """The body moves with `speed`, relative to its largest, for 1 % of the record after it rests in the model."""
+def test_a_model_that_holds_a_moving_body(speed, held, wrong):
+    """100 times, the last ones of them held in the model; the speed before is 1."""
+    times = np.arange(100.0)
+    moving = (times < 100 - held).astype(float)
+    speeds = np.column_stack([np.full(100, 50.0), np.where(moving, 1.0, speed)])
+    prediction = SimpleNamespace(motion=SimpleNamespace(moving=lambda t: moving[t.astype(int)]))
+    problem = SimpleNamespace(data=[SimpleNamespace(initial_speeds=(times, speeds))])
+    fitted = SimpleNamespace(problem=problem, predictions=[prediction])
+    assert speed_residuals.holds_moving_body(fitted, 0) is wrong
 
-    def measured(fit, index, times, y, width):
-        values = np.where(y[:, 1] == 0, 0.0, 1.0)
-        moving = int(module._SHORTEST * len(times)) + more
-        values[np.flatnonzero(y[:, 1] == 0)[:moving]] = speed
-        return values, np.full(len(times), 7.0), np.ones(len(times))
 
-    monkeypatch.setattr(module, "_of_the_measured_motion", measured)
+def test_a_body_that_rests_as_in_the_model_has_a_linear_response(monkeypatch):
+    monkeypatch.setattr(module, "holds_moving_body", lambda fit, index: False)
+    monkeypatch.setattr(module, "_of_the_measured_motion", None)
     (curve,) = residual_torques(held("omega"))
-    assert bool((curve.torque == 7.0).all()) is used
+    assert (curve.omega_c == 0).any()
 
 
 def test_a_body_that_never_rests_in_the_model_has_a_linear_response(monkeypatch):

@@ -171,6 +171,33 @@ class TestRestart:
         assert (restarted_from(found, other) is found) is not taken
 
 
+class TestFarFromTheMotion:
+    @pytest.mark.parametrize(
+        ("holds", "joints", "law", "fails", "far"),
+        [
+            (True, (), "casing.air.linear", True, True),
+            (True, (), "casing.air.linear", False, False),
+            (False, (), "casing.air.linear", True, False),
+            (False, ("bearing",), "casing.air.linear", True, True),
+            (False, ("bearing",), "casing.air.linear", False, False),
+            (False, ("bearing",), "bearing.power", True, False),
+            (False, ("bearing", "belt"), "bearing.power", True, True),
+        ],
+    )
+    def test_a_held_body_or_a_joint_without_a_law(self, monkeypatch, holds, joints, law, fails, far):
+        monkeypatch.setattr(module, "holds_moving_body", lambda fit, case: holds and case == 1)
+        data = [SimpleNamespace(record=SimpleNamespace(joints=joints))] * 2
+        model = SimpleNamespace(effects=(LIBRARY[law],), restoring=False)
+        base = SimpleNamespace(
+            model=model,
+            problem=SimpleNamespace(data=data),
+            fails=lambda criteria: criteria is DEFAULT and fails,
+        )
+        assert module.is_far_from_the_motion(base, DEFAULT) is far
+        model.restoring = True
+        assert not module.is_far_from_the_motion(base, DEFAULT)
+
+
 class TestRefit:
     """The refit of a candidate with a score of 50, from a base with a deviance of 100."""
 

@@ -424,31 +424,39 @@ class TestRank:
             {"camera.clock"} & set(refits)
         )
 
-    @pytest.mark.parametrize(
-        ("law", "joints", "fails", "afresh"),
-        [
-            ("casing.air.quadratic", ("bearing",), True, True),
-            ("casing.air.quadratic", ("bearing",), False, False),
-            ("casing.air.quadratic", (), True, False),
-            ("bearing.linear", ("bearing",), True, False),
-        ],
-    )
-    def test_laws_of_a_joint_without_a_law_are_fitted_from_scratch(
-        self, monkeypatch, law, joints, fails, afresh
-    ):
-        recorded = data()
-        recorded.record.joints = joints
-        problem = SimpleNamespace(data=[recorded], cases=[1], layout=SimpleNamespace(records=[1]))
-        base = Found(model=Model((LIBRARY[law],)), problem=problem, wrong=fails)
-        bearing = ("bearing.constant", "bearing.power", "bearing.quadratic")
-        small = {"casing.air.laminar", "camera.clock", *bearing[1:]}
-        scores = {LIBRARY[n]: 0.0 if n in small else 1e6 for n in (*bearing, "casing.air.laminar")}
-        scores |= {LIBRARY[f"rotor.air.{n}"]: 1e6 for n in ("linear", "quadratic", "disk")}
-        scores |= {LIBRARY["camera.clock"]: 0.0}
-        _, refits = self.ranked(monkeypatch, base, scores)
-        assert {n for n, again in self.afresh.items() if again} == (set(bearing) if afresh else set())
-        assert {*bearing} <= {*refits} if afresh else not {*bearing[1:]} & {*refits}
-        assert "casing.air.laminar" not in refits
+    @pytest.mark.parametrize("far", [True, False])
+    def test_far_from_the_motion_the_equations_of_motion_choose(self, monkeypatch, far):
+        """The scores would choose other laws."""
+        names = [f"law{i}" for i in range(DEFAULT.refit_most + 2)]
+        asked = []
+
+        def nearest(base, effects, criteria):
+            asked.extend(e.name for e in effects)
+            return ["bearing.power", *names]
+
+        monkeypatch.setattr(module, "is_far_from_the_motion", lambda base, criteria: far)
+        monkeypatch.setattr(module, "_nearest", nearest)
+        others = ("casing.air.linear", "casing.air.quadratic", "touchpoint.constant", "camera.clock")
+        scores = {LIBRARY[n]: 1e6 for n in others} | {LIBRARY["bearing.power"]: 0.0}
+        scores |= {
+            replace(DRAG, name=names[i]): 0.0 for i in (0, DEFAULT.refit_most - 2, DEFAULT.refit_most - 1)
+        }
+        self.ranked(monkeypatch, Found(), scores)
+        if far:
+            assert self.afresh == {"bearing.power": True, "law0": True, names[DEFAULT.refit_most - 2]: True}
+            assert "camera.clock" not in asked
+            assert {"bearing.power", "casing.air.linear"} <= {*asked}
+        else:
+            assert asked == []
+            assert {*others} <= {*self.afresh}
+            assert not any(self.afresh.values())
+
+    @pytest.mark.parametrize("share", [0.99, 1.01])
+    def test_the_nearest_laws_have_three_times_the_least_error_of_the_equations(self, monkeypatch, share):
+        errors = {DRAG.name: 0.2 * DEFAULT.equation_error * share, LAMINAR.name: 0.2, STEP.name: 5.0}
+        monkeypatch.setattr(module, "equation_error", lambda model, data: errors[model.names[-1]])
+        found = module._nearest(Found(), (DRAG, STEP, LAMINAR), DEFAULT)
+        assert found == ([LAMINAR.name, DRAG.name] if share < 1 else [LAMINAR.name])
 
     def test_a_rival_with_more_process_noise_is_searched_again(self, monkeypatch):
         rival, asked = candidate(LAMINAR, -60.0), []
