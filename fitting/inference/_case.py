@@ -272,8 +272,8 @@ def model_of(effects: str | Sequence[str], record: Record) -> Model:
             f"a {wrong} is not a law" if wrong else "a model needs a law",
             'write for example "air.linear" or "casing: -k*omega_c**3"',
         )
-    if len(names) == 1 and names[0] in NAMED and not record.is_chain:
-        return Model.of(names[0]).of_bodies(record.parts)
+    if len(names) == 1 and names[0] in NAMED:
+        return Model.of(names[0], record.mechanism).of_bodies(record.parts)
     # a plus within a formula belongs to it
     names = [n for e in names for n in ([e] if ":" in e else e.split("+"))]
     known = (inward(n.strip(), record.name) for n in names)

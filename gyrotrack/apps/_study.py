@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fitting.dynamics._inputs import Input
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect
+    from fitting.effects._mechanism import Mechanism
     from fitting.inference._case_data import CaseData
     from fitting.inference._prior import Prior
     from fitting.inference._result import Fit
@@ -45,6 +46,11 @@ class Study:
     data: tuple[CaseData, ...]
     ledger: Ledger
     prior: Prior | None = None
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The bodies of the cases and the joints between them."""
+        return self.data[0].record.mechanism
 
     def entry(self, fit_id: str | None) -> Entry | None:
         """Return the fit with this name, by default the latest of these cases; None if there is none.
@@ -73,7 +79,7 @@ class Study:
         """
         from fitting.dynamics._model import Model
 
-        return Model.of(names).of_bodies(self.data[0].record.parts)
+        return Model.of(names, self.mechanism).of_bodies(self.data[0].record.parts)
 
     def steps_to(self, fit_id: str | None) -> list[Step]:
         """Return the history that ends with a fit (by default the latest), oldest first.
@@ -526,7 +532,7 @@ class FitRequest:
         if not path.is_file():
             what = f"Unknown model {name[:60]!r}."
             raise UsageError(what, f"Models: {', '.join(_NAMED)}, or the name of a TOML file.")
-        return read_model(path, self.own, study.data[0].record.inputs)
+        return read_model(path, self.own, study.data[0].record.inputs, study.mechanism)
 
 
 def changed(
@@ -537,7 +543,7 @@ def changed(
 
     known = {e.name: e for e in own}
     for name in add:
-        effect = known.get(name) or resolve(name, inputs)
+        effect = known.get(name) or resolve(name, inputs, model.mechanism)
         model = model if effect.name in model.names else model.with_effect(effect)
     for name in drop:
         model = model.without(name)
