@@ -135,8 +135,8 @@ class _CaseReader:
             joint = self.reader.attributes(group, layout.JOINT_ATTRIBUTES)
             if len(joint["bodies"]) != 2:
                 raise self.reader.fail(
-                    f"{location(group)} connects {len(joint['bodies'])} bodies.",
-                    "A joint connects two bodies.",
+                    f"{location(group)} names {len(joint['bodies'])} of two bodies.",
+                    "Give the names of both bodies.",
                 )
             if "ground" not in joint["bodies"]:
                 found.append((joint["place"], name, tuple(joint["bodies"])))

@@ -248,13 +248,10 @@ class Model:
         """The effects of the cameras on the measured angles."""
         return tuple(e for e in self.effects if not e.mechanical)
 
-    def refuse_chain(self, what: str) -> None:
+    def refuse_chain(self, what: str, instead: str) -> None:
         """Raise an EstimationError for something that is not available for bodies with joints of their own."""
         if self.mechanism != GYROSCOPE:
-            raise EstimationError(
-                f"{what} is not available for several bodies with joints",
-                "fit, diagnose and improve are",
-            )
+            raise EstimationError(f"{what} is not available for several bodies with joints", instead)
 
     def equations(self, bodies: Set[str] | None = None) -> tuple[str, ...]:
         """Return the equations of motion as LaTeX, one line for each body and one for the torque of each joint.
