@@ -81,6 +81,13 @@ class Study:
 
         return Model.of(names, self.mechanism).of_bodies(self.data[0].record.parts)
 
+    @property
+    def first_model(self) -> Model:
+        """The model of a first fit: reduced; linear for a chain, because the reduced one has the paper's bearing."""
+        from fitting.effects._library import LINEAR, REDUCED
+
+        return self.model(LINEAR if self.data[0].record.is_chain else REDUCED)
+
     def steps_to(self, fit_id: str | None) -> list[Step]:
         """Return the history that ends with a fit (by default the latest), oldest first.
 
@@ -199,13 +206,12 @@ class Study:
         fit_id : str or None
             "f1", "f2", ...
         """
-        from fitting.effects._library import REDUCED
         from fitting.inference._case_data import with_prior
         from fitting.inference._fit import fit
 
         entry = self.entry(fit_id)
         if entry is None:
-            found = fit(self.model(REDUCED), with_prior(self.data, self.prior))
+            found = fit(self.first_model, with_prior(self.data, self.prior))
             return found, self.ledger.add(found).fit_id
         if self.prior is None or self.prior == entry.prior:
             return entry.refit(self.data), entry.fit_id
@@ -509,14 +515,12 @@ class FitRequest:
 
     def _wanted(self, study: Study, start: str | None) -> tuple[Model, Entry | None]:
         """Return the model, and the entry of the ledger that the request modifies."""
-        from fitting.effects._library import REDUCED
-
         follows = self.model is None and (self.add or self.drop or start)
         entry = study.entry(start) if follows else None
         if entry is not None:
             base = entry.model
         elif self.model is None:
-            base = study.model(REDUCED)
+            base = study.first_model
         else:
             base = self._named(self.model, study)
         inputs = study.data[0].record.inputs
