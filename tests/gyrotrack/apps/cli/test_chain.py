@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 
 from fitting import Case, fit, load_fit
 from fitting.inference._case_file import read_record
-from gyrotrack import ErrorMode, read_case, write_case
+from gyrotrack import ErrorMode, UsageError, read_case, write_case
+from gyrotrack.apps.workbench._server import Laboratory
 from gyrotrack.io._contents import inspect_file
 
 INERTIA = {"motor": 2e-4, "drum": 5e-4, "wheel": 1e-3}
@@ -274,8 +275,9 @@ class TestAnswers:
         said = gyrotrack("fit", case, "--add", "lab.drag", "--effects", effects, *ledger, "--json").json
         assert said["parameters"]["lab.drag.k"]["value"] == pytest.approx(DRAG, rel=0.01)
 
-    def test_models_of_the_paper_have_a_law_for_each_body_and_joint(self, gyrotrack, case, tmp_path):
-        said = gyrotrack("fit", case, "--model", "linear", "--ledger", tmp_path / "f.json", "--json").json
+    def test_the_first_model_has_a_law_for_each_body_and_joint(self, gyrotrack, case, tmp_path):
+        # without --model the first fit of a chain is linear
+        said = gyrotrack("fit", case, "--ledger", tmp_path / "f.json", "--json").json
         assert set(said["model"]) == {
             "drum.air.quadratic", "wheel.air.quadratic", "motor.support.constant", "motor.air.linear",
             "belt.linear", "bearing2.linear",
@@ -286,14 +288,32 @@ class TestAnswers:
         assert said.code == 1
         assert "'disc' is an unknown body" in said.error["message"]
 
-    @pytest.mark.parametrize("command", ["plan"])
-    def test_what_is_not_available_says_what_to_do(self, gyrotrack, case, model, tmp_path, command):
-        ledger = ["--ledger", tmp_path / "f.json"]
-        gyrotrack("fit", case, "--model", model, *ledger)
+    @pytest.mark.parametrize(
+        ("command", "hint"),
+        [
+            ("plan", "gyrotrack diagnose states upper limits"),
+            ("laws", "fit your own laws"),
+            ("scan", "gyrotrack improve adds"),
+        ],
+    )
+    def test_what_is_not_available_says_what_to_do(self, gyrotrack, case, model, tmp_path, command, hint):
+        ledger = ["--ledger", tmp_path / "f.json"] if command != "scan" else []
+        if ledger:
+            gyrotrack("fit", case, "--model", model, *ledger)
         said = gyrotrack(command, case, *ledger, "--json")
         assert said.code == 1
         assert "not available for several bodies with joints" in said.error["message"]
-        assert said.error["hint"].startswith("gyrotrack diagnose")
+        assert said.error["hint"].startswith(hint)
+
+    def test_a_generated_curve_is_one_of_a_gyroscope(self, gyrotrack, case, tmp_path):
+        said = gyrotrack("fit", case, "--rotor", "generated", "--ledger", tmp_path / "f.json", "--json")
+        assert said.code == 1
+        assert "contains no rotor" in said.error["message"]
+
+    def test_the_workbench_refuses_it(self, case, tmp_path):
+        with pytest.raises(UsageError, match="does not show several bodies with joints"):
+            Laboratory.open(case, [], tmp_path / "f.json")
+        assert not (tmp_path / "f.json").exists()
 
     def test_a_fit_is_saved_and_read(self, values, tmp_path):
         law = "wheel: -c*omega_wheel*abs(omega_wheel)"
