@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,7 +67,8 @@ def case_dashboard(
     charts += [normalised_chart(view, names), energy_chart(view, steps)]
     if tracks is not None:
         charts += tracking_charts(tracks)
-    return Dashboard(view.label, tuple(charts), view.intervals)
+    # the intervals of the main body are shaded in charts of all bodies
+    return Dashboard(view.label, tuple(replace(c, body=c.body or main) for c in charts), view.intervals)
 
 
 def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
@@ -93,6 +95,7 @@ def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Char
         tuple(traces),
         finding,
         caption=caption,
+        body=body,
     )
 
 
@@ -115,6 +118,7 @@ def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> C
         residual_finding(groups, called),
         caption=f"Measured minus modelled angular velocity of the {called}, mean over {short(width, 2)} s. "
         "Grey band: ±2 σ of noise, the same for all models.",
+        body=body,
     )
 
 
@@ -207,6 +211,7 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
         caption="Unmodelled torque, inferred from the residual without assuming a law; bands: ±2 σ. Dotted "
         "(difference): torque of the final model minus that of the base model; dashed: the same for other candidates "
         "after a refit.",
+        body=body,
     )
 
 

@@ -1,6 +1,7 @@
 """A motor, a drum and a wheel on a chain of joints, from tables to answers, with recordings that SciPy integrates."""
 
 import json
+import re
 
 import h5py
 import numpy as np
@@ -338,13 +339,17 @@ class TestAnswers:
         page = tmp_path / "report.html"
         assert gyrotrack("report", case, "-o", page, *ledger).code == 0
         text = page.read_text()
-        for words in ("torque-wheel", "residual-drum", "on the motor [N m]", "moment of inertia of the drum"):
+        for words in ("torque-wheel", "residual-drum", "on the motor", "moment of inertia of the drum"):
             assert words in text
+        charts = {
+            m[0]: m[1] for m in re.findall(r'"name": ?"([a-z-]+)", ?"title".*?"body": ?"([a-z]+)"', text)
+        }
+        assert (charts["torque-wheel"], charts["drum"], charts["energy"]) == ("wheel", "drum", "motor")
         assert not [w for w in ("the rotor", "the casing", "the bearing<") if w in text]
 
     @pytest.mark.slow
     def test_an_answer_is_certified(self, gyrotrack, case, model, tmp_path):
         ledger = ["--ledger", tmp_path / "fits.json"]
         gyrotrack("fit", case, "--model", model, *ledger)
-        said = gyrotrack("certify", case, *ledger, "-n", "2", "--workers", "1", "--json").json
-        assert (said["null"]["alarms"], said["truth"]["right_first"]) == (0, 2)
+        said = gyrotrack("certify", case, *ledger, "-n", "1", "--workers", "1", "--json").json
+        assert (said["null"]["alarms"], said["truth"]["right_first"]) == (0, 1.0)
