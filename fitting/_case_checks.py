@@ -6,7 +6,8 @@ Each returns a `Defect`, the sentence and the hint of an error, or None.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,22 @@ slow, a smaller one refuses recordings of many windows."""
 _ROUNDING = 1e-9
 """Asymmetry and negative eigenvalues of a correlation matrix that are rounding [1]. Chosen: a smaller value refuses
 computed covariances, a larger one accepts invalid ones."""
+
+
+_BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
+# names with a meaning in the library
+_TAKEN = {
+    "rotor",
+    "casing",
+    "bearing",
+    "touchpoint",
+    "external",
+    "input",
+    "camera",
+    "setup",
+    "contact",
+    "initial",
+}
 
 
 class Defect(NamedTuple):
@@ -96,5 +113,61 @@ def defect_of_inertias(attributes: Mapping[str, Any]) -> Defect | None:
         if math.isnan(inertia):
             return Defect(f"the attribute 'I_{key}' is missing", f"give the inertia of the {name} [kg m2]")
         if defect := defect_of_inertia(name, inertia, u):
+            return defect
+    return None
+
+
+def is_body_name(name: str) -> bool:
+    """Return whether a text can name a single body: an identifier without a meaning in the library."""
+    return name not in _TAKEN - {"casing"} and _BODY_NAME.fullmatch(name) is not None
+
+
+def defect_of_joints(names: Sequence[str], joints: Mapping[str, Sequence[str]]) -> Defect | None:
+    """Check the names of several bodies, and the joints that connect all of them."""
+    if len(names) < 2:
+        return Defect(f"a joint connects two bodies, but {names[0]} is the only one", "leave joints out")
+    if not joints:
+        return Defect(
+            f"no joint connects the bodies {', '.join(names)}", "state which bodies each joint connects"
+        )
+    wrong = next(
+        (n for n in (*names, *joints) if not isinstance(n, str) or n == "casing" or not is_body_name(n)), None
+    )
+    if wrong is not None:
+        return Defect(
+            f"{str(wrong)[:40]!r} cannot be the name of a body or a joint: laws have a meaning for it",
+            "choose another name, for example wheel or belt",
+        )
+    if len({*names, *joints}) < len(names) + len(joints):
+        return Defect("a body and a joint have the same name", "give each its own name")
+    for joint, (first, second) in joints.items():
+        if first not in names or second not in names or first == second:
+            return Defect(
+                f"the joint {joint} is between {str(first)[:30]} and {str(second)[:30]}",
+                f"name two of the bodies {', '.join(names)}",
+            )
+    reached = {names[0]}
+    for _ in names:
+        reached |= {body for pair in joints.values() if reached & {*pair} for body in pair}
+    loose = [n for n in names if n not in reached]
+    if loose:
+        return Defect(
+            f"no joint connects {loose[0]} to {names[0]}",
+            "bodies without a common joint are separate cases",
+        )
+    return None
+
+
+def defect_of_chain(
+    inertias: Mapping[str, tuple[float, float]], joints: Mapping[str, Sequence[str]]
+) -> Defect | None:
+    """Check several bodies: their joints, and the moment of inertia of each with its uncertainty [kg m2]."""
+    if defect := defect_of_joints([*inertias], joints):
+        return defect
+    for name, (value, u) in inertias.items():
+        if math.isnan(value):
+            what = f"{name} has no inertia: torques between bodies follow from the ratios of their inertias"
+            return Defect(what, f"give the inertia of the {name} [kg m2]")
+        if defect := defect_of_inertia(name, value, u):
             return defect
     return None

@@ -224,11 +224,17 @@ CASE_ATTRIBUTES = (
         "bodies",
         str,
         "",
-        "two, or one (a single body, stored as the casing)",
+        "two, one (a single body, stored as the casing), or chain (several in `/body`, with joints)",
         "two",
-        choices=("two", "one"),
+        choices=("two", "one", "chain"),
     ),
-    Attribute("body_name", str, "", "name of a single body, for example wheel; empty without one", ""),
+    Attribute(
+        "body_name",
+        str,
+        "",
+        "name of a single body or of the first one of a chain, for example wheel; empty without one",
+        "",
+    ),
 )
 
 PLACEMENT_ATTRIBUTES = (
@@ -254,7 +260,7 @@ FUSED = Table(
         Field("time", _T, "s", "time on the clock of the case"),
         Field("value", _T, "rad or rad s-1", "angle, or angular velocity"),
         Field("u", _T, "rad or rad s-1", "white standard uncertainty of the value"),
-        Field("segment", _T, "1", "clip that the sample came from; only of a rotor", "i8", optional=True),
+        Field("segment", _T, "1", "clip or window of the sample; not of the first body", "i8", optional=True),
     ),
     signal="value",
     attributes=(
@@ -288,7 +294,7 @@ CASE_BODY_ATTRIBUTES = (
         "role",
         str,
         "",
-        "casing, rotor, or body (a single one)",
+        "casing, rotor, or body (a single one, or one of a chain)",
         "body",
         choices=("casing", "rotor", "body"),
     ),
@@ -297,6 +303,9 @@ CASE_BODY_ATTRIBUTES = (
     ),
     Attribute(
         "inertia_u", float, "kg m2", "standard uncertainty of the inertia; absent if not given", math.nan
+    ),
+    Attribute(
+        "place", int, "", "number of the body in a chain; 0 is the first one, which may come to rest", 0
     ),
 )
 CLOCK = Table(
@@ -309,6 +318,7 @@ CLOCK = Table(
 JOINT_ATTRIBUTES = (
     Attribute("bodies", list, "", "names of its two bodies, or of one and `ground`"),
     Attribute("kind", str, "", "bearing, or contact", choices=("bearing", "contact")),
+    Attribute("place", int, "", "number of the joint in a chain", 0),
 )
 
 # all tables of a case with their paths, for docs/reference/format.md

@@ -23,7 +23,6 @@ from fitting._files import Files, flush, lock_file, new_part, publish
 from fitting._numbers import TORQUE, to_json
 from fitting.effects._effect import Effect
 from fitting.effects._library import LIBRARY
-from fitting.effects._mechanism import GYROSCOPE
 
 
 def _ledger_error(what: str, hint: str) -> LedgerError:
@@ -124,6 +123,7 @@ class MetricsDocument(Document):
     casing: BodyDocument
     rotor: BodyDocument
     energy_drift: Number
+    further: list[BodyDocument] = []
     chi2_per_row: Number = Field(validation_alias=AliasChoices("chi2_per_row", "misfit"))
     # the default is for fits that were stored without it
     rows: int = Field(1000, validation_alias=AliasChoices("rows", "misfit_rows"))
@@ -636,15 +636,7 @@ class SavedFitDocument(Document):
 
 
 def own_effects(effects: Iterable[Effect]) -> list[Effect]:
-    """Return the effects that are not, or not in this form, in the library.
-
-    A LedgerError is raised for laws of several bodies with joints, which the documents do not describe.
-    """
-    effects = tuple(effects)
-    if named := next((e.name for e in effects if e.mechanism != GYROSCOPE), None):
-        raise LedgerError(
-            f"{named}: a fit of several bodies with joints cannot be stored", "keep the script that made it"
-        )
+    """Return the effects that are not, or not in this form, in the library, as are the laws of a chain of bodies."""
     return [e for e in effects if LIBRARY.get(e.name) != e]
 
 

@@ -1,15 +1,16 @@
 """The reader of a case file, layout 1 or 2, for both packages.
 
 `/casing` and `/rotor` are those of layout 1, which older scripts read and change: where they exist, their values count.
-A file without them has its series in `/body`. Clocks, inputs and error modes are read from the same places in both.
+A file without them has its series in `/body`, as a chain of bodies always has. Clocks, inputs and error modes are read
+from the same places in both.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from fitting import _case_format as layout
 from fitting._case_checks import (
     Defect,
+    defect_of_chain,
     defect_of_clock,
     defect_of_inertia,
     defect_of_inertias,
@@ -53,6 +55,7 @@ class StoredSeries:
     columns: dict[str, Any]  # arrays of `/casing` or `/rotor`; empty if the file has none
     stated: dict[str, Any]  # attributes of `layout.SERIES`
     modes: tuple[StoredMode, ...]
+    inertia: tuple[float, float] = (math.nan, math.nan)  # with its uncertainty [kg m2], of a body of a chain
 
 
 @dataclass(frozen=True)
@@ -60,10 +63,21 @@ class StoredCase:
     """The contents of a case file, except its recordings."""
 
     attributes: dict[str, Any]  # of `layout.CASE_ATTRIBUTES`
-    casing: StoredSeries  # or the single body
-    rotor: StoredSeries | None
+    casing: StoredSeries  # or the single body, or the first body of a chain
+    others: tuple[StoredSeries, ...]  # the rotor, or the other bodies of a chain
     inputs: dict[str, dict[str, Any]]  # datasets and attributes of `layout.INPUT` by name
     start_u: dict[str, float]  # standard uncertainty of the start of each clip by name [s]
+    joints: dict[str, tuple[str, ...]] = field(
+        default_factory=dict
+    )  # the two bodies of each joint of a chain
+
+
+class _Body(NamedTuple):
+    """A group in `/body`, and the attributes of `layout.CASE_BODY_ATTRIBUTES`."""
+
+    name: str
+    group: Any
+    stated: dict[str, Any]
 
 
 def read_stored_case(file: Any, reader: Reader, *, every_column: bool = False) -> StoredCase:
@@ -81,39 +95,65 @@ class _CaseReader:
 
     def case(self) -> StoredCase:
         bodies = self._bodies()
-        has_casing = bodies is None or "casing" in self.file.keys()  # noqa: SIM118 - `in file` follows links
-        attributes, series = self._of_casing(bodies or {}) if has_casing else self._of_bodies(bodies or {})
+        has_casing = "casing" in self.file.keys()  # noqa: SIM118 - `in file` follows links
+        joints = self._joints() if bodies and _is_chain(bodies) else {}
+        of_casing = bodies is None or (has_casing and not _is_chain(bodies))
+        attributes, series = self._of_casing(bodies or []) if of_casing else self._of_bodies(bodies or [])
+        if len(series) > 1 and attributes["bodies"] == "chain":
+            self._refuse(self.file.filename, defect_of_chain({s.name: s.inertia for s in series}, joints))
         self._refuse(self.file.filename, defect_of_inertias(attributes))
         if "label" not in self.file.attrs:
             attributes["label"] = Path(self.file.filename).stem
-        return StoredCase(attributes, *series, self._inputs(), self._start_u())
+        return StoredCase(attributes, series[0], tuple(series[1:]), self._inputs(), self._start_u(), joints)
 
-    def _bodies(self) -> dict[str, tuple[str, Any]] | None:
-        """Return name and group of each body in `/body` by its role; None without `/body`."""
+    def _bodies(self) -> list[_Body] | None:
+        """Return the bodies in `/body`, the main one first; None without `/body`."""
         if "body" not in self.file.keys():  # noqa: SIM118 - `in file` follows links
             return None
-        found = self.reader.members(self.file, "body")
-        bodies = {
-            self.reader.attributes(group, layout.CASE_BODY_ATTRIBUTES)["role"]: (name, group)
-            for name, group in found
-        }
-        known = bodies.keys() in ({"body"}, {"casing"}, {"casing", "rotor"})
-        if not known or len(bodies) < len(found):
-            roles = ", ".join(sorted(bodies)) or "(none)"
+        bodies = [
+            _Body(name, group, self.reader.attributes(group, layout.CASE_BODY_ATTRIBUTES))
+            for name, group in self.reader.members(self.file, "body")
+        ]
+        roles = sorted(b.stated["role"] for b in bodies)
+        if roles not in (["casing"], ["casing", "rotor"]) and {*roles} != {"body"}:
             raise self.reader.fail(
-                f"{self.file.filename} has bodies of the roles {roles}.",
-                "A case has one body, or one casing and one rotor.",
+                f"{self.file.filename} has bodies of the roles {', '.join(roles) or '(none)'}.",
+                "A case has one body, one casing and one rotor, or several of the role body with joints.",
             )
-        # a single body is stored as the casing
-        return {"casing" if role == "body" else role: body for role, body in bodies.items()}
+        places = [b.stated["place"] for b in bodies]
+        if _is_chain(bodies) and len({*places}) < len(places):
+            raise self.reader.fail(
+                f"{self.file.filename} has two bodies of the same place.",
+                "Number the bodies with the attribute 'place', from 0 for the one that may come to rest.",
+            )
+        return sorted(bodies, key=lambda b: (b.stated["role"] == "rotor", b.stated["place"]))
 
-    def _of_casing(
-        self, bodies: dict[str, tuple[str, Any]]
-    ) -> tuple[dict[str, Any], tuple[StoredSeries, StoredSeries | None]]:
+    def _joints(self) -> dict[str, tuple[str, ...]]:
+        """Return the two bodies of each joint of a chain by name; joints with the ground are left out."""
+        found = []
+        for name, group in self.reader.members(self.file, "joint", optional=True):
+            joint = self.reader.attributes(group, layout.JOINT_ATTRIBUTES)
+            if len(joint["bodies"]) != 2:
+                raise self.reader.fail(
+                    f"{location(group)} names {len(joint['bodies'])} of two bodies.",
+                    "Give the names of both bodies.",
+                )
+            if "ground" not in joint["bodies"]:
+                found.append((joint["place"], name, tuple(joint["bodies"])))
+        return {name: bodies for _, name, bodies in sorted(found)}
+
+    def _of_casing(self, bodies: list[_Body]) -> tuple[dict[str, Any], list[StoredSeries]]:
         """Return the attributes and the series of a file with `/casing`."""
         self.reader.child_group(self.file, "casing")
         attributes = self.reader.attributes(self.file, layout.CASE_ATTRIBUTES)
+        if attributes["bodies"] == "chain":
+            raise self.reader.fail(
+                f"{self.file.filename} lacks the bodies of its chain.",
+                "The file is not complete; create it again.",
+            )
         value, u = layout.MEASURED[attributes["quantity"]]
+        # a single body is stored as the casing
+        groups = {"rotor" if b.stated["role"] == "rotor" else "casing": b.group for b in bodies}
 
         def series(name: str, shown: str, table: layout.Table) -> StoredSeries:
             group = self.reader.child_group(self.file, name)
@@ -123,22 +163,20 @@ class _CaseReader:
             segment = columns.get("window", np.zeros(len(time), dtype=np.int64))
             stated = self.reader.attributes(group, table.attributes)
             measured = _is_measured(time, columns[value])
-            modes = self._modes(self._fitted(bodies[name][1]), measured) if name in bodies else ()
+            modes = self._modes(self._fitted(groups[name]), measured) if name in groups else ()
             return StoredSeries(shown, time, columns[value], columns[u], segment, columns, stated, modes)
 
         casing = series("casing", attributes["body_name"], layout.SERIES)
         if attributes["bodies"] == "two":
-            return attributes, (casing, series("rotor", "rotor", layout.WINDOWED))
+            return attributes, [casing, series("rotor", "rotor", layout.WINDOWED)]
         if math.isnan(attributes["I_rotor"]):
             attributes["I_rotor"] = 1.0
-        return attributes, (casing, None)
+        return attributes, [casing]
 
-    def _of_bodies(
-        self, bodies: dict[str, tuple[str, Any]]
-    ) -> tuple[dict[str, Any], tuple[StoredSeries, StoredSeries | None]]:
+    def _of_bodies(self, bodies: list[_Body]) -> tuple[dict[str, Any], list[StoredSeries]]:
         """Return the attributes and the series of a file with bodies alone."""
-        quantities, found, inertias = set(), {}, {"I_rotor": 1.0, "I_rotor_u": math.nan}
-        for role, (name, body) in bodies.items():
+        quantities, found = set(), []
+        for name, body, of_body in bodies:
             group = self._fitted(body)
             # the hint of the table is not specific
             quantity = self.reader.attribute(group, "quantity", str, "angle")
@@ -154,31 +192,34 @@ class _CaseReader:
             time, value, u = (columns[key] for key in ("time", "value", "u"))
             segment = columns.get("segment", np.zeros(len(time), dtype=np.int64))
             modes = self._modes(group, _is_measured(time, value))
-            found[role] = StoredSeries(name, time, value, u, segment, {}, stated, modes)
-            of_body = self.reader.attributes(body, layout.CASE_BODY_ATTRIBUTES)
-            inertias |= {f"I_{role}": of_body["inertia"], f"I_{role}_u": of_body["inertia_u"]}
+            inertia = of_body["inertia"], of_body["inertia_u"]
+            shown = name if of_body["role"] == "body" else of_body["role"]
+            found.append(StoredSeries(shown, time, value, u, segment, {}, stated, modes, inertia))
             if "inertia" in body.attrs:
-                inertia, u = of_body["inertia"], of_body["inertia_u"]
-                defect = defect_of_inertia(name, inertia, u, optional=role == "casing" and len(bodies) == 1)
+                defect = defect_of_inertia(name, *inertia, optional=len(bodies) == 1)
                 self._refuse(self.file.filename, defect)
         if len(quantities) > 1:
             raise self.reader.fail(
                 f"{self.file.filename} has speeds of one body and angles of the other.",
                 "Store the same quantity of both.",
             )
-        single = "rotor" not in found
+        gyroscope, chain = bodies[-1].stated["role"] == "rotor", _is_chain(bodies)
+        rotor = found[1].inertia if gyroscope else (1.0, math.nan)
         derived = {
-            **inertias,
+            "I_casing": found[0].inertia[0],
+            "I_casing_u": found[0].inertia[1],
+            "I_rotor": rotor[0],
+            "I_rotor_u": rotor[1],
             "quantity": quantities.pop(),
-            "per_inertia": int(any(math.isnan(inertias[f"I_{role}"]) for role in found)),
-            "bodies": "one" if single else "two",
-            "body_name": found["casing"].name if single else "",
+            "per_inertia": int(any(math.isnan(s.inertia[0]) for s in found)),
+            "bodies": "two" if gyroscope else "chain" if chain else "one",
+            "body_name": "" if gyroscope else found[0].name,
         }
-        if single and derived["per_inertia"]:
+        if len(found) == 1 and derived["per_inertia"]:
             derived["I_casing"] = 1.0
         stored = [a for a in layout.CASE_ATTRIBUTES if a.key not in derived]
         attributes = {**self.reader.attributes(self.file, stored), **derived}
-        return attributes, (found["casing"], found.get("rotor"))
+        return attributes, found
 
     def _refuse(self, place: str, defect: Defect | None) -> None:
         """Raise the error of a defect, if there is one."""
@@ -230,3 +271,8 @@ class _CaseReader:
 def _is_measured(time: Array, value: Array) -> Any:
     """Return the mask of the samples with a value."""
     return np.isfinite(time) & np.isfinite(value)
+
+
+def _is_chain(bodies: list[_Body]) -> bool:
+    """Return whether the bodies have joints of their own, unlike a single body or those of a gyroscope."""
+    return len(bodies) > 1 and bodies[0].stated["role"] == "body"

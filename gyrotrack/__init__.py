@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from gyrotrack.apps.report._page import write_report
     from gyrotrack.io._contents import export_file
     from gyrotrack.io._hdf5 import read_case, read_recording, write_case, write_recording
-    from gyrotrack.io._records import BodyTrack, Case, ErrorMode, MarkerTrack, Recording, Series
+    from gyrotrack.io._records import BodyTrack, Case, ChainBody, ErrorMode, MarkerTrack, Recording, Series
     from gyrotrack.io.readers._import_case import import_body, import_case
+    from gyrotrack.io.readers._import_chain import import_chain
     from gyrotrack.plotting._ghost import Ghost, ghosts
     from gyrotrack.tracking._profile import Profile
     from gyrotrack.tracking._proposal import Proposal, propose
@@ -53,19 +54,28 @@ _MODULES = {
     "gyrotrack.io._contents": ("export_file",),
     "gyrotrack.plotting._ghost": ("Ghost", "ghosts"),
     "gyrotrack.io._hdf5": ("read_case", "read_recording", "write_case", "write_recording"),
-    "gyrotrack.io._records": ("BodyTrack", "Case", "ErrorMode", "MarkerTrack", "Recording", "Series"),
+    "gyrotrack.io._records": (
+        "BodyTrack",
+        "Case",
+        "ChainBody",
+        "ErrorMode",
+        "MarkerTrack",
+        "Recording",
+        "Series",
+    ),
     "gyrotrack.io.readers._import_case": ("import_body", "import_case"),
+    "gyrotrack.io.readers._import_chain": ("import_chain",),
     "gyrotrack.tracking._profile": ("Profile",),
     "gyrotrack.tracking._proposal": ("Proposal", "propose"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "BodyTrack", "Case", "ConfigurationError", "DatasetError", "ErrorMode", "FitRequest", "Ghost", "GyrotrackError",
-    "MarkerTrack", "OutputError", "Profile", "ProfileError", "Proposal", "Recording", "Series",
-    "SimulatedRun", "Study", "SyncError", "TrackingError", "UsageError", "VideoError", "export_file",
-    "extract", "ghosts", "import_body", "import_case", "open_study", "propose", "read", "read_case", "read_recording",
-    "sync", "write_case", "write_recording", "write_report",
+    "BodyTrack", "Case", "ChainBody", "ConfigurationError", "DatasetError", "ErrorMode", "FitRequest", "Ghost",
+    "GyrotrackError", "MarkerTrack", "OutputError", "Profile", "ProfileError", "Proposal", "Recording", "Series",
+    "SimulatedRun", "Study", "SyncError", "TrackingError", "UsageError", "VideoError", "export_file", "extract",
+    "ghosts", "import_body", "import_case", "import_chain", "open_study", "propose", "read", "read_case",
+    "read_recording", "sync", "write_case", "write_recording", "write_report",
 ]  # fmt: skip
 
 

@@ -164,7 +164,10 @@ def dependence(about: Fit, *, without: Sequence[str] = ()) -> list[Dependence]:
 
     The torques of the effects named in `without` count as unmodelled.
     """
-    about.model.refuse_chain("the dependence of the unmodelled torque on a variable")
+    about.model.refuse_chain(
+        "the dependence of the unmodelled torque on a variable",
+        "gyrotrack diagnose states it against time",
+    )
     cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
     effects = [e for e in about.model.effects if e.name in without]
     context = context_without(about, effects, cases, draws=_DRAWS)

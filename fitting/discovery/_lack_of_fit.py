@@ -214,6 +214,7 @@ class PeriodogramPeak:
     body: str  # name of the body for the user, for example "casing"
     p_value: float  # probability that noise has a peak of this height (an upper bound)
     unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
+    site: str = "casing"  # the body in laws
 
     @property
     def words(self) -> str:
@@ -227,7 +228,7 @@ class PeriodogramPeak:
     @property
     def law(self) -> str:
         """The formula to add to the model, for the option --add."""
-        return f"casing: k*cos({self.rate:.5g}*t + phi)"
+        return f"{self.site}: k*cos({self.rate:.5g}*t + phi)"
 
 
 def periodogram_peak(fit: Fit) -> PeriodogramPeak | None:
@@ -274,7 +275,8 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
         for x in noise.process.ratios
     ]
     p_value = min(cases * float(np.dot(p_values, noise.process.weights)), 1.0) if credible else 1.0
-    return PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit)
+    site = record.mechanism.main
+    return PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit, site)
 
 
 class _Periodogram:

@@ -270,7 +270,10 @@ def laws(
     FittingError
         If the fit cannot be evaluated.
     """
-    base.model.refuse_chain("a search for laws outside the library")
+    base.model.refuse_chain(
+        "a search for laws outside the library",
+        'fit your own laws, for example --add "wheel: -k*omega_wheel**3"',
+    )
     criteria = criteria or base.criteria
     with recording() as trace:
         measured = measured_with(base, criteria)

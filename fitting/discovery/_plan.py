@@ -370,7 +370,9 @@ def plan(
     truth: dict[str, float] = {}
     process: list[tuple[ProcessNoise, ...]] = []
     if isinstance(recordings, Fit):
-        recordings.model.refuse_chain("a plan")
+        recordings.model.refuse_chain(
+            "a plan", "gyrotrack diagnose states upper limits of the laws that the recording excludes"
+        )
         if len(recordings.problem.data[0].motion.reversals):
             raise EstimationError(
                 "a plan needs runs that start at given speeds, but this body oscillates about an equilibrium",

@@ -45,7 +45,8 @@ from fitting.effects._expression import (
     symbols,
     total,
 )
-from fitting.effects._library import GENERAL, LINEAR, REDUCED, find
+from fitting.effects._instances import counterparts
+from fitting.effects._library import GENERAL, LINEAR, REDUCED
 from fitting.effects._mechanism import GYROSCOPE, MAIN, Coupling, Mechanism, inertia_of
 from fitting.effects._user import read_effects, read_toml, resolve
 
@@ -91,13 +92,16 @@ class Model:
             raise EffectError(f"the effect {twice!r} is in the model twice")
 
     @classmethod
-    def of(cls, names: str | Iterable[str]) -> Model:
+    def of(cls, names: str | Iterable[str], mechanism: Mechanism = GYROSCOPE) -> Model:
         """Return the model of some effects of the library, or a model of the paper by its name.
 
         Parameters
         ----------
         names : str or iterable of str
             "reduced", "general" or "linear"; or names of effects.
+        mechanism : Mechanism
+            The bodies of the model. In a chain of bodies, the first one has the laws of the casing, the others those of
+            the rotor, and every joint those of the bearing.
 
         Raises
         ------
@@ -110,7 +114,7 @@ class Model:
             names = NAMED[names]
         names = tuple(names) if isinstance(names, Iterable) else names
         require("names", names, TEXT.several)
-        return cls(tuple(find(n) for n in names))
+        return cls(tuple(e for n in names for e in counterparts(n, mechanism)), mechanism)
 
     def __add__(self, effect: Effect | str) -> Model:
         """Return the model with one more effect: a name, a law (``"casing: -k*omega_c**3"``), or an `Effect`."""
@@ -244,13 +248,10 @@ class Model:
         """The effects of the cameras on the measured angles."""
         return tuple(e for e in self.effects if not e.mechanical)
 
-    def refuse_chain(self, what: str) -> None:
+    def refuse_chain(self, what: str, instead: str) -> None:
         """Raise an EstimationError for something that is not available for bodies with joints of their own."""
         if self.mechanism != GYROSCOPE:
-            raise EstimationError(
-                f"{what} is not available for several bodies with joints",
-                "fit, diagnose and improve are",
-            )
+            raise EstimationError(f"{what} is not available for several bodies with joints", instead)
 
     def equations(self, bodies: Set[str] | None = None) -> tuple[str, ...]:
         """Return the equations of motion as LaTeX, one line for each body and one for the torque of each joint.
@@ -312,11 +313,13 @@ def _holding(effect: Effect, held: Mapping[str, float]) -> Effect:
     return replace(effect, parameters=tuple(parameters))
 
 
-def read_model(path: Path, own: Iterable[Effect] = (), inputs: Iterable[Input] = ()) -> Model:
+def read_model(
+    path: Path, own: Iterable[Effect] = (), inputs: Iterable[Input] = (), mechanism: Mechanism = GYROSCOPE
+) -> Model:
     """Return the model in a TOML file: ``effects = ["rotor.air.quadratic", ...]`` and ``[[effect]]`` tables.
 
     The list ``effects`` contains names of the library, names of the effects `own` and laws ``body: law``; laws may
-    contain the recorded `inputs`.
+    contain the recorded `inputs`. They act on the bodies of the `mechanism`.
     """
     document = read_toml(path)
     names = document.get("effects", [])
@@ -324,10 +327,10 @@ def read_model(path: Path, own: Iterable[Effect] = (), inputs: Iterable[Input] =
         raise EffectError(
             f"{path}: effects must be a list of names", 'write: effects = ["bearing.linear", ...]'
         )
-    declared = read_effects(path) if "effect" in document else []
+    declared = read_effects(path, mechanism) if "effect" in document else []
     known = {e.name: e for e in (*own, *declared)}
     units = {i.name: i.unit for i in inputs}
-    chosen = [known[n] if n in known else resolve(n, units) for n in names]
+    chosen = [known[n] if n in known else resolve(n, units, mechanism) for n in names]
     chosen += [e for e in declared if e.name not in names]
     if not chosen:
         raise EffectError(f"{path} names no effect", 'write: effects = ["bearing.linear", ...]')

@@ -59,6 +59,21 @@ def law_of_main(pattern: str, mechanism: Mechanism) -> Effect:
     return laws_of(mechanism)[name]
 
 
+def counterparts(name: str, mechanism: Mechanism) -> tuple[Effect, ...]:
+    """Return the laws of a mechanism that correspond to a law of a gyroscope in the library.
+
+    The main body corresponds to the casing, every other body to the rotor, and every joint to the bearing.
+    """
+    if mechanism == GYROSCOPE:
+        return (find(name),)
+    role, _, law = name.partition(".")
+    others = tuple(b for b in mechanism.bodies if b != mechanism.main)
+    sites = {"rotor": others, "bearing": tuple(mechanism.joints)}.get(role, (mechanism.main,))
+    pattern = f"casing.{law}" if role == "rotor" else name
+    known = {(e.pattern, e.site): e for e in laws_of(mechanism).values()}
+    return tuple(known[pattern, site] for site in sites if (pattern, site) in known)
+
+
 def _of_body(mechanism: Mechanism, body: str) -> Iterator[Effect]:
     """Yield the laws of a body on the ground; those of its angle only for the main body, whose angle was measured.
 

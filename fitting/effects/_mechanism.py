@@ -8,7 +8,7 @@ first one. In a gyroscope the symbols are omega_r, omega_c, psi_r, psi_c, delta 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -74,6 +74,13 @@ class Mechanism:
 
     bodies: tuple[str, ...]
     couplings: tuple[Coupling, ...]
+
+    @classmethod
+    def of(cls, bodies: Sequence[str], joints: Mapping[str, Sequence[str]]) -> Mechanism:
+        """Return the mechanism of several bodies, the main one first, and of joints: their two bodies by name."""
+        main, second, *others = bodies
+        couplings = (Coupling(name, *pair) for name, pair in joints.items())
+        return cls((second, main, *others), tuple(couplings))
 
     @property
     def main(self) -> str:

@@ -458,7 +458,7 @@ def units_of_inputs(inputs: Mapping[str, str] | Sequence[Any] | None) -> dict[st
         ) from None
 
 
-def read_effects(path: Path) -> list[Effect]:
+def read_effects(path: Path, mechanism: Mechanism = GYROSCOPE) -> list[Effect]:
     """Read effects from a TOML file with one ``[[effect]]`` table for each effect.
 
     A table has the keys ``name``, ``body`` and ``law``. Optional keys are ``words`` (the name in words), ``rate`` (of
@@ -471,6 +471,8 @@ def read_effects(path: Path) -> list[Effect]:
     ----------
     path : Path
         The TOML file.
+    mechanism : Mechanism
+        The bodies and joints of which the laws speak.
 
     Raises
     ------
@@ -480,7 +482,7 @@ def read_effects(path: Path) -> list[Effect]:
     tables = read_toml(path).get("effect")
     if not isinstance(tables, list) or not tables:
         raise EffectError(f"{path} has no [[effect]] table", "see `gyrotrack effects --help`")
-    effects = [_from_table(path, i, table) for i, table in enumerate(tables, 1)]
+    effects = [_from_table(path, i, table, mechanism) for i, table in enumerate(tables, 1)]
     names = [e.name for e in effects]
     for name in names:
         if names.count(name) > 1 or name in LIBRARY:
@@ -499,7 +501,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise EffectError(f"{path} is not a TOML file: {fault}") from None
 
 
-def _from_table(path: Path, number: int, table: Any) -> Effect:
+def _from_table(path: Path, number: int, table: Any, mechanism: Mechanism) -> Effect:
     where = f"{path}, effect {number}"
     if not isinstance(table, dict):
         raise EffectError(f"{where} is not a table")
@@ -527,7 +529,7 @@ def _from_table(path: Path, number: int, table: Any) -> Effect:
         raise EffectError(f"{where}, inputs: {fault.message}", fault.hint) from None
     more["inputs"] = {name: str(unit) for name, unit in table.get("inputs", {}).items()}
     try:
-        return formula(table["name"], table["body"], table["law"], declared, **more)
+        return formula(table["name"], table["body"], table["law"], declared, mechanism=mechanism, **more)
     except FittingError as fault:
         raise EffectError(f"{where}: {fault.message}", fault.hint) from None
 

@@ -23,15 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._arguments import PATH, require
+from fitting._case_checks import defect_of_joints, is_body_name
 from fitting._errors import EffectError, RecordError
 from fitting.dynamics._inputs import Input
 from fitting.dynamics._model import NAMED, Model
 from fitting.effects._instances import PLACES
 from fitting.effects._library import LIBRARY
-from fitting.effects._mechanism import GYROSCOPE, Coupling, Mechanism
+from fitting.effects._mechanism import GYROSCOPE, Mechanism
 from fitting.effects._user import resolve
 from fitting.inference._error_modes import ErrorMode
-from fitting.inference._record import Record, is_body_name, make_record
+from fitting.inference._record import Record, make_record
 
 Array = NDArray[np.float64]
 
@@ -271,8 +272,8 @@ def model_of(effects: str | Sequence[str], record: Record) -> Model:
             f"a {wrong} is not a law" if wrong else "a model needs a law",
             'write for example "air.linear" or "casing: -k*omega_c**3"',
         )
-    if len(names) == 1 and names[0] in NAMED and not record.is_chain:
-        return Model.of(names[0]).of_bodies(record.parts)
+    if len(names) == 1 and names[0] in NAMED:
+        return Model.of(names[0], record.mechanism).of_bodies(record.parts)
     # a plus within a formula belongs to it
     names = [n for e in names for n in ([e] if ":" in e else e.split("+"))]
     known = (inward(n.strip(), record.name) for n in names)
@@ -288,37 +289,9 @@ def _mechanism(names: Sequence[str], joints: object) -> Mechanism:
         raise RecordError(
             "joints is not a mapping of names to two bodies", 'write joints={"belt": ("motor", "drum")}'
         )
-    if len(names) < 2:
-        raise RecordError(f"a joint connects two bodies, but {names[0]} is the only one", "leave joints out")
-    known = {"casing", *names, *joints}
-    wrong = next(
-        (n for n in (*names, *joints) if not isinstance(n, str) or n == "casing" or not is_body_name(n)), None
-    )
-    if wrong is not None:
-        raise RecordError(
-            f"{str(wrong)[:40]!r} cannot be the name of a body or a joint: laws have a meaning for it",
-            "choose another name, for example wheel or belt",
-        )
-    if len(known) <= len(names) + len(joints):
-        raise RecordError("a body and a joint have the same name", "give each its own name")
-    for joint, (first, second) in joints.items():
-        if first not in names or second not in names or first == second:
-            raise RecordError(
-                f"the joint {joint} is between {str(first)[:30]} and {str(second)[:30]}",
-                f"name two of the bodies {', '.join(names)}",
-            )
-    reached = {names[0]}
-    for _ in names:
-        reached |= {body for pair in joints.values() if reached & {*pair} for body in pair}
-    loose = [n for n in names if n not in reached]
-    if loose:
-        raise RecordError(
-            f"no joint connects {loose[0]} to {names[0]}",
-            "bodies without a common joint are separate cases",
-        )
-    main, *others = names
-    couplings = tuple(Coupling(joint, first, second) for joint, (first, second) in joints.items())
-    return Mechanism((others[0], main, *others[1:]), couplings)
+    if defect := defect_of_joints(names, joints):
+        raise RecordError(*defect)
+    return Mechanism.of(names, joints)
 
 
 @dataclass(frozen=True)

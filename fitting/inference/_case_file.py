@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fitting._case_checks import is_body_name
 from fitting._case_format import CASE
 from fitting._dataset import Reader
 from fitting._errors import RecordError
 from fitting._stored_case import StoredCase, StoredSeries, read_stored_case
 from fitting.dynamics._inputs import Input
+from fitting.effects._mechanism import GYROSCOPE, Mechanism
 from fitting.inference._error_modes import ErrorMode
-from fitting.inference._record import Record, is_body_name, make_record
+from fitting.inference._record import Record, make_record
 
 
 def _error(what: str, hint: str) -> RecordError:
@@ -32,42 +34,57 @@ def read_record(path: str | Path) -> Record:
 
 
 def _record(path: Path, case: StoredCase) -> Record:
-    stated, casing, rotor = case.attributes, case.casing, case.rotor
+    stated, casing, others = case.attributes, case.casing, case.others
+    gyroscope = bool(others) and not case.joints
+    mechanism = Mechanism.of([s.name for s in (casing, *others)], case.joints) if case.joints else GYROSCOPE
+    inertias = [s.inertia for s in others]
+    if gyroscope:
+        inertias = [(stated["I_rotor"], stated["I_rotor_u"])]
+    (I_rotor, I_rotor_u), *further = inertias or [(1.0, math.nan)]
+    windows = [(s, w) for s in others for w in _windows(s)]
     errors = ("correlated_sigma", "correlated_time", "periodic_sigma", "harmonic_sigma")
     return make_record(
         label=stated["label"] or path.stem,
         surface=stated["surface"],
-        I_rotor=1.0 if rotor is None else stated["I_rotor"],
+        I_rotor=I_rotor,
         I_casing=1.0 if stated["per_inertia"] else stated["I_casing"],
-        I_rotor_u=math.nan if rotor is None else stated["I_rotor_u"],
+        I_rotor_u=I_rotor_u,
         I_casing_u=stated["I_casing_u"],
         per_inertia=bool(stated["per_inertia"]),
         casing=(casing.time, casing.value, casing.u),
-        rotor=[] if rotor is None else [(rotor.time[w], rotor.value[w], rotor.u[w]) for w in _windows(rotor)],
-        name=casing.name if is_body_name(casing.name) else "",
-        start_sigma=[] if rotor is None else _start_sigma(case, rotor),
+        rotor=[(s.time[w], s.value[w], s.u[w]) for s, w in windows],
+        name=casing.name if not others and is_body_name(casing.name) else "",
+        start_sigma=_start_sigma(case, others[0]) if gyroscope else [],
         quantity=stated["quantity"],
         source=str(path),
         tracked=casing.stated["sigma_source"] == "measured",
         correlated=[casing.stated[name] for name in errors],
         correlated_profile=casing.stated["correlated_profile"],
         inputs=[_input(path, name, **values) for name, values in case.inputs.items()],
-        modes=[m for body, series in (("casing", casing), ("rotor", rotor)) for m in _modes(body, series)],
+        modes=[
+            *_modes(casing, "casing", {None: np.ones(len(casing.time), dtype=bool)}),
+            *(
+                m
+                for s in others
+                for m in _modes(s, "rotor", {i: w for i, (of, w) in enumerate(windows) if of is s})
+            ),
+        ],
+        mechanism=mechanism,
+        states=[mechanism.bodies.index(s.name) for s, _ in windows],
+        further=further,
     )
 
 
-def _windows(rotor: StoredSeries) -> list[Any]:
+def _windows(series: StoredSeries) -> list[Any]:
     """Return masks of the samples of each window, one without samples if there are none."""
-    return [rotor.segment == w for w in np.unique(rotor.segment)] or [rotor.segment == 0]
+    return [series.segment == w for w in np.unique(series.segment)] or [series.segment == 0]
 
 
-def _modes(body: str, series: StoredSeries | None) -> Iterator[ErrorMode]:
-    """Yield the error modes of a series, of each window of the rotor."""
-    if series is None:
-        return
+def _modes(series: StoredSeries, body: str, windows: Mapping[Any, Any]) -> Iterator[ErrorMode]:
+    """Yield the error modes of a series in each of its windows: masks of samples by their numbers in the record."""
     measured = np.isfinite(series.time) & np.isfinite(series.value)
     for mode in series.modes:
-        for i, window in enumerate(_windows(series)):
+        for number, window in windows.items():
             rows = measured & window
             yield ErrorMode(
                 mode.name,
@@ -75,7 +92,7 @@ def _modes(body: str, series: StoredSeries | None) -> Iterator[ErrorMode]:
                 mode.basis[rows],
                 mode.covariance,
                 body=body,
-                window=i if body == "rotor" else None,
+                window=number,
                 group=mode.group,
                 origin=mode.origin,
             )

@@ -442,7 +442,7 @@ def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
             name = effect.inputs[0][0]
             raise EstimationError(
                 f"{effect.name} has no influence: no law of the model depends on {name}",
-                f"add a law like 'casing: k*{name}'",
+                f"add a law like '{model.mechanism.main}: k*{name}'",
             )
         for name, unit in effect.inputs:
             for record in (d.record for d in data):

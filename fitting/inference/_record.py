@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -341,31 +340,12 @@ class Record:
 
 # role of the body of the series `casing`, without and with a rotor
 _MAIN: tuple[Role, ...] = ("body", "casing")
-_BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
-# names with a meaning in the library
-_TAKEN = {
-    "rotor",
-    "casing",
-    "bearing",
-    "touchpoint",
-    "external",
-    "input",
-    "camera",
-    "setup",
-    "contact",
-    "initial",
-}
 
 
 def scales_of(records: Sequence[Record]) -> tuple[dict[str, float], float]:
     """Return the largest speeds by symbol [rad/s] and the largest length [s] of records."""
     speeds = [r.largest_speeds for r in records]
     return {k: max(s[k] for s in speeds) for k in speeds[0]}, max(float(np.ptp(r.span)) for r in records)
-
-
-def is_body_name(name: str) -> bool:
-    """Return whether a text can name a single body: an identifier without a meaning in the library."""
-    return name not in _TAKEN - {"casing"} and _BODY_NAME.fullmatch(name) is not None
 
 
 def make_record(

@@ -151,7 +151,7 @@ def simulate(
     SimulationError
         As `simulate_path`; or a window lies outside the recording.
     """
-    model.refuse_chain("a simulation")
+    model.refuse_chain("a simulation", "replicas of a fit are: gyrotrack certify, or fitting.certify")
     random = np.random.default_rng(seed)
     values = {**model.constants, **numbers, INERTIA_ROTOR: inertia_rotor, INERTIA_CASING: inertia_casing}
     missing = [k for k in model.parameters if k not in values]

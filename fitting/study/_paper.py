@@ -180,7 +180,7 @@ def prepared(record: Record, data: str | None = None, rotor: str = "windows") ->
         raise RecordError(
             "a generated rotor curve consists of velocities", "use --data velocity with --rotor generated"
         )
-    if rotor == "generated" and not record.rotor:
+    if rotor == "generated" and (not record.rotor or record.is_chain):
         raise RecordError(f"{record.label} contains no rotor", "omit --rotor generated")
     if data == "velocity" or rotor == "generated":
         record = as_velocities(record)

@@ -347,6 +347,11 @@ def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None
     """
     data = [c if isinstance(c, CaseData) else CaseData.of(c) for c in cases]
     labels = tuple(d.record.label for d in data)
+    if any(d.record.is_chain for d in data):
+        raise EstimationError(
+            "a scan of the paper's terms is not available for several bodies with joints",
+            "gyrotrack improve adds the effects that the data need",
+        )
     if not data or len(set(labels)) != len(labels):
         raise EstimationError(
             "the cases of a scan need different labels", "give them with --label when making a case"

@@ -329,7 +329,7 @@ def _candidate(c: Candidate, d: Diagnosis) -> dict[str, Any]:
             "effect": c.effect.name,
             "kind": c.effect.kind,
             "parameters": c.estimates,
-            "law": f"{c.effect.joint}: {c.effect.law}",
+            "law": f"{c.effect.site}: {c.effect.law}",
             "indistinguishable_words": [d.fit.name(known.get(n, n)).words for n in c.indistinguishable_from],
         }
     )

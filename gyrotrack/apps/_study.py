@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fitting.dynamics._inputs import Input
     from fitting.dynamics._model import Model
     from fitting.effects._effect import Effect
+    from fitting.effects._mechanism import Mechanism
     from fitting.inference._case_data import CaseData
     from fitting.inference._prior import Prior
     from fitting.inference._result import Fit
@@ -45,6 +46,11 @@ class Study:
     data: tuple[CaseData, ...]
     ledger: Ledger
     prior: Prior | None = None
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The bodies of the cases and the joints between them."""
+        return self.data[0].record.mechanism
 
     def entry(self, fit_id: str | None) -> Entry | None:
         """Return the fit with this name, by default the latest of these cases; None if there is none.
@@ -73,7 +79,14 @@ class Study:
         """
         from fitting.dynamics._model import Model
 
-        return Model.of(names).of_bodies(self.data[0].record.parts)
+        return Model.of(names, self.mechanism).of_bodies(self.data[0].record.parts)
+
+    @property
+    def first_model(self) -> Model:
+        """The model of a first fit: reduced; linear for a chain, because the reduced one has the paper's bearing."""
+        from fitting.effects._library import LINEAR, REDUCED
+
+        return self.model(LINEAR if self.data[0].record.is_chain else REDUCED)
 
     def steps_to(self, fit_id: str | None) -> list[Step]:
         """Return the history that ends with a fit (by default the latest), oldest first.
@@ -193,13 +206,12 @@ class Study:
         fit_id : str or None
             "f1", "f2", ...
         """
-        from fitting.effects._library import REDUCED
         from fitting.inference._case_data import with_prior
         from fitting.inference._fit import fit
 
         entry = self.entry(fit_id)
         if entry is None:
-            found = fit(self.model(REDUCED), with_prior(self.data, self.prior))
+            found = fit(self.first_model, with_prior(self.data, self.prior))
             return found, self.ledger.add(found).fit_id
         if self.prior is None or self.prior == entry.prior:
             return entry.refit(self.data), entry.fit_id
@@ -301,7 +313,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
 
 def checked_body_name(name: str) -> str:
     """Return the name of a single body; a UsageError says what is accepted."""
-    from fitting.inference._record import is_body_name
+    from fitting._case_checks import is_body_name
 
     if name and not is_body_name(name):
         what = (
@@ -503,14 +515,12 @@ class FitRequest:
 
     def _wanted(self, study: Study, start: str | None) -> tuple[Model, Entry | None]:
         """Return the model, and the entry of the ledger that the request modifies."""
-        from fitting.effects._library import REDUCED
-
         follows = self.model is None and (self.add or self.drop or start)
         entry = study.entry(start) if follows else None
         if entry is not None:
             base = entry.model
         elif self.model is None:
-            base = study.model(REDUCED)
+            base = study.first_model
         else:
             base = self._named(self.model, study)
         inputs = study.data[0].record.inputs
@@ -526,7 +536,7 @@ class FitRequest:
         if not path.is_file():
             what = f"Unknown model {name[:60]!r}."
             raise UsageError(what, f"Models: {', '.join(_NAMED)}, or the name of a TOML file.")
-        return read_model(path, self.own, study.data[0].record.inputs)
+        return read_model(path, self.own, study.data[0].record.inputs, study.mechanism)
 
 
 def changed(
@@ -537,7 +547,7 @@ def changed(
 
     known = {e.name: e for e in own}
     for name in add:
-        effect = known.get(name) or resolve(name, inputs)
+        effect = known.get(name) or resolve(name, inputs, model.mechanism)
         model = model if effect.name in model.names else model.with_effect(effect)
     for name in drop:
         model = model.without(name)

@@ -1,8 +1,8 @@
 """Bodies of a case and their file: series with their error modes, clocks and joints (layout 2).
 
-`/body/<name>/series/fused` is the fitted series. `/casing` and `/rotor` contain the same datasets under other names,
-for older scripts. An error mode is an error common to several samples: the columns of its `basis`, (samples,
-amplitudes), times amplitudes with the stored covariance.
+`/body/<name>/series/fused` is the fitted series. `/casing` and `/rotor` of a gyroscope or a single body contain the
+same datasets under other names, for older scripts. An error mode is an error common to several samples: the columns of
+its `basis`, (samples, amplitudes), times amplitudes with the stored covariance.
 """
 
 from __future__ import annotations
@@ -16,63 +16,91 @@ from typing import Any
 import numpy as np
 
 from fitting import _case_format as layout
-from fitting._case_checks import Defect, defect_of_clock, defect_of_inertias, defect_of_mode
+from fitting._case_checks import Defect, defect_of_chain, defect_of_clock, defect_of_inertias, defect_of_mode
 from fitting._stored_case import StoredSeries
 from gyrotrack._errors import UsageError
 from gyrotrack.io._records import Case, ErrorMode, Series, from_angles, from_speeds, no_series, series_of
 from gyrotrack.io._tables import write_attributes, write_table
 
+_INTEGRAL = "integral of the measured angular velocity, with an arbitrary constant"
 _NAME = re.compile(r"[^/\\\0]{1,100}")
-# by the number of bodies: series of a case with the roles of their bodies; joints with their kinds and bodies
-_ROLES = {"one": {"casing": "body"}, "two": {"casing": "casing", "rotor": "rotor"}}
+# joints of a gyroscope and of a single body with their kinds and bodies
 _JOINTS = {
     "one": (("support", "contact", "casing", "ground"),),
     "two": (("bearing", "bearing", "rotor", "casing"), ("touchpoint", "contact", "casing", "ground")),
+    "chain": (),
 }
-# columns of a series in addition to time, value and uncertainty, by the role of the body
-_COLUMNS = {"rotor": {"segment": "window"}}
+# names of the groups of the bodies that older scripts read, in the order of `Case.motions`
+_OLD_GROUPS = {"one": ("casing",), "two": ("casing", "rotor"), "chain": ()}
 
 
-def _refuse(subject: str, defect: Defect | None) -> None:
+def refuse(subject: str, defect: Defect | None) -> None:
     """Raise a UsageError if there is a defect."""
     if defect:
         raise UsageError(f"{subject}: {defect.what}.", f"{defect.hint[0].upper()}{defect.hint[1:]}.")
 
 
 def write_bodies(file: Any, case: Case) -> None:
-    """Write the groups of bodies, clocks and joints beside `/casing` and `/rotor` of a case.
+    """Write the groups of bodies, clocks and joints of a case, and those of older scripts.
 
     A UsageError names a value that could not be read again.
     """
-    _refuse(f"Case '{case.label[:40]}'", defect_of_inertias(vars(case)))
-    quantity = {old: new for new, old in layout.QUANTITIES.items()}[case.quantity]
-    value, u = layout.MEASURED[case.quantity]
-    names = {"casing": case.main_body, "rotor": "rotor", "ground": "ground"}
-    for old, role in _ROLES[case.bodies].items():
-        name, series = names[old], getattr(case, old)
-        group = file.create_group(f"body/{name}")
-        inertia = math.nan if case.per_inertia else getattr(case, f"I_{old}")
-        inertia_u = math.nan if case.per_inertia else getattr(case, f"I_{old}_u")
-        body = SimpleNamespace(role=role, inertia=inertia, inertia_u=inertia_u)
-        write_attributes(group, layout.CASE_BODY_ATTRIBUTES, body)
-        fused = group.create_group(f"series/{layout.FITTED_SERIES}")
-        columns = {"time": "time", "value": value, "u": u} | _COLUMNS.get(role, {})
-        for column, stored in columns.items():
-            fused[column] = file[f"{old}/{stored}"]
-        of_series = SimpleNamespace(**{**vars(series), "quantity": quantity, "clock": "case"})
-        write_attributes(fused, layout.FUSED.attributes, of_series)
-        measured = np.isfinite(series.time) & np.isfinite(getattr(series, value))
-        for mode in series.modes:
-            subject = f"Error mode '{mode.name[:40]}' of the {name}"
-            _refuse(subject, defect_of_mode(mode.basis, mode.covariance, measured))
-            if not _NAME.fullmatch(mode.name) or mode.name in fused.get("error", ()):
-                raise UsageError(f"{subject} has no unique name.", "See gyrotrack.ErrorMode.")
-            own = fused.require_group("error").create_group(mode.name)
-            write_table(own, layout.ERROR_MODE, mode, {"time": fused["time"]})
+    subject = f"Case '{case.label[:40]}'"
+    if case.bodies == "chain":
+        refuse(subject, defect_of_chain(case.inertias, case.joints))
+    refuse(subject, defect_of_inertias(vars(case)))
+    _write_old_groups(file, case)
+    for place in range(len(case.motions)):
+        _write_body(file, case, place)
     _write_clocks(file, case)
-    for joint, kind, *bodies in _JOINTS[case.bodies]:
-        described = SimpleNamespace(bodies=[names[b] for b in bodies], kind=kind)
+    names = {"casing": case.main_body, "rotor": "rotor", "ground": "ground"}
+    joints = [(joint, kind, [names[b] for b in bodies]) for joint, kind, *bodies in _JOINTS[case.bodies]]
+    joints += [(joint, "bearing", list(bodies)) for joint, bodies in case.joints.items()]
+    for place, (joint, kind, bodies) in enumerate(joints):
+        described = SimpleNamespace(bodies=bodies, kind=kind, place=place)
         write_attributes(file.create_group(f"joint/{joint}"), layout.JOINT_ATTRIBUTES, described)
+
+
+def _write_old_groups(file: Any, case: Case) -> None:
+    """Write `/casing` and `/rotor` of a gyroscope or a single body; the rotor of a single body is empty."""
+    for name, series in (("casing", case.casing), ("rotor", case.rotor)) if case.bodies != "chain" else ():
+        group = file.create_group(name)
+        write_table(group, layout.SERIES if series.window is None else layout.WINDOWED, series)
+        if case.quantity == "omega":
+            group["angle"].attrs["comment"] = _INTEGRAL
+
+
+def _write_body(file: Any, case: Case, place: int) -> None:
+    """Write the body of a case with this number: its attributes, its series and their error modes."""
+    name, series = case.motions[place]
+    value, u = layout.MEASURED[case.quantity]
+    group = file.create_group(f"body/{name}")
+    role = ("casing", "rotor")[place] if case.bodies == "two" else "body"
+    inertia, inertia_u = (math.nan, math.nan) if case.per_inertia else case.inertias[name]
+    body = SimpleNamespace(role=role, inertia=inertia, inertia_u=inertia_u, place=place)
+    write_attributes(group, layout.CASE_BODY_ATTRIBUTES, body)
+    fused = group.create_group(f"series/{layout.FITTED_SERIES}")
+    columns = {"time": "time", "value": value, "u": u}
+    columns |= {} if series.window is None or case.bodies == "one" else {"segment": "window"}
+    quantity = {old: new for new, old in layout.QUANTITIES.items()}[case.quantity]
+    of_series = SimpleNamespace(**{**vars(series), "quantity": quantity, "clock": "case"})
+    if old := _OLD_GROUPS[case.bodies]:
+        for column, stored in columns.items():
+            fused[column] = file[f"{old[place]}/{stored}"]
+        write_attributes(fused, layout.FUSED.attributes, of_series)
+    else:
+        arrays = {column: getattr(series, stored) for column, stored in columns.items()}
+        write_table(fused, layout.FUSED.only(columns), of_series, **arrays)
+        for column in ("value", "u"):
+            fused[column].attrs["units"] = "rad" if case.quantity == "angle" else "rad s-1"
+    measured = np.isfinite(series.time) & np.isfinite(getattr(series, value))
+    for mode in series.modes:
+        subject = f"Error mode '{mode.name[:40]}' of the {name}"
+        refuse(subject, defect_of_mode(mode.basis, mode.covariance, measured))
+        if not _NAME.fullmatch(mode.name) or mode.name in fused.get("error", ()):
+            raise UsageError(f"{subject} has no unique name.", "See gyrotrack.ErrorMode.")
+        own = fused.require_group("error").create_group(mode.name)
+        write_table(own, layout.ERROR_MODE, mode, {"time": fused["time"]})
 
 
 def _write_clocks(file: Any, case: Case) -> None:
@@ -85,7 +113,7 @@ def _write_clocks(file: Any, case: Case) -> None:
             found = np.array(known[name], dtype=float)[:2, :2]
             scale = np.sqrt(np.diag(covariance) / np.maximum(np.diag(found), 1e-300))
             covariance = found * np.outer(scale, scale)
-        _refuse(f"Clock of '{name}'", defect_of_clock(covariance))
+        refuse(f"Clock of '{name}'", defect_of_clock(covariance))
         clock = SimpleNamespace(offset=placement.clock_offset, rate=placement.clock_rate)
         write_table(file.create_group(f"clock/{name}"), layout.CLOCK, clock, covariance=covariance)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -91,14 +92,22 @@ def describe_case(case: Case) -> dict[str, Any]:
     out = stated_attributes(case, CASE_ATTRIBUTES)
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
     out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}
-    windows = windows_of(case.rotor)
     out["rotor"] = {
         "samples": len(case.rotor.time),
         "sigma_source": case.rotor.sigma_source,
-        "windows": [
-            {"window": int(k), **describe_motion(case.rotor, windows == k, key)} for k in np.unique(windows)
-        ],
+        "windows": describe_windows(case.rotor, key),
     }
+    out["further"] = {
+        b.name: {
+            "samples": len(b.series.time),
+            "sigma_source": b.series.sigma_source,
+            "windows": describe_windows(b.series, key),
+            "inertia": b.inertia,
+            "inertia_u": None if math.isnan(b.inertia_u) else b.inertia_u,
+        }
+        for b in case.further
+    }
+    out["joints"] = {name: list(bodies) for name, bodies in case.joints.items()}
     out["rotor_generated"] = case.rotor_generated is not None
     out["inputs"] = {i.name: _describe_input(i) for i in case.inputs}
     out["recordings"] = {name: describe_recording(r) for name, r in case.recordings.items()}
@@ -138,6 +147,12 @@ def describe_motion(
     }
 
 
+def describe_windows(series: Series, key: str) -> list[dict[str, Any]]:
+    """Return the summary of each window of a series; see `describe_motion`."""
+    windows = windows_of(series)
+    return [{"window": int(k), **describe_motion(series, windows == k, key)} for k in np.unique(windows)]
+
+
 def _recording_problems(recording: Recording) -> list[str]:
     found = []
     if recording.sense not in {-1, 1}:
@@ -156,12 +171,14 @@ def _recording_problems(recording: Recording) -> list[str]:
 
 
 def _case_problems(case: Case) -> list[str]:
-    found = _motion_problems("casing", case.casing)
-    windows = windows_of(case.rotor)
-    if not len(case.rotor.time) and case.bodies != "one":
-        found.append("the rotor has no samples")
-    for k in np.unique(windows):
-        found += _motion_problems(f"rotor window {k}", case.rotor, windows == k)
+    main, *others = case.motions
+    found = _motion_problems("casing" if case.bodies == "one" else main[0], main[1])
+    for name, series in others:
+        windows = windows_of(series)
+        if not len(series.time):
+            found.append(f"the {name} has no samples")
+        for k in np.unique(windows):
+            found += _motion_problems(f"{name} window {k}", series, windows == k)
     for i in case.inputs:
         found += _time_problems(f"the input '{i.name}'", i.time)
         if not len(i.value) or not np.isfinite(i.value).all():

@@ -29,6 +29,7 @@ from gyrotrack.io._bodies import series_from, write_bodies
 from gyrotrack.io._records import (
     BodyTrack,
     Case,
+    ChainBody,
     GeneratedCurve,
     Input,
     MarkerTrack,
@@ -199,9 +200,6 @@ def _load_marker(group: Any, name: str, frames: int) -> MarkerTrack:
     return MarkerTrack(name=name, **columns)
 
 
-_INTEGRAL = "integral of the measured angular velocity, with an arbitrary constant"
-
-
 def write_case(
     path: Path, case: Case, *, command: str, settings: Mapping[str, Any], force: bool = False
 ) -> Path:
@@ -232,12 +230,7 @@ def write_case(
         write_attributes(file, layout.CASE_ATTRIBUTES, case)
         file.attrs["warnings"] = to_json(case.warnings)
         file.attrs["extra"] = to_json(case.extra)
-        file.attrs["default"] = "casing"
-        for name, series in (("casing", case.casing), ("rotor", case.rotor)):
-            group = file.create_group(name)
-            write_table(group, layout.SERIES if series.window is None else layout.WINDOWED, series)
-            if case.quantity == "omega":
-                group["angle"].attrs["comment"] = _INTEGRAL
+        file.attrs["default"] = "body" if case.bodies == "chain" else "casing"
         if case.rotor_generated is not None:
             write_table(file.create_group("rotor_generated"), layout.GENERATED, case.rotor_generated)
         for i in case.inputs:
@@ -264,11 +257,15 @@ class LoadedCase:
 
     def case(self) -> Case:
         """Return the case; angles or speeds that the file does not contain are computed."""
-        casing, rotor, quantity = self.stored.casing, self.stored.rotor, self.stored.attributes["quantity"]
+        stored, quantity = self.stored, self.stored.attributes["quantity"]
+        others = [(s.name, series_from(s, quantity), *s.inertia) for s in stored.others]
+        is_chain = bool(stored.joints)
         return Case(
-            **self.stored.attributes,
-            casing=replace(series_from(casing, quantity), window=None),
-            rotor=no_series() if rotor is None else series_from(rotor, quantity),
+            **stored.attributes,
+            casing=replace(series_from(stored.casing, quantity), window=None),
+            rotor=others[0][1] if others and not is_chain else no_series(),
+            further=tuple(ChainBody(*other) for other in others) if is_chain else (),
+            joints=stored.joints,
             inputs=tuple(Input(name=name, **values) for name, values in self.stored.inputs.items()),
             **self.others,
         )

@@ -425,6 +425,26 @@ class Input:
     delay: float = 0.0
 
 
+@dataclass(frozen=True)
+class ChainBody:
+    """A body of a chain that is not the first one.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    series : Series
+        Its motion, with windows.
+    inertia, inertia_u : float
+        Moment of inertia and its standard uncertainty [kg m2]; NaN if the uncertainty is not given.
+    """
+
+    name: str
+    series: Series
+    inertia: float
+    inertia_u: float = math.nan
+
+
 @dataclass(frozen=True, repr=False)
 class Case(_Tabular):
     """One experiment on one clock.
@@ -439,10 +459,15 @@ class Case(_Tabular):
         Standard uncertainty of the start of each rotor window on the clock of the casing [s]; NaN if not given.
     quantity : {"angle", "omega"}
         Measured quantity; with "omega" the angle is its integral.
-    bodies : {"two", "one"}
-        With "one", the series `casing` is the series of the single body, and `rotor` is empty.
+    bodies : {"two", "one", "chain"}
+        With "one", the series `casing` is the series of the single body, and `rotor` is empty. With "chain", it is the
+        series of the first body, which may come to rest, and `further` are the other bodies.
     body_name : str
-        Name of the single body, for example "wheel"; empty without one.
+        Name of the single body or of the first one of a chain, for example "wheel"; empty without one.
+    further : tuple of ChainBody
+        The other bodies of a chain.
+    joints : dict of str to (str, str)
+        The two bodies of each joint of a chain.
     per_inertia : int
         1 if no moment of inertia is known: `I_casing` is then 1, and torques are per unit of inertia [rad/s2].
     inputs : tuple of Input
@@ -468,26 +493,40 @@ class Case(_Tabular):
     I_casing_u: float = math.nan
     start_u: float = math.nan
     inputs: tuple[Input, ...] = ()
+    further: tuple[ChainBody, ...] = ()
+    joints: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def main_body(self) -> str:
-        """Name of the body of the series `casing`: "casing", or the name of a single body."""
+        """Name of the body of the series `casing`: "casing", or the name of a single or of the first body."""
         return "casing" if self.bodies == "two" else self.body_name or "body"
 
+    @property
+    def motions(self) -> list[tuple[str, Series]]:
+        """Names and series of the bodies, the main one first."""
+        of_rotor = [("rotor", self.rotor)] if self.bodies == "two" else []
+        return [(self.main_body, self.casing), *of_rotor, *((b.name, b.series) for b in self.further)]
+
+    @property
+    def inertias(self) -> dict[str, tuple[float, float]]:
+        """Moments of inertia and their standard uncertainties [kg m2] by body."""
+        of_rotor = {"rotor": (self.I_rotor, self.I_rotor_u)} if self.bodies == "two" else {}
+        main = {self.main_body: (self.I_casing, self.I_casing_u)}
+        return of_rotor | main | {b.name: (b.inertia, b.inertia_u) for b in self.further}
+
     def __repr__(self) -> str:
-        bodies = [(self.main_body, self.casing), ("rotor", self.rotor)]
         lines = [f"Case {self.label!r}: {'angles' if self.quantity == 'angle' else 'angular velocities'}"]
         lines += [
             f"  {name}: {len(s.time)} samples, {s.time[0]:.6g} to {s.time[-1]:.6g} s, "
             f"{len(np.unique(windows_of(s)))} window(s)"
-            for name, s in bodies
+            for name, s in self.motions
             if len(s.time)
         ]
         lines += [
             f"  input {i.name!r} [{i.unit}]: {len(i.time)} samples, {i.interpolation}"
             for i in self.inputs[:8]
         ]
-        lines.append(f"  I_rotor {self.I_rotor:.4g}, I_casing {self.I_casing:.4g} kg m2")
+        lines.append(f"  {', '.join(f'I_{b} {value:.4g}' for b, (value, _) in self.inertias.items())} kg m2")
         lines.append(f"  {len(self.recordings)} clip(s), {len(self.warnings)} warning(s)")
         return "\n".join(lines)
 
@@ -542,7 +581,7 @@ def _motion(content: Recording | Case) -> list[list[Column]]:
     if isinstance(content, Recording):
         return [_part({"body": name}, BODY, vars(body)) for name, body in content.bodies.items()]
     parts = []
-    for name, series in (("casing", content.casing), ("rotor", content.rotor)):
+    for name, series in content.motions:
         part = _part({"body": name}, SERIES, vars(series))
         parts.append([part[0], Column("window", "1", windows_of(series)), *part[1:]])
     return [part for part in parts if len(part[0].values)]
@@ -582,10 +621,8 @@ _HARMONIC_ORDERS = 12
 
 
 def _errors(content: Recording | Case) -> list[list[Column]]:
-    bodies: list[tuple[str, BodyTrack | Series]] = (
-        list(content.bodies.items())
-        if isinstance(content, Recording)
-        else [(content.main_body, content.casing), ("rotor", content.rotor)]
+    bodies: Sequence[tuple[str, BodyTrack | Series]] = (
+        list(content.bodies.items()) if isinstance(content, Recording) else content.motions
     )
     unit = "rad" if isinstance(content, Recording) or content.quantity == "angle" else "rad s-1"
     parts = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,58 +58,57 @@ def case_dashboard(
     view: CaseView, tracks: Tracks | None, steps: Sequence[str], *, names: Sequence[str] = NAMES
 ) -> Dashboard:
     """Return all charts of one case; `steps` names the steps of the history, `names` the first and the last model."""
-    bodies = ("casing", "rotor") if view.rotor else ("casing",)
-    charts = [speed_chart(view, "casing", names), residual_chart(view, "casing", names)]
+    main, *others = view.bodies
+    charts = [speed_chart(view, main, names), residual_chart(view, main, names)]
     charts.append(torque_law_chart(view, names))
-    charts += [torque_chart(view, b, names) for b in bodies]
-    if view.rotor:
-        charts += [speed_chart(view, "rotor", names), residual_chart(view, "rotor", names)]
+    charts += [torque_chart(view, b, names) for b in view.bodies]
+    for body in others:
+        charts += [speed_chart(view, body, names), residual_chart(view, body, names)]
     charts += [normalised_chart(view, names), energy_chart(view, steps)]
     if tracks is not None:
         charts += tracking_charts(tracks)
-    return Dashboard(view.label, tuple(charts), view.intervals)
-
-
-def _body_name(view: CaseView, body: str) -> str:
-    return view.body if body == "casing" else body
+    # the intervals of the main body are shaded in charts of all bodies
+    return Dashboard(view.label, tuple(replace(c, body=c.body or main) for c in charts), view.intervals)
 
 
 def speed_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
     """Return the chart of measured and modelled speed of a body."""
-    measured = (view.casing,) if body == "casing" else view.rotor
+    measured = view.speeds[body]
     points = [(c.time, c.value, None) for c in measured]
     traces = [concatenated("measured", points, _MEASURED, width=3.0, scale="reference")]
     for m, label, (colour, dash) in zip(view.models, names, _MODEL_STYLES, strict=False):
-        curves = (m.casing,) if body == "casing" else m.rotor
-        parts = [(c.time, c.value, c.sigma) for c in curves]
+        parts = [(c.time, c.value, c.sigma) for c in m.speeds[body]]
         traces.append(concatenated(label, parts, colour, width=1.5, dash=dash))
     largest = max(float(np.abs(c.value).max()) for c in measured)
-    known = [float(m.casing.sigma.max()) for m in view.models]
+    known = [float(c.sigma.max()) for m in view.models for c in m.speeds[body]]
     caption = (
         f"Angular velocity, median over {view.smoothing_width} points; bands: ±2 σ due to the parameters"
     )
-    caption += f" (at most {short(2 * max(known), 2)} rad/s)." if body == "casing" else "."
-    finding = f"The speed of the {_body_name(view, body)} reaches {short(largest)} rad/s ({short(largest * _RPM)} rpm)."
+    caption += f" (at most {short(2 * max(known), 2)} rad/s)." if body == view.main else "."
+    finding = (
+        f"The speed of the {view.bodies[body]} reaches {short(largest)} rad/s ({short(largest * _RPM)} rpm)."
+    )
     return Chart(
-        "speed" if body == "casing" else "rotor",
-        f"Speed of the {_body_name(view, body)}",
+        "speed" if body == view.main else body,
+        f"Speed of the {view.bodies[body]}",
         "rad/s",
         tuple(traces),
         finding,
         caption=caption,
+        body=body,
     )
 
 
 def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
     """Return the chart of measured minus modelled speed of a body for each model, with the noise band."""
-    groups = [(m.casing_residual,) if body == "casing" else m.rotor_residual for m in view.models]
+    groups = [m.residuals[body] for m in view.models]
     factor, prefix = scaled(max(float(np.abs(r.value).max()) for g in groups for r in g))
     band = [(r.time, 0.0 * r.value, factor * r.sigma) for r in groups[-1]]
     traces = [concatenated("±2 σ of noise", band, _NOISE, kind="band")]
     for g, label, (colour, _) in zip(groups, names, _MODEL_STYLES, strict=False):
         parts = [(r.time, factor * r.value, None) for r in g]
         traces.append(concatenated(label, parts, colour, kind="points", width=1.2))
-    called = _body_name(view, body)
+    called = view.bodies[body]
     width = float(np.median(groups[0][0].width))
     return Chart(
         f"residual-{body}",
@@ -118,6 +118,7 @@ def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> C
         residual_finding(groups, called),
         caption=f"Measured minus modelled angular velocity of the {called}, mean over {short(width, 2)} s. "
         "Grey band: ±2 σ of noise, the same for all models.",
+        body=body,
     )
 
 
@@ -125,7 +126,7 @@ def difference_chart(view: CaseView, names: Sequence[str] = NAMES) -> list[Chart
     """Return the chart of the casing speed of the last model minus the speed of the first; empty for one model."""
     if len(view.models) < 2:
         return []
-    first, last = view.models[0].casing, view.models[-1].casing
+    (first,), (last,) = (view.models[i].speeds[view.main] for i in (0, -1))
     difference = last.value - np.interp(last.time, first.time, first.value)
     largest = float(np.abs(difference).max())
     factor, prefix = scaled(largest)
@@ -152,14 +153,15 @@ def residual_finding(groups: Sequence[Sequence[Residual]], called: str) -> str:
 
 def normalised_chart(view: CaseView, names: Sequence[str] = NAMES) -> Chart:
     """Return the chart of the residuals of all models in units of the noise of the last model."""
-    noise = view.models[-1].casing_residual.sigma
+    (last,) = view.models[-1].residuals[view.main]
+    noise = last.sigma
     known = noise > 0
     scale = np.where(known, noise, 1.0)
-    time = view.models[-1].casing_residual.time
+    time = last.time
     nothing = np.where(known, 0.0, np.nan)
     traces = [Trace("±2 σ of noise", time, nothing, _NOISE, np.where(known, 1.0, np.nan), "band")]
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
-        z = np.where(known, m.casing_residual.value / scale, np.nan)
+        z = np.where(known, m.residuals[view.main][0].value / scale, np.nan)
         traces.append(Trace(label, time, z, colour, kind="points", width=1.2))
     largest = max(float(np.nanmax(np.abs(t.value), initial=0.0)) for t in traces)
     return Chart(
@@ -167,7 +169,7 @@ def normalised_chart(view: CaseView, names: Sequence[str] = NAMES) -> Chart:
         f"Residual, {view.body}",
         "σ",
         tuple(traces),
-        residual_finding([(m.casing_residual,) for m in view.models], view.body),
+        residual_finding([m.residuals[view.main] for m in view.models], view.body),
         caption=f"Measured minus modelled angular velocity of the {view.body}, divided by the standard uncertainty due "
         "to noise, the same for all models. Grey band: ±2 σ.",
         linear_within=_LINEAR if largest > _LARGE else 0.0,
@@ -199,7 +201,7 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
         if a.on(body).any():
             law = factor * a.on(body)
             traces.append(Trace(a.name, a.time, law, colour, width=1.2, dash=(6.0, 2.0), scale="none"))
-    called = _body_name(view, body)
+    called = view.bodies[body]
     return Chart(
         f"torque-{body}",
         f"Unmodelled torque, {called}",
@@ -209,15 +211,16 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
         caption="Unmodelled torque, inferred from the residual without assuming a law; bands: ±2 σ. Dotted "
         "(difference): torque of the final model minus that of the base model; dashed: the same for other candidates "
         "after a refit.",
+        body=body,
     )
 
 
 def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
     """Return the chart of the unmodelled torque on the casing against its speed, with the difference."""
-    factor, prefix = _torque_scale(view, "casing")
+    factor, prefix = _torque_scale(view, view.main)
     traces: list[Trace] = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
-        curve = m.torques["casing"]
+        curve = m.torques[view.main]
         torque, sigma = _determined(curve.torque, curve.sigma)
         branches = _branches(curve.omega_c)
         for k, part in enumerate(branches):
@@ -229,7 +232,7 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
     for a, colour in zip(view.alternatives if alternatives else (), _ALTERNATIVES, strict=False):
         laws.append((a.name, a, colour, 1.2))
     for name, a, colour, width in laws:
-        law = factor * a.casing
+        law = factor * a.on(view.main)
         branches = _branches(a.omega_c) if law.any() else []
         for k, part in enumerate(branches):
             label = f"{name}, accelerating" if k == 0 and len(branches) > 1 else name
@@ -240,7 +243,7 @@ def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternat
         f"Unmodelled torque, {view.body}",
         f"{prefix}{view.torque_unit}",
         tuple(traces),
-        _torque_finding(view, "casing"),
+        _torque_finding(view, view.main),
         x_label=f"speed of the {view.body} [rad/s]",
         caption="Unmodelled torque against speed, inferred from the residual without assuming a law; bands: ±2 σ. "
         f"Dashed: acceleration of the {view.body}. For friction that depends on speed only, both curves coincide. "
@@ -257,10 +260,10 @@ def torque_law_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternativ
 
 def _torque_deflection_chart(view: CaseView, deflection: Curve, names: Sequence[str]) -> Chart:
     """Return the chart of the unmodelled torque on an oscillating body against its angle from the equilibrium."""
-    factor, prefix = _torque_scale(view, "casing")
+    factor, prefix = _torque_scale(view, view.main)
     traces = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
-        curve = m.torques["casing"]
+        curve = m.torques[view.main]
         torque, _ = _determined(curve.torque, curve.sigma)
         angle = np.interp(curve.time, deflection.time, deflection.value)
         for sense, name, dash in ((1, f"{label}, increasing", ()), (-1, f"{label}, decreasing", (4.0, 2.0))):
@@ -272,7 +275,7 @@ def _torque_deflection_chart(view: CaseView, deflection: Curve, names: Sequence[
         f"Unmodelled torque, {view.body}",
         f"{prefix}{view.torque_unit}",
         tuple(traces),
-        _torque_finding(view, "casing"),
+        _torque_finding(view, view.main),
         x_label=f"deflection of the {view.body} [rad]",
         caption="Unmodelled torque against the angle from the equilibrium, inferred from the residual without assuming "
         "a law, for increasing and decreasing angle: means, with bands of ±2 standard errors. For a restoring law both "
@@ -340,7 +343,7 @@ def _torque_finding(view: CaseView, body: str) -> str:
         largest = int(np.argmax(np.abs(curve.torque)))
         factor, prefix = scaled(abs(float(curve.torque[largest])))
         parts.append(
-            f"Unmodelled torque on the {_body_name(view, body)} with the {label}: up to "
+            f"Unmodelled torque on the {view.bodies[body]} with the {label}: up to "
             f"{short(factor * abs(float(curve.torque[largest])))} {prefix}{view.torque_unit}, outside ±2 σ "
             f"for {100 * outside:.0f} % of the time."
         )
@@ -409,7 +412,7 @@ _MAX_COLUMNS = 4
 
 def windows_picture(view: CaseView, name: str) -> Picture:
     """Draw speed and residual of the rotor in each window."""
-    count = len(view.rotor)
+    count = len(view.speeds["rotor"])
     shown = np.unique(np.linspace(0, count - 1, min(count, _MAX_WINDOWS)).round().astype(int))
     across = min(_MAX_COLUMNS, len(shown))
     down = -(-len(shown) // across)
@@ -422,7 +425,7 @@ def windows_picture(view: CaseView, name: str) -> Picture:
             ax.set_visible(False)
         for place, i in enumerate(shown):
             row, column = divmod(place, across)
-            time, value = view.rotor[i].time, view.rotor[i].value
+            time, value = view.speeds["rotor"][i].time, view.speeds["rotor"][i].value
             room = 0.02 * (time[-1] - time[0])
             window = (float(time[0] - room), float(time[-1] + room))
             pair = axes[2 * row, column], axes[2 * row + 1, column]

@@ -241,6 +241,7 @@ class Chart:
     caption: str = ""  # explanation of the chart
     # if positive, matplotlib uses a vertical scale that is linear up to this value and logarithmic beyond
     linear_within: float = 0.0
+    body: str = ""  # key of its body, whose intervals are shaded; those of all bodies without one
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "traces", informative(self.traces))
@@ -437,7 +438,10 @@ def dashboard_document(board: Dashboard) -> dict[str, Any]:
         "title": board.title,
         "intervals": [interval_document(i) for i in board.intervals],
         "charts": [
-            {key: getattr(c, key) for key in ("name", "title", "unit", "finding", "caption", "x_label")}
+            {
+                key: getattr(c, key)
+                for key in ("name", "title", "unit", "finding", "caption", "x_label", "body")
+            }
             | {"is_time": c.x_label == TIME, "traces": [_trace(t) for t in c.traces]}
             for c in board.charts
         ],

@@ -255,7 +255,7 @@ def story_picture(
     with style():
         figure = canvas(15.0, 4.4)
         left, middle, right = figure.subplots(1, 3, width_ratios=[1, 1.15, 0.85])
-        draw(left, speed_chart(case, "casing"))
+        draw(left, speed_chart(case, case.main))
         left.legend(loc="lower right" if frame is not None else "best")
         left.set_title("1  measured and modelled")
         if frame is not None:
@@ -264,7 +264,7 @@ def story_picture(
             inset.set_xticks([])
             inset.set_yticks([])
             inset.grid(visible=False)
-        draw(middle, residual_chart(case, "casing"), [i for i in case.intervals if i.body == "casing"])
+        draw(middle, residual_chart(case, case.main), [i for i in case.intervals if i.body == case.main])
         middle.legend(loc="best")
         middle.set_title("2  residual")
         _merit(right, view)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT
 from fitting._numbers import unit_text
-from fitting.inference._speed_residuals import CASING, ROTOR, SpeedResidual, modelled_speed, speed_residuals
+from fitting.effects._mechanism import MAIN
+from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from fitting.discovery._verdict import Diagnosis
     from fitting.effects._effect import Effect
     from fitting.effects._words import EffectName
+    from fitting.inference._record import Body, Samples
     from fitting.inference._result import Fit
 
 
@@ -60,39 +62,38 @@ class AddedTorque:
 
     name: str
     time: Array
-    omega_c: Array
-    rotor: Array
-    casing: Array
+    omega_c: Array  # speed of the main body
+    torques: dict[str, Array]
 
     def on(self, body: str) -> Array:
         """Return the torque on one body."""
-        return self.rotor if body == "rotor" else self.casing
+        return self.torques[body]
 
 
 @dataclass(frozen=True)
 class CaseModel:
-    """One case with one model."""
+    """One case with one model; the motion of each body is in runs: windows, of the main body a single one."""
 
-    casing: Curve  # modelled speed [rad/s] with its standard uncertainty due to the parameters
-    rotor: tuple[Curve, ...]  # modelled speed in each rotor window
-    # measured minus modelled speed
-    casing_residual: Residual
-    rotor_residual: tuple[Residual, ...]
+    speeds: dict[
+        str, tuple[Curve, ...]
+    ]  # modelled [rad/s], with the standard uncertainty due to the parameters
+    residuals: dict[str, tuple[Residual, ...]]  # measured minus modelled speed
     torques: dict[str, ResidualTorque]  # unmodelled torque on each body
 
 
 @dataclass(frozen=True)
 class CaseView:
-    """One case with the first and the last model of a history of fits."""
+    """One case with the first and the last model of a history of fits.
+
+    The key of a body is its role, "casing" (also of a single body) or "rotor", and its name in a chain.
+    """
 
     label: str
     surface: str
     quantity: str
-    body: str  # name of the filmed body: "casing", or "body" if only one was recorded
+    bodies: dict[str, str]  # names of the bodies by their keys, the main body first
     torque_unit: str  # "N m", or "rad/s²" for torques per unit of inertia
-    # measured speed, smoothed by a running median [rad/s]
-    casing: Curve
-    rotor: tuple[Curve, ...]
+    speeds: dict[str, tuple[Curve, ...]]  # measured, smoothed by a running median [rad/s]
     smoothing_width: int  # number of points of the running median
     models: tuple[CaseModel, ...]  # the base model and, if it differs, the final model
     added: AddedTorque | None  # torque of the final model minus torque of the base model
@@ -104,6 +105,16 @@ class CaseView:
     # of an oscillation: measured angle from the equilibrium [rad], period [s]
     deflection: Curve | None = None
     period: float = 0.0
+
+    @property
+    def main(self) -> str:
+        """Key of the main body: the casing, a single body, or the first body of a chain."""
+        return next(iter(self.bodies))
+
+    @property
+    def body(self) -> str:
+        """Name of the main body: "casing", or "body" if a single one without a name was recorded."""
+        return self.bodies[self.main]
 
     @property
     def intervals(self) -> tuple[Interval, ...]:
@@ -131,13 +142,15 @@ class CaseView:
     def _outside_of_bands(self, model: CaseModel, covering: Sequence[Interval]) -> list[Interval]:
         """Return the intervals in which a residual of a speed is outside of its band, without `covering` intervals."""
         noise, found = self.models[-1], []
-        bodies = [("casing", self.body, model.casing_residual, noise.casing_residual)] + [
-            ("rotor", "rotor", *both) for both in zip(model.rotor_residual, noise.rotor_residual, strict=True)
+        runs = [
+            (key, *both)
+            for key in self.bodies
+            for both in zip(model.residuals[key], noise.residuals[key], strict=True)
         ]
-        for key, called, residual, band in bodies:
+        for key, residual, band in runs:
             covered = [(i.start, i.stop) for i in covering if i.body == key]
             found += [
-                Interval(a, b, f"{a:.1f}–{b:.1f} s, speed of the {called}, {size:.0f} σ", key)
+                Interval(a, b, f"{a:.1f}–{b:.1f} s, speed of the {self.bodies[key]}, {size:.0f} σ", key)
                 for a, b, size in _outside(residual, band.sigma, covered, self.period)
             ]
         return found
@@ -190,10 +203,12 @@ def case_view(
         label=record.label,
         surface=record.surface,
         quantity=record.quantity,
-        body=record.body,
+        bodies={b.part: b.name for b in record.bodies},
         torque_unit=unit_text(record.torque_unit),
-        casing=_measured(*speeds(record.casing, record.quantity, width)),
-        rotor=tuple(_measured(*speeds(w, record.quantity, width)) for w in record.rotor),
+        speeds={
+            b.part: tuple(_measured(*speeds(run, record.quantity, width)) for run in b.series)
+            for b in record.bodies
+        },
         smoothing_width=median_width(len(record.casing), width),
         models=tuple(_case_model(f, t, index) for f, t in zip(fits, torques, strict=True)),
         added=added_torque("final model", base, final, index) if len(fits) > 1 else None,
@@ -212,14 +227,19 @@ def _measured(time: Array, omega: Array) -> Curve:
 def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> CaseModel:
     record = fit.problem.data[index].record
 
-    def curve(body: int, measured: Array, points: int) -> Curve:
-        time = np.linspace(measured[0], measured[-1], points)
-        return Curve(time, *modelled_speed(fit, index, body, time))
+    def curve(body: Body, run: Samples) -> Curve:
+        points = _MODEL_POINTS if body.state == MAIN or record.is_chain else _WINDOW_POINTS
+        time = np.linspace(run.time[0], run.time[-1], points)
+        return Curve(time, *modelled_speed(fit, index, body.state, time))
 
-    casing = curve(CASING, record.casing.time, _MODEL_POINTS)
-    rotor = tuple(curve(ROTOR, w.time, _WINDOW_POINTS) for w in record.rotor)
-    own = {t.body: t for t in torques if t.label == record.label}
-    return CaseModel(casing, rotor, *speed_residuals(fit, index), own)
+    main, others = speed_residuals(fit, index)
+    pairs = [*zip(others, record.rotor, strict=True)]
+    of = {b.state: tuple(r for r, run in pairs if run.state == b.state) for b in record.bodies}
+    return CaseModel(
+        {b.part: tuple(curve(b, run) for run in b.series) for b in record.bodies},
+        {b.part: (main,) if b.state == MAIN else of[b.state] for b in record.bodies},
+        {t.body: t for t in torques if t.label == record.label},
+    )
 
 
 def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[AddedTorque, ...]:
@@ -251,12 +271,14 @@ def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | 
         return None
     time = np.linspace(path.mesh.edges[0], path.mesh.edges[-1], _MODEL_POINTS)
     state = Sampler(path.mesh, time).value(path.y)
-    inertia = np.array([new.data.record.I_rotor, new.data.record.I_casing])
-    after = new.dynamics.rates(time, state, other.problem.layout.numbers(other.theta, index))[:, :2]
+    mechanism, inertia = new.data.record.mechanism, np.array(new.data.record.inertias)
+    count = len(inertia)
+    after = new.dynamics.rates(time, state, other.problem.layout.numbers(other.theta, index))[:, :count]
     shared = state[:, [path.states.index(s) for s in old.dynamics.states]]
-    before = old.dynamics.rates(time, shared, base.problem.layout.numbers(base.theta, index))[:, :2]
+    before = old.dynamics.rates(time, shared, base.problem.layout.numbers(base.theta, index))[:, :count]
     torque = (after - before) * inertia
-    return AddedTorque(name, time, state[:, 1].copy(), torque[:, 0].copy(), torque[:, 1].copy())
+    torques = {body: torque[:, i].copy() for i, body in enumerate(mechanism.bodies)}
+    return AddedTorque(name, time, state[:, MAIN].copy(), torques)
 
 
 def _energy(fit: Fit, index: int) -> Energy:
@@ -306,8 +328,13 @@ class StudyView:
 
     @property
     def body(self) -> str:
-        """Name of the filmed body: "casing", or "body" if only one was recorded."""
+        """Name of the main body: "casing", or "body" if a single one without a name was recorded."""
         return self.cases[0].body
+
+    @property
+    def bodies(self) -> list[str]:
+        """Names of the bodies, the main one last."""
+        return [*reversed(self.cases[0].bodies.values())]
 
     @property
     def torque_unit(self) -> str:

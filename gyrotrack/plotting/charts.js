@@ -264,8 +264,8 @@ const Charts = (() => {
       g.beginPath(); g.rect(left, top, width, height); g.clip();
       g.fillStyle = look.failing;
       for (const m of this.board.intervals) {
-        // charts of the rotor show the intervals of the rotor, all others those of the other body
-        if (this.board.options.body && m.body && (m.body === "rotor") !== this.chart.name.includes("rotor")) continue;
+        // a chart shows the intervals of its body
+        if (this.board.options.body && m.body && this.chart.body && m.body !== this.chart.body) continue;
         const a = u.valToPos(m.start, "x", true), b = u.valToPos(m.stop, "x", true);
         g.fillRect(a, top, Math.max(2, b - a), height);
       }

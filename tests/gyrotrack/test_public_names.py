@@ -12,10 +12,10 @@ from gyrotrack.apps.cli import _app as app
 
 NAMES = set(
     """
-BodyTrack Case ConfigurationError DatasetError ErrorMode FitRequest Ghost GyrotrackError MarkerTrack OutputError Profile
-ProfileError Proposal Recording Series SimulatedRun Study SyncError TrackingError UsageError VideoError
-export_file extract ghosts import_body import_case open_study propose read read_case read_recording sync write_case
-write_recording write_report
+BodyTrack Case ChainBody ConfigurationError DatasetError ErrorMode FitRequest Ghost GyrotrackError MarkerTrack
+OutputError Profile ProfileError Proposal Recording Series SimulatedRun Study SyncError TrackingError UsageError
+VideoError export_file extract ghosts import_body import_case import_chain open_study propose read read_case
+read_recording sync write_case write_recording write_report
 """.split()  # noqa: SIM905
 )
 

@@ -88,7 +88,7 @@ def certify_command(
 
     out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
-    own, n = shared.own_effects(effects), n or (_FILMS if film else _RECORDINGS)
+    own, n = shared.own_effects(effects, study.mechanism), n or (_FILMS if film else _RECORDINGS)
     if part:
         found, _ = study.answered(start, own)
         items = [_item(p) for p in part]

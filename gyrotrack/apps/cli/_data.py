@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -35,10 +35,27 @@ def import_command(
         list[Path] | None, option("--rotor FILE", "The same quantities of one rotor window; once per window.")
     ] = None,
     body: Annotated[
-        Path | None,
-        option("--body FILE", "The same quantities of a single body, instead of casing and rotor."),
+        list[str] | None,
+        option(
+            "--body FILE",
+            "The same quantities of a single body, instead of casing and rotor; of several bodies with joints, "
+            "NAME=FILE for each, the first of which may come to rest.",
+        ),
     ] = None,
-    inertia: shared.BodyInertia = None,
+    joint: Annotated[
+        list[str] | None,
+        option(
+            "--joint NAME=A,B", "Joint between two bodies; its torque drives B and brakes A. Once per joint."
+        ),
+    ] = None,
+    inertia: Annotated[
+        list[str] | None,
+        option(
+            "--inertia I",
+            "Moment of inertia of the single body, for example '5.5e-5 +- 0.1e-5' (kg m2), without which torques are "
+            "per unit of inertia; of several bodies, NAME=I for each.",
+        ),
+    ] = None,
     output: shared.OptionalOutputFile = None,
     dry_run: Annotated[
         bool, option("--dry-run", "Show the meaning of each column and a plot; write nothing.")
@@ -91,7 +108,8 @@ def import_command(
     rest at the end are detected, reported and excluded; without --inertia its torques are per unit of inertia. Two
     lines for each file state the meaning of each column with the reason, and the unused columns; for a column in doubt
     the option is named. Every repair is reported with its line. With --input nothing is cut: the input describes the
-    drive.
+    drive. Several bodies are connected by joints: --body motor=motor.csv --body drum=drum.csv --joint belt=motor,drum
+    --inertia motor=2e-4 --inertia drum=5e-4. One file may contain all of them, if its headers contain their names.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -100,6 +118,7 @@ def import_command(
     from gyrotrack.io._hdf5 import write_case
     from gyrotrack.io._records import Inertia
     from gyrotrack.io.readers._import_case import import_body, import_case, summary
+    from gyrotrack.io.readers._import_chain import import_chain, read_bodies, read_inertias, read_joints
     from gyrotrack.io.readers._inputs import read_input_options
     from gyrotrack.io.readers._motion_table import ReadOptions, read_names
     from gyrotrack.io.readers._run import Limits, read_cuts
@@ -109,14 +128,17 @@ def import_command(
     if output is None and not dry_run:
         raise UsageError("There is no output.", "Give -o FILE.h5, or --dry-run to check the tables only.")
     rotor = rotor or []
+    bodies, joints = read_bodies(body or []), read_joints(joint or [])
     if output is not None and not dry_run:
-        refuse_existing(output, force=force, reads=[casing, *rotor, body])
+        of_bodies = (path for paths in bodies.values() for path in paths)
+        refuse_existing(output, force=force, reads=[casing, *rotor, *of_bodies])
     starts = rotor_start or [0.0] * len(rotor)
     if len(starts) != len(rotor):
         what = f"There are {len(rotor)} rotor files but {len(starts)} values of --rotor-start."
         raise UsageError(what, "Give --rotor-start once per file.")
     title = label if label is not None else "" if output is None else output.stem
-    names = {part: read_names(columns or (), part) or None for part in ("casing", "rotor")}
+    parts = ("casing", "rotor", *(bodies if len(bodies) > 1 else ()))
+    names = {part: read_names(columns or (), part, parts) or None for part in parts}
     options = [
         ReadOptions(names[part], marker, centre, fps, begin, likelihood, pulses_per_turn)
         for part, fps, begin in [("casing", casing_fps, 0.0), *(("rotor", rotor_fps, t) for t in starts)]
@@ -128,11 +150,19 @@ def import_command(
     options[0] = replace(options[0], inputs=read_input_options(inputs or ()))
     limits = Limits(start, stop, read_cuts(cut or ()), keep_all)
     named: dict[str, Any] = {"label": title, "surface": surface, "limits": limits}
-    if body is not None and casing is None and not rotor:
-        moment = None if inertia is None else Inertia.of(inertia)
-        case = import_body(body, moment, options=options[0], **named)
-    elif casing is not None and body is None and inertia is None:
-        one = "1" if dry_run else None
+    one = "1" if dry_run else None
+    alone = next(iter(bodies), None) if len(bodies) == 1 and not joints else None
+    several = bodies if casing is None and not rotor else {}
+    if several and alone is not None:
+        moment = read_inertias(inertia or (), [alone]).get(alone)
+        case = import_body(bodies[alone][0], moment, options=options[0], **named)
+        case = replace(case, body_name=checked_body_name(body_name or alone))
+    elif several:
+        moments = {b: Inertia.of(one) for b in bodies if one} | read_inertias(inertia or (), [*bodies])
+        chain = {b: replace(options[0], names=names[b], inputs=()) for b in bodies}
+        chain[next(iter(bodies))] = replace(chain[next(iter(bodies))], inputs=options[0].inputs)
+        case = import_chain(bodies, joints, moments, options=chain, **named)
+    elif casing is not None and not bodies and inertia is None and not joints:
         r = Inertia.required(inertia_rotor or one, "rotor")
         c = Inertia.required(inertia_casing or one, "casing")
         case = import_case(casing, rotor, I_rotor=r.value, I_casing=c.value, options=options, **named)
@@ -140,11 +170,10 @@ def import_command(
     else:
         what = "A case needs either --casing and --rotor, or --body, and --inertia applies to a single body."
         raise UsageError(what, "Give --casing and --rotor with their inertias, or --body.")
-    if body is not None:
-        case = replace(case, body_name=checked_body_name(body_name))
-    elif body_name:
+    if alone is None and body_name:
         raise UsageError("--body-name is the name of a single body.", "Use it with --body, or omit it.")
-    settings = {"casing": casing, "rotor": rotor, "body": body, "inertia": inertia, **case.extra}
+    settings = {"casing": casing, "rotor": rotor, "body": body, "joint": joint, "inertia": inertia}
+    settings |= case.extra
     if dry_run:
         output = None
     if output is not None:
@@ -216,7 +245,7 @@ def _plots(case: Case) -> list[str]:
     from fitting._numbers import speed, speed_unit
 
     lines = []
-    for name, series in ((case.main_body, case.casing), ("rotor", case.rotor)):
+    for name, series in case.motions:
         omega = series.omega[np.isfinite(series.omega)]
         if len(omega):
             lines.append(
@@ -231,7 +260,7 @@ def _plotted(case: Case) -> list[dict[str, Any]]:
     import numpy as np
 
     found = []
-    for name, series in ((case.main_body, case.casing), ("rotor", case.rotor)):
+    for name, series in case.motions:
         known = np.flatnonzero(np.isfinite(series.omega))
         rows = known[:: max(len(known) // _MOST_PLOTTED, 1)]
         if len(rows):
@@ -244,16 +273,24 @@ def _plotted(case: Case) -> list[dict[str, Any]]:
 def _lines(document: dict[str, Any], body: str) -> str:
     from fitting._numbers import speed_unit
 
-    casing, windows = document["casing"], document["rotor"]["windows"]
+    casing = document["casing"]
     unit = "rad" if casing["quantity"] == "angle" else "rad/s"
     heading = f"sigma [{unit}]"
     rate = f"speed [{speed_unit()}]"
     lines = [f"{'':<10}{'samples':>9}{'time [s]':>22}{rate:>20}{heading:>16}"]
     lines.append(_line(body, casing))
-    lines += [_line(f"rotor {window['window']}", window) for window in windows]
+    lines += [_line(name, window) for name, window in _windows(document)]
     return "\n".join(
         [*lines, f"written: {document['output']}" if document["output"] else "nothing was written"]
     )
+
+
+def _windows(summary: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the windows of the rotor, or of the further bodies of a chain, with their names."""
+    for name, body in ({"rotor": summary["rotor"]} | summary["further"]).items():
+        for window in body["windows"]:
+            numbered = name == "rotor" or len(body["windows"]) > 1
+            yield f"{name} {window['window']}" if numbered else name, window
 
 
 def _line(name: str, part: dict[str, Any]) -> str:
@@ -369,11 +406,12 @@ def _case_lines(summary: dict[str, Any]) -> list[str]:
         f"label    {summary['label'] or '-'}{surface}",
         f"inertia  {_inertia(summary)}",
         f"measured {'angles' if summary['quantity'] == 'angle' else 'angular velocities'}",
+        *(f"joint    {name} between {' and '.join(bodies)}" for name, bodies in summary["joints"].items()),
         "",
         _header("mrad" if summary["quantity"] == "angle" else "mrad/s"),
         _motion_line(_main_body(summary), summary["casing"]),
     ]
-    lines += [_motion_line(f"rotor {w['window']}", w) for w in summary["rotor"]["windows"]]
+    lines += [_motion_line(name, window) for name, window in _windows(summary)]
     if summary["inputs"]:
         lines += ["", f"{'input':<10}{'samples':>9}{'time [s]':>20}{'value':>20}  unit"]
         lines += [_input_line(name, i) for name, i in summary["inputs"].items()]
@@ -401,13 +439,14 @@ def _inertia(summary: dict[str, Any]) -> str:
 
     if summary["per_inertia"]:
         return "unknown; torques are per unit of inertia"
-    names = {"rotor": "rotor", "casing": _main_body(summary)}
-    stated = {b: (summary[f"I_{b}"], summary.get(f"I_{b}_u", math.nan)) for b in _STORED[summary["bodies"]]}
-    return ", ".join(f"{names[b]} {rounded(*inertia, 'kg m2')}" for b, inertia in stated.items())
-
-
-# bodies with a separate moment of inertia, by the stored number of bodies
-_STORED = {"one": ("casing",), "two": ("rotor", "casing")}
+    stated = {"rotor": "I_rotor"} if summary["bodies"] == "two" else {}
+    stated |= {_main_body(summary): "I_casing"}
+    inertias = {name: (summary[key], summary.get(f"{key}_u", math.nan)) for name, key in stated.items()}
+    further = summary["further"].items()
+    inertias |= {
+        n: (b["inertia"], math.nan if b["inertia_u"] is None else b["inertia_u"]) for n, b in further
+    }
+    return ", ".join(f"{name} {rounded(*inertia, 'kg m2')}" for name, inertia in inertias.items())
 
 
 def _placement_line(p: dict[str, Any]) -> str:

@@ -72,7 +72,7 @@ def laws_command(
     with WorkerPool() as workers, out.progress("searching for laws") as progress:
         progress(0, None)
         fit, fit_id = study.base(start)
-        own = shared.own_effects(effects)
+        own = shared.own_effects(effects, study.mechanism)
         entry = study.entry(fit_id)
         known = entry.diagnosis(fit, own) if entry is not None else None
         found = laws(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -99,7 +100,6 @@ def fit_command(
         model=model,
         add=tuple(add or ()),
         drop=tuple(drop or ()),
-        own=shared.own_effects(effects),
         share=tuple(share or ()),
         per_case=tuple(per_case or ()),
         held=_fixed_values(fix or ()),
@@ -110,7 +110,8 @@ def fit_command(
         study = open_study(group, ledger, data=data, rotor=rotor, prior=prior, prior_rotor=prior_rotor)
         with out.progress("fitting") as progress:
             progress(0, None)
-            found, fit_id = request.fit(study, start)
+            own = shared.own_effects(effects, study.mechanism)
+            found, fit_id = replace(request, own=own).fit(study, start)
             intervals = _intervals(found, profile or ())
             predicted = predict_recordings(found.model, found.problem.data, found.noise) if hold_out else None
             bias = curve_bias(found)
@@ -324,7 +325,7 @@ def diagnose_command(
         progress(0, None)
         began = process_time()  # CPU time: a test is distributed among workers in the same way as this search
         fit, fit_id = study.base(start)
-        own = shared.own_effects(effects, friction=friction)
+        own = shared.own_effects(effects, study.mechanism, friction=friction)
         found = diagnose(fit, own, workers=workers)
         one = process_time() - began
         study.keep_diagnosis(fit_id, found, own)
@@ -364,7 +365,7 @@ def improve_command(
     with WorkerPool() as workers, out.progress("adding effects") as progress:
         progress(0, None)
         base, parent = study.base(start)
-        own = shared.own_effects(effects)
+        own = shared.own_effects(effects, study.mechanism)
         kept = study.recorder(parent, base)
         history = improve(base, own, progress=progress, workers=workers, keep=kept)
         # the report needs the diagnosis, and most of the work is done

@@ -65,7 +65,9 @@ def report_command(
     with WorkerPool() as workers, out.progress("writing the report") as progress:
         progress(0, None)
         steps = study.steps_to(start)
-        diagnosis = study.diagnosis(start, steps[0].fit, shared.own_effects(effects), workers=workers)
+        diagnosis = study.diagnosis(
+            start, steps[0].fit, shared.own_effects(effects, study.mechanism), workers=workers
+        )
         recordings = [read_case(case) for case in cases]
         where = {"command": command_line(), "ledger": str(study.ledger.path)}
         write_report(

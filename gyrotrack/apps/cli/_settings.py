@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from fitting.effects._effect import Effect
+    from fitting.effects._mechanism import Mechanism
 
 NAME = "gyrotrack.toml"
 VARIABLE = "GYROTRACK_CONFIG"
@@ -466,19 +467,29 @@ RotorKind = Annotated[
 ]
 
 
-def own_effects(path: Path | None, *, friction: bool = False) -> list[Effect]:
-    """Read user-defined effects, if a file is given; with `friction` add the laws that a search omits by default."""
-    if friction:
-        from fitting.effects._library import FRICTION, find
+def own_effects(
+    path: Path | None, mechanism: Mechanism | None = None, *, friction: bool = False
+) -> list[Effect]:
+    """Read user-defined effects of the bodies of a case (by default a gyroscope), if a file is given.
 
-        return [*own_effects(path), *(e for e in map(find, FRICTION) if not e.searched)]
+    With `friction` the laws that a search omits by default are added.
+    """
+    from fitting.effects._mechanism import GYROSCOPE
+
+    mechanism = mechanism or GYROSCOPE
+    if friction:
+        from fitting.effects._instances import counterparts
+        from fitting.effects._library import FRICTION
+
+        laws = (e for name in FRICTION for e in counterparts(name, mechanism))
+        return [*own_effects(path, mechanism), *(e for e in laws if not e.searched)]
     if path is None:
         return []
     from fitting.effects._user import read_effects
     from gyrotrack.io._atomic import refuse_special
 
     refuse_special(path)
-    return read_effects(path)
+    return read_effects(path, mechanism)
 
 
 def reading_lines(readings: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from fitting.discovery._residuals import Failure
     from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
+    from fitting.inference._record import Record
     from fitting.inference._result import Fit
     from gyrotrack.io._records import Case
     from gyrotrack.plotting._tracking import Sheet
@@ -168,10 +169,10 @@ def _section(
     v = view.cases[index]
     steps = [s.words for s in view.steps]
     tracks = tracks_of(case) if case is not None else None
-    intervals = [i for i in v.intervals if i.body == "casing"]
+    intervals = [i for i in v.intervals if i.body == v.main]
     of_angle = _torque_of_the_angle(view, v)
     overview = (
-        (charts.speed_chart(v, "casing"), _WIDE),
+        (charts.speed_chart(v, v.main), _WIDE),
         (charts.normalised_chart(v), _WIDE),
         (of_angle[0] if of_angle else charts.torque_law_chart(v, alternatives=not view.improved), _TALL),
     )
@@ -183,7 +184,7 @@ def _section(
             chart_picture(c, intervals if c.name != "speed" else (), name=f"{c.name}{index}", size=size)
             for c, size in overview
         ),
-        windows=charts.windows_picture(v, f"windows{index}") if v.rotor else None,
+        windows=charts.windows_picture(v, f"windows{index}") if "rotor" in v.bodies else None,
         details=_details(v, index, steps, tracks) if static else (),
         sync=sync_picture(tracks, f"sync{index}") if tracks is not None else None,
         dashboard=replace(dashboard, charts=(*dashboard.charts[:3], *of_angle, *dashboard.charts[3:])),
@@ -218,13 +219,11 @@ def ghost_stretches(view: StudyView, index: int, case: Case, films: Sequence[Pat
 
 def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | None) -> tuple[Picture, ...]:
     """Return the figures that are interactive charts in the HTML report."""
-    found = [charts.torque_chart(v, "casing")]
-    if v.rotor:
-        found.append(charts.torque_chart(v, "rotor"))
+    found = [charts.torque_chart(v, body) for body in v.bodies]
     found.append(charts.energy_chart(v, steps))
     if tracks is not None:
         found += charts.tracking_charts(tracks)
-    shaded = [i for i in v.intervals if i.body == "casing"]
+    shaded = [i for i in v.intervals if i.body == v.main]
     return tuple(chart_picture(c, shaded, name=f"{c.name}{index}", size=(6.6, 2.4)) for c in found)
 
 
@@ -289,7 +288,7 @@ def _where(view: StudyView) -> list[tuple[str, str]]:
     speeds: dict[str, list[str]] = {}
     for v in view.cases:
         for i in v.speed_intervals:
-            body = f"{v.body if i.body == 'casing' else i.body}{f' of {v.label}' if named else ''}"
+            body = f"{v.bodies[i.body]}{f' of {v.label}' if named else ''}"
             speeds.setdefault(body, []).append("–".join(interval(i.start, i.stop)))
     parts = [f"{body} {', '.join(spans)} s" for body, spans in speeds.items()]
     if parts:
@@ -311,7 +310,7 @@ def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str,
     own = next((found for r in readings if (found := units_of_file(r))), {})
     if rows and "omega" in own:
         unit, scale = own["omega"]
-        speed = np.abs(view.cases[0].casing.value)
+        speed = np.abs(view.cases[0].speeds[view.cases[0].main][0].value)
         largest = f"{short(float(speed.max()))} rad/s, {short(float(speed.max()) / scale)} {unit}"
         rows.insert(0, ("Largest speed", largest))
     return rows
@@ -351,7 +350,7 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
-# symbols of the moments of inertia of the bodies and of the torque of a joint, with their meanings
+# symbols of the moments of inertia of the bodies and of the torque of a joint of a gyroscope, with their meanings
 _OF_PART = {
     "rotor": ("I_r", "moment of inertia of the rotor"),
     "casing": ("I_c", "moment of inertia of the casing"),
@@ -359,15 +358,23 @@ _OF_PART = {
 }
 
 
+def _of_parts(record: Record) -> Iterator[tuple[str, str]]:
+    """Yield the symbols of the moments of inertia and of the torques of joints, with their meanings."""
+    for b in reversed(record.bodies):
+        yield (f"I_{b.name}", f"moment of inertia of the {b.name}") if record.is_chain else _OF_PART[b.part]
+    for name in record.joints:
+        c = record.mechanism.joints[name]
+        meaning = f"torque of the {name}, from the {c.first} to the {c.second}"
+        yield (f"τ_{name}", meaning) if record.is_chain else _OF_PART[name]
+
+
 def _meanings(view: StudyView) -> list[tuple[str, str]]:
     """Return the symbols of the equations of the base model with their meanings."""
     from fitting.effects._words import of_body, symbol_meanings
 
     record = view.base.problem.data[0].record
-    inertias = (_OF_PART[b.part] for b in reversed(record.bodies))
     found = (
-        *inertias,
-        *(_OF_PART[joint] for joint in record.joints),
+        *_of_parts(record),
         *symbol_meanings(view.base.model.effects, view.body, view.final.units),
     )
     return [(s, of_body(text, view.body)) for s, text in found]
@@ -389,7 +396,7 @@ def _added(view: StudyView) -> list[Added]:
             for k, e in view.final.estimates.items()
             if k.partition("@")[0].rpartition(".")[0] == effect.name
         ]
-        joint = (tables.JOINTS | {"casing": view.body}).get(effect.joint, effect.joint)
+        joint = (tables.JOINTS | {"casing": view.body}).get(effect.site, effect.site)
         name = view.name(effect)
         signature = of_body(effect.signature, view.body)
         found.append(
@@ -429,6 +436,7 @@ def pdf(parts: Mapping[str, Any], *, appendix: bool = False) -> bytes:
             "experiment": tables.experiment_rows(view),
             "improved": view.improved,
             "body": view.body,
+            "bodies": view.bodies,
             "torque_unit": view.torque_unit,
             "energy_unit": view.final.units.energy,
             "cases": len(view.cases),

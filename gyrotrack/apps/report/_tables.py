@@ -148,7 +148,7 @@ def candidate_rows(view: StudyView) -> list[Row]:
             "effect": view.name(c.effect).words,
             "key": view.name(c.effect).key,
             "kind": "physics" if c.physical else "measurement",
-            "joint": (JOINTS | {"casing": view.body}).get(c.effect.joint, c.effect.joint),
+            "joint": (JOINTS | {"casing": view.body}).get(c.effect.site, c.effect.site),
             "score": short(c.score),
             "delta_bic": short(c.delta_bic),
             "p_value": probability(c.p_value),
@@ -165,12 +165,13 @@ def candidate_rows(view: StudyView) -> list[Row]:
 
 def limit_rows(view: StudyView) -> list[LimitRow]:
     """Return the upper limits of effects that are not in the final model, largest torque first."""
-    from fitting.effects._library import LIBRARY
+    from fitting.effects._instances import laws_of
 
+    laws = laws_of(view.final.model.mechanism)
     joints, unit = JOINTS | {"casing": view.body}, view.final.torque_unit
     rows = []
     for u in view.upper_limits:
-        joint = LIBRARY[u.effect].joint if u.effect in LIBRARY else "–"
+        joint = laws[u.effect].site if u.effect in laws else "–"
         factor, prefix = scaled(u.torque_Nm, Units.by_torque(unit).prefixes)
         rows.append(
             LimitRow(
@@ -247,13 +248,12 @@ _SIGNIFICANT = 2.0  # standard uncertainties
 
 @dataclass(frozen=True)
 class Plausibility:
-    """One effect in one case: largest torques on both bodies, dissipated energy and its share, and an assessment."""
+    """One effect in one case: largest torque on each body, dissipated energy and its share, and an assessment."""
 
     effect: str
     key: str
     case: str
-    rotor: str
-    casing: str
+    torques: tuple[str, ...]  # in the order of `StudyView.bodies`
     energy: str
     share: str
     judgement: str
@@ -279,7 +279,8 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
 
     case, path, layout = fit.problem.cases[index], fit.predictions[index].path, fit.problem.layout
     record = fit.problem.data[index].record
-    inertia = np.array([record.I_rotor, record.I_casing])
+    inertia = np.array(record.inertias)
+    bodies = len(inertia)
     time = np.linspace(path.mesh.edges[0], path.mesh.edges[-1], _POINTS)
     state = Sampler(path.mesh, time).value(path.y)
     found = []
@@ -292,11 +293,11 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
 
         def torque(theta: Array, rest: Dynamics = rest, without: Array = without) -> Array:
             numbers = layout.numbers(theta, index)
-            whole = case.dynamics.rates(time, state, numbers)[:, :2]
-            return np.asarray((whole - rest.rates(time, without, numbers)[:, :2]) * inertia)
+            whole = case.dynamics.rates(time, state, numbers)[:, :bodies]
+            return np.asarray((whole - rest.rates(time, without, numbers)[:, :bodies]) * inertia)
 
         def energy(tau: Array) -> float:
-            return -float(np.trapezoid(np.sum(tau * state[:, :2], axis=1), time))
+            return -float(np.trapezoid(np.sum(tau * state[:, :bodies], axis=1), time))
 
         split = [n.partition("@") for n in layout.names]
         at = [
@@ -325,8 +326,7 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
                 effect=fit.name(effect).words,
                 key=fit.name(effect).key,
                 case=record.label if named else "",
-                rotor=short(float(np.abs(tau[:, 0]).max())),
-                casing=short(float(np.abs(tau[:, 1]).max())),
+                torques=tuple(short(float(np.abs(tau[:, b.state]).max())) for b in reversed(record.bodies)),
                 energy=with_uncertainty(e, u, ""),
                 share="–" if effect.restoring else f"{100 * e / total:.1f} %".replace("-", "−"),
                 judgement=judgement,

@@ -500,8 +500,8 @@ class Prediction:
             torque = added_torque(candidate.effect.name, fit, candidate.fit, 0)
             if torque is not None:
                 few = np.unique(np.linspace(0, len(torque.time) - 1, _DRAWN).astype(int))
-                names = ("time", "omega_c", "casing", "rotor")
-                drawn = {n: getattr(torque, n)[few].tolist() for n in names}
+                curves = {"time": torque.time, "omega_c": torque.omega_c, **torque.torques}
+                drawn = {name: values[few].tolist() for name, values in curves.items()}
         else:
             rows = fit.predictions[0].rows + self._linear_change(candidate, columns)
         values = self._residuals(rows)

@@ -312,6 +312,9 @@ class Laboratory:
     ) -> Laboratory:
         """Open a case with a fit of its history, by default the latest; without fits, fit the reduced model."""
         tracked = read_case(case) if opened is None else opened.tracked
+        if tracked.joints:
+            what = f"{case.name}: the workbench does not show several bodies with joints."
+            raise UsageError(what, "Use `gyrotrack fit`, `gyrotrack diagnose` and `gyrotrack report`.")
         study = open_study([case], ledger, read=() if opened is None else (opened.data,))
         entry = study.entry(start)
         base, fit_id = study.base(None) if entry is None else (entry.shown(study.data), entry.fit_id)

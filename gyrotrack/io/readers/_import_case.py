@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -13,7 +13,7 @@ import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import median_smooth
-from gyrotrack.io._contents import describe_motion
+from gyrotrack.io._contents import describe_motion, describe_windows
 from gyrotrack.io._records import (
     Case,
     ErrorMode,
@@ -26,7 +26,6 @@ from gyrotrack.io._records import (
     no_series,
     series_of,
     speed_warnings,
-    windows_of,
 )
 from gyrotrack.io.readers._motion_table import (
     MotionTable,
@@ -186,9 +185,12 @@ def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece
 
 def summary(case: Case) -> dict[str, Any]:
     """Return a summary of an imported case: samples, times and sigmas of the casing and of each window."""
-    windows = windows_of(case.rotor)
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
-    rotor = [{"window": int(k), **describe_motion(case.rotor, windows == k, key)} for k in np.unique(windows)]
+
+    def windows(series: Series) -> dict[str, Any]:
+        stated = {"quantity": case.quantity, "sigma_source": series.sigma_source}
+        return {"windows": describe_windows(series, key), **stated}
+
     return {
         "label": case.label,
         "casing": {
@@ -196,7 +198,8 @@ def summary(case: Case) -> dict[str, Any]:
             "quantity": case.quantity,
             "sigma_source": case.casing.sigma_source,
         },
-        "rotor": {"windows": rotor, "quantity": case.quantity, "sigma_source": case.rotor.sigma_source},
+        "rotor": windows(case.rotor),
+        "further": {b.name: windows(b.series) for b in case.further},
         "sense": case.extra["sense"],
         "warnings": list(case.warnings),
     }
@@ -253,15 +256,11 @@ def import_case(
         replace(o, body=o.body or ("rotor" if k else "casing"))
         for k, o in enumerate(options or [ReadOptions()] * len(paths))
     ]
-    tables = _from_origin([read_motion(p, o) for p, o in zip(paths, given, strict=True)])
-    tables = [limited(table, limits or Limits()) for table in tables]
-    quantity = _common_quantity(tables)
-    notes = [note for table in tables for note in table.notes]
-    keep_all = limits is not None and limits.keep_all
-    clean = [without_outliers(table, unwrapped(table, notes), notes, keep_all=keep_all) for table in tables]
+    clean, notes = read_together(paths, given, limits or Limits())
+    tables = [table for table, _ in clean]
     body, *rotor = (pieces_of(*values, notes) for values in clean)
-    windows = sorted((piece for pieces in rotor for piece in pieces), key=lambda piece: piece.time[0])
-    notes += _window_warnings(body, windows)
+    windows = in_order(rotor)
+    notes += window_warnings({"casing": body, "rotor": windows})
     sense, warnings = _sense(body, windows)
     of_casing, of_rotor = series_of(body, sense), series_of(windows, sense)
     warnings += speed_warnings(
@@ -272,17 +271,15 @@ def import_case(
         I_casing=I_casing,
         label=label,
         surface=surface,
-        casing=replace(
-            of_casing, window=None, sigma_source=_sigma_source(tables[:1]), modes=clean[0][0].modes
-        ),
+        casing=replace(of_casing, window=None, sigma_source=sigma_source(tables[:1]), modes=tables[0].modes),
         rotor=replace(
             of_rotor,
-            sigma_source=_sigma_source(tables[1:]),
-            modes=_modes_of([t for t, _ in clean[1:]], of_rotor),
+            sigma_source=sigma_source(tables[1:]),
+            modes=modes_of(tables[1:], of_rotor),
         ),
-        quantity=quantity,
+        quantity=tables[0].quantity,
         warnings=tuple(notes + warnings),
-        extra=_origins(tables, [*body, *windows], sense),
+        extra=origins(tables, [*body, *windows], sense),
         inputs=tuple(i for table in tables for i in table.inputs),
     )
 
@@ -353,7 +350,7 @@ def case_of_body(
     if not driven and not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
         sense = -1
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
-    body = replace(series_of(parts, sense), window=None, sigma_source=_sigma_source([read]), modes=read.modes)
+    body = replace(series_of(parts, sense), window=None, sigma_source=sigma_source([read]), modes=read.modes)
     case = Case(
         I_rotor=moment.value,
         I_casing=moment.value,
@@ -366,13 +363,31 @@ def case_of_body(
         quantity=read.quantity,
         bodies="one",
         warnings=tuple(notes),
-        extra=_origins([read], parts, sense),
+        extra=origins([read], parts, sense),
         inputs=read.inputs,
     )
     return case, read
 
 
-def _modes_of(tables: list[MotionTable], series: Series) -> tuple[ErrorMode, ...]:
+def read_together(
+    paths: Sequence[Path], options: Sequence[ReadOptions], limits: Limits
+) -> tuple[list[tuple[MotionTable, Floats]], list[str]]:
+    """Return tables on one clock with their unwrapped values, without outliers, and notes about them."""
+    tables = _from_origin([read_motion(p, o) for p, o in zip(paths, options, strict=True)])
+    tables = [limited(table, limits) for table in tables]
+    _refuse_different_quantities(tables)
+    notes = [note for table in tables for note in table.notes]
+    return [
+        without_outliers(table, unwrapped(table, notes), notes, keep_all=limits.keep_all) for table in tables
+    ], notes
+
+
+def in_order(parts: Sequence[list[Piece]]) -> list[Piece]:
+    """Return the pieces of several tables in the order of time."""
+    return sorted((piece for pieces in parts for piece in pieces), key=lambda piece: piece.time[0])
+
+
+def modes_of(tables: list[MotionTable], series: Series) -> tuple[ErrorMode, ...]:
     """Return the error modes of several tables as modes of their common series: each is zero in the other tables."""
     found = []
     for k, table in enumerate(tables):
@@ -403,17 +418,16 @@ def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:
     ]
 
 
-def _common_quantity(tables: list[MotionTable]) -> str:
+def _refuse_different_quantities(tables: list[MotionTable]) -> None:
     for table in tables[1:]:
         if table.quantity != tables[0].quantity:
             raise DatasetError(
                 f"{table.path} contains {table.quantity}, but {tables[0].path} contains {tables[0].quantity}.",
                 "Give either angles or angular velocities in all tables.",
             )
-    return tables[0].quantity
 
 
-def _origins(tables: list[MotionTable], parts: Sequence[Piece], sense: int) -> dict[str, Any]:
+def origins(tables: list[MotionTable], parts: Sequence[Piece], sense: int) -> dict[str, Any]:
     """Return the provenance for the case file."""
     return {
         "sources": [{"file": str(t.path), "sha256": t.sha256, "samples": len(t.time)} for t in tables],
@@ -424,23 +438,25 @@ def _origins(tables: list[MotionTable], parts: Sequence[Piece], sense: int) -> d
     }
 
 
-def _sigma_source(tables: list[MotionTable]) -> str:
+def sigma_source(tables: list[MotionTable]) -> str:
     origins = {"given" if table.sigma is not None else "estimated" for table in tables}
     return origins.pop() if len(origins) == 1 else "mixed"
 
 
-def _window_warnings(body: list[Piece], windows: list[Piece]) -> list[str]:
-    """Return warnings for rotor windows that overlap or are not within the record of the casing."""
+def window_warnings(bodies: Mapping[str, list[Piece]]) -> list[str]:
+    """Return warnings for windows that overlap or are not within the record of the first body."""
     found = []
-    start, stop = body[0].time[0], body[-1].time[-1]
-    for k, window in enumerate(windows):
-        if window.time[0] < start or window.time[-1] > stop:
-            span = f"{window.time[0]:.3f} to {window.time[-1]:.3f} s"
-            found.append(f"rotor window {k} ({span}) is not within the record of the casing")
-        if k and window.time[0] <= windows[k - 1].time[-1]:
-            found.append(
-                f"rotor windows {k - 1} and {k} overlap in time; check that all times are on one clock"
-            )
+    (main, record), *others = bodies.items()
+    start, stop = record[0].time[0], record[-1].time[-1]
+    for name, windows in others:
+        for k, window in enumerate(windows):
+            if window.time[0] < start or window.time[-1] > stop:
+                span = f"{window.time[0]:.3f} to {window.time[-1]:.3f} s"
+                found.append(f"{name} window {k} ({span}) is not within the record of the {main}")
+            if k and window.time[0] <= windows[k - 1].time[-1]:
+                found.append(
+                    f"{name} windows {k - 1} and {k} overlap in time; check that all times are on one clock"
+                )
     return found
 
 

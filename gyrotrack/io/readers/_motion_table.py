@@ -77,7 +77,7 @@ class ReadOptions:
     start: float = 0.0  # time of the first frame [s], added to all times
     likelihood: float = 0.6  # minimum likelihood of the points that are used
     pulses_per_turn: float | None = None  # pulses per turn, for a file with times of pulses
-    body: str = ""  # "casing" or "rotor", to choose between columns whose names contain these words
+    body: str = ""  # name of the body, to choose between columns whose names contain it
     inputs: tuple[InputOption, ...] = ()  # recorded inputs
 
 
@@ -148,13 +148,15 @@ _STEADY = 100.0  # smallest ratio of squared mean to variance of a constant spee
 _LAST_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
 
-def read_names(given: Iterable[str], body: str = "casing") -> Names:
+def read_names(
+    given: Iterable[str], body: str = "casing", bodies: Iterable[str] = ("casing", "rotor")
+) -> Names:
     """Parse options like ``t=Zeit``, ``angle=phi [deg]``, ``x=2``, ``t=1 [us]``, ``casing.x=2`` for one body."""
     names: dict[str, tuple[str, str]] = {}
     for option in given:
         role_name, equals, column = (part.strip() for part in option.partition("="))
         prefix, dot, quantity = role_name.partition(".")
-        role_name = quantity if dot and prefix in {"casing", "rotor"} else role_name
+        role_name = quantity if dot and prefix in {*bodies} else role_name
         if not equals or role_name not in (*ROLES, *COORDINATES) or not column:
             raise UsageError(
                 f"{option[:60]!r}: unknown column.",
@@ -309,7 +311,7 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
     if role == "sigma" and len(plain) == 1:
         return plain[0]
     if options.body:
-        of_body = [i for i in places if options.body in raw.names[i].casefold()]
+        of_body = [i for i in places if options.body.casefold() in raw.names[i].casefold()]
         if len(of_body) == 1:
             return of_body[0]
     first, *copies = (raw.numeric(i) for i in places) if len(set(names)) == 1 else (None,)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
 from typing import ParamSpec
@@ -39,7 +39,8 @@ def within_number_range(read: Callable[_Arguments, Case]) -> Callable[_Arguments
 
     @wraps(read)
     def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> Case:
-        with usable_numbers(args[0]):
+        # the name of a file, or files by the names of their bodies
+        with usable_numbers(", ".join(args[0]) if isinstance(args[0], Mapping) else args[0]):
             case = read(*args, **kwargs)
         check_numbers(case)
         return case
@@ -49,7 +50,7 @@ def within_number_range(read: Callable[_Arguments, Case]) -> Callable[_Arguments
 
 def check_numbers(case: Case) -> None:
     """Raise a `DatasetError` if a case contains numbers for which arithmetic fails."""
-    for name, series in (("casing" if len(case.rotor.time) else "body", case.casing), ("rotor", case.rotor)):
+    for name, series in case.motions:
         _check(name, series)
 
 

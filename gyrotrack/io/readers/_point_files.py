@@ -128,10 +128,8 @@ def _case_body(path: Path, body: str) -> RawTable:
     """Return a body of a case from `sync` or `import`: the fitted series."""
     with READER.open(path, CASE) as file:
         stored = read_stored_case(file, READER)
-    # a single body is found by its own name (optional), and by the name of its group
-    bodies = {"casing": stored.casing, stored.casing.name: stored.casing}
-    if stored.rotor is not None:
-        bodies["rotor"] = stored.rotor
+    # a single body, or the first one of a chain, is found by its own name (optional) and as the casing
+    bodies = {"casing": stored.casing, **{s.name: s for s in (stored.casing, *stored.others)}}
     series = bodies.get(body or "casing")
     if series is None:
         what = f"{path} has no series '{body}'."

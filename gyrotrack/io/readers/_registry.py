@@ -221,7 +221,9 @@ def _rows_of_body(raw: RawTable, options: ReadOptions) -> RawTable:
     body = options.body if options.body in bodies else bodies[0] if len(bodies) == 1 else None
     if body is None:
         what = f"{raw.path} contains the bodies {', '.join(bodies)[:80]}."
-        raise DatasetError(what, "Import the table with --casing and --rotor.")
+        raise DatasetError(
+            what, "Import the table with --casing and --rotor, or with --body NAME=FILE for each body."
+        )
     rows = np.flatnonzero(words == body)
     columns = tuple(c[rows] if isinstance(c, np.ndarray) else [c[i] for i in rows] for c in raw.columns)
     return replace(raw, columns=columns, line=raw.line[rows])

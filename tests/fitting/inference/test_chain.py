@@ -9,19 +9,21 @@ from fitting import (
     Case,
     EffectError,
     EstimationError,
-    LedgerError,
+    Experiment,
     Model,
     RecordError,
     budget,
     diagnose,
     fit,
+    simulate,
 )
+from fitting.discovery._lack_of_fit import periodogram_peak
 from fitting.dynamics._collocation import Mesh
 from fitting.dynamics._events import solve
 from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, sensitivities
-from fitting.effects._instances import laws_of
-from fitting.effects._mechanism import Coupling, Mechanism
+from fitting.effects._instances import counterparts, laws_of
+from fitting.effects._mechanism import GYROSCOPE, Coupling, Mechanism
 
 INERTIA = {"motor": 2e-4, "drum": 5e-4, "wheel": 1e-3}
 START = {"motor": 300.0, "drum": 200.0, "wheel": 50.0}
@@ -284,6 +286,48 @@ class TestRefusals:
         with pytest.raises(EstimationError, match="only drum, the first body"):
             fit(["belt.linear", "motor.support.constant"], case)
 
-    def test_a_fit_of_a_chain_is_not_stored(self, tmp_path):
-        with pytest.raises(LedgerError, match="cannot be stored"):
-            fitted().save(tmp_path / "fit.json")
+    @pytest.mark.parametrize("body", ["motor", "wheel"])
+    def test_a_plan_and_a_simulation(self, body):
+        model = recorded(0).model(f"{body}.air.linear")
+        with pytest.raises(EstimationError, match="gyrotrack certify"):
+            simulate(model, {}, Experiment(), inertia_rotor=1e-3, inertia_casing=1e-3)
+
+
+class TestModels:
+    def test_each_body_and_joint_has_its_law_of_a_model_of_the_paper(self):
+        model = recorded(0).model("linear")
+        assert model.names == (
+            "drum.air.quadratic", "wheel.air.quadratic", "motor.support.constant", "motor.air.linear",
+            "belt.linear", "bearing2.linear",
+        )  # fmt: skip
+        assert Model.of("linear", CHAIN) == model
+        assert Model.of("linear", GYROSCOPE) == Model.of("linear")
+
+    def test_laws_without_a_counterpart_are_left_out(self):
+        assert counterparts("casing.spring.linear", CHAIN) == ()
+        assert [e.name for e in counterparts("casing.unbalance", CHAIN)] == ["motor.unbalance"]
+        assert [e.name for e in counterparts("rotor.air.linear", GYROSCOPE)] == ["rotor.air.linear"]
+
+
+class TestSinusoid:
+    @pytest.mark.parametrize(
+        ("names", "site"), [(("drum", "motor"), "drum"), (("casing", "rotor"), "casing")]
+    )
+    def test_the_law_to_add_names_the_body(self, names, site):
+        """A torque of 2 mN m with 6 rad/s on the main body; its residual speed is 2e-3 / (I 6) = 0.67 rad/s."""
+        t = np.linspace(0.0, SPAN, 400)
+        noise = 0.05 * np.random.default_rng(8).standard_normal((2, len(t)))
+        speeds = (
+            50 * np.exp(-0.05 * t) + 2e-3 / (5e-4 * 6) * np.sin(6 * t),
+            300 * np.exp(-0.05 * t),
+        )
+        bodies = {
+            name: {"t": t, "omega": speed + own, "u": 0.05, "inertia": inertia}
+            for name, speed, own, inertia in zip(names, speeds, noise, (5e-4, 2e-4), strict=True)
+        }
+        joints = None if site == "casing" else {"belt": ("motor", "drum")}
+        laws = [f"{name}.air.linear" for name in names]
+        peak = periodogram_peak(fit(laws, Case.from_arrays(**bodies, joints=joints)))
+        assert peak.law.startswith(f"{site}: k*cos(5.98")
+        assert peak.rate == pytest.approx(6.0, rel=0.01)
+        assert peak.p_value < 1e-6

@@ -315,7 +315,7 @@ def test_joints_are_readable(file, name, value, words):
                 READER.attributes(f["joint/bearing"], layout.JOINT_ATTRIBUTES)
         else:
             found = READER.attributes(f["joint/bearing"], layout.JOINT_ATTRIBUTES)
-            assert found == {"bodies": ["rotor", "ground"], "kind": "bearing"}
+            assert found == {"bodies": ["rotor", "ground"], "kind": "bearing", "place": 0}
 
 
 @pytest.mark.parametrize("superseded", [True, False])

@@ -15,6 +15,8 @@ def view(deflection):
     )
     return SimpleNamespace(
         body="body",
+        main="casing",
+        bodies={"casing": "body"},
         torque_unit="rad/s²",
         models=(SimpleNamespace(torques={"casing": torque}),),
         added=None,

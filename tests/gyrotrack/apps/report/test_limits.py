@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 from fitting import effect_name
 from fitting.discovery._power import UpperLimit
+from fitting.effects._mechanism import GYROSCOPE
 from gyrotrack.apps.report._tables import limit_rows
 
 
@@ -11,7 +12,7 @@ def view(limits, *, unit="N m", body="casing"):
     return SimpleNamespace(
         body=body,
         upper_limits=limits,
-        final=SimpleNamespace(torque_unit=unit),
+        final=SimpleNamespace(torque_unit=unit, model=SimpleNamespace(mechanism=GYROSCOPE)),
         name=lambda key: effect_name(key, body),
     )
 

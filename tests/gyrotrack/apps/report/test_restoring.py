@@ -100,7 +100,7 @@ def test_a_ledger_is_plain_json(study):
 def test_shading_covers_every_point_of_a_run_that_leaves_the_band(study):
     rungs = study.steps_to(None)
     view = gather(rungs, study.diagnosis(None, rungs[0].fit)).cases[0]
-    residual, band = view.models[0].casing_residual, view.models[-1].casing_residual.sigma
+    residual, band = view.models[0].residuals["casing"][0], view.models[-1].residuals["casing"][0].sigma
     far = np.abs(residual.value) > 5 * band
     shaded = np.zeros(len(far), dtype=bool)
     for i in view.intervals:
