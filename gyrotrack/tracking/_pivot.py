@@ -77,6 +77,7 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
 
     The residual is the deviation of the radius in the plane of the body, times the local scale of the picture, so that
     its standard uncertainty is the standard uncertainty of a position. The covariance is computed as in `fit_arc`.
+    ValueError if the fit does not converge: the positions do not determine an ellipse.
     """
     middle, size = place.mean(axis=0), float(np.hypot(*(place - place.mean(axis=0)).T).mean())
     values, axes = np.linalg.eigh(np.cov(place.T))
@@ -97,7 +98,11 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
         return distance(value) / sigma
 
     scale = np.array([size, size, size, 1.0, 1.0])
-    rough = least_squares(normalised, start, loss="soft_l1", f_scale=3.0, x_scale=scale)
+    rough = least_squares(
+        normalised, start, loss="soft_l1", f_scale=3.0, x_scale=scale, max_nfev=_MOST_TRIALS
+    )
+    if not rough.success:
+        raise ValueError("The positions do not determine an ellipse.")
     fit = least_squares(normalised, rough.x, x_scale=scale)
     away = _in_plane(fit.x, place)
     along = np.arctan2(away[:, 1], away[:, 0])
@@ -107,6 +112,9 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
     return Orbit(np.asarray(fit.x), covariance)
 
 
+_MOST_TRIALS = 100
+"""Largest number of trial ellipses of the first fit of an orbit [1]. Derived: orbits of rendered films need 5 to 53;
+the fit of a short arc, which determines no ellipse, does not end after 500 either."""
 CELLS = 12
 """Parts of an arc, each with one error by place [1]. Derived: a full orbit has 12 independent errors by place, see
 `_orbit.CELL`."""

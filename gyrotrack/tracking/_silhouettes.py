@@ -330,7 +330,10 @@ def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float)
         direction = np.sort(angles_about(np.zeros(2), ends) % TURN)
         if float(np.max(np.diff(np.append(direction, direction[0] + TURN)))) > _GAP:
             continue
-        orbit = fit_orbit(ends, np.full(len(ends), 0.5))
+        try:
+            orbit = fit_orbit(ends, np.full(len(ends), 0.5))
+        except ValueError:
+            continue
         if not math.hypot(*orbit.value[3:]) < 1.0:
             continue
         off = float(np.std(np.hypot(*orbit.plane(ends).T))) / orbit.value[2]

@@ -33,10 +33,10 @@ from fitting.inference._angle_harmonics import angle_harmonics
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 
-INERTIA, SIGMA, B1, B2 = 2e-3, 1e-3, 1e-3, 2e-5
-TIME = np.linspace(0.0, 30.0, 1200)
+INERTIA, SIGMA, B1, B2 = 2e-3, 7e-4, 1e-3, 2e-5
+TIME = np.linspace(0.0, 30.0, 600)
 STEP, ONSET = -3e-4, 12.0
-WAVE, RATE = 2e-4, 5.0
+WAVE, RATE = 2e-4, 3.0
 HARMONIC, ORDER = 1.2e-3, 3
 HIDDEN = {
     "nothing": lambda t, w, psi: 0.0,

@@ -26,14 +26,14 @@ def motion(found):
 
 @pytest.fixture(scope="module")
 def speeds():
-    """Return a fit of measured speeds: I dw/dt = -b1 - b2 w, by SciPy, with white noise of 0.05 rad/s."""
-    t = np.arange(0, 60, 0.05)
+    """Return a fit of measured speeds: I dw/dt = -b1 - b2 w, by SciPy, with white noise of 0.035 rad/s."""
+    t = np.arange(0, 60, 0.1)
     w = solve_ivp(
         lambda _, w: -(2e-4 + 3e-5 * w) / 2e-3, (0, 60), [80.0], t_eval=t, rtol=1e-10, atol=1e-10
     ).y[0]
-    noise = np.random.default_rng(0).normal(0, 0.05, len(t))
+    noise = np.random.default_rng(0).normal(0, 0.035, len(t))
     record = make_record(
-        casing=(t, w + noise, np.full(len(t), 0.05)),
+        casing=(t, w + noise, np.full(len(t), 0.035)),
         rotor=[],
         I_rotor=2e-3,
         I_casing=2e-3,
@@ -173,7 +173,7 @@ def test_starts_of_windows_move_their_angles_by_speed_times_uncertainty(gyroscop
         shifts.append(
             [
                 np.mean(_replica._recording(moved, np.random.default_rng(s)).rotor[0].value - known)
-                for s in range(30 if u > 0.0 else 6)
+                for s in range(30 if u > 0.0 else 2)
             ]
         )
     speed = np.ptp(known) / np.ptp(data.record.rotor[0].time)

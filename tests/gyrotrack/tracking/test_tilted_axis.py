@@ -53,8 +53,10 @@ def test_the_angles_are_those_in_the_plane_of_the_body(degrees, short):
 
 def test_a_circle_and_a_short_arc_show_no_tilt():
     assert about_pivot(_path(_seen(TURNS, 0.0, 0.0)), "film.mp4").orbit is None
-    swing = 1.3 + 0.4 * np.sin(TURNS)
-    assert about_pivot(_path(_seen(swing, 0.7, 1.5)), "film.mp4").orbit is None
+    arc = _path(_seen(1.3 + 0.4 * np.sin(TURNS), 0.7, 1.5))
+    assert about_pivot(arc, "film.mp4").orbit is None
+    with pytest.raises(ValueError, match="do not determine an ellipse"):
+        fit_orbit(arc.place, np.full(len(TURNS), 0.05))
 
 
 def test_angles_of_displaced_orbits_differ_by_the_uncertainty_of_the_tilt():

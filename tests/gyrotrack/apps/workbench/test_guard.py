@@ -9,6 +9,7 @@ import pytest
 from gyrotrack.apps.workbench._server import Guard
 
 TOKEN, PORT = "secret-token", 4711
+# the driver of the browser tests may keep a loop running in this thread
 _ELSEWHERE = ThreadPoolExecutor(max_workers=1)
 ROUTES = (
     "/",
@@ -49,6 +50,15 @@ ORIGINS = {
 TOKENS = {TOKEN: True, "": False, "wrong": False, None: False, TOKEN + "x": False}
 
 
+@pytest.fixture(scope="module", autouse=True)
+def loop():
+    """One event loop for all requests of this file."""
+    with asyncio.Runner() as runner:
+        _ask.run = lambda request: _ELSEWHERE.submit(runner.run, request).result()
+        yield
+        _ELSEWHERE.submit(runner.close).result()
+
+
 async def _behind(scope, receive, send):
     await send({"type": "http.response.start", "status": 200, "headers": []})
     await send({"type": "http.response.body", "body": b"let in"})
@@ -70,8 +80,7 @@ def _ask(path, headers, *, method="GET", query=b"", kind="http"):
         "query_string": query,
         "headers": [(k.encode(), v.encode()) for k, v in headers if v is not None],
     }
-    # the driver of the browser tests may keep a loop running in this thread
-    _ELSEWHERE.submit(lambda: asyncio.run(Guard(_behind, PORT, TOKEN)(scope, receive, send))).result()
+    _ask.run(Guard(_behind, PORT, TOKEN)(scope, receive, send))
     return sent
 
 
