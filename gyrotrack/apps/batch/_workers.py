@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from fitting._workers import available_cores
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack._versions import __version__
 
@@ -310,7 +311,7 @@ class Cluster:
     def workers(self, folder: Path, processes: int | None = None) -> Workers:
         """Return workers for commands with outputs in `folder`: of the cluster, or processes of this machine."""
         if self.scheduler is None:
-            return LocalWorkers(processes or cores())
+            return LocalWorkers(processes or available_cores())
         return ClusterWorkers(self.scheduler, new_sign(folder), self._security(self.scheduler))
 
     def _security(self, address: str) -> Any:
@@ -341,10 +342,3 @@ def _lost(error: BaseException) -> Answer:
     return failure(
         "crash", f"The worker or the scheduler was lost ({type(error).__name__}).", "Check the cluster."
     )
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return os.cpu_count() or 1

@@ -360,11 +360,12 @@ def _run(
     force: bool,
 ) -> None:
     """Run commands in worker processes and show their results; raise the first error."""
-    from gyrotrack.apps.batch._workers import LocalWorkers, cores
+    from fitting._workers import available_cores
+    from gyrotrack.apps.batch._workers import LocalWorkers
     from gyrotrack.io._atomic import mark_new
 
     lines = [[str(word) for word in (*job, *(["--force"] if force else []))] for job in jobs]
-    workers = LocalWorkers(min(cores(), len(lines)))
+    workers = LocalWorkers(min(available_cores(), len(lines)))
     try:
         answers = [workers.submit(words, None) for words in lines]
         for done, (words, answer, target) in enumerate(zip(lines, answers, targets, strict=True), 1):
