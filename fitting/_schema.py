@@ -386,65 +386,6 @@ class BudgetDocument(Document):
     parameters: dict[str, ParameterBudgetDocument]
 
 
-class EffectLimitsDocument(Document):
-    """Limits and power for one effect; null where the model absorbs it (`absorbed`) or no torque exists.
-
-    `detection_limit`, `upper_limit`, `stderr` and `size` are strengths in `unit`; `torque_Nm`, `upper_torque_Nm` and
-    `size_Nm` are the same as rms torques along the motion.
-    """
-
-    effect: str
-    words: str
-    kind: str
-    symbol: str
-    unit: str
-    shape: dict[str, Number]
-    stderr: Number
-    detection_limit: Number
-    upper_limit: Number
-    torque_Nm: Number  # noqa: N815 - the unit's own capitals
-    upper_torque_Nm: Number  # noqa: N815
-    detection_range_Nm: tuple[Number, Number]  # noqa: N815
-    size: Number
-    size_Nm: Number  # noqa: N815
-    power: Number
-    runs_needed: Number
-    absorbed: bool
-    indistinguishable_from: list[str]
-
-
-class NextRunDocument(Document):
-    """The proposed run: initial angular rates [rad/s], times [s], and its expected separation of rivals [sigma]."""
-
-    omega_rotor: Number
-    omega_casing: Number
-    duration: Number
-    windows: list[Number]
-    window_length: Number
-    inertia_casing_ratio: Number
-    touchpoint_ratio: Number
-    rivals: list[list[str]]
-    separation_sigma: Number
-    present_sigma: Number
-    repeated_sigma: Number
-    inseparable: list[tuple[str, str]]
-    detection_limit_ratio: dict[str, Number]
-    bounds: dict[str, tuple[Number, Number] | bool]
-    sentence: str
-
-
-class PlanDocument(Document):
-    """What `plan --json` prints."""
-
-    effects: list[EffectLimitsDocument]
-    classes: list[list[str]]
-    next_run: NextRunDocument | None
-    power_wanted: Number
-    confidence: Number
-    size_Nm: Number  # noqa: N815
-    warning: str = ""
-
-
 class StepDocument(Document):
     """One fit of a history: the change, and the errors; `_noise` marks values for noise alone."""
 

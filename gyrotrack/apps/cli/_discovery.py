@@ -58,8 +58,8 @@ def laws_command(
     """
     from fitting._workers import WorkerPool
     from fitting.discovery._laws import laws
-    from fitting.study._serialisation import check_name, laws_document
-    from fitting.study._serialisation import save_law as save
+    from fitting.study._law_documents import check_name, laws_document
+    from fitting.study._law_documents import save_law as save
 
     check_picture(picture, force=force, reads=with_ledgers(cases, ledger, effects))
     if save_law is not None:
@@ -224,7 +224,7 @@ def plan_command(
     from fitting.discovery._friction import friction_plan
     from fitting.discovery._next_run import Bounds
     from fitting.discovery._plan import plan, read_planned
-    from fitting.study._serialisation import plan_document
+    from fitting.study._plan_documents import plan_document
     from gyrotrack.io._atomic import refuse_special
 
     described = [p for p in recordings if p.suffix.lower() == ".toml"]
