@@ -90,6 +90,11 @@ class Document(BaseModel):
     model_config = ConfigDict(from_attributes=True, extra="ignore")
 
 
+def selected(source: object, names: Iterable[str]) -> dict[str, Any]:
+    """Return attributes of an object as a part of a document that is written only."""
+    return {name: getattr(source, name) for name in names}
+
+
 class EstimateDocument(Document):
     """A parameter: value, standard error (nan on a bound), unit, whether its bound is active."""
 
@@ -359,31 +364,6 @@ class DiagnosisDocument(Document):
     energy_drift: dict[str, Number]
     residual_torque: list[TorqueDocument]
     residual_ripple: list[RippleDocument]
-
-
-class ContributionDocument(Document):
-    """One source of uncertainty of a parameter: type A or B, contribution, sensitivity, share of the variance."""
-
-    source: str
-    type: str
-    u: Number
-    sensitivity: float | None
-    share: Number
-
-
-class ParameterBudgetDocument(Document):
-    """A parameter with its combined standard uncertainty and the contributions, largest first."""
-
-    value: Number
-    u: Number
-    unit: str
-    contributions: list[ContributionDocument]
-
-
-class BudgetDocument(Document):
-    """What `budget --json` prints, in addition to the name of the fit."""
-
-    parameters: dict[str, ParameterBudgetDocument]
 
 
 class StepDocument(Document):

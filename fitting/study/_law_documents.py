@@ -10,17 +10,17 @@ import json
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from fitting._errors import EffectError
 from fitting._schema import (
     DifferenceBetweenRecordings,
-    Document,
     EstimateDocument,
-    Number,
     locked,
     refuse_special,
+    selected,
     write_text,
 )
 from fitting.discovery._dependence import Dependence
@@ -37,106 +37,48 @@ other data, more cost time."""
 _UNITS = {"t": "s", "psi_c": "rad"}
 
 
-class TermDocument(Document):
-    """One term of a law: where it acts, its formula, the rate of its state variable."""
-
-    body: str
-    law: str
-    rate: str = ""
-
-
-class DifferenceDocument(Document):
-    """The largest difference of a law from another law of its set; torque [N m], times [s], speeds [rad/s]."""
-
-    formula: str
-    torque_Nm: Number  # noqa: N815 - the unit's own capitals
-    label: str
-    t_start: Number
-    t_stop: Number
-    omega_c: tuple[Number, Number]
-    omega_r: tuple[Number, Number]
-
-
-class LawDocument(Document):
-    """A law and the evidence for it."""
-
-    formula: str
-    body: str
-    form: str
-    terms: list[TermDocument]
-    score: Number
-    delta_bic: Number
-    description_length: Number
-    p_value: Number
-    parameters: dict[str, EstimateDocument]
-    torque_rms_Nm: Number  # noqa: N815
-    verdict: str
-    indistinguishable_from: list[str]
-    same_torque_as: list[str]
-    differences: list[DifferenceDocument]
-
-
-class CurveDocument(Document):
-    """The unmodelled torque as a function of one variable."""
-
-    unit: str
-    value: list[Number]
-    torque_Nm: list[Number]  # noqa: N815
-    sigma_Nm: list[Number]  # noqa: N815
-
-
-class DependenceDocument(Document):
-    """The dependence of the unmodelled torque on a variable."""
-
-    variable: str
-    body: str
-    p_value: Number
-    explained: Number
-    score: Number
-    curve: CurveDocument | None
-
-
-class LawsDocument(Document):
-    """What `laws --json` prints."""
-
-    fit_id: str
-    verdict: str
-    sentence: str
-    laws: list[LawDocument]
-    library: str | None
-    differs: DifferenceBetweenRecordings | None
-    depends_on: list[DependenceDocument]
-    next_experiment: str
-    trials: int
+# attributes of a law, of the dependence on a variable, and of an answer that are keys of the document
+_LAW = (
+    "formula", "body", "form", "score", "delta_bic", "description_length", "p_value", "torque_rms_Nm",
+    "indistinguishable_from", "same_torque_as",
+)  # fmt: skip
+_DEPENDENCE = ("variable", "body", "p_value", "explained", "score")
+_ANSWER = ("verdict", "sentence", "next_experiment", "trials")
 
 
 def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
     """Return laws under the keys of `laws --json`; `fit_id` is the base model in the ledger."""
-    document = LawsDocument.model_validate(
-        vars(found)
-        | {
-            "fit_id": fit_id,
-            "laws": [_law(x) for x in found.laws],
-            "library": found.library.effect.name if found.library is not None else None,
-            "differs": difference_document(found.differs),
-            "depends_on": [vars(d) | {"curve": _curve(d)} for d in found.depends_on],
-        }
-    )
-    return document.model_dump()
+    differs = difference_document(found.differs)
+    return {
+        "fit_id": fit_id,
+        **selected(found, _ANSWER),
+        "laws": [_law(x) for x in found.laws],
+        "library": found.library.effect.name if found.library is not None else None,
+        "differs": None
+        if differs is None
+        else DifferenceBetweenRecordings.model_validate(differs).model_dump(),
+        "depends_on": [selected(d, _DEPENDENCE) | {"curve": _curve(d)} for d in found.depends_on],
+    }
 
 
 def _curve(d: Dependence) -> dict[str, Any] | None:
+    """Return the unmodelled torque as a function of a variable."""
     if not len(d.value):
         return None
     columns = {"value": d.value, "torque_Nm": d.torque, "sigma_Nm": d.sigma}
     return {"unit": _UNITS.get(d.variable, "rad/s")} | {k: v.tolist() for k, v in columns.items()}
 
 
-def _law(x: Law) -> LawDocument:
-    terms = [{"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects]
-    return LawDocument.model_validate(
-        vars(x) | {"body": x.body, "terms": terms, "parameters": x.estimates, "verdict": x.fit.verdict}
-    )
+def _law(x: Law) -> dict[str, Any]:
+    """Return a law and the evidence for it, with the largest difference from each other law of its set."""
+    return selected(x, _LAW) | {
+        "terms": [
+            {"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects
+        ],
+        "parameters": {k: EstimateDocument.model_validate(e).model_dump() for k, e in x.estimates.items()},
+        "verdict": x.fit.verdict,
+        "differences": [asdict(d) for d in x.differences],
+    }
 
 
 def check_name(name: str, path: Path, terms: int = 1) -> None:

@@ -25,7 +25,6 @@ from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
 from fitting._schema import (
     AngleNoiseDocument,
-    BudgetDocument,
     CaseDocument,
     DiagnosisDocument,
     EstimateDocument,
@@ -33,7 +32,6 @@ from fitting._schema import (
     FitDocument,
     NameDocument,
     NoiseDocument,
-    ParameterBudgetDocument,
     PriorDocument,
     SavedFitDocument,
     StepDocument,
@@ -136,8 +134,7 @@ def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
 
 def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
     """Return an uncertainty budget under the keys of `budget --json`."""
-    parameters = {k: ParameterBudgetDocument.model_validate(b) for k, b in found.items()}
-    return BudgetDocument(parameters=parameters).model_dump()
+    return {"parameters": {k: asdict(b) for k, b in found.items()}}
 
 
 def certificate_document(found: Certificate) -> dict[str, Any]:
