@@ -275,42 +275,6 @@ class NuisanceDocument(Document):
     p_value: Number
 
 
-class NamedNuisance(NuisanceDocument):
-    """The same with the name of the effect in words, and the symbol of its amplitude."""
-
-    words: str
-    symbol: str
-
-
-class WhitenessDocument(Document):
-    """Test of the independence of one case's residuals."""
-
-    label: str
-    p_value: Number
-
-
-class TorqueDocument(Document):
-    """Unmodelled torque on one body with its standard uncertainty, and the motion at the same times."""
-
-    label: str
-    body: str
-    time: list[Number]
-    omega_r: list[Number]
-    omega_c: list[Number]
-    delta: list[Number]
-    torque_Nm: list[Number]  # noqa: N815
-    sigma_Nm: list[Number]  # noqa: N815
-
-
-class RippleDocument(Document):
-    """Unmodelled torque against the angle of the casing, with its standard uncertainty."""
-
-    label: str
-    angle: list[Number]
-    torque_Nm: list[Number]  # noqa: N815
-    sigma_Nm: list[Number]  # noqa: N815
-
-
 class UpperLimitDocument(Document):
     """An effect that could still be hidden: 95 % upper limit of its strength, and of its rms torque."""
 
@@ -319,12 +283,6 @@ class UpperLimitDocument(Document):
     upper_limit: Number
     unit: str
     torque_Nm: Number  # noqa: N815 - the unit's own capitals
-
-
-class NamedUpperLimit(UpperLimitDocument):
-    """The same with the name of the effect in words."""
-
-    words: str
 
 
 class ValuesInRecordings(Document):
@@ -342,28 +300,6 @@ class DifferenceBetweenRecordings(ValuesInRecordings):
     p_value: Number
     indistinguishable_from: list[str]
     others: list[ValuesInRecordings] = []
-
-
-class DiagnosisDocument(Document):
-    """What `diagnose --json` prints."""
-
-    fit_id: str
-    verdict: str
-    sentence: str
-    failures: list[FailureDocument]
-    candidates: list[CandidateDocument]
-    form: str | None = None
-    explained: float | None = None
-    form_limit: float | None = None
-    remainder: RemainderDocument | None = None
-    nuisance: list[NamedNuisance] = []
-    next_experiment: str
-    upper_limits: list[NamedUpperLimit] = []
-    differs: DifferenceBetweenRecordings | None = None
-    whiteness: list[WhitenessDocument]
-    energy_drift: dict[str, Number]
-    residual_torque: list[TorqueDocument]
-    residual_ripple: list[RippleDocument]
 
 
 class StepDocument(Document):

@@ -16,7 +16,6 @@ from typing import Any
 
 from fitting._errors import EffectError
 from fitting._schema import (
-    DifferenceBetweenRecordings,
     EstimateDocument,
     locked,
     refuse_special,
@@ -28,7 +27,7 @@ from fitting.discovery._laws import Law, Laws
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
 from fitting.inference._parameters import parameters_at
-from fitting.study._serialisation import difference_document
+from fitting.study._serialisation import shown_difference
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
 _AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
@@ -48,15 +47,12 @@ _ANSWER = ("verdict", "sentence", "next_experiment", "trials")
 
 def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
     """Return laws under the keys of `laws --json`; `fit_id` is the base model in the ledger."""
-    differs = difference_document(found.differs)
     return {
         "fit_id": fit_id,
         **selected(found, _ANSWER),
         "laws": [_law(x) for x in found.laws],
         "library": found.library.effect.name if found.library is not None else None,
-        "differs": None
-        if differs is None
-        else DifferenceBetweenRecordings.model_validate(differs).model_dump(),
+        "differs": shown_difference(found.differs),
         "depends_on": [selected(d, _DEPENDENCE) | {"curve": _curve(d)} for d in found.depends_on],
     }
 

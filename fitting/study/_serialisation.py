@@ -25,9 +25,11 @@ from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
 from fitting._schema import (
     AngleNoiseDocument,
+    CandidateDocument,
     CaseDocument,
-    DiagnosisDocument,
+    DifferenceBetweenRecordings,
     EstimateDocument,
+    FailureDocument,
     FirstOrderDocument,
     FitDocument,
     NameDocument,
@@ -44,6 +46,7 @@ from fitting._schema import (
     effects_of,
     own_effects,
     read_json,
+    selected,
 )
 from fitting.discovery._certificate import Certificate, Outcome
 from fitting.discovery._difference import DifferentParameter, ValuesPerRecording
@@ -202,22 +205,25 @@ def interval_document(interval: Interval) -> dict[str, Any]:
     return {"level": LEVEL, **asdict(interval)}
 
 
+_ANSWER = ("verdict", "sentence", "form", "explained", "form_limit", "next_experiment")
+
+
 def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
     """Return a diagnosis under the keys of `diagnose --json`."""
-    document = DiagnosisDocument.model_validate(
-        vars(d)
-        | {
-            "fit_id": fit_id,
-            "candidates": [_candidate(c, d) for c in d.candidates],
-            "nuisance": [vars(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
-            "upper_limits": [vars(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
-            "differs": difference_document(d.differs),
-            "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
-            "residual_torque": [_torque(t) for t in d.torques],
-            "residual_ripple": [_ripple(r) for r in d.ripples],
-        }
-    )
-    return document.model_dump()
+    return {
+        "fit_id": fit_id,
+        **selected(d, _ANSWER),
+        "failures": [FailureDocument.model_validate(f).model_dump() for f in d.failures],
+        "candidates": [CandidateDocument.model_validate(_candidate(c, d)).model_dump() for c in d.candidates],
+        "remainder": asdict(d.remainder) if d.remainder is not None else None,
+        "nuisance": [asdict(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
+        "upper_limits": [asdict(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
+        "differs": shown_difference(d.differs),
+        "whiteness": [asdict(w) for w in d.whiteness],
+        "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
+        "residual_torque": [_torque(t) for t in d.torques],
+        "residual_ripple": [_ripple(r) for r in d.ripples],
+    }
 
 
 def difference_document(found: DifferentParameter | None) -> StoredDifference | None:
@@ -226,6 +232,13 @@ def difference_document(found: DifferentParameter | None) -> StoredDifference | 
         return None
     others = [_values_document(p) for p in found.others]
     return StoredDifference.model_validate(_values_document(found) | {"others": others})
+
+
+def shown_difference(found: DifferentParameter | None) -> dict[str, Any] | None:
+    """Return a parameter that differs between the recordings as documents show it, without bounds."""
+    if found is None:
+        return None
+    return DifferenceBetweenRecordings.model_validate(difference_document(found)).model_dump()
 
 
 def _values_document(p: ValuesPerRecording) -> dict[str, Any]:
