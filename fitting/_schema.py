@@ -89,6 +89,11 @@ class Document(BaseModel):
     model_config = ConfigDict(from_attributes=True, extra="ignore")
 
 
+def selected(source: object, names: Iterable[str]) -> dict[str, Any]:
+    """Return attributes of an object as a part of a document that is written only."""
+    return {name: getattr(source, name) for name in names}
+
+
 class EstimateDocument(Document):
     """A parameter: value, standard error (nan on a bound), unit, whether its bound is active."""
 
@@ -270,42 +275,6 @@ class NuisanceDocument(Document):
     p_value: Number
 
 
-class NamedNuisance(NuisanceDocument):
-    """The same with the name of the effect in words, and the symbol of its amplitude."""
-
-    words: str
-    symbol: str
-
-
-class WhitenessDocument(Document):
-    """Test of the independence of one case's residuals."""
-
-    label: str
-    p_value: Number
-
-
-class TorqueDocument(Document):
-    """Unmodelled torque on one body with its standard uncertainty, and the motion at the same times."""
-
-    label: str
-    body: str
-    time: list[Number]
-    omega_r: list[Number]
-    omega_c: list[Number]
-    delta: list[Number]
-    torque_Nm: list[Number]  # noqa: N815
-    sigma_Nm: list[Number]  # noqa: N815
-
-
-class RippleDocument(Document):
-    """Unmodelled torque against the angle of the casing, with its standard uncertainty."""
-
-    label: str
-    angle: list[Number]
-    torque_Nm: list[Number]  # noqa: N815
-    sigma_Nm: list[Number]  # noqa: N815
-
-
 class UpperLimitDocument(Document):
     """An effect that could still be hidden: 95 % upper limit of its strength, and of its rms torque."""
 
@@ -314,12 +283,6 @@ class UpperLimitDocument(Document):
     upper_limit: Number
     unit: str
     torque_Nm: Number  # noqa: N815 - the unit's own capitals
-
-
-class NamedUpperLimit(UpperLimitDocument):
-    """The same with the name of the effect in words."""
-
-    words: str
 
 
 class ValuesInRecordings(Document):
@@ -337,112 +300,6 @@ class DifferenceBetweenRecordings(ValuesInRecordings):
     p_value: Number
     indistinguishable_from: list[str]
     others: list[ValuesInRecordings] = []
-
-
-class DiagnosisDocument(Document):
-    """What `diagnose --json` prints."""
-
-    fit_id: str
-    verdict: str
-    sentence: str
-    failures: list[FailureDocument]
-    candidates: list[CandidateDocument]
-    form: str | None = None
-    explained: float | None = None
-    form_limit: float | None = None
-    remainder: RemainderDocument | None = None
-    nuisance: list[NamedNuisance] = []
-    next_experiment: str
-    upper_limits: list[NamedUpperLimit] = []
-    differs: DifferenceBetweenRecordings | None = None
-    whiteness: list[WhitenessDocument]
-    energy_drift: dict[str, Number]
-    residual_torque: list[TorqueDocument]
-    residual_ripple: list[RippleDocument]
-
-
-class ContributionDocument(Document):
-    """One source of uncertainty of a parameter: type A or B, contribution, sensitivity, share of the variance."""
-
-    source: str
-    type: str
-    u: Number
-    sensitivity: float | None
-    share: Number
-
-
-class ParameterBudgetDocument(Document):
-    """A parameter with its combined standard uncertainty and the contributions, largest first."""
-
-    value: Number
-    u: Number
-    unit: str
-    contributions: list[ContributionDocument]
-
-
-class BudgetDocument(Document):
-    """What `budget --json` prints, in addition to the name of the fit."""
-
-    parameters: dict[str, ParameterBudgetDocument]
-
-
-class EffectLimitsDocument(Document):
-    """Limits and power for one effect; null where the model absorbs it (`absorbed`) or no torque exists.
-
-    `detection_limit`, `upper_limit`, `stderr` and `size` are strengths in `unit`; `torque_Nm`, `upper_torque_Nm` and
-    `size_Nm` are the same as rms torques along the motion.
-    """
-
-    effect: str
-    words: str
-    kind: str
-    symbol: str
-    unit: str
-    shape: dict[str, Number]
-    stderr: Number
-    detection_limit: Number
-    upper_limit: Number
-    torque_Nm: Number  # noqa: N815 - the unit's own capitals
-    upper_torque_Nm: Number  # noqa: N815
-    detection_range_Nm: tuple[Number, Number]  # noqa: N815
-    size: Number
-    size_Nm: Number  # noqa: N815
-    power: Number
-    runs_needed: Number
-    absorbed: bool
-    indistinguishable_from: list[str]
-
-
-class NextRunDocument(Document):
-    """The proposed run: initial angular rates [rad/s], times [s], and its expected separation of rivals [sigma]."""
-
-    omega_rotor: Number
-    omega_casing: Number
-    duration: Number
-    windows: list[Number]
-    window_length: Number
-    inertia_casing_ratio: Number
-    touchpoint_ratio: Number
-    rivals: list[list[str]]
-    separation_sigma: Number
-    present_sigma: Number
-    repeated_sigma: Number
-    inseparable: list[tuple[str, str]]
-    detection_limit_ratio: dict[str, Number]
-    bounds: dict[str, tuple[Number, Number] | bool]
-    sentence: str
-
-
-class PlanDocument(Document):
-    """What `plan --json` prints."""
-
-    effects: list[EffectLimitsDocument]
-    classes: list[list[str]]
-    next_run: NextRunDocument | None
-    power_wanted: Number
-    confidence: Number
-    size_Nm: Number  # noqa: N815
-    warning: str = ""
 
 
 class StepDocument(Document):

@@ -67,20 +67,22 @@ class WorkerPool:
 
     Without ``with``, on one core, where no process can be started and after a worker was killed, all calls run in the
     calling process. The workers end with the process that started them; by default there is one fewer than available
-    cores, at most 4.
+    cores, at most 4. Each worker begins with ``start(*arguments)``, a module-level function.
     """
 
     processes: int = field(default_factory=lambda: min(available_cores() - 1, _MOST_PROCESSES))
+    start: Callable[..., object] | None = None
+    arguments: tuple[Any, ...] = ()
     _executor: ProcessPoolExecutor | None = field(default=None, init=False)
 
     def __enter__(self) -> Self:
         if self.processes > 0:
-            context = get_context("spawn")
+            context, own = get_context("spawn"), (self.start, *self.arguments)
             try:
-                self._executor = ProcessPoolExecutor(self.processes, context, initializer=_start_worker)
+                self._executor = ProcessPoolExecutor(self.processes, context, _start_worker, own)
             except (OSError, ImportError):  # no semaphores: /dev/shm is missing or read-only
                 return self
-            self._submit(int)  # so that the first worker imports its modules in the meantime
+            self.submit(int)  # so that the first worker imports its modules in the meantime
         return self
 
     def __exit__(self, fault: type[BaseException] | None, *_: object) -> None:
@@ -94,7 +96,7 @@ class WorkerPool:
 
     def submit(self, work: Callable[..., T], *args: Any) -> Task[T]:
         """Start ``work(*args)``, a module-level function with arguments that can be pickled."""
-        return Task(lambda: work(*args), self._submit(work, *args))
+        return Task(lambda: work(*args), self.begin(work, *args))
 
     def map(
         self,
@@ -114,7 +116,7 @@ class WorkerPool:
             if previous is not None and (previous.cancelled() or previous.exception() is not None):
                 return
             with lock:
-                future = self._submit(_run, work, common, items[waiting[0]], shared) if waiting else None
+                future = self.begin(_run, work, common, items[waiting[0]], shared) if waiting else None
                 if future is not None:
                     futures[waiting.popleft()] = future
                     future.add_done_callback(submit_next)
@@ -135,7 +137,8 @@ class WorkerPool:
                 results[i] = work(common, items[i])
         return [results[i] for i in range(len(items))]
 
-    def _submit(self, work: Callable[..., T], *args: Any) -> Future[T] | None:
+    def begin(self, work: Callable[..., T], *args: Any) -> Future[T] | None:
+        """Start a call in a worker; None if there is no worker, and after one was killed."""
         if self._executor is not None:
             try:
                 return self._executor.submit(_unpacked, _packed(work, *args))
@@ -194,10 +197,12 @@ def _run(work: Any, common: Any, item: Any, shared: Any) -> bytes:
     return stream.getvalue()
 
 
-def _start_worker() -> None:
+def _start_worker(start: Callable[..., object] | None, *arguments: Any) -> None:
     warnings.simplefilter("ignore")  # as in the program, which this process does not inherit
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the calling process, which ends the workers
     Thread(target=_end_with_parent, daemon=True).start()
+    if start is not None:
+        start(*arguments)
 
 
 def _end_with_parent() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from gyrotrack.synthetic._film import Truth, load_truth, render_clip
+from gyrotrack.synthetic._film import Truth, find_truth, render_clip
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene, Wobble
 
 LIGHT = Light(gradient=(0.18, -0.10), vignette=0.12, flicker=0.03, glint=0.08, shadow=0.3)
@@ -36,8 +36,8 @@ def motion_of(name: str) -> Motion:
 def film(name: str, frames: int, folder: Path) -> tuple[Path, Truth]:
     """Draw a film, or take the one that was drawn before."""
     stem = f"{name.replace(' ', '_')}_{frames}"
-    path, answers = folder / f"{stem}.mp4", folder / f"{stem}.npz"
-    if not (path.exists() and answers.exists()):
+    path = folder / f"{stem}.mp4"
+    if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         render_clip(
             path,
@@ -47,10 +47,8 @@ def film(name: str, frames: int, folder: Path) -> tuple[Path, Truth]:
             LIGHT,
             frames=frames,
             seed=1,
-            truth=answers,
-            force=True,
         )
-    return path, load_truth(answers)
+    return path, find_truth(SCENE, motion_of(name), CAMERAS[name], frames)
 
 
 def repeated(source: Path, target: Path, times: int) -> Path:

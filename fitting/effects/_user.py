@@ -545,3 +545,6 @@ def _check_table(where: str, table: Any, keys: Mapping[str, str], needed: Sequen
         if keys[key] and not isinstance(value, _KINDS[keys[key]]):
             hint = "write [effect.parameters.k]" if keys[key] == "a table" else ""
             raise EffectError(f"{where}: {key} must be {keys[key]}", hint)
+
+
+effect = resolve  # the public name

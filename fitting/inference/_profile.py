@@ -176,3 +176,6 @@ class _Held:
             else:
                 outside, z_outside = trial, z
         return (inside, True) if math.isnan(outside) else (inside + (outside - inside) * 0.5, False)
+
+
+profile_interval = profile  # the public name

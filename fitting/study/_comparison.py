@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from fitting._errors import EstimationError
 from fitting._numbers import on_screen, probability, rounded, to_json
 from fitting.effects._words import CASING, effect_name
-from fitting.study._population import Fitted, Population, population_of
+from fitting.study._population import Fitted, Population, compared_parameters, population_of
 
 Array = NDArray[np.float64]
 
@@ -189,19 +189,13 @@ def compare(
     repeats: dict[str, list[Repeat]] = {}
     units: dict[str, str] = {}
     bounds: dict[str, list[str]] = {}
-    for run, found in fits.items():
-        changepoints = {f"{e.name}.{e.breakpoint}" for e in found.model.effects if e.breakpoint}
-        excluded = {*found.model.constants, *changepoints}
-        for name, e in found.estimates.items():
-            key, at, case = name.partition("@")
-            if key.startswith("initial.") or key in excluded:
-                continue
-            own = f"{run}:{case}" if at else run
-            if e.at_bound or not (math.isfinite(e.stderr) and e.stderr > 0):
-                bounds.setdefault(key, []).append(own)
-                continue
-            units[key] = e.unit
-            repeats.setdefault(key, []).append(Repeat(own, float(e.value), float(e.stderr)))
+    for run, own, key, name in compared_parameters(fits):
+        e = fits[run].estimates[name]
+        if e.at_bound or not (math.isfinite(e.stderr) and e.stderr > 0):
+            bounds.setdefault(key, []).append(own)
+            continue
+        units[key] = e.unit
+        repeats.setdefault(key, []).append(Repeat(own, float(e.value), float(e.stderr)))
     compared = [_compared(key, units[key], found) for key, found in repeats.items() if len(found) > 1]
     names = {n for found in fits.values() for n in found.model.names}
     having = {n: tuple(run for run, found in fits.items() if n in found.model.names) for n in sorted(names)}

@@ -25,7 +25,7 @@ between drift and step; a step has one parameter more than a drift.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -301,6 +301,20 @@ class Fitted(Protocol):
     def estimates(self) -> Mapping[str, Any]: ...
 
 
+def compared_parameters(fits: Mapping[str, Fitted]) -> Iterator[tuple[str, str, str, str]]:
+    """Yield run, name of the run with its case, key and name of each parameter that is compared between runs.
+
+    Initial values, constants and changepoints are not compared.
+    """
+    for run, found in fits.items():
+        changepoints = {f"{e.name}.{e.breakpoint}" for e in found.model.effects if e.breakpoint}
+        excluded = {*found.model.constants, *changepoints}
+        for name in found.estimates:
+            key, _, case = name.partition("@")
+            if not key.startswith("initial.") and key not in excluded:
+                yield run, f"{run}:{case}" if case else run, key, name
+
+
 def population_of(
     fits: Mapping[str, Fitted],
     times: Mapping[str, float] | None = None,
@@ -316,17 +330,11 @@ def population_of(
     rows: dict[str, dict[str, tuple[float, str]]] = {}
     origin: dict[str, str] = {}
     units: dict[str, str] = {}
-    for run, found in fits.items():
-        changepoints = {f"{e.name}.{e.breakpoint}" for e in found.model.effects if e.breakpoint}
-        excluded = {*found.model.constants, *changepoints}
-        for name, e in found.estimates.items():
-            key, _, case = name.partition("@")
-            if key.startswith("initial.") or key in excluded:
-                continue
-            own = f"{run}:{case}" if case else run
-            rows.setdefault(own, {})[key] = float(e.value), name
-            origin[own] = run
-            units.setdefault(key, e.unit)
+    for run, own, key, name in compared_parameters(fits):
+        e = fits[run].estimates[name]
+        rows.setdefault(own, {})[key] = float(e.value), name
+        origin[own] = run
+        units.setdefault(key, e.unit)
     if len(rows) < FEWEST_RUNS or not units:
         return None
     keys = list(units)

@@ -2,18 +2,13 @@
 
 A fit is restored from its variables, its noise and the data by one prediction. A diagnosis is restored from its
 sentence and its ranking; its curves are computed from its fit. Stored states are valid only for the same code and the
-same data, see `fingerprint`.
-
-A law found by a search is an effect like any other, and is stored in a TOML file of effects: `fit --effects FILE.toml
---add NAME` adds it, and `diagnose --effects FILE.toml` tests it together with the library.
+same data, see `fingerprint`. The documents of laws and plans are modules of their own: only their commands need them.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -26,23 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from fitting._errors import EffectError, FittingError, LedgerError
+from fitting._errors import FittingError, LedgerError
 from fitting._numbers import to_json
 from fitting._schema import (
     AngleNoiseDocument,
-    BudgetDocument,
+    CandidateDocument,
     CaseDocument,
-    DiagnosisDocument,
     DifferenceBetweenRecordings,
-    Document,
     EstimateDocument,
+    FailureDocument,
     FirstOrderDocument,
     FitDocument,
     NameDocument,
     NoiseDocument,
-    Number,
-    ParameterBudgetDocument,
-    PlanDocument,
     PriorDocument,
     SavedFitDocument,
     StepDocument,
@@ -53,19 +44,13 @@ from fitting._schema import (
     StoredFit,
     StoredNoise,
     effects_of,
-    locked,
     own_effects,
     read_json,
-    refuse_special,
-    write_text,
+    selected,
 )
 from fitting.discovery._certificate import Certificate, Outcome
-from fitting.discovery._dependence import Dependence
 from fitting.discovery._difference import DifferentParameter, ValuesPerRecording
-from fitting.discovery._laws import Law, Laws
-from fitting.discovery._next_run import NextRun
-from fitting.discovery._plan import Plan
-from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits, UpperLimit
+from fitting.discovery._power import UpperLimit
 from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import (
     Failure,
@@ -78,8 +63,6 @@ from fitting.discovery._select import Candidate, Step
 from fitting.discovery._verdict import Diagnosis
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
-from fitting.effects._library import LIBRARY
-from fitting.effects._user import read_effects
 from fitting.effects._words import change_name, effect_name
 from fitting.inference._angle_harmonics import AngleHarmonics
 from fitting.inference._angle_noise import AngleNoise
@@ -89,7 +72,7 @@ from fitting.inference._first_order import first_order
 from fitting.inference._fit import fit
 from fitting.inference._metrics import CaseMetrics
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
-from fitting.inference._parameters import ParameterLayout, parameters_at
+from fitting.inference._parameters import ParameterLayout
 from fitting.inference._params import Estimate
 from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
@@ -104,11 +87,6 @@ _CURVE_POINTS = 200
 _FITS = 4
 """Number of candidates whose fits are stored, best first [1]. Chosen: a report draws fewer; more make larger files,
 with fewer some curves are missing."""
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
-_AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Ratios of the trial values of a shape constant to the fitted value [1]. Chosen: fewer start far from the optimum of
-other data, more cost time."""
-_UNITS = {"t": "s", "psi_c": "rad"}
 
 
 def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:
@@ -159,8 +137,7 @@ def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
 
 def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
     """Return an uncertainty budget under the keys of `budget --json`."""
-    parameters = {k: ParameterBudgetDocument.model_validate(b) for k, b in found.items()}
-    return BudgetDocument(parameters=parameters).model_dump()
+    return {"parameters": {k: asdict(b) for k, b in found.items()}}
 
 
 def certificate_document(found: Certificate) -> dict[str, Any]:
@@ -216,48 +193,6 @@ def restored_certificate(stored: StoredCertificate) -> Certificate | None:
     )
 
 
-def plan_document(found: Plan) -> dict[str, Any]:
-    """Return a plan under the keys of `plan --json`."""
-    document = PlanDocument.model_validate(
-        vars(found)
-        | {
-            "effects": [_limits(e) | {"words": found.fit.name(e.effect).words} for e in found.effects],
-            "next_run": _next_run(found.next_run) if found.next_run is not None else None,
-            "power_wanted": POWER,
-            "confidence": CONFIDENCE,
-            "size_Nm": found.size,
-        }
-    )
-    return document.model_dump()
-
-
-def _limits(e: EffectLimits) -> dict[str, Any]:
-    return vars(e) | {
-        "effect": e.effect.name,
-        "kind": e.effect.kind,
-        "symbol": e.strength,
-        "torque_Nm": e.detection_torque,
-        "upper_torque_Nm": e.upper_torque,
-        "detection_range_Nm": e.detection_range if e.effect.mechanical else (float("nan"), float("nan")),
-        "size_Nm": e.size * e.torque,
-        "absorbed": e.absorbed,
-    }
-
-
-def _next_run(n: NextRun) -> dict[str, Any]:
-    return {
-        **vars(n),
-        **vars(n.run),
-        "inertia_casing_ratio": n.run.ring,
-        "touchpoint_ratio": n.run.surface,
-        "separation_sigma": max(n.separation, 0.0) ** 0.5,
-        "present_sigma": max(n.present, 0.0) ** 0.5,
-        "repeated_sigma": max(n.repeated, 0.0) ** 0.5,
-        "detection_limit_ratio": n.gains,
-        "bounds": asdict(n.bounds),
-    }
-
-
 def not_determined_together(fit: Fit) -> list[dict[str, float]]:
     """Return degenerate combinations of parameters as relative changes by name, scaled to a largest change of 1."""
     kept = [i for i, n in enumerate(fit.problem.layout.names) if not n.startswith("initial.")]
@@ -270,22 +205,25 @@ def interval_document(interval: Interval) -> dict[str, Any]:
     return {"level": LEVEL, **asdict(interval)}
 
 
+_ANSWER = ("verdict", "sentence", "form", "explained", "form_limit", "next_experiment")
+
+
 def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
     """Return a diagnosis under the keys of `diagnose --json`."""
-    document = DiagnosisDocument.model_validate(
-        vars(d)
-        | {
-            "fit_id": fit_id,
-            "candidates": [_candidate(c, d) for c in d.candidates],
-            "nuisance": [vars(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
-            "upper_limits": [vars(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
-            "differs": difference_document(d.differs),
-            "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
-            "residual_torque": [_torque(t) for t in d.torques],
-            "residual_ripple": [_ripple(r) for r in d.ripples],
-        }
-    )
-    return document.model_dump()
+    return {
+        "fit_id": fit_id,
+        **selected(d, _ANSWER),
+        "failures": [FailureDocument.model_validate(f).model_dump() for f in d.failures],
+        "candidates": [CandidateDocument.model_validate(_candidate(c, d)).model_dump() for c in d.candidates],
+        "remainder": asdict(d.remainder) if d.remainder is not None else None,
+        "nuisance": [asdict(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
+        "upper_limits": [asdict(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
+        "differs": shown_difference(d.differs),
+        "whiteness": [asdict(w) for w in d.whiteness],
+        "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
+        "residual_torque": [_torque(t) for t in d.torques],
+        "residual_ripple": [_ripple(r) for r in d.ripples],
+    }
 
 
 def difference_document(found: DifferentParameter | None) -> StoredDifference | None:
@@ -294,6 +232,13 @@ def difference_document(found: DifferentParameter | None) -> StoredDifference | 
         return None
     others = [_values_document(p) for p in found.others]
     return StoredDifference.model_validate(_values_document(found) | {"others": others})
+
+
+def shown_difference(found: DifferentParameter | None) -> dict[str, Any] | None:
+    """Return a parameter that differs between the recordings as documents show it, without bounds."""
+    if found is None:
+        return None
+    return DifferenceBetweenRecordings.model_validate(difference_document(found)).model_dump()
 
 
 def _values_document(p: ValuesPerRecording) -> dict[str, Any]:
@@ -339,164 +284,6 @@ def _in_words(fit: Fit, effect: Effect | str) -> dict[str, str]:
     """Return the name of an effect in words, and its symbol, as parts of a document."""
     name = fit.name(effect)
     return {"words": name.words, "symbol": name.symbol}
-
-
-class TermDocument(Document):
-    """One term of a law: where it acts, its formula, the rate of its state variable."""
-
-    body: str
-    law: str
-    rate: str = ""
-
-
-class DifferenceDocument(Document):
-    """The largest difference of a law from another law of its set; torque [N m], times [s], speeds [rad/s]."""
-
-    formula: str
-    torque_Nm: Number  # noqa: N815 - the unit's own capitals
-    label: str
-    t_start: Number
-    t_stop: Number
-    omega_c: tuple[Number, Number]
-    omega_r: tuple[Number, Number]
-
-
-class LawDocument(Document):
-    """A law and the evidence for it."""
-
-    formula: str
-    body: str
-    form: str
-    terms: list[TermDocument]
-    score: Number
-    delta_bic: Number
-    description_length: Number
-    p_value: Number
-    parameters: dict[str, EstimateDocument]
-    torque_rms_Nm: Number  # noqa: N815
-    verdict: str
-    indistinguishable_from: list[str]
-    same_torque_as: list[str]
-    differences: list[DifferenceDocument]
-
-
-class CurveDocument(Document):
-    """The unmodelled torque as a function of one variable."""
-
-    unit: str
-    value: list[Number]
-    torque_Nm: list[Number]  # noqa: N815
-    sigma_Nm: list[Number]  # noqa: N815
-
-
-class DependenceDocument(Document):
-    """The dependence of the unmodelled torque on a variable."""
-
-    variable: str
-    body: str
-    p_value: Number
-    explained: Number
-    score: Number
-    curve: CurveDocument | None
-
-
-class LawsDocument(Document):
-    """What `laws --json` prints."""
-
-    fit_id: str
-    verdict: str
-    sentence: str
-    laws: list[LawDocument]
-    library: str | None
-    differs: DifferenceBetweenRecordings | None
-    depends_on: list[DependenceDocument]
-    next_experiment: str
-    trials: int
-
-
-def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
-    """Return laws under the keys of `laws --json`; `fit_id` is the base model in the ledger."""
-    document = LawsDocument.model_validate(
-        vars(found)
-        | {
-            "fit_id": fit_id,
-            "laws": [_law(x) for x in found.laws],
-            "library": found.library.effect.name if found.library is not None else None,
-            "differs": difference_document(found.differs),
-            "depends_on": [vars(d) | {"curve": _curve(d)} for d in found.depends_on],
-        }
-    )
-    return document.model_dump()
-
-
-def _curve(d: Dependence) -> dict[str, Any] | None:
-    if not len(d.value):
-        return None
-    columns = {"value": d.value, "torque_Nm": d.torque, "sigma_Nm": d.sigma}
-    return {"unit": _UNITS.get(d.variable, "rad/s")} | {k: v.tolist() for k, v in columns.items()}
-
-
-def _law(x: Law) -> LawDocument:
-    terms = [{"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects]
-    return LawDocument.model_validate(
-        vars(x) | {"body": x.body, "terms": terms, "parameters": x.estimates, "verdict": x.fit.verdict}
-    )
-
-
-def check_name(name: str, path: Path, terms: int = 1) -> None:
-    """Raise an EffectError if a law of one or two terms cannot be added to a file of effects under this name.
-
-    The error is raised if the name is malformed or taken (in the library or the file), or if the file does not contain
-    effects. A second term is called ``NAME.second``.
-    """
-    if not _NAME.fullmatch(name):
-        raise EffectError(
-            f"{name[:60]!r} is not a valid name of an effect",
-            "a name has letters, digits, dots and underscores, and starts with a letter",
-        )
-    refuse_special(path)
-    taken = {*LIBRARY, *(e.name for e in read_effects(path))} if path.exists() else set(LIBRARY)
-    for wanted in _names(name, terms):
-        if wanted in taken:
-            where = "the library" if wanted in LIBRARY else str(path)
-            raise EffectError(f"{where} has an effect named {wanted!r} already", "choose another name")
-
-
-def _names(name: str, terms: int) -> list[str]:
-    return [name, f"{name}.second"][:terms]
-
-
-def save_law(law: Law, name: str, path: Path, source: str) -> None:
-    """Add a law to a TOML file of effects, which is created if necessary; `source` states where the law was found.
-
-    Raise the errors of `check_name`, and a LedgerError if the file cannot be written.
-    """
-    with locked(path):
-        check_name(name, path, len(law.effects))
-        before = path.read_text(encoding="utf-8").rstrip() + "\n\n" if path.exists() else ""
-        write_text(path, before + "\n".join(_tables(law, _names(name, len(law.effects)), source)) + "\n")
-
-
-def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:
-    lines: list[str] = []
-    records = law.fit.problem.layout.records
-    for effect, name in zip(law.effects, names, strict=True):
-        lines += [*([""] if lines else []), "[[effect]]", f"name = {json.dumps(name)}"]
-        lines += [f'body = "{effect.joint}"', f"law = {json.dumps(effect.law)}"]
-        lines += [f"rate = {json.dumps(effect.state.rate)}"] if effect.state else []
-        lines += [f"signature = {json.dumps(law.form)}", f"source = {json.dumps(source)}"]
-        lines += ["per_case = true"] if effect.per_case else []
-        for key, p in parameters_at([effect], records).items():
-            value = next((e.value for k, e in law.estimates.items() if k.partition("@")[0] == key), p.start)
-            lines += ["", f"[effect.parameters.{p.symbol}]", f"unit = {json.dumps(p.unit)}"]
-            lines += [f"start = {value!r}"]
-            for bound, limit in (("lower", p.lower), ("upper", p.upper)):
-                lines += [f"{bound} = {limit!r}"] if math.isfinite(limit) and p.role == "shape" else []
-            if p.role == "shape":
-                grid = [float(f"{value * q:.6g}") for q in _AROUND if p.lower <= value * q <= p.upper]
-                lines += [f"grid = {grid!r}", "shape = true"]
-            lines += [f"meaning = {json.dumps(p.meaning)}"] if p.meaning else []
-    return lines
 
 
 def step_document(fit: Fit, fit_id: str, added: str, previous: Fit | None) -> dict[str, Any]:

@@ -6,19 +6,16 @@ implemented here because common scalers differ by half a luma pixel.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gyrotrack._errors import OutputError
-from gyrotrack.io._atomic import new_file, new_path
+from gyrotrack.io._atomic import new_path
 from gyrotrack.synthetic._render import Renderer
 from gyrotrack.synthetic._scene import Camera, Light, Marker, Motion, Scene
 
@@ -147,44 +144,6 @@ class Truth:
     visible: Mapping[str, Array]
     sense: int  # +1 if the bodies turn counter-clockwise in the image, -1 if clockwise
 
-    def save(self, path: Path) -> None:
-        """Write the truth as .npz (no pickled objects) or, by the suffix, as .json."""
-        path = Path(path)
-        arrays, scalars = self._flat()
-        with new_file(path, force=True) as stream:
-            if path.suffix == ".json":
-                lists = {name: array.tolist() for name, array in arrays.items()}
-                stream.write(json.dumps({**scalars, **lists}).encode())
-            else:
-                np.savez_compressed(
-                    stream, allow_pickle=False, scalars=np.array(json.dumps(scalars)), **arrays
-                )
-
-    def _flat(self) -> tuple[dict[str, Array], dict[str, Any]]:
-        arrays: dict[str, Array] = {"time": self.time, "clip_time": self.clip_time, "centre": self.centre}
-        for kind in ("angle", "omega", "corners", "visible"):
-            arrays.update({f"{kind}.{name}": array for name, array in getattr(self, kind).items()})
-        scalars = {"clock_offset": self.clock_offset, "clock_rate": self.clock_rate, "sense": self.sense}
-        return arrays, scalars
-
-
-def load_truth(path: Path) -> Truth:
-    """Read a file written by `Truth.save`."""
-    path = Path(path)
-    if path.suffix == ".json":
-        content = json.loads(path.read_text(encoding="utf-8"))
-        scalars = {key: content.pop(key) for key in ("clock_offset", "clock_rate", "sense")}
-        arrays: dict[str, Any] = {name: np.asarray(v, dtype=np.float64) for name, v in content.items()}
-    else:
-        with np.load(path, allow_pickle=False) as held:
-            scalars = json.loads(str(held["scalars"]))
-            arrays = {name: held[name] for name in held.files if name != "scalars"}
-    groups: dict[str, Any] = {"angle": {}, "omega": {}, "corners": {}, "visible": {}}
-    for name in [n for n in arrays if "." in n]:
-        kind, _, item = name.partition(".")
-        groups[kind][item] = arrays.pop(name)
-    return Truth(**arrays, **scalars, **groups)
-
 
 def find_truth(scene: Scene, motion: Motion, camera: Camera, frames: int) -> Truth:
     """Compute the truth of a film, without rendering it."""
@@ -275,15 +234,13 @@ def render_clip(
     frames: int,
     film: Film | None = None,
     seed: int = 0,
-    truth: Path | None = None,
     force: bool = False,
     progress: Progress | None = None,
 ) -> Truth:
     """Render a film of a scene with a known motion, and return its exact angles and corners.
 
-    ``camera.start`` is the true time of the first of the frames. `truth` is a file (.npz or .json) to which the truth
-    is written; `progress` is called with (frames rendered, frames in total). A ValueError is raised if the motion is
-    not known for the whole film.
+    ``camera.start`` is the true time of the first of the frames; `progress` is called with (frames rendered, frames in
+    total). A ValueError is raised if the motion is not known for the whole film.
 
     Examples
     --------
@@ -292,8 +249,6 @@ def render_clip(
     >>> motion = Motion.constant(omega_rotor=400.0, omega_casing=60.0)
     >>> truth = render_clip(Path("casing.mp4"), Scene(), motion, Camera(), frames=260)  # doctest: +SKIP
     """
-    if truth is not None and Path(truth).exists() and not force:
-        raise OutputError(f"{truth} already exists.", "Give another name, or set `force`.")
     renderer = Renderer(scene, motion, camera, light, seed=seed)
     write_film(
         path,
@@ -305,10 +260,7 @@ def render_clip(
         film=film,
         force=force,
     )
-    answers = find_truth(scene, motion, camera, frames)
-    if truth is not None:
-        answers.save(Path(truth))
-    return answers
+    return find_truth(scene, motion, camera, frames)
 
 
 def _counted(

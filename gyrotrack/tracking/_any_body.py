@@ -29,19 +29,17 @@ from gyrotrack.tracking._diagnosis import (
     MOSTLY_TRANSLATES,
     Pair,
     RefusedFilmError,
+    frames_of_one_shot,
     pairs_of,
     refuse_blurred,
-    refuse_cut,
     refuse_moving_camera,
     refuse_two_motions,
 )
 from gyrotrack.tracking._film import (
-    FEWEST_FRAMES,
     Film,
     Plane,
     Shake,
     camera_shake,
-    fresh_frames,
     reduced,
 )
 from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, fallen, halves_differ, hub_doubt
@@ -216,14 +214,7 @@ def track_body(
     film: Film, hub: tuple[float, float] | None = None, progress: Progress | None = None
 ) -> Tracked:
     """Track the rotating body in a film about `hub` [px], if known; a TrackingError unless exactly one body turns."""
-    usable = fresh_frames(film)
-    if len(usable) < FEWEST_FRAMES:
-        raise TrackingError(
-            f"{film.path.name} has only {len(usable)} different frames; at least {FEWEST_FRAMES} are required to track "
-            "a motion.",
-            "Give a longer film.",
-        )
-    refuse_cut(film, usable)
+    usable = frames_of_one_shot(film)
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, 120).astype(int))]
     sample = film.some(chosen)
     shake = camera_shake(sample, film.frames())

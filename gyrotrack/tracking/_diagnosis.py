@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._film import Film, Plane, features_of, tracked
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, Plane, features_of, fresh_frames, tracked
 from gyrotrack.tracking._links import share_a_joint
 from gyrotrack.tracking._registration import Ring
 
@@ -221,6 +221,19 @@ def pair_of(first: Plane, *later: Plane) -> Pair | None:
         ):
             break
     return pair
+
+
+def frames_of_one_shot(film: Film) -> Frames:
+    """Return the frames that do not repeat the previous one; a TrackingError for few such frames, or several shots."""
+    usable = fresh_frames(film)
+    if len(usable) < FEWEST_FRAMES:
+        raise TrackingError(
+            f"{film.path.name} has only {len(usable)} different frames; at least {FEWEST_FRAMES} are required to track "
+            "a motion.",
+            "Give a longer film.",
+        )
+    refuse_cut(film, usable)
+    return usable
 
 
 def refuse_cut(film: Film, usable: Frames) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fitting._workers import available_cores
 from gyrotrack._column_store import in_file, large_blocks_returned, new_columns, release_memory, row_blocks
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
@@ -24,7 +25,7 @@ from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
 from gyrotrack.tracking._corners import paper_angle
 from gyrotrack.tracking._film import Shake, camera_shake
-from gyrotrack.tracking._film_parts import PartWorkers, available_cores, frames_done, split, track_film
+from gyrotrack.tracking._film_parts import PartWorkers, frames_done, split, track_film
 from gyrotrack.tracking._film_tracker import (
     FilmObservations,
     FilmTracker,

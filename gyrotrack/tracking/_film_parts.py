@@ -15,23 +15,23 @@ from __future__ import annotations
 
 import os
 import pickle
-import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from threading import Lock, Thread
+from threading import Lock
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from fitting._workers import WorkerPool, available_cores
 from gyrotrack._column_store import large_blocks_returned, new_columns, release_memory, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack._smoothing import median_of
@@ -77,11 +77,6 @@ _RATE = 24
 """Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: fewer give a noisy speed, more
 include a change of it."""
 _STAMPS = "stamps"
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def split(packets: Packets) -> tuple[Part, ...]:
@@ -256,15 +251,6 @@ def _start_worker(done: Synchronized[int], sink: Sink | None) -> None:
     global _done
     _done = done
     set_sink(sink)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
-    Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _count(frames: int) -> None:
@@ -294,37 +280,23 @@ class PartWorkers:
         self.packets = read_packets(path)
         self.parts = split(self.packets)
         self.count = min(workers or available_cores(), len(self.parts))
-        self._executor: ProcessPoolExecutor | None = None
-        self._done: Any = None
+        self._done: Synchronized[int] | None = None
+        self._pool = WorkerPool(0)
         if self.count > 1:
-            context = get_context("spawn")
-            try:
-                self._done = context.Value("q", 0)
-                self._executor = ProcessPoolExecutor(
-                    self.count - 1,
-                    context,
-                    initializer=_start_worker,
-                    initargs=(self._done, current_sink()),
-                )
-                for _ in range(self.count - 1):
-                    self._executor.submit(
-                        int
-                    )  # the processes then import their modules during the acquisition
-            except (OSError, ImportError):  # no semaphores, or no memory for a process
-                self._executor = None
+            with suppress(OSError, ImportError):  # no semaphores, or no memory for a process
+                self._done = get_context("spawn").Value("q", 0)
+                self._pool = WorkerPool(self.count - 1, _start_worker, (self._done, current_sink()))
 
     def __enter__(self) -> Self:
+        self._pool.__enter__()
+        for _ in range(self._pool.processes - 1):
+            self._pool.begin(int)  # the processes then import their modules during the acquisition
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        executor, self._executor = self._executor, None
-        if executor is not None:
-            processes = list((getattr(executor, "_processes", None) or {}).values())
-            executor.shutdown(wait=kind is None, cancel_futures=True)
-            for process in processes if kind is not None else ():
-                process.terminate()
+        self._pool.__exit__(kind, value, trace)
 
     def run(
         self,
@@ -344,15 +316,13 @@ class PartWorkers:
             if previous is not None and (previous.cancelled() or previous.exception() is not None):
                 return
             with lock:
-                executor = self._executor
-                if not waiting or executor is None:
+                begun = (
+                    self._pool.begin(_run_in_worker, task, film, self.parts[waiting[0]]) if waiting else None
+                )
+                if begun is None:
                     return
-                try:
-                    future = executor.submit(_run_in_worker, task, film, self.parts[waiting[0]])
-                except (OSError, RuntimeError):  # broken or shut down
-                    return
-                futures[waiting.popleft()] = future
-            future.add_done_callback(submit_next)
+                futures[waiting.popleft()] = begun
+            begun.add_done_callback(submit_next)
 
         def count(frames: int) -> None:
             nonlocal own
@@ -365,7 +335,7 @@ class PartWorkers:
                 whole = done + own + others
                 progress(min(whole, total) if total else whole, total)
 
-        for _ in range(self.count - 1 if self._executor is not None and len(todo) > 1 else 0):
+        for _ in range(self._pool.processes if len(todo) > 1 else 0):
             submit_next()
         while True:
             with lock:

@@ -26,8 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
-from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, refuse_cut
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
+from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, frames_of_one_shot
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film
 from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._links import move_as_links, one_rests, paths_of
 from gyrotrack.tracking._pivot import fit_arc
@@ -220,14 +220,7 @@ def track_point(
     known. A TrackingError is raised if the given place has no detail to follow, if several bodies move and none is
     selected, or if the patch is lost in most frames.
     """
-    usable = fresh_frames(film)
-    if len(usable) < FEWEST_FRAMES:
-        raise TrackingError(
-            f"{film.path.name} has only {len(usable)} different frames; at least {FEWEST_FRAMES} are required to track "
-            "a motion.",
-            "Give a longer film.",
-        )
-    refuse_cut(film, usable)
+    usable = frames_of_one_shot(film)
     seen = seen or Foreground.of(film, usable)
     if start is None:
         skipped, spot = _only_spot(film, usable, seen)

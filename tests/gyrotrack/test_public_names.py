@@ -26,7 +26,7 @@ def test_the_names():
     assert len(gyrotrack.__all__) <= 40
     for name in gyrotrack.__all__:
         assert getattr(gyrotrack, name).__doc__, name
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match="nothing"):
         gyrotrack.nothing  # noqa: B018
     code = "import sys, gyrotrack; print({'numpy', 'cv2', 'h5py', 'typer'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -23,10 +23,9 @@ from gyrotrack.apps.batch._steps import (
     file_digest,
     fingerprint,
     locked_folder,
-    new_sign,
     step_key,
 )
-from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores, failure
+from gyrotrack.apps.batch._workers import Cluster, Workers, failure
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._contents import plain_cell
 
@@ -339,13 +338,12 @@ def run_batch(
     *,
     command: str,
     workers: int | None = None,
-    scheduler: str | None = None,
-    certificates: Certificates | None = None,
+    cluster: Cluster | None = None,
     timeout: float = 7200.0,
     report: Report,
     bar: Callable[[], AbstractContextManager[Callable[[int, int | None], None]]],
 ) -> BatchResult:
-    """Run the steps of a batch that are not complete, on this machine or on the Dask cluster of a scheduler.
+    """Run the steps of a batch that are not complete, on this machine or on a Dask cluster.
 
     `report` is called with (step, outcome) when a step has ended; `bar` returns a context manager whose value is called
     with (done, total).
@@ -353,8 +351,8 @@ def run_batch(
     began = perf_counter()
     with locked_folder(output):
         journal = Journal(output / _JOURNAL)
-        cluster = ClusterWorkers(scheduler, new_sign(output), certificates) if scheduler else None
-        with closing(cluster or LocalWorkers(workers or cores())) as place, bar() as progress:
+        place = (cluster or Cluster()).workers(output, workers)
+        with closing(place), bar() as progress:
             run = Run(tuple(steps), output, journal, timeout=timeout, report=report, progress=progress)
             outcomes = run.work(place)
         rows = summarise(cases, steps, outcomes)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -265,18 +264,6 @@ def _parsed(text: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError):
         return None
-
-
-_SIGN = "batch.running."
-
-
-def new_sign(results: Path) -> Path:
-    """Return a new file in a locked folder, and remove older ones; removal of this file ends steps on a cluster."""
-    for left in results.glob(f"{_SIGN}*"):
-        left.unlink(missing_ok=True)
-    sign = results.resolve() / f"{_SIGN}{secrets.token_hex(8)}"
-    sign.touch(exist_ok=False)
-    return sign
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from fitting._workers import available_cores
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack._versions import __version__
 
@@ -227,38 +229,6 @@ class LocalWorkers:
         self._pool.shutdown()
 
 
-@dataclass(frozen=True)
-class Certificates:
-    """TLS files for a cluster: certificate authority, own certificate, own key (PEM)."""
-
-    ca: Path | None = None
-    cert: Path | None = None
-    key: Path | None = None
-
-    def security(self, address: str) -> Any:
-        """Return distributed's `Security` for a tls:// address, else None; other addresses have no certificates."""
-        named = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
-        if not address.startswith("tls://"):
-            if any(named.values()):
-                what = f"The certificates cannot be used with the address {address[:80]}."
-                raise UsageError(what, "Give the scheduler as tls://HOST:PORT.")
-            return None
-        for option, path in named.items():
-            if path is None:
-                what = "A tls:// address needs a certificate authority, a certificate and a key."
-                raise UsageError(what, f"Give {option} FILE.")
-            if not path.is_file():
-                raise UsageError(f"There is no file {path}.", f"Check {option}.")
-        from distributed import Security
-
-        return Security(  # type: ignore[no-untyped-call]
-            tls_ca_file=str(self.ca),
-            tls_client_cert=str(self.cert),
-            tls_client_key=str(self.key),
-            require_encryption=True,
-        )
-
-
 class ClusterWorkers:
     """The workers of a Dask cluster, which must have access to the same folders.
 
@@ -268,14 +238,13 @@ class ClusterWorkers:
     never read from the folder of the data, and with TLS both sides authenticate themselves.
     """
 
-    def __init__(self, address: str, sign: Path, certificates: Certificates | None = None) -> None:
+    def __init__(self, address: str, sign: Path, security: Any) -> None:
         """Connect to a scheduler; the file `sign` exists until `close`."""
         try:
             from distributed import Client
         except ImportError:
             what = "A cluster needs dask.distributed, which is not installed."
             raise UsageError(what, 'Install it: pip install "gyrotrack[cluster]"') from None
-        security = (certificates or Certificates()).security(address)
         options: Any = {"timeout": "20s", "set_as_default": False}
         if security is not None:
             options["security"] = security
@@ -318,14 +287,58 @@ class ClusterWorkers:
             self._client.close(timeout=_GRACE)
 
 
+_SIGN = "batch.running."
+
+
+def new_sign(results: Path) -> Path:
+    """Return a new file in a locked folder, and remove older ones; removal of this file ends steps on a cluster."""
+    for left in results.glob(f"{_SIGN}*"):
+        left.unlink(missing_ok=True)
+    sign = results.resolve() / f"{_SIGN}{secrets.token_hex(8)}"
+    sign.touch(exist_ok=False)
+    return sign
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A Dask cluster: address of its scheduler, None for this machine; authority, own certificate and key (PEM)."""
+
+    scheduler: str | None = None
+    tls_ca: Path | None = None
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+
+    def workers(self, folder: Path, processes: int | None = None) -> Workers:
+        """Return workers for commands with outputs in `folder`: of the cluster, or processes of this machine."""
+        if self.scheduler is None:
+            return LocalWorkers(processes or available_cores())
+        return ClusterWorkers(self.scheduler, new_sign(folder), self._security(self.scheduler))
+
+    def _security(self, address: str) -> Any:
+        """Return distributed's `Security` for a tls:// address, else None; other addresses have no certificates."""
+        named = {"--tls-ca": self.tls_ca, "--tls-cert": self.tls_cert, "--tls-key": self.tls_key}
+        if not address.startswith("tls://"):
+            if any(named.values()):
+                what = f"The certificates cannot be used with the address {address[:80]}."
+                raise UsageError(what, "Give the scheduler as tls://HOST:PORT.")
+            return None
+        for option, path in named.items():
+            if path is None:
+                what = "A tls:// address needs a certificate authority, a certificate and a key."
+                raise UsageError(what, f"Give {option} FILE.")
+            if not path.is_file():
+                raise UsageError(f"There is no file {path}.", f"Check {option}.")
+        from distributed import Security
+
+        return Security(  # type: ignore[no-untyped-call]
+            tls_ca_file=str(self.tls_ca),
+            tls_client_cert=str(self.tls_cert),
+            tls_client_key=str(self.tls_key),
+            require_encryption=True,
+        )
+
+
 def _lost(error: BaseException) -> Answer:
     return failure(
         "crash", f"The worker or the scheduler was lost ({type(error).__name__}).", "Check the cluster."
     )
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return os.cpu_count() or 1

@@ -61,10 +61,7 @@ def batch_command(
     workers: Annotated[
         int | None, option("--workers N", "Worker processes; by default one per core.", min=1)
     ] = None,
-    scheduler: shared.Scheduler = None,
-    tls_ca: shared.TlsCa = None,
-    tls_cert: shared.TlsCert = None,
-    tls_key: shared.TlsKey = None,
+    cluster: shared.OfCluster,
     until: Annotated[Until, option("--until", "Last step to run.")] = Until.report,
     model: Annotated[str, option("--model M", "Model to fit.")] = "reduced",
     improve: Annotated[bool, option("--improve", "Also run `improve`.")] = False,
@@ -78,9 +75,7 @@ def batch_command(
     inertia_casing: shared.InertiaCasing = None,
     timeout: Annotated[float, option("--timeout S", "Time limit of one step [s].", min=1.0)] = 7200.0,
     dry_run: Annotated[bool, option("--dry-run", "List the steps and run none.")] = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
+    out: shared.VerboseOut,
 ) -> int:
     """Track, synchronise, fit, diagnose and report every case of a manifest or a folder.
 
@@ -95,9 +90,7 @@ def batch_command(
     from gyrotrack.apps.batch._experiments import read_folder, read_manifest, with_inertias
     from gyrotrack.apps.batch._runner import run_batch
     from gyrotrack.apps.batch._steps import Request, plan
-    from gyrotrack.apps.batch._workers import Certificates
 
-    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     cases = (
         read_folder(source, casing_fps=casing_fps, rotor_fps=rotor_fps, skip=output)
         if source.is_dir()
@@ -115,7 +108,7 @@ def batch_command(
     if dry_run:
         return _show_plan(out, cases, steps, output)
 
-    if scheduler is not None and not scheduler.startswith("tls://"):
+    if cluster.scheduler is not None and not cluster.scheduler.startswith("tls://"):
         out.warn(
             "the connection to the scheduler is neither encrypted nor authenticated; use a tls:// address."
         )
@@ -126,8 +119,7 @@ def batch_command(
         output,
         command=called,
         workers=workers,
-        scheduler=scheduler,
-        certificates=Certificates(tls_ca, tls_cert, tls_key),
+        cluster=cluster,
         timeout=timeout,
         report=partial(_report_step, out),
         bar=lambda: out.progress("running"),
@@ -202,7 +194,7 @@ def config_command(
     fitting: Annotated[
         bool, option("--fitting", "Show the numbers of fits and diagnoses instead of the options.")
     ] = False,
-    as_json: shared.Json = False,
+    out: shared.Out,
 ) -> None:
     """Show the settings in use and the origin of each: a file or the default.
 
@@ -219,7 +211,6 @@ def config_command(
     from gyrotrack.apps.cli._app import COMMANDS, settings_in_use
     from gyrotrack.apps.cli._settings import options_of
 
-    out = Output(as_json=as_json)
     if tracking or fitting:
         if name is not None or everything:
             kind = "--tracking" if tracking else "--fitting"

@@ -18,8 +18,7 @@ import typer
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps._filming import Filming
 from gyrotrack.apps._study import open_study
-from gyrotrack.apps.batch._steps import new_sign
-from gyrotrack.apps.batch._workers import Certificates, Child, ClusterWorkers, LocalWorkers, Workers, cores
+from gyrotrack.apps.batch._workers import Child, Workers
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, Output, duration
 from gyrotrack.apps.cli._settings import option
@@ -60,18 +59,14 @@ def certify_command(
     workers: Annotated[
         int | None, option("--workers N", "Processes; by default one per core, at most 5.", min=1)
     ] = None,
-    scheduler: shared.Scheduler = None,
-    tls_ca: shared.TlsCa = None,
-    tls_cert: shared.TlsCert = None,
-    tls_key: shared.TlsKey = None,
+    cluster: shared.OfCluster,
     effects: shared.EffectsFile = None,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
     part: Annotated[
         list[str] | None, typer.Option("--part", hidden=True, help="Simulate some recordings only.")
     ] = None,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Test an answer on recordings that are simulated from its fit.
 
@@ -86,7 +81,6 @@ def certify_command(
     from fitting.discovery._certificate import Certificate, certify, outcomes_of, planned
     from fitting.study._serialisation import certificate_document
 
-    out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
     own, n = shared.own_effects(effects, study.mechanism), n or (_FILMS if film else _RECORDINGS)
     if part:
@@ -112,20 +106,14 @@ def certify_command(
             empty = Certificate.of_answer(found, (), n, seed, film=film)
             keep = _Keeper(out, progress, study.ledger, fit_id, empty, known)
             progress(0, len(planned(found, n)))  # show progress before the first recording, which takes long
-            if scheduler is None and not film:
+            if cluster.scheduler is None and not film:
                 done = certify(found, n, seed=seed, extra=own, known=known, workers=pool, keep=keep)
             else:
                 words = [*(str(c.resolve()) for c in cases), "--seed", str(seed), "--from", fit_id]
                 words += ["--ledger", str(study.ledger.path.resolve())]
                 words += ["--effects", str(effects.resolve())] if effects is not None else []
                 words += ["--film"] if film else []
-                certificates = Certificates(tls_ca, tls_cert, tls_key)
-                place: Workers = (
-                    LocalWorkers(workers or cores())
-                    if scheduler is None
-                    else ClusterWorkers(scheduler, new_sign(study.ledger.path.resolve().parent), certificates)
-                )
-                with closing(place):
+                with closing(cluster.workers(study.ledger.path.resolve().parent, workers)) as place:
                     done = _by_commands(found, empty, known, place, words, keep)
             keep.store(done)
     out.result({"fit_id": fit_id, **certificate_document(done)})

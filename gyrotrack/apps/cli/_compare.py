@@ -17,11 +17,10 @@ import typer
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.apps._study import FitRequest, latest_fits, open_study, with_ledgers
-from gyrotrack.apps.batch._steps import new_sign
-from gyrotrack.apps.batch._workers import Certificates, ClusterWorkers, LocalWorkers, Workers, cores
+from gyrotrack.apps.batch._workers import Workers
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._discovery import check_picture, drawn
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
@@ -61,14 +60,10 @@ def compare_command(
     workers: Annotated[
         int | None, option("--workers N", "Processes that fit runs; by default one per core.", min=1)
     ] = None,
-    scheduler: shared.Scheduler = None,
-    tls_ca: shared.TlsCa = None,
-    tls_cert: shared.TlsCert = None,
-    tls_key: shared.TlsKey = None,
+    cluster: shared.OfCluster,
     picture: shared.Picture = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Compare fits of several runs: differences, spread, and with many runs drifts, steps and outlying runs.
 
@@ -82,7 +77,6 @@ def compare_command(
     """
     from fitting.study._comparison import compare
 
-    out = Output(as_json=as_json, quiet=quiet)
     files = _files(runs)
     if len(files) < 2:
         raise UsageError("A comparison needs at least two runs.", "Give two cases that have been fitted.")
@@ -97,16 +91,10 @@ def compare_command(
         wanted = _model_names(files[0], request)
         missing = [f for f in files if not _fitted(f, wanted)]
         if missing:
-            certificates = Certificates(tls_ca, tls_cert, tls_key)
-            sign = new_sign(files[0].resolve().parent) if scheduler is not None else None
-            place: Workers = (
-                LocalWorkers(workers or cores())
-                if scheduler is None or sign is None
-                else ClusterWorkers(scheduler, sign, certificates)
-            )
+            place = cluster.workers(files[0].resolve().parent, workers)
             words = ["--model", model, *(w for e in add or () for w in ("--add", e))]
             with closing(place), out.progress("fitting runs") as progress:
-                failed = _fit(missing, words, place, 1 if scheduler is None else _PART, progress)
+                failed = _fit(missing, words, place, 1 if cluster.scheduler is None else _PART, progress)
         files = [f for f in files if str(f) not in failed]
         if len(files) < 2:
             first = next(iter(failed.items()), ("", ""))

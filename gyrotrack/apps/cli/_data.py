@@ -323,8 +323,7 @@ def export_command(
         ),
     ] = Table.motion,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> None:
     """Export the data as CSV, Parquet, netCDF, JSON, or OSP Tracker text or project, by the suffix of the output.
 
@@ -335,7 +334,6 @@ def export_command(
     from gyrotrack.io._contents import export_file
 
     refuse_existing(output, force=force, reads=with_ledgers([file]))
-    out = Output(as_json=as_json, quiet=quiet)
     with out.progress(f"writing {output.name}") as progress:
         progress(0, None)
         document = export_file(file, output, table=table.value, force=force)
@@ -348,9 +346,7 @@ def info_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording or case.")],
     *,
     verify: Annotated[bool, option("--verify", "Check every chunk against its checksum.")] = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
+    out: shared.VerboseOut,
 ) -> int:
     """Show the contents of a file and check its integrity (exit code 3 if it is damaged).
 
@@ -359,10 +355,9 @@ def info_command(
     from gyrotrack.io._contents import inspect_file
 
     found = inspect_file(file, verify=verify)
-    out = Output(as_json=as_json)
     out.result(_document(found))
-    out.show("\n".join(_verdict(found) if quiet else _verdict(found) + _contents(found)))
-    if verbose:
+    out.show("\n".join(_verdict(found) if out.quiet else _verdict(found) + _contents(found)))
+    if out.verbose:
         out.show("settings: " + json.dumps(found.provenance["settings"], indent=2))
     return NOT_TRUSTED if found.problems else DONE
 

@@ -14,7 +14,7 @@ import typer
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import open_study, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
-from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED, Output
+from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
@@ -47,8 +47,7 @@ def laws_command(
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Find the law of an unmodelled torque: its variables, and formulas that describe it.
 
@@ -59,10 +58,9 @@ def laws_command(
     """
     from fitting._workers import WorkerPool
     from fitting.discovery._laws import laws
-    from fitting.study._serialisation import check_name, laws_document
-    from fitting.study._serialisation import save_law as save
+    from fitting.study._law_documents import check_name, laws_document
+    from fitting.study._law_documents import save_law as save
 
-    out = Output(as_json=as_json, quiet=quiet)
     check_picture(picture, force=force, reads=with_ledgers(cases, ledger, effects))
     if save_law is not None:
         check_name(*save_law)
@@ -214,8 +212,7 @@ def plan_command(
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Compute detection and upper limit of every effect, the runs needed, and the best next run.
 
@@ -227,7 +224,7 @@ def plan_command(
     from fitting.discovery._friction import friction_plan
     from fitting.discovery._next_run import Bounds
     from fitting.discovery._plan import plan, read_planned
-    from fitting.study._serialisation import plan_document
+    from fitting.study._plan_documents import plan_document
     from gyrotrack.io._atomic import refuse_special
 
     described = [p for p in recordings if p.suffix.lower() == ".toml"]
@@ -242,7 +239,6 @@ def plan_command(
         raise UsageError(what, "Give an rms torque in N m: --size 1e-6.")
     changes = _bounds(bound or ())
     check_picture(picture, force=force, reads=with_ledgers(recordings, ledger, effects))
-    out = Output(as_json=as_json, quiet=quiet)
     own = shared.own_effects(effects, friction=friction)
     with out.progress("planning") as progress:
         progress(0, None)

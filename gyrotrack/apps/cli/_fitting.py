@@ -17,7 +17,6 @@ from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import (
     DONE,
     NOT_TRUSTED,
-    Output,
     bias_tables,
     diagnosis_tables,
     duration,
@@ -78,8 +77,7 @@ def fit_command(
     prior_rotor: shared.PriorRotor = None,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Fit a model: parameters, uncertainties, goodness of fit.
 
@@ -94,7 +92,6 @@ def fit_command(
         raise UsageError("--share, --per-case and --hold-out need a joint fit.", "Add --joint.")
     if loss not in _LOSSES:
         raise UsageError(f"Unknown loss function {loss[:40]!r}.", f"Loss functions: {', '.join(_LOSSES)}.")
-    out = Output(as_json=as_json, quiet=quiet)
     groups = [cases] if joint else [[case] for case in cases]
     request = FitRequest(
         model=model,
@@ -200,8 +197,7 @@ def budget_command(
         ),
     ] = None,
     ledger: shared.LedgerFile = None,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> None:
     """Uncertainty budget of every parameter: contributions, type A or B, sensitivity, share (GUM).
 
@@ -215,7 +211,6 @@ def budget_command(
     for name, u in (("--clock-rate", clock_rate), ("--speed-scale", speed_scale)):
         if u is not None and not 0 <= u < 1:
             raise UsageError(f"{name} {u:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4.")
-    out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger)
     with out.progress("fitting with other inertias") as progress:
         progress(0, None)
@@ -255,8 +250,7 @@ def scan_command(
     data: shared.DataKind = None,
     rotor: shared.RotorKind = "windows",
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Fit every on/off combination of the paper's terms, and its reduced and general models.
 
@@ -271,7 +265,6 @@ def scan_command(
     from gyrotrack.io._atomic import new_file
     from gyrotrack.io._outputs import new_outputs
 
-    out = Output(as_json=as_json, quiet=quiet)
     reads = with_ledgers(cases)
     with new_outputs(csv, latex, force=force, reads=reads):
         pass
@@ -303,9 +296,7 @@ def diagnose_command(
     prior_rotor: shared.PriorRotor = None,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
+    out: shared.VerboseOut,
 ) -> None:
     """Locate the lack of fit in time, speed and torque, and rank the effects that could be missing.
 
@@ -319,7 +310,6 @@ def diagnose_command(
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import diagnosis_document
 
-    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
@@ -348,8 +338,7 @@ def improve_command(
     prior_rotor: shared.PriorRotor = None,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> None:
     """Add effects one by one until the residuals are consistent with noise, and print the history of fits.
 
@@ -360,7 +349,6 @@ def improve_command(
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import fit_document, history_verdict
 
-    out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("adding effects") as progress:
         progress(0, None)
@@ -405,8 +393,7 @@ def ladder_command(
         str | None, option("--delete ID", "Delete a fit on which no other fit is based.")
     ] = None,
     ledger: shared.LedgerFile = None,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> None:
     """List the fits of these cases: one bar per fit, each below the fit on which it is based.
 
@@ -414,7 +401,6 @@ def ladder_command(
 
     Example: gyrotrack ladder case1.h5
     """
-    out = Output(as_json=as_json, quiet=quiet)
     study = open_study(cases, ledger, data=data, rotor=rotor)
     if not study.ledger.of(study.data):
         raise DatasetError("There is no fit of these cases yet.", "Run `gyrotrack fit`.")
@@ -443,7 +429,7 @@ def effects_command(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="Effect to show in full.")] = None,
     *,
     effects: shared.EffectsFile = None,
-    as_json: shared.Json = False,
+    out: shared.Out,
 ) -> None:
     """Show the library of effects: formula, units, signature, similar effects.
 
@@ -451,7 +437,6 @@ def effects_command(
     """
     from fitting.effects._library import LIBRARY, find
 
-    out = Output(as_json=as_json)
     own = {e.name: e for e in shared.own_effects(effects)}
     if name is not None:
         effect = own.get(name) or find(name)

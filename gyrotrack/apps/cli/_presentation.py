@@ -15,7 +15,7 @@ import typer
 from gyrotrack._errors import OutputError, UsageError
 from gyrotrack.apps._study import open_study, read_cases, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, command_line
 from gyrotrack.apps.cli._settings import option
 from gyrotrack.io._command_end import unmarked
 
@@ -42,8 +42,7 @@ def report_command(
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> None:
     """Write a report of the latest fit and its history: one self-contained HTML file or a PDF of four pages.
 
@@ -57,7 +56,6 @@ def report_command(
     from gyrotrack.io._hdf5 import read_case
     from gyrotrack.plotting._ghost import check_ghost_film
 
-    out = Output(as_json=as_json, quiet=quiet)
     refuse_existing(output, force=force, reads=with_ledgers(cases, ledger, effects))
     if overlay is not None:
         check_ghost_film(overlay, force=force)
@@ -99,8 +97,7 @@ def figures_command(
     ] = None,
     films: shared.Films = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Draw the seven figures and write the eight tables of the paper for any study, as files for LaTeX.
 
@@ -114,7 +111,6 @@ def figures_command(
     from gyrotrack.io._hdf5 import read_case
 
     wanted = _wanted(formats, output, force=force)
-    out = Output(as_json=as_json, quiet=quiet)
     data = read_cases(cases)
     if alone := next((d.record.label for d in data if not d.record.joints), None):
         what = f"The paper's figures need a rotor and a casing; {alone} is a recording of one body."
@@ -178,8 +174,7 @@ def view_command(
     ] = False,
     start: shared.From = None,
     ledger: shared.LedgerFile = None,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> None:
     """Open the workbench in the browser: from films to a case, and from a case to the missing effect.
 
@@ -195,11 +190,10 @@ def view_command(
     from gyrotrack.apps.workbench._project import Project
     from gyrotrack.apps.workbench._server import Laboratory, Workbench, serve
 
-    out = Output(as_json=as_json, quiet=quiet)
     case = _only_case(sources or [])
 
     def announce(url: str, *, is_running: bool = False) -> None:
-        if as_json:
+        if out.as_json:
             sys.stdout.write(json.dumps({"url": url}) + "\n")
         elif is_running:
             out.show(f"already open: {url}")

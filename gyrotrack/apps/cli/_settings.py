@@ -21,13 +21,15 @@ no numerical library.
 
 from __future__ import annotations
 
+import inspect
 import math
 import os
 import tomllib
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum, StrEnum
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,6 +39,8 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from gyrotrack._errors import ConfigurationError, UsageError
+from gyrotrack.apps.batch._workers import Cluster
+from gyrotrack.apps.cli._output import Output
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -225,8 +229,45 @@ class Entry:
 
 
 def function_of(entry: Entry) -> Callable[..., Any]:
-    """Import the module of a command and return its function `<name>_command`."""
-    return getattr(import_module(f"gyrotrack.apps.cli.{entry.module}"), f"{entry.name}_command")  # type: ignore[no-any-return]
+    """Import the module of a command and return its function `<name>_command`, with the options of its groups."""
+    module = import_module(f"gyrotrack.apps.cli.{entry.module}")
+    return _with_options_of_groups(getattr(module, f"{entry.name}_command"))
+
+
+@dataclass(frozen=True)
+class Group:
+    """Options of several commands that form one argument of their functions: a dataclass with a field per option."""
+
+    options: Mapping[str, Any]  # annotations by field
+
+
+def _with_options_of_groups(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function with an argument for each option of the groups in its signature."""
+    hints = typing.get_type_hints(function, include_extras=True)
+    groups = {
+        name: (typing.get_args(hint)[0], mark.options)
+        for name, hint in hints.items()
+        for mark in getattr(hint, "__metadata__", ())
+        if isinstance(mark, Group)
+    }
+    parameters = []
+    for p in inspect.signature(function).parameters.values():
+        kind, options = groups.get(p.name, (None, {p.name: hints[p.name]}))
+        defaults = {p.name: p.default} if kind is None else {f.name: f.default for f in fields(kind)}
+        parameters += [
+            p.replace(name=name, default=defaults[name], annotation=annotation)
+            for name, annotation in options.items()
+        ]
+
+    @wraps(function)
+    def command(**given: Any) -> Any:
+        for name, (kind, options) in groups.items():
+            given[name] = kind(**{option: given.pop(option) for option in options})
+        return function(**given)
+
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in parameters}
+    return command
 
 
 def load(entry: Entry) -> Any:
@@ -279,6 +320,8 @@ def option(words: str, text: str, **settings: Any) -> Any:
 Json = Annotated[bool, option("--json", "Print one JSON document on stdout and nothing else.")]
 Quiet = Annotated[bool, option("-q --quiet", "Show warnings only, no progress or other messages.")]
 Verbose = Annotated[bool, option("-v --verbose", "Verbose output.")]
+Out = Annotated[Output, Group({"as_json": Json, "quiet": Quiet})]
+VerboseOut = Annotated[Output, Group({"as_json": Json, "quiet": Quiet, "verbose": Verbose})]
 Force = Annotated[bool, option("--force", "Replace an existing output.")]
 
 OutputFile = Annotated[Path, option("-o --output FILE", "File to write.")]
@@ -434,24 +477,29 @@ PriorRotor = Annotated[
 LedgerFile = Annotated[
     Path | None, option("--ledger FILE", "File of the fits; by default next to the first case.")
 ]
-Scheduler = Annotated[
-    str | None,
-    option(
-        "--scheduler ADDRESS",
-        "Run on the Dask cluster of this scheduler: tls://HOST:PORT or tcp://HOST:PORT.",
-        envvar="GYROTRACK_SCHEDULER",
-    ),
-]
-TlsCa = Annotated[
-    Path | None,
-    option("--tls-ca FILE", "Certificate authority of the cluster (PEM).", envvar="GYROTRACK_TLS_CA"),
-]
-TlsCert = Annotated[
-    Path | None, option("--tls-cert FILE", "Own certificate (PEM).", envvar="GYROTRACK_TLS_CERT")
-]
-TlsKey = Annotated[
-    Path | None, option("--tls-key FILE", "Own private key (PEM).", envvar="GYROTRACK_TLS_KEY")
-]
+OfCluster = Annotated[
+    Cluster,
+    Group({
+        "scheduler": Annotated[
+            str | None,
+            option(
+                "--scheduler ADDRESS",
+                "Run on the Dask cluster of this scheduler: tls://HOST:PORT or tcp://HOST:PORT.",
+                envvar="GYROTRACK_SCHEDULER",
+            ),
+        ],
+        "tls_ca": Annotated[
+            Path | None,
+            option("--tls-ca FILE", "Certificate authority of the cluster (PEM).", envvar="GYROTRACK_TLS_CA"),
+        ],
+        "tls_cert": Annotated[
+            Path | None, option("--tls-cert FILE", "Own certificate (PEM).", envvar="GYROTRACK_TLS_CERT")
+        ],
+        "tls_key": Annotated[
+            Path | None, option("--tls-key FILE", "Own private key (PEM).", envvar="GYROTRACK_TLS_KEY")
+        ],
+    }),
+]  # fmt: skip
 EffectsFile = Annotated[Path | None, option("--effects FILE", "Your own effects, in TOML.")]
 Friction = Annotated[
     bool, option("--friction", "Also consider the friction laws of LuGre, Maxwell slip (GMS) and starvation.")

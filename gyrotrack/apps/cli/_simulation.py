@@ -80,8 +80,7 @@ def simulate_command(
     inertia_rotor: shared.InertiaRotor = None,
     inertia_casing: shared.InertiaCasing = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> None:
     """Simulate a case of the paper's gyroscope with chosen effects, as data or as films.
 
@@ -97,7 +96,6 @@ def simulate_command(
     from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io._records import Inertia
 
-    out = Output(as_json=as_json, quiet=quiet)
     sealed = output.with_name(f"{output.stem}.seal.json") if hide else None
     experiment = Experiment(
         omega_rotor=omega_rotor,
@@ -163,7 +161,7 @@ def reveal_command(
         str | None, option("--answer E", "Answer: an effect, several separated by commas, or `none`.")
     ] = None,
     ledger: shared.LedgerFile = None,
-    as_json: shared.Json = False,
+    out: shared.Out,
 ) -> None:
     """Open a sealed challenge and score an answer: that of --answer, or the latest fit of the case.
 
@@ -172,7 +170,6 @@ def reveal_command(
     from gyrotrack.apps._simulation import grade, unseal
     from gyrotrack.io._atomic import refuse_special
 
-    out = Output(as_json=as_json)
     if (case is None) == (answer is None):
         what = "The file can be opened only with an answer."
         raise UsageError(what, "Give the fitted case, or --answer.")
@@ -213,8 +210,7 @@ def demo_command(
     clips: Annotated[Path | None, option("--clips DIR", "Folder with study.toml and the films.")] = None,
     output: Annotated[Path, option("-o --output DIR", "Folder for the results.")] = Path("gyrotrack_demo"),
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> None:
     """Run the whole analysis of the sample clips: tracking, synchronisation, fit, missing effect, report.
 
@@ -222,7 +218,6 @@ def demo_command(
     """
     from gyrotrack.io._outputs import new_outputs
 
-    out = Output(as_json=as_json, quiet=quiet)
     began = perf_counter()
     folder = _find(clips)
     study = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))
@@ -365,11 +360,12 @@ def _run(
     force: bool,
 ) -> None:
     """Run commands in worker processes and show their results; raise the first error."""
-    from gyrotrack.apps.batch._workers import LocalWorkers, cores
+    from fitting._workers import available_cores
+    from gyrotrack.apps.batch._workers import LocalWorkers
     from gyrotrack.io._atomic import mark_new
 
     lines = [[str(word) for word in (*job, *(["--force"] if force else []))] for job in jobs]
-    workers = LocalWorkers(min(cores(), len(lines)))
+    workers = LocalWorkers(min(available_cores(), len(lines)))
     try:
         answers = [workers.submit(words, None) for words in lines]
         for done, (words, answer, target) in enumerate(zip(lines, answers, targets, strict=True), 1):

@@ -38,8 +38,7 @@ def profile_command(
     ] = None,
     hub: shared.Hub = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int | None:
     """Find the markers of a film and write a profile that `extract --profile` reads.
 
@@ -58,7 +57,6 @@ def profile_command(
     from gyrotrack.tracking._profile import to_toml
     from gyrotrack.tracking._proposal import propose
 
-    out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".toml")
     if picture is not None and picture.suffix.lower() != ".png":
         raise UsageError(f"Unknown picture format: {picture.name}.", "Use a name that ends in .png.")
@@ -253,8 +251,7 @@ def extract_command(
         ),
     ] = False,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Track the markers in a film and write the angles of casing and rotor, with uncertainties.
 
@@ -274,7 +271,6 @@ def extract_command(
     from gyrotrack.tracking._extract import ExtractionJob
     from gyrotrack.tracking._profile import PAPER, load
 
-    out = Output(as_json=as_json, quiet=quiet)
     target = output if output is not None else video.with_suffix(".h5")
     if points or colour is not None:
         if profile is not None or body is not None or overlay is not None or contact_sheet is not None:
@@ -446,9 +442,7 @@ def sync_command(
     inertia_rotor: shared.InertiaRotor = None,
     inertia_casing: shared.InertiaCasing = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
+    out: shared.VerboseOut,
 ) -> None:
     """Synchronise the clips of one experiment, and combine them into a case.
 
@@ -463,7 +457,6 @@ def sync_command(
     from gyrotrack.io._hdf5 import write_case
     from gyrotrack.io._records import Inertia
 
-    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     inertias = Inertia.required(inertia_rotor, "rotor"), Inertia.required(inertia_casing, "casing")
     refuse_existing(output, force=force, reads=[casing, *rotors])
     title = label if label is not None else output.stem
@@ -569,8 +562,7 @@ def spindown_command(
     label: Annotated[str, option("--label L", "Name of the case; by default that of the file.")] = "",
     body_name: shared.BodyName = "",
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
+    out: shared.Out,
 ) -> int:
     """Measure one rotating body: film or table to motion, torque law and report.
 
@@ -586,7 +578,6 @@ def spindown_command(
     from gyrotrack.io._outputs import new_outputs
     from gyrotrack.io.readers._run import Limits, read_cuts
 
-    out = Output(as_json=as_json, quiet=quiet)
     shared.check_pulses(pulses_per_turn)
     target = output if output is not None else Path(source.with_suffix(".h5").name)
     if target.resolve() == source.resolve():

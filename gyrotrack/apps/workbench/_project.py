@@ -25,11 +25,11 @@ from filelock import Timeout
 from pydantic import ValidationError
 
 from fitting._numbers import short, with_uncertainty
+from fitting._workers import available_cores
 from gyrotrack._errors import ConfigurationError, GyrotrackError, OutputError, UsageError
 from gyrotrack.apps._sample import sample_folder
 from gyrotrack.apps._study import checked_body_name
 from gyrotrack.apps.batch._experiments import FILMS, STATED_RATE, Experiment, read_study
-from gyrotrack.apps.batch._workers import cores
 from gyrotrack.apps.workbench._corrections import corrected, corrections, jump, without_correction
 from gyrotrack.apps.workbench._films import SourceFrames, marker_middles, marker_positions, positions
 from gyrotrack.apps.workbench._history import Change, History, apply, difference
@@ -84,7 +84,7 @@ class Project:
         self.when_started: Callable[[], object] = lambda: None  # called when a step begins
         self._analysing = False  # whether the next step starts automatically
         self.revision = 0  # increased by every change, so that all pages show it
-        self.jobs = Jobs(self.folder, cores())
+        self.jobs = Jobs(self.folder, available_cores())
         self.uploads = Uploads(self.folder)
 
     def document(self) -> dict[str, Any]:

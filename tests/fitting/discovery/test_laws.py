@@ -22,14 +22,8 @@ from fitting.effects._library import find
 from fitting.effects._user import resolve
 from fitting.inference._fit import fit
 from fitting.inference._noise import WHITE
-from fitting.study._serialisation import (
-    check_name,
-    history_verdict,
-    laws_document,
-    restored_diagnosis,
-    save_law,
-    stored_diagnosis,
-)
+from fitting.study._law_documents import check_name, laws_document, save_law
+from fitting.study._serialisation import history_verdict, restored_diagnosis, stored_diagnosis
 
 K, W = 3e-6, 40.0
 SATURATING = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -K * math.tanh(wc / W))

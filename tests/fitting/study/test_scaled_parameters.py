@@ -11,8 +11,8 @@ from fitting.discovery import _laws
 from fitting.discovery._next_run import _mean_values
 from fitting.effects._effect import Effect, Parameter
 from fitting.inference._parameters import ParameterLayout, parameters_at
+from fitting.study._law_documents import _tables
 from fitting.study._scan import _extended
-from fitting.study._serialisation import _tables
 
 LARGEST = 40.0
 TIME = np.linspace(0.0, 10.0, 200)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fitting._workers import WorkerPool
 from gyrotrack.tracking import _film_parts as module
 from gyrotrack.tracking._film_parts import (
     LEARNT,
@@ -255,13 +256,13 @@ class TestWorkers:
 
     def workers(self, parts, *, others=None, broken=(), refused=()):
         made = PartWorkers.__new__(PartWorkers)
-        made.parts, made.count, made._done, made._executor = parts, 3, None, None
+        made.parts, made._done, made._pool = parts, None, WorkerPool(0)
         if others is not None:
             made._done = SimpleNamespace(value=others)
 
-            def submit(run, task, film, part):
+            def begin(run, task, film, part):
                 if part in refused:
-                    raise OSError
+                    return None
                 future: Future[str] = Future()
                 if part in broken:
                     future.set_exception(BrokenProcessPool())
@@ -269,7 +270,7 @@ class TestWorkers:
                     future.set_result(f"{part} by a process")
                 return future
 
-            made._executor = SimpleNamespace(submit=submit)
+            made._pool = SimpleNamespace(processes=2, begin=begin)
         return made
 
     def ran(self, workers, todo, **options):

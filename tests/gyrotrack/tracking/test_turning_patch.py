@@ -115,8 +115,7 @@ def test_the_second_choice_is_tried_where_the_first_one_is_lost(monkeypatch):
         return spot
 
     monkeypatch.setattr(_point_tracker, "_track_spot", lost)
-    monkeypatch.setattr(_point_tracker, "fresh_frames", lambda _: np.arange(60))
-    monkeypatch.setattr(_point_tracker, "refuse_cut", lambda *_: None)
+    monkeypatch.setattr(_point_tracker, "frames_of_one_shot", lambda _: np.arange(60))
     monkeypatch.setattr(_point_tracker, "_clicked", lambda *_: iter(["body", "patch", "more"]))
     film = SimpleNamespace(some=lambda _: [np.zeros((9, 9), np.uint8)])
     assert _point_tracker.track_point(film, (3.0, 3.0), lambda *_: None, seen=_seen(FULL)) == "patch"

@@ -162,7 +162,7 @@ def test_many_runs_are_a_population(monkeypatch, tmp_path, capsys):
 
 def test_only_runs_without_such_a_fit_are_fitted(runs, monkeypatch, capsys):
     place = Workers()
-    monkeypatch.setattr(module, "LocalWorkers", lambda _: place)
+    monkeypatch.setattr("gyrotrack.apps.batch._workers.LocalWorkers", lambda _: place)
     cases = [str(runs / "left.h5"), str(runs / "right.h5")]
     assert app.run(["compare", *cases, "--model", "reduced", "--json"]) == 0
     assert place.sent == []

@@ -1,0 +1,133 @@
+"""Laws of a search as a document, and as a TOML file of effects.
+
+A law found by a search is an effect like any other, and is stored in a TOML file of effects: `fit --effects FILE.toml
+--add NAME` adds it, and `diagnose --effects FILE.toml` tests it together with the library.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from fitting._errors import EffectError
+from fitting._schema import (
+    EstimateDocument,
+    locked,
+    refuse_special,
+    selected,
+    write_text,
+)
+from fitting.discovery._dependence import Dependence
+from fitting.discovery._laws import Law, Laws
+from fitting.effects._library import LIBRARY
+from fitting.effects._user import read_effects
+from fitting.inference._parameters import parameters_at
+from fitting.study._serialisation import shown_difference
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
+_AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Ratios of the trial values of a shape constant to the fitted value [1]. Chosen: fewer start far from the optimum of
+other data, more cost time."""
+_UNITS = {"t": "s", "psi_c": "rad"}
+
+
+# attributes of a law, of the dependence on a variable, and of an answer that are keys of the document
+_LAW = (
+    "formula", "body", "form", "score", "delta_bic", "description_length", "p_value", "torque_rms_Nm",
+    "indistinguishable_from", "same_torque_as",
+)  # fmt: skip
+_DEPENDENCE = ("variable", "body", "p_value", "explained", "score")
+_ANSWER = ("verdict", "sentence", "next_experiment", "trials")
+
+
+def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
+    """Return laws under the keys of `laws --json`; `fit_id` is the base model in the ledger."""
+    return {
+        "fit_id": fit_id,
+        **selected(found, _ANSWER),
+        "laws": [_law(x) for x in found.laws],
+        "library": found.library.effect.name if found.library is not None else None,
+        "differs": shown_difference(found.differs),
+        "depends_on": [selected(d, _DEPENDENCE) | {"curve": _curve(d)} for d in found.depends_on],
+    }
+
+
+def _curve(d: Dependence) -> dict[str, Any] | None:
+    """Return the unmodelled torque as a function of a variable."""
+    if not len(d.value):
+        return None
+    columns = {"value": d.value, "torque_Nm": d.torque, "sigma_Nm": d.sigma}
+    return {"unit": _UNITS.get(d.variable, "rad/s")} | {k: v.tolist() for k, v in columns.items()}
+
+
+def _law(x: Law) -> dict[str, Any]:
+    """Return a law and the evidence for it, with the largest difference from each other law of its set."""
+    return selected(x, _LAW) | {
+        "terms": [
+            {"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects
+        ],
+        "parameters": {k: EstimateDocument.model_validate(e).model_dump() for k, e in x.estimates.items()},
+        "verdict": x.fit.verdict,
+        "differences": [asdict(d) for d in x.differences],
+    }
+
+
+def check_name(name: str, path: Path, terms: int = 1) -> None:
+    """Raise an EffectError if a law of one or two terms cannot be added to a file of effects under this name.
+
+    The error is raised if the name is malformed or taken (in the library or the file), or if the file does not contain
+    effects. A second term is called ``NAME.second``.
+    """
+    if not _NAME.fullmatch(name):
+        raise EffectError(
+            f"{name[:60]!r} is not a valid name of an effect",
+            "a name has letters, digits, dots and underscores, and starts with a letter",
+        )
+    refuse_special(path)
+    taken = {*LIBRARY, *(e.name for e in read_effects(path))} if path.exists() else set(LIBRARY)
+    for wanted in _names(name, terms):
+        if wanted in taken:
+            where = "the library" if wanted in LIBRARY else str(path)
+            raise EffectError(f"{where} has an effect named {wanted!r} already", "choose another name")
+
+
+def _names(name: str, terms: int) -> list[str]:
+    return [name, f"{name}.second"][:terms]
+
+
+def save_law(law: Law, name: str, path: Path, source: str) -> None:
+    """Add a law to a TOML file of effects, which is created if necessary; `source` states where the law was found.
+
+    Raise the errors of `check_name`, and a LedgerError if the file cannot be written.
+    """
+    with locked(path):
+        check_name(name, path, len(law.effects))
+        before = path.read_text(encoding="utf-8").rstrip() + "\n\n" if path.exists() else ""
+        write_text(path, before + "\n".join(_tables(law, _names(name, len(law.effects)), source)) + "\n")
+
+
+def _tables(law: Law, names: Sequence[str], source: str) -> list[str]:
+    lines: list[str] = []
+    records = law.fit.problem.layout.records
+    for effect, name in zip(law.effects, names, strict=True):
+        lines += [*([""] if lines else []), "[[effect]]", f"name = {json.dumps(name)}"]
+        lines += [f'body = "{effect.joint}"', f"law = {json.dumps(effect.law)}"]
+        lines += [f"rate = {json.dumps(effect.state.rate)}"] if effect.state else []
+        lines += [f"signature = {json.dumps(law.form)}", f"source = {json.dumps(source)}"]
+        lines += ["per_case = true"] if effect.per_case else []
+        for key, p in parameters_at([effect], records).items():
+            value = next((e.value for k, e in law.estimates.items() if k.partition("@")[0] == key), p.start)
+            lines += ["", f"[effect.parameters.{p.symbol}]", f"unit = {json.dumps(p.unit)}"]
+            lines += [f"start = {value!r}"]
+            for bound, limit in (("lower", p.lower), ("upper", p.upper)):
+                lines += [f"{bound} = {limit!r}"] if math.isfinite(limit) and p.role == "shape" else []
+            if p.role == "shape":
+                grid = [float(f"{value * q:.6g}") for q in _AROUND if p.lower <= value * q <= p.upper]
+                lines += [f"grid = {grid!r}", "shape = true"]
+            lines += [f"meaning = {json.dumps(p.meaning)}"] if p.meaning else []
+    return lines
