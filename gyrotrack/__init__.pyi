@@ -10,7 +10,12 @@ from .io._contents import export_file as export_file
 from .io._hdf5 import read_case as read_case, read_recording as read_recording, write_case as write_case
 from .io._hdf5 import write_recording as write_recording
 from .io._records import BodyTrack as BodyTrack, Case as Case, ErrorMode as ErrorMode
-from .io._records import ChainBody as ChainBody, MarkerTrack as MarkerTrack, Recording as Recording, Series as Series
+from .io._records import (
+    ChainBody as ChainBody,
+    MarkerTrack as MarkerTrack,
+    Recording as Recording,
+    Series as Series,
+)
 from .io.readers._import_case import import_body as import_body, import_case as import_case
 from .io.readers._import_chain import import_chain as import_chain
 from .plotting._ghost import Ghost as Ghost, ghosts as ghosts

@@ -439,16 +439,24 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
     return {k: e for k, e in found.estimates.items() if k.startswith(effect.name + ".")}
 
 
+_TIE = 1
+"""Decimal places of BIC to which candidates are ordered [1]. Chosen: a smaller value orders different laws by their place
+in the library, a larger one orders equal laws by rounding."""
+
+
 def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
     """Return candidates in order, best first, each with the candidates that the data cannot separate from it."""
+    place = {name: i for i, name in enumerate(laws_of(mechanism_of(c.effect for c in found)))}
 
-    def order(c: Candidate) -> tuple[bool, float]:
+    def order(c: Candidate) -> tuple[bool, float, int]:
         penalised = c.delta_bic
         if c.fit is None:
             penalised = (
                 -c.score + (c.screened.columns + len(c.screened.shape[0])) * criteria.equivalence_width
             )
-        return (not c.significant, penalised + (0.0 if c.physical else criteria.measurement_penalty))
+        penalised += 0.0 if c.physical else criteria.measurement_penalty
+        # laws that are equal in a recording differ by rounding; the more common one is first in the library
+        return (not c.significant, round(penalised, _TIE), place.get(c.effect.name, len(place)))
 
     def indistinguishable(a: Candidate, b: Candidate) -> bool:
         if a.screened.absorbed or b.screened.absorbed or not (a.significant and b.significant):

@@ -688,6 +688,13 @@ class TestNoisierRivals:
 
 
 class TestOrder:
+    @pytest.mark.parametrize(("behind", "first"), [(0.01, "touchpoint.constant"), (0.2, "external.constant")])
+    def test_of_equal_laws_the_first_in_the_library_leads(self, behind, first):
+        friction, torque = LIBRARY["touchpoint.constant"], LIBRARY["external.constant"]
+        found = [candidate(torque, -40.02), candidate(friction, -40.02 + behind)]
+        assert ordered(found, DEFAULT)[0].effect.name == first
+        assert ordered(found[::-1], DEFAULT)[0].effect.name == first
+
     def names(self, *candidates):
         return [c.effect.name for c in ordered(candidates, DEFAULT)]
 
