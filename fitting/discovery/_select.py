@@ -440,8 +440,8 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
 
 
 _TIE = 1
-"""Decimal places of BIC to which candidates are ordered [1]. Chosen: a smaller value orders different laws by their place
-in the library, a larger one orders equal laws by rounding."""
+"""Decimal places of BIC by which candidates are ordered [1]. Chosen: fewer order different laws as the library does, more
+order equal laws by rounding."""
 
 
 def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
