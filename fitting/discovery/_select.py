@@ -440,7 +440,7 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
 
 
 _TIE = 1
-"""Decimal places of BIC by which candidates are ordered [1]. Chosen: fewer order different laws as the library does, more
+"""Decimal places of BIC for the order of candidates [1]. Chosen: fewer order different laws as the library does, more
 order equal laws by rounding."""
 
 
