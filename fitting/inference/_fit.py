@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._errors import EstimationError
+from fitting._errors import EstimationError, SimulationError
 from fitting.dynamics._model import Model
 from fitting.effects._effect import Effect
 from fitting.effects._expression import Expr, Tape, divisors, symbols
@@ -271,10 +271,13 @@ def fit(
     nothing to fit, or labels repeat. `criteria` determine what is noise in a record that is not projected yet.
     """
     with of_model(model):
-        found = _fitted(
-            model, cases, share=share, per_case=per_case, start=start, noise=noise, ranges=ranges, ties=ties,
-            steady=steady, quick=quick, criteria=criteria,
-        )  # fmt: skip
+        try:
+            found = _fitted(
+                model, cases, share=share, per_case=per_case, start=start, noise=noise, ranges=ranges, ties=ties,
+                steady=steady, quick=quick, criteria=criteria,
+            )  # fmt: skip
+        except SimulationError as error:
+            raise SimulationError(error.message, error.hint or _hint_about_rest(model)) from error
         record_result(found)
         return found
 
@@ -376,6 +379,20 @@ def _refuse_other_bodies(model: Model, data: Sequence[CaseData]) -> None:
                     f"{model.mechanism.main}, the first body of the case, may come to rest or reverse.",
                     f"Give the body that comes to rest first, or leave out {effect.name}.",
                 )
+
+
+def _hint_about_rest(model: Model) -> str:
+    """Return what to do if dry friction may have brought a body of a chain other than the first to rest."""
+    if model.mechanism == GYROSCOPE:
+        return ""
+    speeds = [speed for _, speed in model.mechanism.sites[1:]]
+    dry = [e.name for e in model.effects if any(_jumps_at_rest(e, speed) for speed in speeds)]
+    if not dry:
+        return ""
+    return (
+        f"Dry friction ({', '.join(dry)}) may stop a body in the model, but only {model.mechanism.main}, the first body "
+        "of the case, may rest. Begin without it, for example with --model linear, and add it later."
+    )
 
 
 def _reverses(data: CaseData, symbol: str) -> bool:

@@ -12,6 +12,7 @@ from fitting import (
     Experiment,
     Model,
     RecordError,
+    SimulationError,
     budget,
     diagnose,
     fit,
@@ -24,6 +25,7 @@ from fitting.dynamics._model import Dynamics
 from fitting.dynamics._sensitivities import LinearMotion, sensitivities
 from fitting.effects._instances import counterparts, laws_of
 from fitting.effects._mechanism import GYROSCOPE, Coupling, Mechanism
+from fitting.inference import _fit as module
 
 INERTIA = {"motor": 2e-4, "drum": 5e-4, "wheel": 1e-3}
 START = {"motor": 300.0, "drum": 200.0, "wheel": 50.0}
@@ -331,3 +333,22 @@ class TestSinusoid:
         assert peak.law.startswith(f"{site}: k*cos(5.98")
         assert peak.rate == pytest.approx(6.0, rel=0.01)
         assert peak.p_value < 1e-6
+
+    @pytest.mark.parametrize(
+        ("laws", "named"),
+        [
+            (["belt.linear", "motor.support.constant"], ""),
+            (["belt.linear", "drum.support.constant"], "drum.support.constant"),
+            (["belt.constant", "wheel.air.linear"], "belt.constant"),
+        ],
+    )
+    def test_dry_friction_that_may_stop_a_second_body_is_named(self, monkeypatch, laws, named):
+        def diverges(*args, **options):
+            raise SimulationError("no bounded solution")
+
+        monkeypatch.setattr(module, "_fitted", diverges)
+        model = Model(tuple(laws_of(CHAIN)[n] for n in laws))
+        with pytest.raises(SimulationError) as caught:
+            module.fit(model, [])
+        assert (f"({named})" in caught.value.hint) if named else caught.value.hint == ""
+        assert ("only motor" in caught.value.hint) is bool(named)
