@@ -390,8 +390,8 @@ def _hint_about_rest(model: Model) -> str:
     if not dry:
         return ""
     return (
-        f"Dry friction ({', '.join(dry)}) may stop a body in the model, but only {model.mechanism.main}, the first body "
-        "of the case, may rest. Begin without it, for example with --model linear, and add it later."
+        f"Dry friction ({', '.join(dry)}) may stop a body in the model, but only {model.mechanism.main}, the first "
+        "body of the case, may rest. Begin without it, for example with --model linear, and add it later."
     )
 
 
