@@ -67,7 +67,7 @@ def test_a_report_shows_the_same_curves(story, study):
     old = gather([Step(r.change, r.fit, ()) for r in story.rungs], story.diagnosis)
     assert [s.name for s in new.cases[0].alternatives] == [s.name for s in old.cases[0].alternatives]
     for a, b in zip(new.cases[0].alternatives, old.cases[0].alternatives, strict=True):
-        np.testing.assert_allclose(a.casing, b.casing, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(a.on("casing"), b.on("casing"), rtol=1e-9, atol=1e-15)
 
 
 def test_other_code_finds_anew(study, monkeypatch):
