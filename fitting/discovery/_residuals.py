@@ -138,22 +138,29 @@ def _of_the_measured_motion(
 ) -> tuple[Array, Array, Array]:
     """Return speed, unmodelled torque I dw/dt - T(w), and its uncertainty, from the measured motion of the main body.
 
-    Speed and acceleration are those of the polynomial, quadratic in an angle and linear in a speed, that fits the
-    samples within `width` [s] about each time; `y` are the states of the model.
+    Speed and acceleration are those of the polynomial, of degree 3 in an angle and 2 in a speed, that fits the samples
+    within `width` [s] about each time; `y` are the states of the model. The variances of the samples are
+    multiplied by chi-square per degree of freedom and by (1 + r) / (1 - r), where r is the correlation of successive
+    residuals, if these factors exceed 1.
     """
     case, record = fit.problem.cases[index], fit.problem.data[index].record
     samples, inertia = record.casing, record.inertias[MAIN]
-    degree = 2 if record.quantity == "angle" else 1
+    order = 2 if record.quantity == "angle" else 1  # of the acceleration as a derivative
     speed, acceleration, u = np.zeros((3, len(times)))
     for i, t in enumerate(times):
         middle = np.clip(t, samples.time[0] + 0.5 * width, samples.time[-1] - 0.5 * width)
         near = np.abs(samples.time - middle) <= 0.5 * width
-        near[np.argsort(np.abs(samples.time - middle))[: degree + 2]] = True
+        near[np.argsort(np.abs(samples.time - middle))[: order + 4]] = True
         weights = 1 / samples.sigma[near]
         c, covariance = np.polyfit(
-            samples.time[near] - t, samples.value[near], degree, w=weights, cov="unscaled"
+            samples.time[near] - t, samples.value[near], order + 1, w=weights, cov="unscaled"
         )
-        speed[i], acceleration[i], u[i] = c[-degree], degree * c[0], degree * np.sqrt(covariance[0, 0])
+        rest = weights * (samples.value[near] - np.polyval(c, samples.time[near] - t))
+        power = float(rest @ rest)
+        r = float(rest[1:] @ rest[:-1]) / power if power > 0 else 0.0
+        excess = max(power / max(len(rest) - order - 2, 1), 1.0) * max((1 + r) / (1 - r), 1.0)
+        speed[i], acceleration[i] = c[-order], order * c[-order - 1]
+        u[i] = order * np.sqrt(excess * covariance[-order - 1, -order - 1])
     moved = y.copy()
     moved[:, MAIN] = speed
     numbers = fit.problem.layout.numbers(fit.theta, index)

@@ -71,7 +71,7 @@ class Model:
     effects : tuple of Effect
         The effects, each once.
     mechanism : Mechanism
-        The bodies and joints of which all effects speak; it follows from the effects, if there are any.
+        The bodies and joints of all effects; it follows from the effects, if there are any.
     """
 
     effects: tuple[Effect, ...]

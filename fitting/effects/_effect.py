@@ -339,7 +339,7 @@ class Effect:
     words : str
         The name in words, for example "quadratic air drag of the casing".
     mechanism : Mechanism
-        The bodies and joints of which the law speaks: those of a gyroscope, or those of a case with other bodies.
+        The bodies and joints of the law: those of a gyroscope, or those of a case with other bodies.
     place : str
         The body or joint of the mechanism on which the law acts, if `joint` does not name it.
     pattern : str
@@ -501,7 +501,7 @@ class Effect:
 
 
 def mechanism_of(effects: Iterable[Effect]) -> Mechanism:
-    """Return the mechanism of which effects speak: that of a gyroscope if there are none."""
+    """Return the mechanism of some effects: that of a gyroscope if there are none."""
     return next((e.mechanism for e in effects), GYROSCOPE)
 
 

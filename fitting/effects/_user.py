@@ -413,7 +413,7 @@ def resolve(
     inputs : mapping of str to str, or sequence of Input, optional
         The recorded inputs that the law may contain: their units by name, or ``record.inputs``.
     mechanism : Mechanism
-        The bodies and joints of which the law speaks.
+        The bodies and joints of the law.
 
     Raises
     ------
@@ -472,7 +472,7 @@ def read_effects(path: Path, mechanism: Mechanism = GYROSCOPE) -> list[Effect]:
     path : Path
         The TOML file.
     mechanism : Mechanism
-        The bodies and joints of which the laws speak.
+        The bodies and joints of the laws.
 
     Raises
     ------

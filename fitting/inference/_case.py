@@ -1,6 +1,6 @@
 """A case as Python users write it: bodies by their names, each with arrays; and the names of its parameters.
 
-The library of laws speaks of a casing and its touch point. A single body has its own name: its laws are
+The library contains laws of a casing and its touch point. A single body has its own name: its laws are
 ``wheel.air.quadratic`` (``casing.air.quadratic`` of the library) and ``wheel.support.constant``
 (``touchpoint.constant``), and in a case of one body ``air.quadratic`` and ``support.constant`` suffice. In formulas its
 speed is ``omega`` and its angle ``psi``.
