@@ -50,7 +50,7 @@ from fitting.inference._compression import (
     responses_to_inputs,
 )
 from fitting.inference._error_modes import mode_columns
-from fitting.inference._linear_algebra import orthonormal
+from fitting.inference._linear_algebra import block_diagonal, orthonormal
 from fitting.inference._oscillation import ROTATION, Motion, Oscillation, motion_of
 from fitting.inference._prior import Prior
 from fitting.inference._process_noise import (
@@ -526,9 +526,16 @@ class CaseData:
 
     @cached_property
     def rotor_angle_noise(self) -> AngleNoise:
-        """Correlated angle noise of the rotor's windows; white if none is significant, or if it exceeds its limit."""
+        """Correlated angle noise of the rotor's windows, with the harmonics that tracking states.
+
+        It is white if none is significant, or if it exceeds its limit.
+        """
         noise = self._correlated_rotor_noise
-        return AngleNoise() if self._excess_angle_noise(noise, self.rotor) else noise
+        known = AngleNoise() if self._excess_angle_noise(noise, self.rotor) else noise
+        if not self.is_angle or self.record.generated:
+            return known
+        rows = [stated_error_rows(w, 0.0, 0.0, harmonic=w.samples.harmonic) for w in self.rotor]
+        return known.with_stated(block_diagonal(rows))
 
     def _excess_angle_noise(self, noise: AngleNoise, runs: Sequence[Compressed]) -> float:
         """Return the ratio of correlated to white noise if it exceeds `Criteria.angle_noise_ratio`, else zero."""

@@ -71,6 +71,7 @@ def _record(path: Path, case: StoredCase) -> Record:
         ],
         mechanism=mechanism,
         states=[mechanism.bodies.index(s.name) for s, _ in windows],
+        harmonics=[s.stated["harmonic_sigma"] for s, _ in windows],
         further=further,
     )
 

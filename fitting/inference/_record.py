@@ -68,13 +68,15 @@ PRECISION = 1e18
 class Samples:
     """An uninterrupted run of measured values: time [s], value [rad or rad/s], sigma (same unit).
 
-    `state` is the place of the speed of its body in the state of the motion, for a body that is not the main one.
+    `state` is the place of the speed of its body in the state of the motion, for a body that is not the main one;
+    `harmonic` is the standard deviation of the amplitudes of an error of 3 to 12 periods per turn of its angle [rad].
     """
 
     time: Array
     value: Array
     sigma: Array
     state: int = 0
+    harmonic: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -372,6 +374,7 @@ def make_record(
     mechanism: Mechanism = GYROSCOPE,
     states: Sequence[int] = (),
     further: Sequence[tuple[float, float]] = (),
+    harmonics: Sequence[float] = (),
 ) -> Record:
     """Make a record from arrays of (time, value, sigma); samples that are not finite are omitted.
 
@@ -417,6 +420,9 @@ def make_record(
         The number of the body of each run of `rotor` in the mechanism; all are of the first one if empty.
     further : sequence of (float, float)
         Moments of inertia of its third and later bodies and their standard uncertainties [kg m2].
+    harmonics : sequence of float
+        Standard deviation of the amplitudes of an error of 3 to 12 periods per turn of the angle of each run of `rotor`
+        [rad]; all are zero if empty.
 
     Raises
     ------
@@ -429,7 +435,11 @@ def make_record(
     body = names[MAIN] if chain else _MAIN[bool(rotor)]
     of = list(states) or [0] * len(rotor)
     runs = [_clean(*casing, what=body)]
-    runs += [replace(_clean(*r, what=names[i]), state=i) for r, i in zip(rotor, of, strict=True)]
+    errors = [max(0.0, float(h)) for h in harmonics] or [0.0] * len(rotor)
+    runs += [
+        replace(_clean(*r, what=names[i]), state=i, harmonic=error)
+        for r, i, error in zip(rotor, of, errors, strict=True)
+    ]
     if len(runs[0]) < _FEWEST_OF_BODY:
         raise RecordError(
             f"{label}: the {body} has {len(runs[0])} usable samples; at least {_FEWEST_OF_BODY} are needed"
@@ -566,6 +576,8 @@ def _digest(record: Record) -> str:
         hasher.update(f"{i.name} {i.unit} {i.interpolation} {i.delay!r}".encode())
         for a in (i.time, i.value, *(() if i.u is None else (i.u,))):
             hasher.update(np.ascontiguousarray(a).tobytes())
+    if any(harmonics := [run.harmonic for run in record.rotor]):
+        hasher.update(repr(harmonics).encode())
     if record.is_chain:
         states = [run.state for run in record.rotor]
         hasher.update(f"{record.mechanism} {record.further} {states}".encode())

@@ -23,6 +23,7 @@ from fitting.effects._mechanism import MAIN
 from fitting.inference._angle_noise import HARMONICS, TURNS_PER_BLOCK, AngleNoise, profile_at
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
+from fitting.inference._compression import Compressed
 from fitting.inference._record import Record, Samples, hermite
 from fitting.inference._result import Fit
 from fitting.inference._sampled import FittedMotion
@@ -120,6 +121,8 @@ def _recording(motion: FittedMotion, random: Random) -> Record:
             values[i] += _slow_error(run, data.rotor_angle_noise if i else data.angle_noise, random)
     if data.is_angle and data.motion.is_smooth:
         values[0] += _stated_error(data, random)
+        for value, of_rotor in zip(values[1:], data.rotor, strict=True):
+            value += _harmonics(of_rotor, of_rotor.samples.harmonic, random)
     amplitudes = random.standard_normal(data.mode_columns[0].shape[1])
     for value, columns in zip(values, (data.mode_columns[0], *data.mode_columns[1]), strict=True):
         value += columns @ amplitudes
@@ -208,8 +211,18 @@ def _stated_error(data: CaseData, random: Random) -> Array:
     if sigma > 0:
         size = profile_at(run.time, sigma, data.record.correlated_profile)
         found += size * _ornstein_uhlenbeck(run.time, time, random)
-    for where, _ in data.casing.operators if periodic > 0 or harmonic > 0 else ():
-        psi = run.value[where]
+    return found + _harmonics(data.casing, harmonic, random, periodic)
+
+
+def _harmonics(run: Compressed, harmonic: float, random: Random, periodic: float = 0.0) -> Array:
+    """Return harmonics of the angle with amplitudes that are independent in each block.
+
+    The standard deviation of the amplitudes is `harmonic`; in blocks of few turns, those of orders 1 and 2 contain
+    `periodic` as well.
+    """
+    found = np.zeros(len(run.samples))
+    for where, _ in run.operators if periodic > 0 or harmonic > 0 else ():
+        psi = run.samples.value[where]
         few = np.ptp(psi) < TURNS_PER_BLOCK * 2 * np.pi
         slow = math.hypot(harmonic, periodic if few else 0.0)
         amplitudes = dict.fromkeys(HARMONICS, harmonic) | {1: slow, 2: slow}

@@ -731,7 +731,7 @@ def _followed(
             time_base,
             others,
         )
-        bodies[name] = replace(bodies[name], harmonic=harmonic_error(bodies[name].angle))
+    bodies = {name: replace(body, harmonic=harmonic_error(body.angle)) for name, body in bodies.items()}
     return bodies, warnings
 
 

@@ -29,7 +29,6 @@ from gyrotrack.tracking._marker_window import (
     MarkerStrip,
     MarkerWindow,
     even_light,
-    places_apart,
     shaded_columns,
 )
 from gyrotrack.tracking._scene import Marker
@@ -395,11 +394,7 @@ class MarkerTracker:
 
     def _matched_across(self, window: MarkerWindow, open_: Mask, whole: Mask) -> Match:
         rounds = 3 if self._across is None else 1
-        ring = self.strip.ring
-        reach = max(
-            round(self.marker.half_width / ring.step),
-            places_apart(window.start[window.known], ring.columns) // 2,
-        )
+        reach = max(round(self.marker.half_width / self.strip.ring.step), 1)
         template = self.template(window.profile.shape[1])
         if self._across is not None:
             window.apply_light(even_light(self.light, reach))

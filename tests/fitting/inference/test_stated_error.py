@@ -13,7 +13,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import read_record
 from fitting.inference._compression import compress
 from fitting.inference._record import Samples
-from fitting.inference._replica import _stated_error
+from fitting.inference._replica import _harmonics, _stated_error
 
 SIGMA, TIME = 1.5e-4, 2.0
 GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
@@ -288,3 +288,71 @@ class TestAliases:
             part = part[:, np.linalg.norm(part, axis=0) > 0.1]
             expected[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = part @ part.T
         assert found @ found.T == pytest.approx(expected, abs=1e-3 * norm**2)
+
+
+class TestWindowsOfTheRotor:
+    """Two windows of 16 s at 100 frames per second, with seven frames per turn in the second one."""
+
+    LEVEL = 0.5e-3
+
+    def record(self, harmonics):
+        t = np.arange(1600) / 100
+        u = np.full(len(t), 1e-3)
+        whole = np.arange(4000) / 100
+        turns = (7.618 * t, (100.0 + 0.02) / 7 * (t + 20.0))
+        noise = u * np.random.default_rng(3).standard_normal((2, len(t)))
+        windows = [
+            (t + start, 2 * np.pi * x + e, u) for start, x, e in zip((0, 20), turns, noise, strict=True)
+        ]
+        casing = (whole, 5.0 * whole, np.full(len(whole), 1e-3))
+        return make_record(casing=casing, rotor=windows, I_rotor=5e-5, I_casing=1e-5, harmonics=harmonics)
+
+    def data(self, *harmonics):
+        return replace(CaseData.of(self.record(harmonics)), noiseless=True)
+
+    @pytest.mark.parametrize(
+        ("given", "kept"),
+        [((), (0.0, 0.0)), ((1e-3, 2e-3), (1e-3, 2e-3)), ((-1e-3, np.nan), (0.0, 0.0))],
+    )
+    def test_each_window_has_its_own_error(self, given, kept):
+        record = self.record(given)
+        assert tuple(w.harmonic for w in record.rotor) == kept
+        assert (record.digest == self.record(()).digest) == (not any(kept))
+
+    def test_only_the_window_in_step_has_less_weight(self):
+        data = self.data(self.LEVEL, self.LEVEL)
+        covariance = data.rotor_angle_noise.root @ data.rotor_angle_noise.root
+        rows = len(data.rotor[0].z)
+        for window, part, beyond in zip(
+            data.rotor, (slice(rows), slice(rows, None)), (0.4, 10.0), strict=True
+        ):
+            stated = stated_error_rows(window, 0.0, 0.0, harmonic=self.LEVEL)
+            own = stated @ stated.T
+            assert covariance[part, part] == pytest.approx(np.eye(len(own)) + own, rel=1e-6, abs=1e-6)
+            assert own.max() < beyond if beyond < 1 else own.max() > beyond
+        assert not covariance[:rows, rows:].any()
+
+    def test_without_an_error_the_noise_is_white(self):
+        assert not len(self.data().rotor_angle_noise.root)
+
+    def test_simulated_recordings_have_it(self):
+        data = self.data(0.0, self.LEVEL)
+        run = data.rotor[1]
+        drawn = np.array([_harmonics(run, self.LEVEL, np.random.default_rng(s)) for s in range(300)])
+        # ten orders above the second one and two below it, each of variance 0.5 + 0.5
+        assert drawn.std() == pytest.approx(self.LEVEL * np.sqrt(12.0), rel=0.1)
+        assert not _harmonics(run, 0.0, np.random.default_rng(0)).any()
+
+    def test_it_is_read_from_the_rotor_of_a_case(self, tmp_path):
+        with h5py.File(tmp_path / "case.h5", "w") as file:
+            file.attrs.update({"format": "gyrotrack", "format_version": "1.0", "kind": "case"})
+            file.attrs.update({"I_casing": 1e-5, "I_rotor": 5e-5})
+            for name, count, stated in (("casing", 400, 1e-3), ("rotor", 200, 3e-3)):
+                group = file.create_group(name)
+                group["time"] = np.arange(count) / 10
+                group["angle"], group["sigma"] = 3.0 * np.arange(count), np.full(count, 1e-3)
+                group.attrs["harmonic_sigma"] = stated
+            file["rotor/window"] = np.repeat([0, 1], 100)
+        record = read_record(tmp_path / "case.h5")
+        assert [w.harmonic for w in record.rotor] == [3e-3, 3e-3]
+        assert record.correlated[3] == 1e-3

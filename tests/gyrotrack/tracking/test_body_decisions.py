@@ -365,7 +365,7 @@ class TestBodies:
         bodies, _, _, perspective = self.followed(
             monkeypatch, rotor=turning, casing=still, better=body(np.full(400, np.nan)), disc=False
         )
-        assert bodies["casing"] is still  # the second one is not credible
+        assert bodies["casing"].angle is still.angle  # the second one is not credible
         assert perspective == 0
 
     def test_errors_by_place_are_those_of_both_bodies(self, monkeypatch):
@@ -449,8 +449,8 @@ class TestBodies:
 
 
 class TestHarmonics:
-    @pytest.mark.parametrize(("batches", "stated"), [(5, True), (4, False)])
-    def test_an_error_of_eight_periods_per_turn_needs_five_batches(self, batches, stated):
+    @pytest.mark.parametrize(("batches", "stated"), [(3, True), (2, False)])
+    def test_an_error_of_eight_periods_per_turn_needs_three_batches(self, batches, stated):
         """0.2 rad a frame, with an amplitude of 2 mrad: each of cosine and sine has half of its square."""
         turn = 0.2 * np.arange(batches * BATCH)
         angle = turn + 2e-3 * np.cos(8 * turn) + 1e-4 * np.random.default_rng(0).standard_normal(len(turn))
@@ -459,7 +459,7 @@ class TestHarmonics:
         assert not stated or found == pytest.approx(2e-3 / math.sqrt(2), rel=0.05)
 
     def test_batches_with_gaps_do_not_count(self):
-        turn = 0.2 * np.arange(6 * BATCH)
+        turn = 0.2 * np.arange(4 * BATCH)
         angle = turn + 2e-3 * np.cos(8 * turn) + 1e-4 * np.random.default_rng(0).standard_normal(len(turn))
         angle[[10, BATCH + 10]] = np.nan
         assert harmonic_error(angle) == 0.0

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._marker_window import AngleMap, even_light, open_columns, places_apart
+from gyrotrack.tracking._marker_window import AngleMap, even_light, open_columns
 
 COLUMNS, REACH = 360, 14
 
@@ -63,12 +63,59 @@ def test_where_a_marker_creeps_about_few_places_its_displacement_is_not_taken_fo
         expected = np.where(template > 0.4, template, 0.0)
         light.learn(0, (middle + around) % COLUMNS, expected, seen)
 
-    apart = places_apart(place, COLUMNS)
+    assert light.spacing(REACH) == round(COLUMNS / 7)
+    found, fine = even_light(light, REACH), light.heights(REACH, prior=4.0)[0]
+    assert abs(found[12] - found[-12]) < 0.3 * abs(fine[12] - fine[-12])
+    mean = light.heights(3 * light.spacing(REACH) // 2, prior=4.0)[0]
+    np.testing.assert_allclose(found, np.clip(mean, 0.55, 2.0))
 
-    assert apart == pytest.approx(COLUMNS / 7 - 12, abs=3)
-    slope = [even_light(light, r)[12] - even_light(light, r)[-12] for r in (REACH, max(REACH, apart // 2))]
-    assert abs(slope[1]) < 0.7 * abs(slope[0])
-    assert places_apart(np.random.default_rng(0).integers(0, COLUMNS, 512), COLUMNS) < 2 * REACH
+
+def seen_at(distribution):
+    """Return the map of a marker with this distribution of angles."""
+    light = AngleMap(1, COLUMNS)
+    around = np.arange(-REACH, REACH + 1)
+    for middle, count in enumerate(distribution):
+        expected = np.full(len(around), np.sqrt(count))
+        light.learn(0, (middle + around) % COLUMNS, expected, expected)
+    return light
+
+
+ORDER = 2 * np.pi * np.arange(COLUMNS) / COLUMNS
+
+
+@pytest.mark.parametrize(
+    ("waves", "spacing"),
+    [
+        ({7: 0.11}, round(COLUMNS / 7)),
+        ({7: 0.09}, 0),
+        ({2: 0.11}, COLUMNS // 2),
+        ({1: 0.4}, 0),
+        ({9: 0.11}, COLUMNS // 9),
+        ({10: 0.4}, 0),  # averaged by a marker of 29 columns: 10 > 0.8 * 360 / 29
+        ({7: 0.26, 5: 0.12}, COLUMNS // 5),
+        ({7: 0.26, 5: 0.14, 4: 0.1, 3: 0.1}, 0),
+        ({7: 0.26, 6: 0.12, 5: 0.07}, round(COLUMNS / 7)),
+        ({7: 0.26, 6: 0.14, 5: 0.08}, 0),
+        ({7: 0.26, 8: 0.12}, round(COLUMNS / 7)),
+        ({7: 0.26, 8: 0.14}, 0),
+        ({2: 0.2, 4: 0.2}, COLUMNS // 2),
+        ({2: 0.2, 1: 0.11}, 0),
+    ],
+)
+def test_equally_spaced_angles_are_a_harmonic_of_their_distribution(waves, spacing):
+    distribution = 1.0 + sum(2.0 * a * np.cos(k * ORDER + 0.4) for k, a in waves.items())
+    assert seen_at(distribution).spacing(REACH) == spacing
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0])
+def test_angles_over_a_part_of_a_turn_are_not_equally_spaced(share):
+    distribution = (np.arange(COLUMNS) < share * COLUMNS).astype(float)
+    assert seen_at(distribution).spacing(REACH) == 0
+
+
+def test_a_map_without_passages_or_with_random_ones_has_no_spacing():
+    assert AngleMap(1, COLUMNS).spacing(REACH) == 0
+    assert seen_at(np.random.default_rng(0).poisson(1.5, COLUMNS)).spacing(REACH) == 0
 
 
 def test_maps_of_parts_of_a_film_add_up():

@@ -18,7 +18,7 @@ from gyrotrack.tracking._marker_tracker import (
     mean_profile,
     plausible,
 )
-from gyrotrack.tracking._marker_window import AngleMap, Occlusion, even_light, open_columns, places_apart
+from gyrotrack.tracking._marker_window import AngleMap, Occlusion, even_light, open_columns
 
 TURN = 2 * math.pi
 
@@ -306,7 +306,6 @@ class TestMeasured:
     @pytest.mark.parametrize(("before", "rounds", "after"), [(0.2, 1, 0.3), (None, 3, 0.4)])
     def test_a_known_template_moves_half_way_to_that_of_a_batch(self, monkeypatch, before, rounds, after):
         fitted = []
-        monkeypatch.setattr(tracker, "places_apart", lambda *_: 0)
         monkeypatch.setattr(tracker, "even_light", lambda *_: np.ones(4))
         monkeypatch.setattr(
             tracker, "match", lambda profile, template, start, seen: fitted.append(template) or matches(9)
@@ -448,13 +447,6 @@ class TestLight:
         assert found[11] == shaded
         assert not found[20:].any()
         assert not windows.shaded_columns(AngleMap(1, 36)).any()
-
-    def test_few_angles_are_apart_by_their_second_largest_gap(self):
-        column = np.repeat([0, 10, 25, 45], 16)
-        assert places_apart(column, 100) == 20  # gaps of 10, 15, 20 and 55
-        assert places_apart(column[:63], 100) == 0
-        assert places_apart(np.zeros(64, dtype=int), 100) == 0
-        assert places_apart(column + 100, 100) == 20
 
     @pytest.mark.parametrize(("height", "hidden"), [(0.54, True), (0.56, False)])
     def test_what_hides_a_part_of_a_marker_hides_it_with_one_column_more(self, height, hidden):
