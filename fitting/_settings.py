@@ -40,12 +40,12 @@ _DESCRIPTION = re.compile(rf"(.+?) \[([^\]]+)\]\. ({'|'.join(map(str.capitalize,
 class Setting:
     """A number, or several, that a module decides by; `origin` begins with one of `ORIGINS`."""
 
-    module: str
-    name: str
-    value: Value
-    unit: str
-    meaning: str
-    origin: str
+    module: str  #: Module that uses it.
+    name: str  #: Name in the module.
+    value: Value  #: A number, or several; an infinite one is `"inf"` [`unit`].
+    unit: str  #: Unit; `1` for a ratio or a count.
+    meaning: str  #: Meaning.
+    origin: str  #: Derived, measured, a source, or chosen, with an explanation.
 
     @property
     def value_text(self) -> str:
