@@ -7,7 +7,7 @@ import dataclasses
 import importlib
 import inspect
 import re
-import textwrap
+import sys
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel
 
-from fitting._case_format import CASE_ATTRIBUTES, INPUT, Attribute
+from fitting._case_format import CASE_ATTRIBUTES, INPUT, Attribute, is_nan
 from gyrotrack.apps.cli._app import COMMANDS
 from gyrotrack.io._schema import RECORDING_ATTRIBUTES
 
@@ -88,10 +88,11 @@ An error is `{"error": {"code", "message", "hint"}}`: a word for programs, a sen
 The exit codes are 0: done; 1: the input or the data is invalid; 2: wrong usage; 3: done, but the result is not to be
 trusted, as its verdict or its warnings state; 130: interrupted (129 by SIGHUP, 143 by SIGTERM).
 
-Numbers are in SI units, also with `--rpm`. A number that is unknown or infinite is null. An object *by* something has
-a key for each, for example for each parameter. A key is always present unless its meaning begins with "Optional". In
-the column of units, 1 is a ratio; `unit` is the unit in the key of this name; "N m, or rad s-2" is N m, or rad s-2 if
-no moment of inertia is known, because torques are then per unit of inertia, also in keys whose names contain `Nm`.
+Numbers are in SI units, also with `--rpm`. A number that is unknown or infinite is null; in the documents of `config`
+and `compare` an infinite number is the text `inf` or `-inf`. An object *by* something has a key for each, for example
+for each parameter. A key is always present unless its meaning begins with "Optional". In the column of units, 1 is a
+ratio or a count, and `unit` is the unit in the key of this name. "N m, or rad s-2" is N m; but rad s-2 if no moment of
+inertia is known, because torques are then per unit of inertia, also in keys whose names contain `Nm`.
 """
 
 
@@ -116,13 +117,16 @@ def is_document(kind: object) -> bool:
 def keys(kind: type) -> dict[str, Key]:
     """Return the keys of a class of documents by name; a LookupError names a key without a meaning or a unit."""
     found = {a.name: _of_attribute(a) for a in _OF_A_FILE.get(kind.__name__, ())}
-    hints = typing.get_type_hints(kind, None, _NAMES, include_extras=True)
+    own = vars(sys.modules[kind.__module__])
+    hints = typing.get_type_hints(kind, None, _NAMES | own, include_extras=True)
     meanings = _comments(kind)
     names = getattr(kind, "model_fields", None) or getattr(kind, "__dataclass_fields__", None) or hints
     for name in names:
         hint, optional = hints[name], name in getattr(kind, "absent", ())
         if typing.get_origin(hint) is typing.NotRequired:
             (hint,), optional = typing.get_args(hint), True
+        elif optional:  # left out instead of null
+            hint = typing.get_args(hint)[0]
         if typing.get_origin(hint) is typing.Annotated and isinstance(hint.__metadata__[0], str):
             meanings.setdefault(name, hint.__metadata__[0])
         stated = re.fullmatch(r"(.+?)(?: \[([^\]]+)\])?\.", meanings.get(name, ""))
@@ -136,18 +140,24 @@ def keys(kind: type) -> dict[str, Key]:
 
 
 def _of_attribute(a: Attribute) -> Key:
-    may_miss = "absent" in a.long_name or a.default == ()
+    may_miss = a.default == () or is_nan(a.default) or a.nan_is_default  # see `stated_attributes`
     return Key(a.name, a.kind, a.units, a.long_name, may_miss)
+
+
+@cache
+def _source(module: str) -> tuple[list[str], dict[str, ast.ClassDef]]:
+    """Return the lines of a module, and its class statements by name."""
+    source = inspect.getsource(sys.modules[module])
+    return source.splitlines(), {n.name: n for n in ast.parse(source).body if isinstance(n, ast.ClassDef)}
 
 
 def _comments(kind: type) -> dict[str, str]:
     """Return the comments that begin with ``#:`` of the keys of a class and its bases."""
-    try:
-        lines = textwrap.dedent(inspect.getsource(kind)).splitlines()
-    except (OSError, TypeError):  # a class without a class statement
+    lines, statements = _source(kind.__module__)
+    statement = statements.get(kind.__name__)
+    if statement is None:  # a TypedDict without a class statement
         return {}
     found: dict[str, str] = {}
-    statement = typing.cast("ast.ClassDef", ast.parse("\n".join(lines)).body[0])
     for base in statement.bases:  # a TypedDict has no method resolution order
         if isinstance(base, ast.Name) and is_document(known := _NAMES.get(base.id)):
             found |= _comments(known)
@@ -194,19 +204,22 @@ def type_text(hint: typing.Any, *, plural: bool = False) -> str:
     if origin in _SIMPLE:
         return f"{_SIMPLE[origin]}{s}"
     if origin in (typing.Union, types.UnionType):
-        several = [type_text(a, plural=plural) for a in arguments]
-        return f"{', '.join(several[:-1])} or {several[-1]}"
+        return _listed([type_text(a, plural=plural) for a in arguments])
     if origin is typing.Literal:
-        return " or ".join(f"`{a}`" for a in arguments)
+        return _listed([f"`{a}`" for a in arguments])
     if origin is np.ndarray:
         return f"array{s} of arrays of numbers"
     if origin is tuple and arguments[-1] is not Ellipsis:
         return f"array{s} of {len(arguments)} {type_text(arguments[0], plural=True)}"
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return f"object{s} of {type_text(arguments[1], plural=True)}" if arguments else f"object{s}"
+        return f"object{s} of {type_text(arguments[1], plural=True)}".removesuffix(" of any")
     if isinstance(origin, type) and issubclass(origin, Sequence):
-        return f"array{s} of {type_text(arguments[0], plural=True)}"
+        return f"array{s} of {type_text(arguments[0], plural=True)}".removesuffix(" of any")
     return "any"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return f"{', '.join(words[:-1])} or {words[-1]}" if len(words) > 1 else words[0]
 
 
 def title(kind: type) -> str:

@@ -184,7 +184,7 @@ class CertificateDocument(TypedDict):
     named_words: list[str]  #: Their names in words.
     sentence: str  #: The result in words.
     null: NullDocument  #: Recordings without the named effect.
-    #: Share of recordings without the effect whose score is as large as that of the answer [1].
+    #: (1 + m) / (1 + n), if m of the n recordings without the effect have at least the score of the answer [1].
     p_empirical: float
     truth: TruthDocument | None  #: Recordings with the named effect; null if none is named.
     rivals: list[SimulatedRival]  #: Recordings with each effect that could be mistaken for it.

@@ -530,7 +530,7 @@ class ClipDocument(TypedDict):
     offset_sigma_s: float  #: Standard uncertainty of the start [s].
     rate: float  #: Rate of the clock of the clip [1].
     rate_sigma: float  #: Standard uncertainty of the rate [1].
-    angle_offset: float  #: Angle between the directions of zero of the cameras [rad].
+    angle_offset: float  #: Angle added to the angles of the clip [rad].
     angle_offset_sigma: float  #: Standard uncertainty of `angle_offset` [rad].
     covariance: Floats  #: Covariance matrix of start, rate and angle [products of s, 1 and rad].
     ambiguous: bool  #: Whether another start is not excluded.
