@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from fitting._case_format import CASE_ATTRIBUTES, INPUT, Attribute, is_nan
+from fitting._numbers import unit_text
 from gyrotrack.apps.cli._app import COMMANDS
 from gyrotrack.io._schema import RECORDING_ATTRIBUTES
 
@@ -73,6 +74,7 @@ _OF_A_FILE: dict[str, tuple[Attribute, ...]] = {
     "InputSummary": INPUT.attributes,
 }
 _TORQUE = "N m, or rad s-2"
+_SHORT = 10  # characters of a unit that is not wrapped
 
 _HEAD = """# JSON documents
 
@@ -91,7 +93,7 @@ trusted, as its verdict or its warnings state; 130: interrupted (129 by SIGHUP, 
 Numbers are in SI units, also with `--rpm`. A number that is unknown or infinite is null; in the documents of `config`
 and `compare` an infinite number is the text `inf` or `-inf`. An object *by* something has a key for each, for example
 for each parameter. A key is always present unless its meaning begins with "Optional". In the column of units, 1 is a
-ratio or a count, and `unit` is the unit in the key of this name. "N m, or rad s-2" is N m; but rad s-2 if no moment of
+ratio or a count, and `unit` is the unit in the key of this name. "N m, or rad s⁻²" is N m; but rad s⁻² if no moment of
 inertia is known, because torques are then per unit of inertia, also in keys whose names contain `Nm`.
 """
 
@@ -241,7 +243,9 @@ def _table(kinds: Sequence[type]) -> list[str]:
     rows = ["| key | type | unit | meaning |", "|---|---|---|---|"]
     for k in (key for kind in kinds for key in keys(kind).values()):
         meaning = f"Optional. {k.meaning}." if k.optional else f"{k.meaning}."
-        rows.append(f"| `{k.name}` | {type_text(k.type)} | {k.unit} | {meaning} |".replace("|  |", "| |"))
+        unit = unit_text(k.unit) or k.unit  # "1" is shown
+        unit = unit.replace(" ", "\N{NO-BREAK SPACE}") if len(unit) < _SHORT else unit
+        rows.append(f"| `{k.name}` | {type_text(k.type)} | {unit} | {meaning} |".replace("|  |", "| |"))
     return [*rows, ""]
 
 
