@@ -4,6 +4,8 @@ Numbers are in SI units. JSON has neither nan nor infinity: nan is written as nu
 `fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
 that files of older versions stay readable.
 
+A comment `#:` at a key is its meaning, with the unit in brackets; docs/reference/json.md is made from them.
+
 Files are written and locked as `fitting._files` describes.
 """
 
@@ -14,9 +16,18 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast
 
-from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from fitting._errors import LedgerError
 from fitting._files import Files, flush, lock_file, new_part, publish
@@ -89,145 +100,207 @@ class Document(BaseModel):
     model_config = ConfigDict(from_attributes=True, extra="ignore")
 
 
-def selected(source: object, names: Iterable[str]) -> dict[str, Any]:
-    """Return attributes of an object as a part of a document that is written only."""
-    return {name: getattr(source, name) for name in names}
+_T = TypeVar("_T")
 
 
-class EstimateDocument(Document):
-    """A parameter: value, standard error (nan on a bound), unit, whether its bound is active."""
+def as_document(kind: type[_T], source: object, /, **computed: Any) -> _T:
+    """Return a document of a TypedDict; keys that are not computed are attributes of the source."""
+    return cast(_T, {k: computed[k] if k in computed else getattr(source, k) for k in kind.__annotations__})
 
-    value: Number
+
+class WithOptionalKeys(Document):
+    """A document in which the keys of `absent` are left out if they have no value."""
+
+    absent: ClassVar[frozenset[str]]
+
+    @model_serializer(mode="wrap")
+    def _present(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {k: v for k, v in dump(self).items() if v is not None or k not in self.absent}
+
+
+class IntervalDocument(Document):
+    """A confidence interval by profile likelihood."""
+
+    level: Number  #: Confidence level [1].
+    lower: Number  #: Lower end; the bound of the parameter, or the last value that was tried, if it is open [`unit`].
+    upper: Number  #: Upper end, likewise [`unit`].
+    lower_open: bool  #: Whether the data give no lower limit.
+    upper_open: bool  #: Whether the data give no upper limit.
+
+
+class EstimateDocument(WithOptionalKeys):
+    """A parameter or a difference of parameters."""
+
+    absent = frozenset({"interval"})
+
+    value: Number  #: Value [`unit`].
+    #: Standard error; null if a bound is active or the fit did not converge [`unit`].
     stderr: Number = math.nan
-    unit: str = ""
-    at_bound: Flag = False
+    unit: str = ""  #: Unit: SI, or for a torque without moment of inertia that of an angular acceleration.
+    at_bound: Flag = False  #: Whether a bound is active.
+    interval: IntervalDocument | None = None  #: 95 % interval, with `--profile`.
 
 
 class StoredEstimate(EstimateDocument):
     """A parameter with its bounds, whether it is varied, and the expression that it follows."""
 
-    vary: bool = True
-    min: Number = -math.inf
-    max: Number = math.inf
-    expr: str | None = None
+    vary: bool = True  #: Whether it was fitted, and not held.
+    min: Number = -math.inf  #: Lower bound; null if it has none [`unit`].
+    max: Number = math.inf  #: Upper bound; null if it has none [`unit`].
+    expr: str | None = None  #: The expression of other parameters that it follows; null if it is free.
 
 
 class BodyDocument(Document):
-    """Figures of merit of one body: R2, rms residual [rad/s], reduced chi2, cross-validation error [noise]."""
+    """Figures of merit of one body; null for a body that was not measured."""
 
-    r2: Number
-    rmse: Number
-    reduced_chi2: Number
-    held_out: Number
+    r2: Number  #: Coefficient of determination of the smoothed angular velocity [1].
+    rmse: Number  #: Rms residual of the smoothed angular velocity [rad s-1].
+    reduced_chi2: Number  #: Chi-square of what was fitted over the effective number of samples [1].
+    held_out: Number  #: Cross-validation error over the noise; 1 is the noise limit [1].
 
 
 class MetricsDocument(Document):
-    """Figures of merit of one case; `rows` is the number of rows that a model can describe."""
+    """Figures of merit of one case."""
 
-    label: str
-    casing: BodyDocument
-    rotor: BodyDocument
-    energy_drift: Number
-    further: list[BodyDocument] = []
+    label: str  #: Name of the case.
+    casing: BodyDocument  #: The casing; of other cases the single body, or the first body of a chain.
+    rotor: BodyDocument  #: The rotor, or the second body of a chain.
+    energy_drift: Number  #: Energy balance error, as a share of the initial or largest kinetic energy [1].
+    further: list[BodyDocument] = []  #: The third and the following bodies of a chain.
+    #: Chi-square over the number of rows that a model can describe [1].
     chi2_per_row: Number = Field(validation_alias=AliasChoices("chi2_per_row", "misfit"))
     # the default is for fits that were stored without it
+    #: Number of these rows, which are combinations of the samples.
     rows: int = Field(1000, validation_alias=AliasChoices("rows", "misfit_rows"))
 
 
 class AngleNoiseDocument(Document):
-    """Correlated angle noise: standard deviation and its standard uncertainty [rad], correlation time [s].
+    """Correlated noise of the angles of one body, with a part that is periodic in the angle."""
 
-    The same three for the part that is periodic in the angle.
-    """
-
+    #: Standard deviation [rad].
     sigma_rad: Number = Field(validation_alias=AliasChoices("sigma_rad", "sigma"))
+    #: Standard uncertainty of `sigma_rad` [rad].
     sigma_u_rad: Number = Field(validation_alias=AliasChoices("sigma_u_rad", "sigma_u"))
+    #: Correlation time [s].
     time_s: Number = Field(validation_alias=AliasChoices("time_s", "time"))
+    #: Standard deviation of the periodic part [rad].
     turn_sigma_rad: Number = Field(0.0, validation_alias=AliasChoices("turn_sigma_rad", "turn_sigma"))
+    #: Standard uncertainty of `turn_sigma_rad` [rad].
     turn_sigma_u_rad: Number = Field(0.0, validation_alias=AliasChoices("turn_sigma_u_rad", "turn_sigma_u"))
+    #: Correlation time of the amplitude of the periodic part [s].
     turn_time_s: Number = Field(0.0, validation_alias=AliasChoices("turn_time_s", "turn_time"))
 
 
 class CaseDocument(MetricsDocument):
-    """The same with the process noise, of the recording and of this fit [N m], and the scale of the angle noise.
+    """Figures of merit and noise of one case."""
 
-    `torque_unresolved_Nm`: random torque that is not separable from the angle noise, included in the uncertainties.
-    """
-
-    torque_noise_Nm: Number = Field(validation_alias=AliasChoices("torque_noise_Nm", "pure"))  # noqa: N815
-    torque_noise_u_Nm: Number = Field(  # noqa: N815
-        math.nan, validation_alias=AliasChoices("torque_noise_u_Nm", "pure_u")
-    )
-    torque_left_Nm: Number = Field(validation_alias=AliasChoices("torque_left_Nm", "level"))  # noqa: N815
-    torque_unresolved_Nm: Number = Field(  # noqa: N815
+    #: Rms of the process noise of the recording [torque].
+    torque_noise_Nm: Number = Field(validation_alias=AliasChoices("torque_noise_Nm", "pure"))
+    #: Standard uncertainty of `torque_noise_Nm` [torque].
+    torque_noise_u_Nm: Number = Field(math.nan, validation_alias=AliasChoices("torque_noise_u_Nm", "pure_u"))
+    #: Rms of the random torque in the residuals of this fit [torque].
+    torque_left_Nm: Number = Field(validation_alias=AliasChoices("torque_left_Nm", "level"))
+    #: Rms of a random torque that is not separable from the angle noise, included in the uncertainties [torque].
+    torque_unresolved_Nm: Number = Field(
         0.0, validation_alias=AliasChoices("torque_unresolved_Nm", "unresolved")
     )
+    #: White noise of the casing's samples over their stated standard uncertainty [1].
     noise_scale: Number = Field(validation_alias=AliasChoices("noise_scale", "scale"))
+    #: Correlated angle noise of the casing; null if not significant.
     angle_noise: AngleNoiseDocument | None = None
-    rotor_angle_noise: AngleNoiseDocument | None = None
-    n_eff: Number = math.nan
+    rotor_angle_noise: AngleNoiseDocument | None = None  #: The same for the rotor.
+    n_eff: Number = math.nan  #: Number of equivalent independent samples [1].
 
 
 class PriorDocument(Document):
-    """A Gaussian prior: parameters of another study with their covariance [SI]."""
+    """A Gaussian prior: parameters of another study with their covariance."""
 
-    source: str
-    names: list[str]
-    mean: list[Number]
-    covariance: list[list[Number]]
+    source: str  #: Name of the other study.
+    names: list[str]  #: Keys of the parameters.
+    mean: list[Number]  #: Their values [SI units].
+    covariance: list[list[Number]]  #: Their covariance [SI units].
 
 
 class FirstOrderDocument(Document):
-    """First-order response of a driven body of one case: time constant [s], gain and dead time of each input."""
+    """First-order response of a driven body of one case."""
 
-    label: str
-    body: str
-    time_constant: EstimateDocument
-    gains: dict[str, EstimateDocument]
-    delays: dict[str, EstimateDocument]
+    label: str  #: Name of the case.
+    body: str  #: Name of the body.
+    time_constant: EstimateDocument  #: Moment of inertia over linear drag.
+    gains: dict[str, EstimateDocument]  #: Change of the final speed per unit of an input, by input.
+    delays: dict[str, EstimateDocument]  #: Dead time of an input, by input for which one is fitted.
 
 
 class NameDocument(Document):
     """The name of an effect in words, and the symbol of its strength."""
 
-    words: str
-    symbol: str
+    words: str  #: Name in words.
+    symbol: str  #: Symbol of the strength; empty if it has none.
 
 
-class FitDocument(Document):
-    """What `fit --json` prints."""
+class PredictedDocument(Document):
+    """One recording, predicted from a fit of the others."""
 
-    fit_id: str
-    model: list[str]
-    names: dict[str, NameDocument] = {}
+    label: str  #: Name of the case.
+    casing: Number  #: Rms error of the casing over the noise; 1 is the noise limit [1].
+    rotor: Number  #: The same for the rotor [1].
+    r2: Number  #: Coefficient of determination of the smoothed angular velocity of the casing [1].
+    rmse: Number  #: Rms error of the smoothed angular velocity of the casing [rad s-1].
+
+
+class CurveBiasDocument(Document):
+    """A parameter from a generated rotor curve and from the rotor windows."""
+
+    generated: Number  #: Value from the curve [unit of the parameter].
+    claimed: Number  #: Its standard error [unit of the parameter].
+    measured: Number  #: Value from the windows [unit of the parameter].
+    stderr: Number  #: Its standard error [unit of the parameter].
+    errors: Number  #: Difference of the values over the standard error from the curve [1].
+
+
+class FitDocument(WithOptionalKeys):
+    """A fit of one case, or of several cases together."""
+
+    absent = frozenset({"predicted", "generated_rotor"})
+
+    fit_id: str  #: Name of the fit in the ledger: f1, f2, ...; empty if the fit is not stored.
+    model: list[str]  #: Names of the effects.
+    names: dict[str, NameDocument] = {}  #: The effects in words, by name.
+    #: By `effect.symbol`; `effect.symbol@label` if each case has its own value; `initial.omega_r@label` and
+    #: `initial.omega_c@label` for the initial speeds.
     parameters: dict[str, EstimateDocument]
-    cases: list[CaseDocument] = []
-    misfit: Number = math.nan
-    n_eff: Number = math.nan
-    bic: Number = math.nan
-    verdict: str = ""
-    findings: list[str] = []
-    equations: list[str] = []
-    not_determined: list[str] = []
+    cases: list[CaseDocument] = []  #: Figures of merit of each case.
+    misfit: Number = math.nan  #: Rms residual over that of the noise; 1 is the noise limit [1].
+    n_eff: Number = math.nan  #: Number of equivalent independent samples of all cases [1].
+    bic: Number = math.nan  #: Bayesian information criterion [1].
+    verdict: str = ""  #: `lack_of_fit`, `no_lack_of_fit`, `not_determined` or `not_converged`.
+    findings: list[str] = []  #: Faults of the measurement that the recordings show without a model.
+    equations: list[str] = []  #: Equations of motion (LaTeX).
+    not_determined: list[str] = []  #: Parameters whose standard error exceeds their value.
+    #: Degenerate combinations: relative changes by parameter, scaled to a largest change of 1 [1].
     not_determined_together: list[dict[str, Number]] = []
-    first_order: list[FirstOrderDocument] = []
-    prior: PriorDocument | None = None
+    first_order: list[FirstOrderDocument] = []  #: Response of bodies that recorded inputs drive.
+    prior: PriorDocument | None = None  #: The prior of the parameters, with `--prior`.
+    #: Prediction of each case from the others, with `--hold-out`.
+    predicted: list[PredictedDocument] | None = None
+    #: Shift of each parameter by the generated curve, with `--rotor generated`.
+    generated_rotor: dict[str, CurveBiasDocument] | None = None
 
 
 class FailureDocument(Document):
-    """An interval of significant lack of fit."""
+    """An interval, or a harmonic of the angle, of significant lack of fit."""
 
-    label: str
-    body: str
-    t_start: Number
-    t_stop: Number
-    kind: str
-    where: str
-    size_sigma: Number
-    residual_rad_s: Number
-    residual_torque_Nm: Number  # noqa: N815 - the unit's own capitals
-    torque_sigma_Nm: Number = math.nan  # noqa: N815
-    omega_c: tuple[Number, Number]
+    label: str  #: Name of the case.
+    body: str  #: Name of the body.
+    t_start: Number  #: Start of the interval [s].
+    t_stop: Number  #: End of the interval [s].
+    kind: str  #: `loses torque` or `gains torque` relative to the model; `ripple` for a harmonic.
+    where: str  #: Place in words, for example `while speeding up`.
+    size_sigma: Number  #: Largest distance from zero [standard uncertainties].
+    residual_rad_s: Number  #: Extreme residual of the speed; of a harmonic its amplitude [rad s-1].
+    residual_torque_Nm: Number  #: Mean unmodelled torque; of a harmonic its amplitude [torque].
+    torque_sigma_Nm: Number = math.nan  #: Standard uncertainty of `residual_torque_Nm` [torque].
+    omega_c: tuple[Number, Number]  #: Smallest and largest speed of the casing or single body [rad s-1].
 
 
 class StoredFailure(FailureDocument):
@@ -240,89 +313,98 @@ class StoredFailure(FailureDocument):
 class CandidateDocument(Document):
     """A candidate effect with its score."""
 
-    effect: str
-    words: str
-    symbol: str
-    kind: str
-    score: Number
-    delta_bic: Number
-    p_value: Number
-    significant: Flag
-    held_out_gain: Number
-    indistinguishable_from: list[str]
-    indistinguishable_words: list[str]
-    parameters: dict[str, EstimateDocument]
-    law: str
+    effect: str  #: Name of the effect.
+    words: str  #: Name in words.
+    symbol: str  #: Symbol of the strength.
+    kind: str  #: `physical` or `measurement`.
+    score: Number  #: Decrease of the deviance when the effect is added [1].
+    delta_bic: Number  #: BIC with the effect minus BIC without it; null without a refit [1].
+    p_value: Number  #: False-alarm probability of such a score anywhere in the list [1].
+    significant: Flag  #: Whether `p_value` is below the level of the search.
+    held_out_gain: Number  #: Decrease of the cross-validation error over the noise; null without a refit [1].
+    indistinguishable_from: list[str]  #: Candidates that the data cannot separate from this one.
+    indistinguishable_words: list[str]  #: Their names in words.
+    parameters: dict[str, EstimateDocument]  #: Parameters of the effect, by key as in a fit.
+    law: str  #: Body or joint, and formula.
 
 
 class RemainderDocument(Document):
-    """What is still significant after the named effect: rms torque, share of the mean square, p-value."""
+    """The unmodelled torque that is still significant with the named effect."""
 
-    torque_rms_Nm: Number  # noqa: N815 - the unit's own capitals
-    share: Number
-    p_value: Number
-    sentence: str
+    torque_rms_Nm: Number  #: Rms torque of the body with the larger one [torque].
+    share: Number  #: Share of the mean square unmodelled torque, 0 to 1 [1].
+    p_value: Number  #: Probability of such a remainder by noise [1].
+    sentence: str  #: Size, and the variable on which it depends.
 
 
 class NuisanceDocument(Document):
     """An always fitted camera effect of one case."""
 
-    effect: str
-    label: str
-    value: Number
-    stderr: Number
-    unit: str
-    p_value: Number
+    effect: str  #: Name of the effect.
+    label: str  #: Name of the case.
+    value: Number  #: Amplitude [`unit`].
+    stderr: Number  #: Its standard error [`unit`].
+    unit: str  #: Unit of both.
+    p_value: Number  #: Probability of such an amplitude by noise [1].
 
 
 class UpperLimitDocument(Document):
-    """An effect that could still be hidden: 95 % upper limit of its strength, and of its rms torque."""
+    """An effect that could still be hidden in the recordings."""
 
-    effect: str
-    symbol: str
-    upper_limit: Number
-    unit: str
-    torque_Nm: Number  # noqa: N815 - the unit's own capitals
+    effect: str  #: Name of the effect.
+    symbol: str  #: Symbol of the strength.
+    upper_limit: Number  #: 95 % upper limit of the strength [`unit`].
+    unit: str  #: Unit of the strength.
+    torque_Nm: Number  #: The same as an rms torque along the motion [torque].
 
 
 class ValuesInRecordings(Document):
-    """The value of a parameter in each recording, by label; `differences` are those from the first recording."""
+    """The value of a parameter in each recording."""
 
-    parameter: str
-    values: dict[str, EstimateDocument]
+    parameter: str  #: Key of the parameter.
+    values: dict[str, EstimateDocument]  #: Its values, by name of the case.
+    #: Differences from the value in the first case, by name of the case.
     differences: dict[str, EstimateDocument]
 
 
 class DifferenceBetweenRecordings(ValuesInRecordings):
-    """A parameter shared by the recordings that differs between them; `others` have separate values as well."""
+    """A parameter shared by the recordings that differs between them."""
 
-    delta_bic: Number
-    p_value: Number
-    indistinguishable_from: list[str]
-    others: list[ValuesInRecordings] = []
+    delta_bic: Number  #: BIC with a value for each recording minus BIC with a shared value [1].
+    p_value: Number  #: Probability of such a difference in any shared parameter if all are equal [1].
+    indistinguishable_from: list[str]  #: Parameters whose difference describes the data as well.
+    others: list[ValuesInRecordings] = []  #: Further parameters with a value for each recording.
 
 
 class StepDocument(Document):
-    """One fit of a history: the change, and the errors; `_noise` marks values for noise alone."""
+    """One fit of a history: the change, and the errors."""
 
-    fit_id: str
-    added: str
-    words: str = ""
-    model: list[str]
-    samples: int = 0
-    n_eff: Number = math.nan
-    rmse_casing: Number
-    rmse_noise: Number = math.nan
-    reduced_chi2: Number
-    misfit: Number = math.nan  # of fits that were stored without it
-    held_out: Number
-    bic: Number = math.nan
-    bic_noise: Number = math.nan
-    delta_bic: Number
-    energy_drift: Number
-    torque_left_Nm: Number  # noqa: N815
-    moved: list[str]
-    verdict: FitVerdict
+    fit_id: str  #: Name of the fit in the ledger.
+    added: str  #: The change: `+effect`, `-effect`, or a text; of a first fit its model, or empty.
+    words: str = ""  #: The change in words.
+    model: list[str]  #: Names of the effects.
+    samples: int = 0  #: Number of samples of all cases.
+    n_eff: Number = math.nan  #: Number of equivalent independent samples [1].
+    rmse_casing: Number  #: Rms residual of the smoothed angular velocity of the casings [rad s-1].
+    rmse_noise: Number = math.nan  #: The same for noise alone [rad s-1].
+    reduced_chi2: Number  #: Chi-square of the casings over the effective number of samples [1].
+    misfit: Number = math.nan  #: Rms residual over that of the noise; null in files of older versions [1].
+    held_out: Number  #: Cross-validation error of the casings over the noise; 1 is the noise limit [1].
+    bic: Number = math.nan  #: Bayesian information criterion [1].
+    bic_noise: Number = math.nan  #: BIC of a model with as many parameters whose residuals are noise [1].
+    delta_bic: Number  #: BIC minus that of the fit before; 0 for the first one [1].
+    energy_drift: Number  #: Largest energy balance error of a case, as a share of the kinetic energy [1].
+    torque_left_Nm: Number  #: Largest rms of the random torque in the residuals of a case [torque].
+    moved: list[str]  #: Parameters that changed by more than three standard errors.
+    verdict: FitVerdict  #: Verdict of the fit.
+
+
+class ListedStep(StepDocument):
+    """One fit of a history, with its place and what the user wrote about it."""
+
+    parent: str  #: Name of the fit on which it is based; empty for a first fit.
+    name: str  #: Name, from `--name`.
+    note: str  #: Note, from `--note`.
 
 
 class NoiseDocument(Document):

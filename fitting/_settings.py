@@ -38,14 +38,14 @@ _DESCRIPTION = re.compile(rf"(.+?) \[([^\]]+)\]\. ({'|'.join(map(str.capitalize,
 
 @dataclass(frozen=True)
 class Setting:
-    """A number, or several, that a module decides by; `origin` begins with one of `ORIGINS`."""
+    """A number, or several, by which a module decides."""
 
-    module: str
-    name: str
-    value: Value
-    unit: str
-    meaning: str
-    origin: str
+    module: str  #: Module that uses it.
+    name: str  #: Name in the module.
+    value: Value  #: A number, an array, or an object by name; infinity is the text `inf` [`unit`].
+    unit: str  #: Unit; `1` for a ratio or a count.
+    meaning: str  #: Meaning.
+    origin: str  #: One of `ORIGINS` (derived, measured, source, chosen), a colon, and an explanation.
 
     @property
     def value_text(self) -> str:

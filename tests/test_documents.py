@@ -13,7 +13,7 @@ from gyrotrack.apps.cli import _app as app
 from gyrotrack.io.readers import _format_names as names
 
 DOCS = Path(__file__).parents[1] / "docs"
-MADE = ["make_command_line", "make_effects", "make_format", "make_import"]
+MADE = ["make_command_line", "make_effects", "make_format", "make_import", "make_json"]
 FORMS = [*sorted((DOCS.parent / ".github").rglob("*.yml")), DOCS.parent / "CITATION.cff"]
 
 

@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,32 @@ class Pair:
         return self.evidence[motion] > width
 
 
+class FrictionStrength(TypedDict):
+    """The strength of the dry friction for which laws are compared."""
+
+    value: float  #: Strength [`unit`].
+    unit: str  #: Unit of the strength.
+
+
+class PairDocument(TypedDict):
+    """Two friction laws, and the motions that separate them."""
+
+    law: str  #: Friction law.
+    rival: str  #: The law with which it is compared.
+    #: Expected difference of deviances by motion: `recording`, `reversals`, `ramp` [1].
+    evidence: dict[str, float]
+    separated_by: list[str]  #: Motions that separate the laws.
+
+
+class FrictionDocument(TypedDict):
+    """The friction laws of a contact that the recording, reversals and a slow ramp separate."""
+
+    strength: FrictionStrength  #: Strength of the dry friction.
+    width: float  #: Smallest difference of deviances of two separated laws [1].
+    pairs: list[PairDocument]  #: Every pair of laws.
+    sentences: list[str]  #: The result in words.
+
+
 @dataclass(frozen=True, repr=False)
 class FrictionPlan:
     """The friction laws that the recording and two other motions separate."""
@@ -104,14 +131,18 @@ class FrictionPlan:
             lines.append(f"None of these runs separates {_grouped(never)}.")
         return lines
 
-    def document(self) -> dict[str, object]:
+    def document(self) -> FrictionDocument:
         """Return the result as a part of the JSON document of `gyrotrack plan`."""
         return {
             "strength": {"value": self.strength, "unit": self.unit},
             "width": self.width,
             "pairs": [
-                {"law": p.first, "rival": p.second, "evidence": dict(p.evidence)}
-                | {"separated_by": [n for n in p.evidence if p.separated(n, self.width)]}
+                {
+                    "law": p.first,
+                    "rival": p.second,
+                    "evidence": dict(p.evidence),
+                    "separated_by": [n for n in p.evidence if p.separated(n, self.width)],
+                }
                 for p in self.pairs
             ],
             "sentences": self.sentences,

@@ -126,13 +126,13 @@ rounding, a larger one ignores some nuisance columns."""
 class Difference:
     """The largest difference of two laws of a set within the recordings."""
 
-    formula: str  # the other law
-    torque_Nm: float  # noqa: N815 - difference of the net torques on a body, base included [N m]
-    label: str  # the case in which the difference occurs
-    t_start: float  # [s]; from t_start to t_stop the difference exceeds half of torque_Nm
-    t_stop: float
-    omega_c: tuple[float, float]  # smallest and largest speed in this interval [rad/s]
-    omega_r: tuple[float, float]
+    formula: str  #: The other law.
+    torque_Nm: float  #: Largest difference of the net torques on a body, base model included [torque].
+    label: str  #: Name of the case in which it occurs.
+    t_start: float  #: Start of the interval in which the difference exceeds half of its maximum [s].
+    t_stop: float  #: End of this interval [s].
+    omega_c: tuple[float, float]  #: Smallest and largest speed of the casing in this interval [rad s-1].
+    omega_r: tuple[float, float]  #: Smallest and largest speed of the rotor in this interval [rad s-1].
 
 
 _SHOWN = 6
@@ -153,7 +153,7 @@ class Law:
     delta_bic: float  # BIC with the law minus BIC of the base
     description_length: float  # penalty of the length of the formula, added to BIC in the ranking
     p_value: float  # family-wise: probability of such a score in the whole search if no law is missing
-    torque_rms_Nm: float  # noqa: N815 - along the measured motion [N m]
+    torque_rms_Nm: float  # along the measured motion [N m]
     estimates: dict[str, Estimate]  # by ``<effect>.<symbol>``
     indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
     same_torque_as: tuple[str, ...]  # those of them with the same torque along the recorded motion

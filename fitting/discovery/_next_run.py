@@ -73,20 +73,14 @@ _ELSE = "change a condition on which only one of them depends (air pressure, sur
 class Bounds:
     """Bounds of the runs that are possible with this apparatus; each is a pair (smallest, largest)."""
 
-    omega_rotor: tuple[float, float]  # initial angular rate [rad/s]
-    omega_casing: tuple[
-        float, float
-    ]  # initial rate, spun by hand [rad/s]; negative values are against the rotor
-    duration: tuple[float, float]  # of the recording [s]
-    inertia_casing: tuple[float, float] = (
-        1.0,
-        _RING,
-    )  # moment of inertia with an inertia ring, over the present one
-    touchpoint: tuple[float, float] = (
-        1 / _SURFACE,
-        _SURFACE,
-    )  # friction of the support, over the present one
-    reversible: bool = True  # whether the rotor can be started in the other sense of rotation
+    omega_rotor: tuple[float, float]  #: Initial angular velocity of the rotor [rad s-1].
+    omega_casing: tuple[float, float]  #: That of the casing; negative values are against the rotor [rad s-1].
+    duration: tuple[float, float]  #: Length of the recording [s].
+    #: Moment of inertia of the casing with an inertia ring, over the present one [1].
+    inertia_casing: tuple[float, float] = (1.0, _RING)
+    #: Friction of the support over the present one [1].
+    touchpoint: tuple[float, float] = (1 / _SURFACE, _SURFACE)
+    reversible: bool = True  #: Whether the rotor can be started in the other sense of rotation.
 
     @classmethod
     def of(cls, fit: Fit) -> Bounds:

@@ -52,15 +52,13 @@ a smaller value takes noise for a contradiction, a larger one accepts a fit to a
 
 @dataclass(frozen=True)
 class Strength:
-    """Strength of a law: value, standard uncertainty, unit.
+    """Strength of a law of an oscillator."""
 
-    `approximate` states that the value is from the averaged equations; the uncertainty then contains their error.
-    """
-
-    value: float
+    value: float  #: Value [`unit`].
+    #: Standard uncertainty, with the error of the averaged equations if they are used [`unit`].
     stderr: float
-    unit: str
-    approximate: bool = True
+    unit: str  #: Unit of both.
+    approximate: bool = True  #: Whether the value is from the averaged equations.
 
     def contradicts(self, exact: Strength) -> bool:
         """Return whether the strength of an exact fit differs by more than both thresholds.
@@ -74,25 +72,24 @@ class Strength:
 
 @dataclass(frozen=True)
 class LawSet:
-    """Names of restoring and damping torques with their strengths by the averaged equations."""
+    """A set of laws with their strengths by the averaged equations."""
 
-    restoring: Names
-    damping: Names
-    parameters: dict[str, Strength]
+    restoring: Names  #: Names of the restoring torques.
+    damping: Names  #: Names of the damping torques.
+    parameters: dict[str, Strength]  #: Strengths, by key as in a fit.
 
 
 @dataclass(frozen=True)
 class OscillatorLaws:
     """The laws of an oscillator."""
 
-    # effects of the smallest of the sets that the data do not separate from the set of lowest BIC
+    #: Restoring torques of the smallest set that the data do not separate from that of lowest BIC.
     restoring: Names
-    damping: Names
-    # all sets of restoring torques, and of damping torques, that the data do not separate, in ascending order of BIC
-    restoring_classes: tuple[Names, ...]
-    damping_classes: tuple[Names, ...]
-    parameters: dict[str, Strength]  # strengths of the chosen set
-    sets: tuple[LawSet, ...] = ()  # all sets that describe the phase, in ascending order of BIC
+    damping: Names  #: Damping torques of this set.
+    restoring_classes: tuple[Names, ...]  #: All inseparable sets of restoring torques, by ascending BIC.
+    damping_classes: tuple[Names, ...]  #: All inseparable sets of damping torques, by ascending BIC.
+    parameters: dict[str, Strength]  #: Strengths of the chosen set, by key as in a fit.
+    sets: tuple[LawSet, ...] = ()  #: All sets that describe the phase, by ascending BIC.
 
     def with_fit(self, fit: Fit) -> tuple[OscillatorLaws, str]:
         """Return the laws with the effects and values of an exact fit, and a sentence that states a contradiction.

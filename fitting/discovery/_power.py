@@ -140,7 +140,7 @@ class UpperLimit:
     symbol: str  # of the strength
     upper_limit: float  # 95 % upper limit of the strength [unit]
     unit: str  # of the strength
-    torque_Nm: float  # noqa: N815 - the same as an rms torque along the motion [N m]
+    torque_Nm: float  # the same as an rms torque along the motion [N m]
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ _POINTS = 2000
 class Remainder:
     """The unmodelled torque that is still significant with the named effect."""
 
-    torque_rms_Nm: float  # noqa: N815 - of the body with the larger rms torque [N m]
+    torque_rms_Nm: float  # of the body with the larger rms torque [N m]
     share: float  # of the mean square unmodelled torque (0-1)
     p_value: (
         float  # the smaller of a likelihood ratio of its parameters and the p-values of the lack-of-fit tests

@@ -42,8 +42,9 @@ for slow correlations."""
 class Whiteness:
     """Ljung-Box test of the casing's whitened residuals, block by block."""
 
-    label: str  # case
-    p_value: float  # of the Ljung-Box statistic (G. Ljung, G. Box, Biometrika 65, 297 (1978))
+    label: str  #: Name of the case.
+    #: Probability of the Ljung-Box statistic, see G. Ljung, G. Box, Biometrika 65, 297 (1978) [1].
+    p_value: float
 
 
 def whiteness(fit: Fit) -> list[Whiteness]:
@@ -219,10 +220,10 @@ class Failure:
     where: str  # in words, for example "while speeding up", "near the peak", "once a turn"
     size_sigma: float  # largest distance from zero in standard deviations
     residual_rad_s: float  # extreme (5 % or 95 %) speed residual with its sign; speed amplitude of a harmonic
-    residual_torque_Nm: float  # noqa: N815 - mean, weighted by inverse variances; amplitude of a harmonic
+    residual_torque_Nm: float  # mean, weighted by inverse variances; amplitude of a harmonic
     omega_c: tuple[float, float]  # lowest and highest speed of the casing in the interval [rad/s]
     called: str  # name of the body for the user, for example "body" if a single body was recorded
-    torque_sigma_Nm: float = float("nan")  # noqa: N815 - for the mean over an interval, an upper bound
+    torque_sigma_Nm: float = float("nan")  # for the mean over an interval, an upper bound
     unit: str = TORQUE  # "N m", or "rad/s2" for torques per unit of inertia
 
     def __str__(self) -> str:

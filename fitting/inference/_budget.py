@@ -63,11 +63,12 @@ class Contribution:
     "inertia.casing", "inertia.rotor x inertia.casing" (their interaction), "clock rate" or "speed scale".
     """
 
-    source: str
-    type: Literal["A", "B"]  # evaluated from the data (A), or from other knowledge (B)
-    u: float  # contribution to the standard uncertainty, in the unit of the parameter
-    sensitivity: float | None  # change per unit of an input of type B; of an inertia the mean slope
-    share: float  # of the combined variance
+    source: str  #: Source of the uncertainty, for example `angle noise` or `inertia.rotor`.
+    type: Literal["A", "B"]  #: Evaluated from the data (A), or from other knowledge (B).
+    u: float  #: Contribution to the standard uncertainty [unit of the parameter].
+    #: Change of the parameter per unit of an input of type B; null for type A [unit of the parameter per SI unit].
+    sensitivity: float | None
+    share: float  #: Share of the combined variance [1].
 
 
 _SHOWN = 3
@@ -78,10 +79,10 @@ _SHOWN = 3
 class ParameterBudget:
     """Value, combined standard uncertainty and unit of a parameter, with the contributions, largest first."""
 
-    value: float
-    u: float
-    unit: str
-    contributions: tuple[Contribution, ...]
+    value: float  #: Value [`unit`].
+    u: float  #: Combined standard uncertainty [`unit`].
+    unit: str  #: Unit of the parameter.
+    contributions: tuple[Contribution, ...]  #: Contributions, largest first.
 
     def __repr__(self) -> str:
         shares = ", ".join(f"{c.source} {percentage(c.share)}" for c in self.contributions[:_SHOWN])

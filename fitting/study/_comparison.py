@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,14 @@ from numpy.typing import NDArray
 from fitting._errors import EstimationError
 from fitting._numbers import on_screen, probability, rounded, to_json
 from fitting.effects._words import CASING, effect_name
-from fitting.study._population import Fitted, Population, compared_parameters, population_of
+from fitting.study._population import (
+    Fitted,
+    MeanDocument,
+    Population,
+    PopulationDocument,
+    compared_parameters,
+    population_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -69,6 +76,47 @@ class ParameterComparison:
     def total(self, repeat: Repeat) -> float:
         """Return the total standard uncertainty of the value of one run, which includes the spread [unit]."""
         return math.hypot(repeat.stderr, self.spread)
+
+
+class RunValue(TypedDict):
+    """The value of a parameter in one run."""
+
+    run: str  #: Name of the run.
+    value: float  #: Value [unit of the parameter].
+    stderr: float  #: Standard error of the fit [unit of the parameter].
+    total: float  #: Standard uncertainty of a single run, which includes the spread [unit of the parameter].
+
+
+class SpreadDocument(TypedDict):
+    """The standard deviation between the runs, in addition to the uncertainties of the fits."""
+
+    value: float  #: Standard deviation [unit of the parameter].
+    interval_68: list[float]  #: Its 68 % interval [unit of the parameter].
+
+
+class ComparedParameter(TypedDict):
+    """One parameter over several runs."""
+
+    unit: str  #: Unit of the parameter.
+    values: list[RunValue]  #: Its value in each run that determines it.
+    #: Second minus first value; null unless there are two [standard uncertainties].
+    difference_sigma: float | None
+    p_value: float  #: Probability of such differences if the values are equal in all runs [1].
+    mean: MeanDocument  #: Mean of the runs.
+    spread: SpreadDocument  #: Standard deviation between the runs.
+
+
+class ComparisonDocument(TypedDict):
+    """Comparison of the fits of several runs."""
+
+    runs: list[str]  #: Names of the runs.
+    parameters: dict[str, ComparedParameter]  #: By key as in a fit, the most significant difference first.
+    effects: dict[str, list[str]]  #: Runs that have an effect, by effect that some runs do not have.
+    #: Runs in which a parameter is at a bound or has no uncertainty, by parameter.
+    at_bound: dict[str, list[str]]
+    population: PopulationDocument | None  #: Outlying runs, drifts and steps; null for fewer than eight runs.
+    sentences: list[str]  #: The result in words.
+    failed: dict[str, str]  #: Error messages of runs that could not be fitted, by file.
 
 
 @dataclass(frozen=True, repr=False)
@@ -117,8 +165,14 @@ class Comparison:
             lines.append(f"{self.called(name)} is at its bound in {_listed(runs)}.")
         return lines
 
-    def document(self) -> dict[str, Any]:
-        """Return the comparison as the JSON document of `gyrotrack compare`."""
+    def document(self, failed: Mapping[str, str] | None = None) -> ComparisonDocument:
+        """Return the comparison as the JSON document of `gyrotrack compare`.
+
+        Parameters
+        ----------
+        failed : mapping of str to str, optional
+            Error messages of runs that could not be fitted.
+        """
         return {
             "runs": list(self.runs),
             "parameters": {
@@ -139,6 +193,7 @@ class Comparison:
             "at_bound": {name: list(runs) for name, runs in self.bounds.items()},
             "population": None if self.population is None else to_json(self.population.document()),
             "sentences": self.sentences,
+            "failed": dict(failed or {}),
         }
 
 

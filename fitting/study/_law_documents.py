@@ -12,18 +12,19 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from fitting._errors import EffectError
 from fitting._schema import (
+    DifferenceBetweenRecordings,
     EstimateDocument,
+    as_document,
     locked,
     refuse_special,
-    selected,
     write_text,
 )
 from fitting.discovery._dependence import Dependence
-from fitting.discovery._laws import Law, Laws
+from fitting.discovery._laws import Difference, Law, Laws
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
 from fitting.inference._parameters import parameters_at
@@ -36,45 +37,101 @@ other data, more cost time."""
 _UNITS = {"t": "s", "psi_c": "rad"}
 
 
-# attributes of a law, of the dependence on a variable, and of an answer that are keys of the document
-_LAW = (
-    "formula", "body", "form", "score", "delta_bic", "description_length", "p_value", "torque_rms_Nm",
-    "indistinguishable_from", "same_torque_as",
-)  # fmt: skip
-_DEPENDENCE = ("variable", "body", "p_value", "explained", "score")
-_ANSWER = ("verdict", "sentence", "next_experiment", "trials")
+class TermDocument(TypedDict):
+    """One term of a law."""
+
+    body: str  #: Body or joint on which it acts.
+    law: str  #: Formula.
+    rate: str  #: Rate of its internal state as a formula; empty without one.
 
 
-def laws_document(found: Laws, fit_id: str) -> dict[str, Any]:
+class LawDocument(TypedDict):
+    """A law that explains the unmodelled torque, and the evidence for it."""
+
+    formula: str  #: Terms as `body: law`, joined by ` + `; `fit --add` accepts a single term.
+    body: str  #: Body or joint on which it acts; two are joined by ` and `.
+    form: str  #: The law in words.
+    score: float  #: Decrease of the deviance when the law is added [1].
+    delta_bic: float  #: BIC with the law minus BIC of the base model [1].
+    description_length: float  #: Penalty of the length of the formula, added to BIC in the ranking [1].
+    p_value: float  #: Probability of such a score in the whole search if no law is missing [1].
+    torque_rms_Nm: float  #: Rms torque along the measured motion [torque].
+    indistinguishable_from: list[str]  #: Formulas of laws that the data cannot separate from this one.
+    same_torque_as: list[str]  #: Those of them with the same torque along the recorded motion.
+    terms: list[TermDocument]  #: Its terms, one or two.
+    parameters: dict[str, EstimateDocument]  #: Parameters of the law, by key as in a fit.
+    verdict: str  #: Verdict of the fit with this law.
+    differences: list[Difference]  #: Largest difference from each other law of the answer.
+
+
+class CurveDocument(TypedDict):
+    """The unmodelled torque as a function of a variable."""
+
+    unit: str  #: Unit of the variable.
+    value: list[float]  #: Values of the variable [`unit`].
+    torque_Nm: list[float]  #: The part of the torque that the base model cannot represent [torque].
+    sigma_Nm: list[float]  #: Its standard uncertainty [torque].
+
+
+class DependenceDocument(TypedDict):
+    """The dependence of the unmodelled torque on one variable, or on two."""
+
+    variable: str  #: `omega_c`, `t`, ...; two are joined by `*`.
+    body: str  #: Body, or `bearing`.
+    p_value: float  #: Probability of such a dependence on any tested variable if there is none [1].
+    explained: float  #: Share of the lack of fit, 0 to 1 [1].
+    score: float  #: Decrease of the deviance [1].
+    curve: CurveDocument | None  #: The dependence as a curve; null for two variables.
+
+
+class LawsDocument(TypedDict):
+    """Laws that explain the unmodelled torque of a fit."""
+
+    fit_id: str  #: Name of the base fit in the ledger.
+    #: `law`, `library` (an effect of the library suffices), `parameter` (see `differs`) or `none`.
+    verdict: str
+    sentence: str  #: The answer in words.
+    next_experiment: str  #: The run that separates the laws; empty for one law.
+    trials: int  #: Number of scored candidates.
+    laws: list[LawDocument]  #: Laws, best first.
+    library: str | None  #: Name of the effect of the library that describes the data as well.
+    #: A parameter whose difference between the cases describes them as well.
+    differs: DifferenceBetweenRecordings | None
+    depends_on: list[DependenceDocument]  #: Dependence on each variable, the largest share first.
+
+
+def laws_document(found: Laws, fit_id: str) -> LawsDocument:
     """Return laws under the keys of `laws --json`; `fit_id` is the base model in the ledger."""
-    return {
-        "fit_id": fit_id,
-        **selected(found, _ANSWER),
-        "laws": [_law(x) for x in found.laws],
-        "library": found.library.effect.name if found.library is not None else None,
-        "differs": shown_difference(found.differs),
-        "depends_on": [selected(d, _DEPENDENCE) | {"curve": _curve(d)} for d in found.depends_on],
-    }
+    return as_document(
+        LawsDocument,
+        found,
+        fit_id=fit_id,
+        laws=[_law(x) for x in found.laws],
+        library=found.library.effect.name if found.library is not None else None,
+        differs=shown_difference(found.differs),
+        depends_on=[as_document(DependenceDocument, d, curve=_curve(d)) for d in found.depends_on],
+    )
 
 
-def _curve(d: Dependence) -> dict[str, Any] | None:
+def _curve(d: Dependence) -> CurveDocument | None:
     """Return the unmodelled torque as a function of a variable."""
     if not len(d.value):
         return None
     columns = {"value": d.value, "torque_Nm": d.torque, "sigma_Nm": d.sigma}
-    return {"unit": _UNITS.get(d.variable, "rad/s")} | {k: v.tolist() for k, v in columns.items()}
+    unit = _UNITS.get(d.variable, "rad/s")
+    return as_document(CurveDocument, d, unit=unit, **{k: v.tolist() for k, v in columns.items()})
 
 
-def _law(x: Law) -> dict[str, Any]:
+def _law(x: Law) -> LawDocument:
     """Return a law and the evidence for it, with the largest difference from each other law of its set."""
-    return selected(x, _LAW) | {
-        "terms": [
-            {"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects
-        ],
-        "parameters": {k: EstimateDocument.model_validate(e).model_dump() for k, e in x.estimates.items()},
-        "verdict": x.fit.verdict,
-        "differences": [asdict(d) for d in x.differences],
-    }
+    return as_document(
+        LawDocument,
+        x,
+        terms=[{"body": e.joint, "law": e.law, "rate": e.state.rate if e.state else ""} for e in x.effects],
+        parameters={k: EstimateDocument.model_validate(e).model_dump() for k, e in x.estimates.items()},
+        verdict=x.fit.verdict,
+        differences=[asdict(d) for d in x.differences],
+    )
 
 
 def check_name(name: str, path: Path, terms: int = 1) -> None:

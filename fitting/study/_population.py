@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +91,61 @@ class Change:
     size: float  # of the step [unit]
     size_u: float  # its standard uncertainty
     delta_bic: float  # BIC of the step minus BIC of the drift
+
+
+class MeanDocument(TypedDict):
+    """A number with its standard error."""
+
+    value: float  #: Value [unit of the parameter].
+    stderr: float  #: Its standard error [unit of the parameter].
+
+
+class ChangeDocument(TypedDict):
+    """A drift or a step of one parameter; a drift is per `time_unit`."""
+
+    kind: str  #: `drift`, `step`, or `drift or step` if the data prefer neither.
+    drift: MeanDocument  #: Slope of the drift.
+    step: MeanDocument  #: Size of the step.
+    step_time: float  #: Time of the step, midway between two runs [`time_unit`].
+    last_before: str  #: The last run before the step.
+    first_after: str  #: The first run after the step.
+    delta_bic: float  #: BIC of the step minus BIC of the drift [1].
+
+
+class PopulationParameterDocument(TypedDict):
+    """One parameter over all runs."""
+
+    unit: str  #: Unit of the parameter.
+    mean: MeanDocument  #: Mean of the runs.
+    #: Standard deviation between the runs, in addition to the uncertainties of the fits.
+    spread: MeanDocument
+    runs: int  #: Number of runs that determine the parameter and are not outlying.
+    p_drift: float  #: Probability of such a drift if there is none [1].
+    p_step: float  #: Probability of such a step if there is none [1].
+    p_adjusted: float  #: The smaller of both, adjusted for all parameters and both tests [1].
+    change: ChangeDocument | None  #: Drift or step; null if not significant.
+
+
+class OutlyingRun(TypedDict):
+    """A run whose parameters differ from those of the others."""
+
+    run: str  #: Name of the run.
+    p_adjusted: float  #: Probability of such a run, adjusted for the number of runs [1].
+
+
+class PopulationDocument(TypedDict):
+    """Outlying runs, drifts and steps of many runs of one machine."""
+
+    level: float  #: False-alarm probability of all tests together [1].
+    time_unit: str  #: Unit of the times of the runs.
+    times: dict[str, float]  #: Time of each run [`time_unit`].
+    parameters: dict[str, PopulationParameterDocument]  #: By key as in a fit.
+    #: Correlation of the parameters between runs; null if a spread is zero [1].
+    correlation: list[list[float]]
+    outlying: list[OutlyingRun]  #: Outlying runs, which are excluded.
+    #: Number of runs that do not determine a parameter, by parameter of too few runs.
+    untested: dict[str, int]
+    sentences: list[str]  #: The result in words.
 
 
 @dataclass(frozen=True)
@@ -169,7 +224,7 @@ class Population:
             )
         return lines
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> PopulationDocument:
         """Return the population as a part of the JSON document of `gyrotrack compare`."""
         return {
             "level": self.level,
@@ -198,7 +253,7 @@ class Population:
                 }
                 for p in self.parameters
             },
-            "correlation": self.correlation,
+            "correlation": self.correlation.tolist(),
             "outlying": [{"run": name, "p_adjusted": p} for name, p in self.outlying],
             "untested": dict(self.untested),
             "sentences": self.sentences,

@@ -132,14 +132,14 @@ class Robustness:
     from the mean of the separate fits to the joint fit, or the largest change if each case has its own value.
     """
 
-    symbol: str
-    key: str
-    unit: str
-    mean: float  # over the separate fits, in SI units
-    spread: float  # (largest - smallest value) / mean; nan for a single case
-    shift: float  # nan without a joint fit
-    sigma: float  # largest difference of two fits / its standard error; nan if a standard error is unknown
-    verdict: str
+    symbol: str  #: Symbol of the parameter.
+    key: str  #: Key of the parameter.
+    unit: str  #: Unit of the mean.
+    mean: float  #: Mean over the separate fits [`unit`].
+    spread: float  #: Range of the values over the mean; unknown for a single case [1].
+    shift: float  #: Relative change from the mean to the joint fit, if there is one [1].
+    sigma: float  #: Largest difference of two fits [standard errors].
+    verdict: str  #: `robust`, `varies`, `unstable`, `zero`, `not determined` or `not known`.
 
 
 def robustness(separate: Sequence[Fit], joint: Fit | None) -> tuple[Robustness, ...]:

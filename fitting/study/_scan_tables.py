@@ -11,8 +11,9 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypedDict
 
+from fitting._schema import FitDocument, PredictedDocument, as_document
 from fitting.inference._metrics import CaseMetrics
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
@@ -471,14 +472,48 @@ def _titled(name: str) -> str:
     return f"{name} [{unit}]" if unit and unit != "1" else name
 
 
-def scan_document(scan: Scan) -> dict[str, Any]:
-    """Return a scan as a JSON document, whose keys are a contract with other programs.
+class ScanRow(TypedDict):
+    """One combination of the paper's terms, fitted to one case."""
 
-    The keys are ``cases``; ``tables``, which contains for each case the tables "air" and "bearing" with ``rows``
-    (terms, shade, delta_bic within the table, and the fit as in the document of a fit); and ``models``, which contains
-    "reduced" and "general" with ``separate``, ``joint``, ``predicted`` and ``robustness``.
-    """
-    tables = []
+    terms: list[str]  #: Symbols of the terms.
+    model: list[str]  #: Names of the effects.
+    fault: str  #: Reason why there is no fit; empty for a fit.
+    r2: float | None  #: Coefficient of determination of the smoothed angular velocity of the casing [1].
+    #: The paper's shade of `r2`: `white`, `light gray`, `gray` or `dark gray`; empty without a fit.
+    shade: str
+    delta_bic: float | None  #: BIC minus the smallest BIC of the table [1].
+    fit: FitDocument | None  #: The fit.
+
+
+class ScanTable(TypedDict):
+    """One table of one case."""
+
+    table: str  #: `air` (without one of the drag terms) or `bearing` (all combinations of the bearing laws).
+    case: str  #: Name of the case.
+    rows: list[ScanRow]  #: Combinations of terms.
+
+
+class ScanModel(TypedDict):
+    """One of the paper's models, fitted to all cases."""
+
+    name: str  #: `reduced` or `general`.
+    separate: list[FitDocument]  #: Fit of each case.
+    joint: FitDocument | None  #: Joint fit; null for one case.
+    predicted: list[PredictedDocument]  #: Prediction of each case from the others.
+    robustness: list[Robustness]  #: Scatter of each parameter.
+
+
+class ScanDocument(TypedDict):
+    """Fits of every combination of the paper's terms."""
+
+    cases: list[str]  #: Names of the cases.
+    tables: list[ScanTable]  #: The tables `air` and `bearing` of each case.
+    models: list[ScanModel]  #: The reduced and the general model.
+
+
+def scan_document(scan: Scan) -> ScanDocument:
+    """Return a scan as a JSON document, whose keys are a contract with other programs."""
+    tables: list[ScanTable] = []
     for name, blocks in (("air", scan.air), ("bearing", scan.bearing)):
         for label, rows in zip(scan.labels, blocks, strict=True):
             best = min((row.fit.bic for row in rows if row.fit is not None), default=0.0)
@@ -486,22 +521,24 @@ def scan_document(scan: Scan) -> dict[str, Any]:
     return {"cases": list(scan.labels), "tables": tables, "models": [_model_document(m) for m in scan.models]}
 
 
-def _row_document(row: Row, best: float) -> dict[str, Any]:
-    head = {"terms": list(row.run.terms), "model": list(row.run.effects), "fault": row.fault}
-    if row.fit is None:
-        return head | {"r2": None, "shade": "", "delta_bic": None, "fit": None}
-    found = {"r2": row.r2, "shade": row.shade, "delta_bic": row.fit.bic - best}
-    return head | found | {"fit": fit_document(row.fit, "")}
+def _row_document(row: Row, best: float) -> ScanRow:
+    return as_document(
+        ScanRow,
+        row,
+        terms=list(row.run.terms),
+        model=list(row.run.effects),
+        r2=None if row.fit is None else row.r2,
+        delta_bic=None if row.fit is None else row.fit.bic - best,
+        fit=None if row.fit is None else fit_document(row.fit, ""),
+    )
 
 
-_PREDICTED = ("label", "casing", "rotor", "r2", "rmse")
-
-
-def _model_document(model: ModelFits) -> dict[str, Any]:
-    return {
-        "name": model.name,
-        "separate": [fit_document(f, "") for f in model.separate],
-        "joint": fit_document(model.joint, "") if model.joint is not None else None,
-        "predicted": [{k: getattr(p, k) for k in _PREDICTED} for p in model.predicted],
-        "robustness": [asdict(r) for r in model.robustness],
-    }
+def _model_document(model: ModelFits) -> ScanModel:
+    return as_document(
+        ScanModel,
+        model,
+        separate=[fit_document(f, "") for f in model.separate],
+        joint=fit_document(model.joint, "") if model.joint is not None else None,
+        predicted=[PredictedDocument.model_validate(p).model_dump() for p in model.predicted],
+        robustness=[asdict(r) for r in model.robustness],
+    )

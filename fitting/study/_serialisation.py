@@ -15,7 +15,7 @@ from functools import cache
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,19 @@ from fitting._schema import (
     AngleNoiseDocument,
     CandidateDocument,
     CaseDocument,
+    CurveBiasDocument,
     DifferenceBetweenRecordings,
     EstimateDocument,
     FailureDocument,
     FirstOrderDocument,
     FitDocument,
+    IntervalDocument,
     NameDocument,
     NoiseDocument,
+    NuisanceDocument,
+    PredictedDocument,
     PriorDocument,
+    RemainderDocument,
     SavedFitDocument,
     StepDocument,
     StoredCandidate,
@@ -43,10 +48,11 @@ from fitting._schema import (
     StoredDifference,
     StoredFit,
     StoredNoise,
+    UpperLimitDocument,
+    as_document,
     effects_of,
     own_effects,
     read_json,
-    selected,
 )
 from fitting.discovery._certificate import Certificate, Outcome
 from fitting.discovery._difference import DifferentParameter, ValuesPerRecording
@@ -55,6 +61,7 @@ from fitting.discovery._remainder import Nuisance, Remainder
 from fitting.discovery._residuals import (
     Failure,
     ResidualTorque,
+    Whiteness,
     residual_torques,
     whiteness,
 )
@@ -66,7 +73,6 @@ from fitting.effects._effect import Effect
 from fitting.effects._words import change_name, effect_name
 from fitting.inference._angle_harmonics import AngleHarmonics
 from fitting.inference._angle_noise import AngleNoise
-from fitting.inference._budget import ParameterBudget
 from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._first_order import first_order
 from fitting.inference._fit import fit
@@ -93,8 +99,14 @@ def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:
     return AngleNoiseDocument.model_validate(vars(noise)) if noise.is_significant else None
 
 
-def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
-    """Return a fit under the keys of `fit --json`."""
+def fit_document(
+    fit: Fit,
+    fit_id: str,
+    intervals: Mapping[str, Interval] | None = None,
+    bias: Mapping[str, CurveBias] | None = None,
+    predicted: Sequence[object] | None = None,
+) -> dict[str, Any]:
+    """Return a fit under the keys of `fit --json`, with what its options add."""
     cases = [
         CaseDocument.model_validate(
             {**vars(c), **{k: getattr(n, k) for k in ("pure", "pure_u", "level", "unresolved", "scale")}}
@@ -107,12 +119,15 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         for c, n, d in zip(fit.cases, fit.noise, fit.problem.data, strict=True)
     ]
     reliable = fit.verdict != "not_converged"
+    ranges = {k: IntervalDocument(level=LEVEL, **asdict(i)) for k, i in (intervals or {}).items()}
     document = FitDocument(
         fit_id=fit_id,
         model=list(fit.model.names),
         names={e.name: NameDocument(**_in_words(fit, e)) for e in fit.model.effects},
         parameters={
-            k: EstimateDocument.model_validate(e if reliable else replace(e, stderr=math.nan))
+            k: EstimateDocument.model_validate(
+                vars(e if reliable else replace(e, stderr=math.nan)) | {"interval": ranges.get(k)}
+            )
             for k, e in fit.estimates.items()
         },
         cases=cases,
@@ -126,49 +141,74 @@ def fit_document(fit: Fit, fit_id: str) -> dict[str, Any]:
         not_determined_together=not_determined_together(fit),
         first_order=[FirstOrderDocument.model_validate(f) for f in first_order(fit)] if reliable else [],
         prior=None if fit.prior is None else PriorDocument.model_validate(fit.prior),
+        predicted=None if predicted is None else [PredictedDocument.model_validate(p) for p in predicted],
+        generated_rotor={k: CurveBiasDocument.model_validate(b) for k, b in (bias or {}).items()} or None,
     )
     return document.model_dump()
 
 
-def bias_document(bias: Mapping[str, CurveBias]) -> dict[str, dict[str, float]]:
-    """Return the shift of each parameter due to a generated rotor curve."""
-    return {name: {**asdict(b), "errors": b.errors} for name, b in bias.items()}
+class NullDocument(TypedDict):
+    """The answers to recordings that are simulated without the named effect."""
+
+    n: int  #: Number of recordings.
+    alarms: int  #: Number of false alarms.
+    rate: float  #: Share of false alarms [1].
+    interval: list[float]  #: 95 % interval of the probability of a false alarm [1].
+    names: dict[str, int]  #: Number of recordings in which an effect is named, by effect.
+    coverage: dict[str, float]  #: Share of 95 % intervals that contain the simulated value, by parameter [1].
 
 
-def budget_document(found: Mapping[str, ParameterBudget]) -> dict[str, Any]:
-    """Return an uncertainty budget under the keys of `budget --json`."""
-    return {"parameters": {k: asdict(b) for k, b in found.items()}}
+class TruthDocument(TypedDict):
+    """The answers to recordings that are simulated with the named effect."""
+
+    n: int  #: Number of recordings.
+    right_first: float  #: Share in which the effect is named first [1].
+    in_class: float  #: Share in which it, or an indistinguishable effect, is named [1].
+    coverage: dict[str, float]  #: Share of 95 % intervals that contain the simulated value, by parameter [1].
 
 
-def certificate_document(found: Certificate) -> dict[str, Any]:
+class SimulatedRival(TypedDict):
+    """The answers to recordings that are simulated with another effect."""
+
+    effect: str  #: Name of the simulated effect.
+    named_as: dict[str, int]  #: Number of recordings, by the effect that is named.
+
+
+class CertificateDocument(TypedDict):
+    """An answer, tested on simulated recordings."""
+
+    fit_id: str  #: Name of the tested fit in the ledger.
+    n: int  #: Number of recordings to simulate without the named effect.
+    verdict: str  #: The tested verdict, as in a diagnosis.
+    named: list[str]  #: The named effect, and those indistinguishable from it.
+    named_words: list[str]  #: Their names in words.
+    sentence: str  #: The result in words.
+    null: NullDocument  #: Recordings without the named effect.
+    #: (1 + m) / (1 + n), if m of the n recordings without the effect have at least the score of the answer [1].
+    p_empirical: float
+    truth: TruthDocument | None  #: Recordings with the named effect; null if none is named.
+    rivals: list[SimulatedRival]  #: Recordings with each effect that could be mistaken for it.
+    film: bool  #: Whether films were rendered and tracked.
+
+
+def certificate_document(found: Certificate, fit_id: str) -> CertificateDocument:
     """Return a certificate under the keys of `certify --json`."""
-    truth = None
+    truth: TruthDocument | None = None
     if found.right_first is not None:
-        truth = {
-            "n": len(found.of("truth")),
-            "right_first": found.right_first,
-            "in_class": found.in_class,
-            "coverage": found.coverage("truth"),
-        }
-    return {
-        "n": found.n,
-        "verdict": found.verdict,
-        "named": list(found.named),
-        "named_words": [effect_name(n, found.body).words for n in found.named],
-        "sentence": found.sentence,
-        "null": {
-            "n": len(found.of("null")),
-            "alarms": found.alarms,
-            "rate": found.alarms / max(len(found.of("null")), 1),
-            "interval": list(found.interval),
-            "names": found.names,
-            "coverage": found.coverage("null"),
-        },
-        "p_empirical": found.p_empirical,
-        "truth": truth,
-        "rivals": [{"effect": e, "named_as": counts} for e, counts in found.rivals.items()],
-        "film": found.film,
-    }
+        n, coverage = len(found.of("truth")), found.coverage("truth")
+        truth = as_document(TruthDocument, found, n=n, coverage=coverage)
+    null, known = len(found.of("null")), found.coverage("null")
+    rate, interval = found.alarms / max(null, 1), list(found.interval)
+    return as_document(
+        CertificateDocument,
+        found,
+        fit_id=fit_id,
+        named=list(found.named),
+        named_words=[effect_name(n, found.body).words for n in found.named],
+        null=as_document(NullDocument, found, n=null, rate=rate, interval=interval, coverage=known),
+        truth=truth,
+        rivals=[{"effect": e, "named_as": counts} for e, counts in found.rivals.items()],
+    )
 
 
 def stored_certificate(found: Certificate) -> StoredCertificate:
@@ -200,30 +240,80 @@ def not_determined_together(fit: Fit) -> list[dict[str, float]]:
     return degenerate_directions(names, fit.theta[kept], fit.covariance[np.ix_(kept, kept)])
 
 
-def interval_document(interval: Interval) -> dict[str, Any]:
-    """Return a 95 % interval as plain numbers."""
-    return {"level": LEVEL, **asdict(interval)}
+class ShownNuisance(NameDocument, NuisanceDocument):
+    """An always fitted camera effect of one case, with its name in words."""
 
 
-_ANSWER = ("verdict", "sentence", "form", "explained", "form_limit", "next_experiment")
+class ShownLimit(UpperLimitDocument):
+    """An effect that could still be hidden in the recordings, with its name in words."""
+
+    words: str  #: Name in words.
 
 
-def diagnosis_document(d: Diagnosis, fit_id: str) -> dict[str, Any]:
+class TorqueCurve(TypedDict):
+    """The unmodelled torque on one body of one case, thinned to about 200 points, with the motion."""
+
+    label: str  #: Name of the case.
+    body: str  #: Name of the body.
+    time: list[float]  #: Times [s].
+    omega_r: list[float]  #: Angular velocity of the rotor, or of the next body of a chain [rad s-1].
+    omega_c: list[float]  #: Angular velocity of the casing or single body [rad s-1].
+    delta: list[float]  #: Difference `omega_r` - `omega_c` [rad s-1].
+    torque_Nm: list[float]  #: Unmodelled torque [torque].
+    sigma_Nm: list[float]  #: Its standard uncertainty [torque].
+
+
+class HarmonicCurve(TypedDict):
+    """Harmonics of the unmodelled torque in the angle of the casing of one case."""
+
+    label: str  #: Name of the case.
+    angle: list[float]  #: Angles of one turn [rad].
+    torque_Nm: list[float]  #: Unmodelled torque at these angles [torque].
+    sigma_Nm: list[float]  #: Its standard uncertainty [torque].
+
+
+class DiagnosisDocument(TypedDict):
+    """The lack of fit of a model, and the effects that could be missing."""
+
+    fit_id: str  #: Name of the diagnosed fit in the ledger.
+    verdict: str  #: `adequate`, `missing_effect`, `unexplained` or `undecided`.
+    sentence: str  #: The answer in words.
+    form: str | None  #: `exact`, `approximate`, or null if the form is not established.
+    #: Share of the mean square unmodelled torque that the named effect explains, 0 to 1 [1].
+    explained: float | None
+    #: Smallest detectable deviation from the named law, as a share of its torque [1].
+    form_limit: float | None
+    #: The measurement that separates indistinguishable effects; empty if there are none.
+    next_experiment: str
+    failures: list[FailureDocument]  #: Intervals of significant lack of fit, most significant first.
+    candidates: list[CandidateDocument]  #: Candidate effects, best first.
+    remainder: RemainderDocument | None  #: What is still significant with the named effect.
+    nuisance: list[ShownNuisance]  #: Camera effects that are always fitted.
+    upper_limits: list[ShownLimit]  #: Effects that could still be hidden, if the verdict is `adequate`.
+    differs: DifferenceBetweenRecordings | None  #: A parameter whose difference explains the lack of fit.
+    whiteness: list[Whiteness]  #: Tests of the independence of the residuals, by case.
+    energy_drift: dict[str, float]  #: Energy balance error by case, as a share of the kinetic energy [1].
+    residual_torque: list[TorqueCurve]  #: Unmodelled torque, by body and case.
+    residual_ripple: list[HarmonicCurve]  #: Unmodelled torque by angle, by case.
+
+
+def diagnosis_document(d: Diagnosis, fit_id: str) -> DiagnosisDocument:
     """Return a diagnosis under the keys of `diagnose --json`."""
-    return {
-        "fit_id": fit_id,
-        **selected(d, _ANSWER),
-        "failures": [FailureDocument.model_validate(f).model_dump() for f in d.failures],
-        "candidates": [CandidateDocument.model_validate(_candidate(c, d)).model_dump() for c in d.candidates],
-        "remainder": asdict(d.remainder) if d.remainder is not None else None,
-        "nuisance": [asdict(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
-        "upper_limits": [asdict(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
-        "differs": shown_difference(d.differs),
-        "whiteness": [asdict(w) for w in d.whiteness],
-        "energy_drift": {c.label: c.energy_drift for c in d.fit.cases},
-        "residual_torque": [_torque(t) for t in d.torques],
-        "residual_ripple": [_ripple(r) for r in d.ripples],
-    }
+    return as_document(
+        DiagnosisDocument,
+        d,
+        fit_id=fit_id,
+        failures=[FailureDocument.model_validate(f).model_dump() for f in d.failures],
+        candidates=[CandidateDocument.model_validate(_candidate(c, d)).model_dump() for c in d.candidates],
+        remainder=asdict(d.remainder) if d.remainder is not None else None,
+        nuisance=[asdict(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
+        upper_limits=[asdict(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
+        differs=shown_difference(d.differs),
+        whiteness=[asdict(w) for w in d.whiteness],
+        energy_drift={c.label: c.energy_drift for c in d.fit.cases},
+        residual_torque=[_torque(t) for t in d.torques],
+        residual_ripple=[_ripple(r) for r in d.ripples],
+    )
 
 
 def difference_document(found: DifferentParameter | None) -> StoredDifference | None:
@@ -245,24 +335,18 @@ def _values_document(p: ValuesPerRecording) -> dict[str, Any]:
     return vars(p) | {"parameter": p.name, "values": p.estimates}
 
 
-def _torque(torque: ResidualTorque) -> dict[str, Any]:
+def _torque(found: ResidualTorque) -> TorqueCurve:
     """Return an unmodelled torque with the motion at the same times."""
-    step = max(1, len(torque.time) // _CURVE_POINTS)
-    columns = {
-        "time": torque.time,
-        "omega_r": torque.omega_r,
-        "omega_c": torque.omega_c,
-        "delta": torque.omega_r - torque.omega_c,
-        "torque_Nm": torque.torque,
-        "sigma_Nm": torque.sigma,
-    }
-    thinned = {k: v[::step].tolist() for k, v in columns.items()}
-    return {"label": torque.label, "body": torque.body} | thinned
+    some = slice(None, None, max(1, len(found.time) // _CURVE_POINTS))
+    curves = {k: getattr(found, k)[some] for k in ("time", "omega_r", "omega_c")}
+    curves |= {"delta": curves["omega_r"] - curves["omega_c"]}
+    curves |= {"torque_Nm": found.torque[some], "sigma_Nm": found.sigma[some]}
+    return as_document(TorqueCurve, found, **{k: v.tolist() for k, v in curves.items()})
 
 
-def _ripple(r: AngleHarmonics) -> dict[str, Any]:
+def _ripple(r: AngleHarmonics) -> HarmonicCurve:
     columns = {"angle": r.angle, "torque_Nm": r.torque, "sigma_Nm": r.sigma}
-    return {"label": r.label} | {k: to_json(v) for k, v in columns.items()}
+    return as_document(HarmonicCurve, r, **{k: to_json(v) for k, v in columns.items()})
 
 
 def _candidate(c: Candidate, d: Diagnosis) -> dict[str, Any]:

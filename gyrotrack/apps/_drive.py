@@ -41,14 +41,14 @@ _FEWEST = 12
 class Response:
     """The first-order response of a driven body."""
 
-    input: str  # name of the input; "" for a constant drive
-    unit: str  # its unit in the file
-    time_constant: Value  # [s]
-    delay: Value | None  # dead time of the response to a step of the input [s]; None if no delay is found
-    # change of the final speed per unit of the input [rad/s]; None for an input of one level
+    input: str  #: Name of the input; empty for a constant drive.
+    unit: str  #: Unit of the input in the file.
+    time_constant: Value  #: Time constant [s].
+    delay: Value | None  #: Dead time of the response to a step of the input; null if none is found [s].
+    #: Change of the final speed per unit of the input; null for one level [rad s-1 per `unit`].
     gain: Value | None
-    final: Value  # speed that the body approaches with the last value of the input [rad/s]
-    explained: float  # explained share of the variance of the speed
+    final: Value  #: Speed that the body approaches with the last value of the input [rad s-1].
+    explained: float  #: Share of the variance of the speed that the response explains, 0 to 1 [1].
 
 
 @dataclass(frozen=True)

@@ -62,28 +62,25 @@ _UNEXPLAINED, _SEVERAL_PERIODS, _UNEXPLAINED_OF_SEVERAL = 0.04, 4.0, 0.2
 class Value:
     """A quantity and its standard uncertainty."""
 
-    value: float
-    stderr: float
+    value: float  #: Value [unit of the quantity].
+    stderr: float  #: Its standard uncertainty [unit of the quantity].
 
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """The motion of one body."""
+    """The motion of one body; values from angles are unknown if only passages of light gates were measured."""
 
-    # kind of motion: "spin-down", "spin-up", "steady", "oscillation", "reversing", "fluctuating" or "driven"
-    kind: str
-    # range of the angle [turns]; nan, like all values from angles, if only passages of light gates were measured
-    turns: float
-    omega: dict[str, float]  # angular velocity at the "first" and the "last" sample [rad/s]
-    omega_mean: Value  # mean angular velocity [rad/s]
-    alpha: Value  # angular acceleration at the middle of the record [rad/s2]
-    # of an oscillation: period [s], amplitude at the middle of the record [rad], decay rate [1/s]
-    period: Value | None = None
-    amplitude: Value | None = None
-    decay: Value | None = None
-    # standard uncertainty of `omega` [rad/s]; nan for an oscillation
+    kind: str  #: `spin-down`, `spin-up`, `steady`, `oscillation`, `reversing`, `fluctuating` or `driven`.
+    turns: float  #: Range of the angle [turns].
+    omega: dict[str, float]  #: Angular velocity at the `first` and the `last` sample [rad s-1].
+    omega_mean: Value  #: Mean angular velocity [rad s-1].
+    alpha: Value  #: Angular acceleration at the middle of the record [rad s-2].
+    period: Value | None = None  #: Period of an oscillation [s].
+    amplitude: Value | None = None  #: Amplitude of an oscillation at the middle of the record [rad].
+    decay: Value | None = None  #: Decay rate of an oscillation [s-1].
+    #: Standard uncertainty of `omega`; unknown for an oscillation [rad s-1].
     omega_u: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("first", "last"), math.nan))
-    # of a decaying oscillation: pi / (decay rate x period) [1]
+    #: Quality factor pi / (decay rate x period) of a decaying oscillation [1].
     quality_factor: Value | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:

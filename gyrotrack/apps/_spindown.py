@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import angular_velocity, smoothing_width
-from gyrotrack.apps._drive import Drive, drive_of
+from gyrotrack.apps._drive import Drive, Response, drive_of
 from gyrotrack.apps._motion import (
     TURN,
     BodyMotion,
@@ -73,10 +73,13 @@ from gyrotrack.video._container import file_sha256, is_film
 from gyrotrack.video._time_base import SLOWEST_PLAIN_RATE, Timing
 
 if TYPE_CHECKING:
+    from fitting._schema import StepDocument, StoredEstimate
     from fitting.discovery._oscillator import OscillatorLaws
     from fitting.discovery._select import Step
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
+    from fitting.study._serialisation import DiagnosisDocument
+    from gyrotrack.io.readers._reading import ReadingDocument
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
@@ -611,6 +614,34 @@ def picture_path(source: Path, target: Path) -> Path | None:
     return target.with_suffix(".png") if is_film(source) else None
 
 
+class BodyResponse(TypedDict):
+    """First-order response of the body to recorded inputs, from the fit."""
+
+    label: str  #: Name of the case.
+    body: str  #: Name of the body.
+    time_constant: StoredEstimate  #: Moment of inertia over linear drag.
+    gains: dict[str, StoredEstimate]  #: Change of the final speed per unit of an input, by input.
+    delays: dict[str, StoredEstimate]  #: Dead time of an input, by input for which one is fitted.
+
+
+class SpindownDocument(TypedDict):
+    """The motion of one body, its torque law, and the written files."""
+
+    case: Path | None  #: The case; null for light gates, which measure no angle.
+    picture: Path | None  #: Picture of the tracked body; null for a table or recording.
+    motion: BodyMotion  #: The motion.
+    response: Response | None  #: Response to a drive that is not fitted; null for a free body.
+    reading: list[ReadingDocument]  #: Interpretation of a table.
+    ambiguous: bool  #: Whether the data leave a doubt, for example of the hub; the exit code is then 3.
+    report: Path | None  #: The report; null without a diagnosis.
+    oscillator: OscillatorLaws | None  #: Laws of an oscillation; null for another motion.
+    first_order: list[BodyResponse]  #: Response to recorded inputs, with `--input`.
+    laws: Sequence[LawOfBody]  #: Fitted laws; empty without a torque law.
+    ladder: list[StepDocument]  #: Fits, oldest first.
+    diagnosis: DiagnosisDocument | None  #: Diagnosis of the first fit; null without a torque law.
+    warnings: list[str]  #: Warnings.
+
+
 def spindown(
     source: Path,
     target: Path,
@@ -620,15 +651,17 @@ def spindown(
     command: str,
     force: bool = False,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> SpindownDocument:
     """Measure the motion of one body, fit, diagnose, improve, write case and report; return the JSON document."""
     from fitting._workers import single_blas_thread
 
     with single_blas_thread():
-        passages = _passages(source, options)
-        if passages is not None:
-            return passages
-        return _analysed(source, target, report, options, command=command, force=force, progress=progress)
+        found = _passages(source, options)
+        if found is None:
+            found = _analysed(
+                source, target, report, options, command=command, force=force, progress=progress
+            )
+        return cast(SpindownDocument, found)
 
 
 _LEAST_RANGE = 10  # smallest range of the angle of a rotation, in standard uncertainties
@@ -721,7 +754,7 @@ def _analysed(
     laws: OscillatorLaws | None = None
     strengths: tuple[LawOfBody, ...] = ()
     responses: list[dict[str, Any]] = []
-    diagnosis: dict[str, Any] | None = None
+    diagnosis: DiagnosisDocument | None = None
     warnings = list(case.warnings)
     written = None
     document = {

@@ -12,10 +12,11 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NotRequired, TypedDict, cast
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting._case_format import CASE, CASE_ATTRIBUTES, INPUT, stated_attributes
 from gyrotrack._errors import UsageError
@@ -27,6 +28,7 @@ from gyrotrack.io._records import (
     Column,
     Floats,
     Input,
+    Placement,
     Recording,
     Series,
     columns,
@@ -36,7 +38,109 @@ from gyrotrack.io._schema import RECORDING_ATTRIBUTES, STATUS
 from gyrotrack.io._tables import READER
 from gyrotrack.io._tracker_project import write_project
 
-_PROVENANCE = ("format_version", "software_version", "created", "command")
+
+class Provenance(TypedDict):
+    """The origin of a file."""
+
+    format_version: str  #: Version of the layout.
+    software_version: str  #: Version of gyrotrack that wrote the file.
+    created: str  #: Time of writing (ISO 8601).
+    command: str  #: Command that wrote the file.
+    settings: dict[str, Any]  #: Settings of this command.
+
+
+class MarkerCounts(TypedDict):
+    """Number of frames by status of a marker."""
+
+    ok: int  #: Frames in which it is measured.
+    blurred: int  #: Frames in which it is blurred by the motion.
+    occluded: int  #: Frames in which it is occluded.
+    out_of_frame: int  #: Frames in which it is outside the picture.
+    lost: int  #: Frames in which it is not found.
+
+
+class MarkerSummary(MarkerCounts):
+    """Number of frames by status of a marker, and its body."""
+
+    body: str  #: `casing` or `rotor`.
+
+
+class MotionSummary(TypedDict):
+    """Extent of a measured motion; numbers are null without a sample."""
+
+    samples: int  #: Number of samples.
+    t_start: float | None  #: Time of the first sample [s].
+    t_stop: float | None  #: Time of the last sample [s].
+    omega_min: float | None  #: Smallest angular velocity [rad s-1].
+    omega_max: float | None  #: Largest angular velocity [rad s-1].
+    #: Median standard uncertainty of the measured angles or angular velocities [rad, or rad s-1].
+    median_sigma: float | None
+
+
+class SeriesSummary(MotionSummary):
+    """Extent of a measured motion, and the origin of its uncertainty."""
+
+    sigma_source: str  #: Origin of the standard uncertainty, for example `measured`.
+
+
+class WindowSummary(MotionSummary):
+    """Extent of the motion in one window."""
+
+    window: int  #: Number of the window, from 0.
+
+
+class WindowsSummary(TypedDict):
+    """The windows of the rotor."""
+
+    samples: int  #: Number of samples.
+    sigma_source: str  #: Origin of the standard uncertainty.
+    windows: list[WindowSummary]  #: The windows.
+
+
+class BodySummary(WindowsSummary):
+    """A further body of a chain."""
+
+    inertia: float  #: Moment of inertia [kg m2].
+    inertia_u: float | None  #: Its standard uncertainty; null if not given [kg m2].
+
+
+class InputSummary(TypedDict):
+    """A recorded input of the motion; numbers are null if none is known."""
+
+    samples: int  #: Number of samples.
+    t_start: float | None  #: Time of the first sample [s].
+    t_stop: float | None  #: Time of the last sample [s].
+    min: float | None  #: Smallest value [`unit`].
+    max: float | None  #: Largest value [`unit`].
+    median_u: float | None  #: Median standard uncertainty by calibration [`unit`].
+
+
+class RecordingSummary(TypedDict):
+    """Contents of a recording."""
+
+    times_from: str  #: Origin of the times: `frames` or `stamps`.
+    frames: int  #: Number of stored frames.
+    duration_s: float  #: Time from the first to the last frame [s].
+    markers: dict[str, MarkerSummary]  #: Markers by name.
+    bodies: dict[str, MotionSummary]  #: Measured angles by body.
+
+
+class ClipSummary(RecordingSummary):
+    """A recording in a case."""
+
+    placement: NotRequired[Placement]  #: Its clock.
+
+
+class CaseSummary(TypedDict):
+    """Contents of a case."""
+
+    casing: SeriesSummary  #: The casing, or the single or first body.
+    rotor: WindowsSummary  #: The rotor.
+    further: dict[str, BodySummary]  #: Further bodies of a chain, by name.
+    joints: dict[str, list[str]]  #: The two bodies of each joint of a chain.
+    rotor_generated: bool  #: Whether the case contains a generated rotor curve.
+    inputs: dict[str, InputSummary]  #: Recorded inputs, by name.
+    recordings: dict[str, ClipSummary]  #: Recordings of its clips, by name.
 
 
 @dataclass(frozen=True)
@@ -58,7 +162,8 @@ def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
     """Read a recording or a case, and return a summary; `verify` compares every chunk with its checksum."""
     with READER.open(path) as file:
         kind = READER.attribute(file, "kind", str)
-        provenance = {name: READER.attribute(file, name, str, "?") for name in _PROVENANCE}
+        *names, _ = Provenance.__annotations__
+        provenance = {name: READER.attribute(file, name, str, "?") for name in names}
         provenance["settings"] = READER.json(file, "settings", {})
         loaded = hdf5.load_case(file) if kind == CASE else hdf5.load_recording(file)
         verified = [_chunks(dataset) for dataset in _datasets(file, set())] if verify else []
@@ -75,64 +180,71 @@ def inspect_file(path: Path, *, verify: bool = False) -> Inspection:
 
 def describe_recording(recording: Recording) -> dict[str, Any]:
     """Return a summary of a recording: size, duration, markers and bodies."""
-    out = stated_attributes(recording, RECORDING_ATTRIBUTES)
-    out["times_from"] = str(recording.extra.get("times_from", "frames"))
-    out["frames"] = len(recording.frame_index)
-    out["duration_s"] = float(recording.time[-1] - recording.time[0]) if len(recording.time) else 0.0
-    out["markers"] = {
-        name: {"body": m.body, **{word: int(np.sum(m.status == code)) for word, code in STATUS.items()}}
-        for name, m in recording.markers.items()
-    }
-    out["bodies"] = {name: describe_motion(body) for name, body in recording.bodies.items()}
-    return out
+    found = RecordingSummary(
+        times_from=str(recording.extra.get("times_from", "frames")),
+        frames=len(recording.frame_index),
+        duration_s=float(recording.time[-1] - recording.time[0]) if len(recording.time) else 0.0,
+        markers={name: {"body": m.body, **marker_counts(m.status)} for name, m in recording.markers.items()},
+        bodies={name: describe_motion(body) for name, body in recording.bodies.items()},
+    )
+    return {**stated_attributes(recording, RECORDING_ATTRIBUTES), **found}
+
+
+def marker_counts(status: NDArray[np.integer]) -> MarkerCounts:
+    """Return the number of frames by status."""
+    return cast(MarkerCounts, {word: int(np.sum(status == code)) for word, code in STATUS.items()})
 
 
 def describe_case(case: Case) -> dict[str, Any]:
     """Return a summary of a case: its attributes, series, windows and clips."""
-    out = stated_attributes(case, CASE_ATTRIBUTES)
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
-    out["casing"] = {**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source}
-    out["rotor"] = {
-        "samples": len(case.rotor.time),
-        "sigma_source": case.rotor.sigma_source,
-        "windows": describe_windows(case.rotor, key),
-    }
-    out["further"] = {
+    further: dict[str, BodySummary] = {
         b.name: {
-            "samples": len(b.series.time),
-            "sigma_source": b.series.sigma_source,
-            "windows": describe_windows(b.series, key),
+            **_describe_series(b.series, key),
             "inertia": b.inertia,
             "inertia_u": None if math.isnan(b.inertia_u) else b.inertia_u,
         }
         for b in case.further
     }
-    out["joints"] = {name: list(bodies) for name, bodies in case.joints.items()}
-    out["rotor_generated"] = case.rotor_generated is not None
-    out["inputs"] = {i.name: _describe_input(i) for i in case.inputs}
-    out["recordings"] = {name: describe_recording(r) for name, r in case.recordings.items()}
-    for name in case.placements.keys() & case.recordings.keys():
-        out["recordings"][name]["placement"] = vars(case.placements[name])
-    return out
+    clips: dict[str, Any] = {name: describe_recording(r) for name, r in case.recordings.items()}
+    for name in case.placements.keys() & clips.keys():
+        clips[name]["placement"] = vars(case.placements[name])
+    inputs: dict[str, Any] = {i.name: _describe_input(i) for i in case.inputs}
+    found = CaseSummary(
+        casing={**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source},
+        rotor=_describe_series(case.rotor, key),
+        further=further,
+        joints={name: list(bodies) for name, bodies in case.joints.items()},
+        rotor_generated=case.rotor_generated is not None,
+        inputs=inputs,
+        recordings=clips,
+    )
+    return {**stated_attributes(case, CASE_ATTRIBUTES), **found}
+
+
+def _describe_series(series: Series, key: str) -> WindowsSummary:
+    """Return the number of samples, the origin of the uncertainty, and the windows of a series."""
+    windows = describe_windows(series, key)
+    return {"samples": len(series.time), "sigma_source": series.sigma_source, "windows": windows}
 
 
 def _describe_input(i: Input) -> dict[str, Any]:
     """Return unit, number of samples, ranges, interpolation and delay of a recorded input."""
     known = i.u[np.isfinite(i.u)]
-    return {
-        **stated_attributes(i, INPUT.attributes),
-        "samples": len(i.time),
-        "t_start": float(i.time[0]) if len(i.time) else None,
-        "t_stop": float(i.time[-1]) if len(i.time) else None,
-        "min": float(np.nanmin(i.value)) if len(i.value) else None,
-        "max": float(np.nanmax(i.value)) if len(i.value) else None,
-        "median_u": float(np.median(known)) if len(known) else None,
-    }
+    found = InputSummary(
+        samples=len(i.time),
+        t_start=float(i.time[0]) if len(i.time) else None,
+        t_stop=float(i.time[-1]) if len(i.time) else None,
+        min=float(np.nanmin(i.value)) if len(i.value) else None,
+        max=float(np.nanmax(i.value)) if len(i.value) else None,
+        median_u=float(np.median(known)) if len(known) else None,
+    )
+    return {**stated_attributes(i, INPUT.attributes), **found}
 
 
 def describe_motion(
     track: BodyTrack | Series, chosen: Any = slice(None), key: str = "sigma"
-) -> dict[str, Any]:
+) -> MotionSummary:
     """Return number of samples, range of time and speed, and median uncertainty (`key`: of the angle or the speed)."""
     time, omega, sigma = track.time[chosen], track.omega[chosen], getattr(track, key)[chosen]
     fast = omega[np.isfinite(omega)]
@@ -147,7 +259,7 @@ def describe_motion(
     }
 
 
-def describe_windows(series: Series, key: str) -> list[dict[str, Any]]:
+def describe_windows(series: Series, key: str) -> list[WindowSummary]:
     """Return the summary of each window of a series; see `describe_motion`."""
     windows = windows_of(series)
     return [{"window": int(k), **describe_motion(series, windows == k, key)} for k in np.unique(windows)]
@@ -229,7 +341,15 @@ _BLOCK = 20_000
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
-def export_file(source: Path, target: Path, *, table: str = "motion", force: bool = False) -> dict[str, Any]:
+class ExportDocument(TypedDict):
+    """The size of an exported table, or the groups of a netCDF file."""
+
+    rows: NotRequired[int]  #: Number of rows; not of netCDF.
+    columns: NotRequired[dict[str, str]]  #: Unit of each column; not of netCDF.
+    groups: NotRequired[list[str]]  #: Groups with variables, of netCDF only.
+
+
+def export_file(source: Path, target: Path, *, table: str = "motion", force: bool = False) -> ExportDocument:
     """Write a recording or a case in the format of the suffix of `target`.
 
     Parameters
@@ -350,7 +470,7 @@ def _tracker(made: Sequence[Column], stream: BinaryIO) -> None:
     stream.write(("\n".join(lines) + "\n").encode())
 
 
-def _netcdf(source: Path, target: Path, *, force: bool) -> dict[str, Any]:
+def _netcdf(source: Path, target: Path, *, force: bool) -> ExportDocument:
     try:
         import h5netcdf  # noqa: F401 - xarray's engine
         import xarray as xr

@@ -379,14 +379,14 @@ def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy
 class Placement:
     """The clock of a clip: t_case = clock_offset + clock_rate * t_clip; `angle_offset` [rad] is added to its angles."""
 
-    id: str
-    clock_offset: float
-    clock_offset_sigma: float
-    clock_rate: float
-    clock_rate_sigma: float
-    angle_offset: float
-    ambiguous: bool
-    method: str
+    id: str  #: Name of the clip.
+    clock_offset: float  #: Start of the clip on the clock of the casing's camera [s].
+    clock_offset_sigma: float  #: Standard uncertainty of the start [s].
+    clock_rate: float  #: Rate of the clock of the clip on that of the casing's camera [1].
+    clock_rate_sigma: float  #: Standard uncertainty of the rate [1].
+    angle_offset: float  #: Angle added to the angles of the clip [rad].
+    ambiguous: bool  #: Whether another start is not excluded.
+    method: str  #: Method that gave the start.
 
 
 @dataclass(frozen=True)

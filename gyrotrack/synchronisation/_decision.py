@@ -356,11 +356,11 @@ def _misfit(left: Normal, pair: Pair) -> float:
 
 @dataclass(frozen=True)
 class Rival:
-    """An alternative start of a clip [s], and its increase of chi2."""
+    """An alternative start of a clip."""
 
-    offset: float
-    delta_chi2: float
-    kind: str
+    offset: float  #: Start of the clip [s].
+    delta_chi2: float  #: Increase of chi-square [1].
+    kind: str  #: `turn` (the casing one turn earlier or later) or `stretch` (another part of the record).
 
 
 @dataclass(frozen=True)

@@ -168,11 +168,11 @@ class MarkerProfile(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: str = Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")
-    colour: Colour
-    body: Body
-    hue: float | None = Field(default=None, ge=0.0, lt=360.0)
-    mount_angle: float | None = None
+    name: str = Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")  #: Name.
+    colour: Colour  #: Colour.
+    body: Body  #: Body that carries it.
+    hue: float | None = Field(default=None, ge=0.0, lt=360.0)  #: Hue; null: that of the colour [degrees].
+    mount_angle: float | None = None  #: Angle on the body, which fixes its zero; null: measured [rad].
 
 
 class Profile(BaseModel):
@@ -184,16 +184,16 @@ class Profile(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: str = "custom"
-    marker: tuple[MarkerProfile, ...] = Field(min_length=1)
-    centre: Literal["circle", "orbit"] = "circle"
-    circle_colour: Colour = "red"
-    circle_hue: float | None = Field(default=None, ge=0.0, lt=360.0)
-    hub: tuple[float, float] | None = None
-    capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)
-    sense: Literal[-1, 1] | None = None
-    wander: bool | None = None
-    tilt_correction: bool = True
+    name: str = "custom"  #: Name of the scene.
+    marker: tuple[MarkerProfile, ...] = Field(min_length=1)  #: Markers.
+    centre: Literal["circle", "orbit"] = "circle"  #: A disc at the centre, or the orbit of the markers.
+    circle_colour: Colour = "red"  #: Colour of the disc.
+    circle_hue: float | None = Field(default=None, ge=0.0, lt=360.0)  #: Hue of the disc [degrees].
+    hub: tuple[float, float] | None = None  #: Given centre, x and y [px].
+    capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)  #: Capture rate of the camera [s-1].
+    sense: Literal[-1, 1] | None = None  #: Given sense of rotation; null: measured.
+    wander: bool | None = None  #: Whether the centre of an orbit moves; null: only if it moves far.
+    tilt_correction: bool = True  #: Whether the view of the camera is corrected.
 
     @field_validator("marker")
     @classmethod

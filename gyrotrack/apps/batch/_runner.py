@@ -207,27 +207,24 @@ def _error(answer: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Row:
-    """One case."""
+    """The results of one case of a batch; numbers of the fit are null without a fit."""
 
-    label: str
-    folder: str
-    state: str  # "done", "partly" (a film failed, the others were processed) or "failed"
-    # number of films, of tracked films, and of their frames
-    films: int
-    tracked: int
-    frames: int
-    # verdict of the fit, effects found by `diagnose` or `improve`, verdict of the diagnosis
-    fit: str
-    # rmse [rad/s] and misfit [1] of the fit
-    rmse_casing: float | None
-    reduced_chi2: float | None
-    misfit: float | None
-    diagnosis: str
-    missing: str
-    trusted: bool  # whether every step returned a trusted result (exit code 0)
-    warnings: int
-    seconds: float  # total duration of the steps of the case, in this run and earlier runs [s]
-    problem: str  # message of the first failure, with the name of the step
+    label: str  #: Name of the case.
+    folder: str  #: Folder of its results.
+    state: str  #: `done`, `partly` (a film failed, the others were processed) or `failed`.
+    films: int  #: Number of films.
+    tracked: int  #: Number of tracked films.
+    frames: int  #: Number of frames of the tracked films.
+    fit: str  #: Verdict of the fit; empty without a fit.
+    rmse_casing: float | None  #: Rms residual of the smoothed angular velocity of the casing [rad s-1].
+    reduced_chi2: float | None  #: Chi-square of the casing over the effective number of samples [1].
+    misfit: float | None  #: Rms residual over that of the noise [1].
+    diagnosis: str  #: Verdict of the diagnosis; empty without one.
+    missing: str  #: Effects that `diagnose` or `improve` found.
+    trusted: bool  #: Whether every step returned a trusted result (exit code 0).
+    warnings: int  #: Number of warnings of the steps.
+    seconds: float  #: Total duration of the steps, in this run and earlier runs [s].
+    problem: str  #: Message of the first failure, with the name of the step.
 
 
 def summarise(

@@ -11,13 +11,13 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import redirect_stdout
-from dataclasses import asdict
 from enum import Enum, StrEnum
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import typer
 
@@ -37,8 +37,9 @@ from gyrotrack.apps.cli._output import (
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
+    from fitting._settings import Setting
     from gyrotrack.apps.batch._experiments import Experiment
-    from gyrotrack.apps.batch._runner import BatchResult
+    from gyrotrack.apps.batch._runner import BatchResult, Row
     from gyrotrack.apps.batch._steps import Outcome, Step
 
 
@@ -50,6 +51,67 @@ class Until(StrEnum):
     fit = "fit"
     diagnose = "diagnose"
     report = "report"
+
+
+class BatchDocument(TypedDict):
+    """The results of a batch."""
+
+    output: Path  #: Folder of the results.
+    command: str  #: The command.
+    steps: dict[str, int]  #: Number of steps by state: `done`, `kept`, `failed`, `blocked`.
+    seconds: float  #: Duration [s].
+    cases: Sequence[Row]  #: Results of each case.
+    summary: Sequence[Path]  #: Files of the summary.
+
+
+class PlannedCase(TypedDict):
+    """A case of a batch."""
+
+    label: str  #: Name of the case.
+    films: list[str]  #: Its films.
+
+
+class PlannedStep(TypedDict):
+    """A step of a batch."""
+
+    name: str  #: Name of the step.
+    output: Path  #: File that it writes.
+    state: str  #: `kept` (complete) or `to do`.
+
+
+class BatchPlan(TypedDict):
+    """The cases and steps of a batch."""
+
+    cases: list[PlannedCase]  #: Cases.
+    steps: list[PlannedStep]  #: Steps.
+
+
+_From = TypedDict("_From", {"from": Annotated[str, "Origin: `file` or `default`."]})
+
+
+class OptionDocument(_From):
+    """An option of a command."""
+
+    value: Any  #: Its value; null without one.
+    line: NotRequired[int | None]  #: Line of the settings file, for an option from this file.
+
+
+class ConfigDocument(TypedDict):
+    """The settings in use."""
+
+    file: Path | None  #: The settings file; null without one.
+    settings: dict[str, dict[str, OptionDocument]]  #: Options by command and key of the settings file.
+
+
+class NumbersDocument(TypedDict):
+    """The numbers by which the program decides."""
+
+    tracking: NotRequired[
+        list[Setting]
+    ]  #: Numbers of tracking, video and synchronisation, with `--tracking`.
+    fitting: NotRequired[
+        list[Setting]
+    ]  #: Numbers of fits, noise estimates, searches and verdicts, with `--fitting`.
 
 
 def batch_command(
@@ -124,7 +186,7 @@ def batch_command(
         report=partial(_report_step, out),
         bar=lambda: out.progress("running"),
     )
-    return _show_result(out, ended, {"output": output, "command": called})
+    return _show_result(out, ended, output, called)
 
 
 def _report_step(out: Output, step: Step, outcome: Outcome) -> None:
@@ -134,11 +196,18 @@ def _report_step(out: Output, step: Step, outcome: Outcome) -> None:
         out.detail(f"{step.name}: {outcome.seconds:.1f} s")
 
 
-def _show_result(out: Output, ended: BatchResult, facts: dict[str, Any]) -> int:
+def _show_result(out: Output, ended: BatchResult, output: Path, command: str) -> int:
     from gyrotrack.apps.batch._runner import lines
 
-    stated = {"steps": ended.steps, "seconds": ended.seconds, "cases": [asdict(r) for r in ended.rows]}
-    out.result({**facts, **stated, "summary": ended.summary})
+    document: BatchDocument = {
+        "output": output,
+        "command": command,
+        "steps": ended.steps,
+        "seconds": ended.seconds,
+        "cases": ended.rows,
+        "summary": ended.summary,
+    }
+    out.result(document)
     counts = ", ".join(f"{n} {state}" for state, n in ended.steps.items() if n)
     total = sum(ended.steps.values())
     out.show("\n".join([*lines(ended.rows), "", f"{counts} of {total} steps, {ended.seconds:.0f} s"]))
@@ -170,10 +239,12 @@ def _show_plan(out: Output, cases: tuple[Experiment, ...], steps: tuple[Step, ..
     from gyrotrack.apps.batch._runner import preview
 
     state = preview(steps, output)
-    out.result({
-        "cases": [{"label": e.label, "films": [str(c.file) for c in e.clips]} for e in cases],
-        "steps": [{"name": s.name, "output": s.output, "state": state[s.name]} for s in steps],
-    })  # fmt: skip
+    out.result(
+        BatchPlan(
+            cases=[{"label": e.label, "films": [str(c.file) for c in e.clips]} for e in cases],
+            steps=[{"name": s.name, "output": s.output, "state": state[s.name]} for s in steps],
+        )
+    )
     listed = [f"{state[s.name]:<7}{s.name}" for s in steps]
     kept = sum(found == "kept" for found in state.values())
     out.show(
@@ -227,20 +298,24 @@ def config_command(
     if not chosen:
         raise UsageError(f"There is no command '{str(name)[:40]}'.", "`gyrotrack --help` lists them.")
     settings = settings_in_use()
-    rows: dict[str, dict[str, dict[str, Any]]] = {}
+    rows: dict[str, dict[str, OptionDocument]] = {}
     for entry in chosen:
         defaults = inspect.signature(shared.function_of(entry)).parameters
         held = settings.values.get(entry.name, {})
         for parameter, key in options_of(entry).items():
             if parameter in held:
-                place = {"from": "file", "line": settings.lines[entry.name, parameter]}
-                rows.setdefault(entry.name, {})[key] = {"value": held[parameter], **place}
+                line = settings.lines[entry.name, parameter]
+                rows.setdefault(entry.name, {})[key] = {
+                    "value": held[parameter],
+                    "from": "file",
+                    "line": line,
+                }
             elif everything or name is not None:
                 default = defaults[parameter].default
                 plain = default.value if isinstance(default, Enum) else default
                 shown = None if plain is inspect.Parameter.empty else plain
                 rows.setdefault(entry.name, {})[key] = {"value": shown, "from": "default"}
-    out.result({"file": settings.path, "settings": rows})
+    out.result(ConfigDocument(file=settings.path, settings=rows))
     lines = [f"file: {settings.path or 'none'}"]
     for section, keys in rows.items():
         lines += ["", f"[{section}]"]

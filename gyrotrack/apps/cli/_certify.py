@@ -116,7 +116,7 @@ def certify_command(
                 with closing(cluster.workers(study.ledger.path.resolve().parent, workers)) as place:
                     done = _by_commands(found, empty, known, place, words, keep)
             keep.store(done)
-    out.result({"fit_id": fit_id, **certificate_document(done)})
+    out.result(certificate_document(done, fit_id))
     out.show(_table(done, fit_id))
     return DONE
 

@@ -106,7 +106,7 @@ def compare_command(
         times, unit = _times_of(fits, at[0]), at[1]
     found = compare(fits, times, time_unit=unit, body=_single_body(files))
     written = drawn(found, picture, force=force)
-    out.result(found.document() | {"failed": failed})
+    out.result(found.document(failed))
     out.show(comparison_table(found), *(f"not fitted: {n}: {why}" for n, why in failed.items()), *written)
     return NOT_TRUSTED if failed else DONE
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import typer
 
@@ -23,9 +23,51 @@ from gyrotrack.io.readers._format_names import ALL
 if TYPE_CHECKING:
     from gyrotrack.io._contents import Inspection
     from gyrotrack.io._records import Case
+    from gyrotrack.io.readers._reading import ReadingDocument
 
 
 _TABLE = "Angles, angular rates, pulses or points of the casing (CSV, Tracker, phyphox, Excel, MATLAB ...)"
+
+
+class PlottedMotion(TypedDict):
+    """The angular velocity of one body over time, thinned to about 200 points."""
+
+    body: str  #: Name of the body.
+    time: list[float]  #: Times [s].
+    omega: list[float]  #: Angular velocity [rad s-1].
+
+
+class ImportDocument(TypedDict):
+    """A new case, and the interpretation of its files."""
+
+    output: Path | None  #: The case; null with `--dry-run`.
+    reading: list[ReadingDocument]  #: Interpretation of each file.
+    plot: NotRequired[list[PlottedMotion]]  #: Motion of each body, with `--dry-run`.
+
+
+class ExportedFile(TypedDict):
+    """A file with exported data."""
+
+    output: Path  #: The file.
+
+
+class VerifiedDocument(TypedDict):
+    """Numbers of checked parts; 0 without `--verify`."""
+
+    datasets: int  #: Number of datasets.
+    chunks: int  #: Number of chunks.
+
+
+class InspectionDocument(TypedDict):
+    """The integrity of a file."""
+
+    file: Path  #: The file.
+    bytes: int  #: Its size.
+    kind: str  #: `recording` or `case`.
+    sound: bool  #: Whether it is consistent.
+    problems: tuple[str, ...]  #: Inconsistencies.
+    warnings: tuple[str, ...]  #: Warnings stored in the file.
+    verified: VerifiedDocument  #: What was compared with checksums.
 
 
 def import_command(
@@ -188,7 +230,8 @@ def import_command(
         out.note(
             "No moment of inertia is given: torques are per unit of inertia, in rad/s2 (--inertia: in N m)."
         )
-    document = {"output": output, "reading": case.extra["reading"], **summary(case)}
+    imported = ImportDocument(output=output, reading=case.extra["reading"])
+    document: dict[str, Any] = {**imported, **summary(case)}
     if dry_run:
         document["plot"] = _plotted(case)
     out.result(document)
@@ -255,11 +298,11 @@ def _plots(case: Case) -> list[str]:
     return lines
 
 
-def _plotted(case: Case) -> list[dict[str, Any]]:
+def _plotted(case: Case) -> list[PlottedMotion]:
     """Return the speeds of the bodies over time, thinned, for a plot of the workbench."""
     import numpy as np
 
-    found = []
+    found: list[PlottedMotion] = []
     for name, series in case.motions:
         known = np.flatnonzero(np.isfinite(series.omega))
         rows = known[:: max(len(known) // _MOST_PLOTTED, 1)]
@@ -337,7 +380,7 @@ def export_command(
     with out.progress(f"writing {output.name}") as progress:
         progress(0, None)
         document = export_file(file, output, table=table.value, force=force)
-    out.result({"output": output, **document})
+    out.result({**ExportedFile(output=output), **document})
     held = f"{document['rows']} rows" if "rows" in document else f"{len(document['groups'])} groups"
     out.show(f"{held}; written: {output}")
 
@@ -363,17 +406,16 @@ def info_command(
 
 
 def _document(found: Inspection) -> dict[str, Any]:
-    return {
-        "file": found.path,
-        "bytes": found.path.stat().st_size,
-        "kind": found.kind,
-        "sound": not found.problems,
-        "problems": found.problems,
-        "warnings": found.warnings,
-        "verified": {"datasets": found.datasets_verified, "chunks": found.chunks_verified},
-        **found.provenance,
-        **found.summary,
-    }
+    document = InspectionDocument(
+        file=found.path,
+        bytes=found.path.stat().st_size,
+        kind=found.kind,
+        sound=not found.problems,
+        problems=found.problems,
+        warnings=found.warnings,
+        verified={"datasets": found.datasets_verified, "chunks": found.chunks_verified},
+    )
+    return {**document, **found.provenance, **found.summary}
 
 
 def _verdict(found: Inspection) -> list[str]:

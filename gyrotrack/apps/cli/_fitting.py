@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import typer
 
@@ -27,15 +27,20 @@ from gyrotrack.apps.cli._output import (
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
+    from fitting._schema import FitDocument, ListedStep, StepDocument
     from fitting.effects._effect import Effect
     from fitting.inference._budget import ParameterBudget
     from fitting.inference._profile import Interval
     from fitting.inference._result import Fit
-    from fitting.study._paper import CurveBias
-    from fitting.study._scan import Predicted
 
 
 _LOSSES = ("linear", "huber", "cauchy")
+
+
+class FitsDocument(TypedDict):
+    """Separate fits of several cases."""
+
+    fits: list[FitDocument]  #: One fit per case.
 
 
 def fit_command(
@@ -87,6 +92,7 @@ def fit_command(
     """
     from fitting.study._paper import curve_bias
     from fitting.study._scan import predict_recordings
+    from fitting.study._serialisation import fit_document
 
     if (share or per_case or hold_out) and not joint:
         raise UsageError("--share, --per-case and --hold-out need a joint fit.", "Add --joint.")
@@ -102,7 +108,7 @@ def fit_command(
         held=_fixed_values(fix or ()),
         loss=loss,
     )
-    documents = []
+    documents: list[dict[str, Any]] = []
     for group in groups:
         study = open_study(group, ledger, data=data, rotor=rotor, prior=prior, prior_rotor=prior_rotor)
         with out.progress("fitting") as progress:
@@ -112,31 +118,11 @@ def fit_command(
             intervals = _intervals(found, profile or ())
             predicted = predict_recordings(found.model, found.problem.data, found.noise) if hold_out else None
             bias = curve_bias(found)
-        documents.append(_document(found, fit_id, intervals, predicted, bias))
+        documents.append(fit_document(found, fit_id, intervals, bias, predicted))
         out.show(*fit_tables(found, fit_id, intervals), *bias_tables(found, bias))
         out.show(*prediction_tables(predicted or ()))
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
     return NOT_TRUSTED if any(d["verdict"] == "not_converged" for d in documents) else DONE
-
-
-def _document(
-    found: Fit,
-    fit_id: str,
-    intervals: Mapping[str, Interval],
-    predicted: Sequence[Predicted] | None,
-    bias: Mapping[str, CurveBias],
-) -> dict[str, Any]:
-    from fitting.study._serialisation import bias_document, fit_document, interval_document
-
-    document = fit_document(found, fit_id)
-    for name, interval in intervals.items():
-        document["parameters"][name]["interval"] = interval_document(interval)
-    if predicted is not None:
-        keys = ("label", "casing", "rotor", "r2", "rmse")
-        document["predicted"] = [{k: getattr(p, k) for k in keys} for p in predicted]
-    if bias:
-        document["generated_rotor"] = bias_document(bias)
-    return document
 
 
 def _intervals(found: Fit, wanted: Sequence[str]) -> dict[str, Interval]:
@@ -170,6 +156,13 @@ def _fixed_values(fix: Sequence[str]) -> dict[str, float]:
             what = f"{text[:60]!r} is not an assignment to a parameter."
             raise UsageError(what, "Write it as --fix bearing.power.g=0.7.")
     return held
+
+
+class BudgetDocument(TypedDict):
+    """The uncertainty budget of a fit."""
+
+    fit_id: str  #: Name of the fit in the ledger.
+    parameters: dict[str, ParameterBudget]  #: By key as in a fit.
 
 
 _MIN_SHARE = (
@@ -206,7 +199,6 @@ def budget_command(
     Example: gyrotrack budget case1.h5
     """
     from fitting.inference._budget import CRYSTAL, budget
-    from fitting.study._serialisation import budget_document
 
     for name, u in (("--clock-rate", clock_rate), ("--speed-scale", speed_scale)):
         if u is not None and not 0 <= u < 1:
@@ -218,7 +210,7 @@ def budget_command(
         found = budget(
             fit, clock_rate_u=CRYSTAL if clock_rate is None else clock_rate, speed_scale_u=speed_scale or 0.0
         )
-    out.result({"fit_id": fit_id, **budget_document(found)})
+    out.result(BudgetDocument(fit_id=fit_id, parameters=found))
     out.show(_budget_table(fit, found, fit_id))
 
 
@@ -238,6 +230,14 @@ def _budget_table(fit: Fit, found: Mapping[str, ParameterBudget], fit_id: str) -
                 slope = "" if c.sensitivity is None else f"{c.sensitivity:.3g}"
                 lines.append(f"  {c.source:<32}{c.type:<6}{c.u:>10.2g}{slope:>13}{100 * c.share:>7.1f} %")
     return "\n".join(lines)
+
+
+class ScanSettings(TypedDict):
+    """The fitted data, and the written files."""
+
+    data: str  #: What is fitted: `angle` or `velocity`.
+    rotor: str  #: `windows` (measured) or `generated` (a curve).
+    outputs: list[Path]  #: Files of `--csv` and `--latex`.
 
 
 def scan_command(
@@ -276,8 +276,8 @@ def scan_command(
         for path, make in targets.items():
             with new_file(path, force=force) as stream:
                 stream.write(make(found).encode("utf-8"))
-    settings = {"data": data or read[0].record.quantity, "rotor": rotor}
-    out.result(scan_document(found) | settings | {"outputs": list(targets)})
+    settings = ScanSettings(data=data or read[0].record.quantity, rotor=rotor, outputs=list(targets))
+    out.result({**scan_document(found), **settings})
     out.show("\n".join(scan_lines(found)))
     for path in targets:
         out.show(f"written: {path}")
@@ -330,6 +330,14 @@ def diagnose_command(
     )
 
 
+class ImprovedDocument(TypedDict):
+    """The history of a search for missing effects."""
+
+    ladder: list[StepDocument]  #: Fits of the search, oldest first.
+    final: FitDocument  #: The last fit.
+    verdict: str  #: `adequate`, `missing_effect` (found and added), `unexplained` or `undecided`.
+
+
 def improve_command(
     cases: shared.CaseFiles,
     *,
@@ -365,9 +373,8 @@ def improve_command(
     said = _FAULT if len(history) == 1 and verdict == "missing_effect" else _VERDICTS[verdict]
     if history.stopped:
         out.warn(f"the search stopped: {history.stopped}")
-    out.result(
-        {"ladder": steps, "final": fit_document(history[-1].fit, kept.entries[-1].fit_id), "verdict": verdict}
-    )
+    final: Any = fit_document(history[-1].fit, kept.entries[-1].fit_id)
+    out.result(ImprovedDocument(ladder=steps, final=final, verdict=verdict))
     own_values = [k for k in history[-1].fit.problem.layout.per_case if k not in base.problem.layout.per_case]
     differing = f"; {' and '.join(own_values)} has a value for each recording" if own_values else ""
     out.show(*ladder_tables(steps, study.data[0].record), f"verdict: {said}{differing}")
@@ -380,6 +387,12 @@ _VERDICTS = {
     "unexplained": "an unexplained torque remains; run `gyrotrack diagnose`",
     "undecided": "nothing is established; run `gyrotrack diagnose`",
 }
+
+
+class LadderDocument(TypedDict):
+    """The fits of some cases."""
+
+    ladder: list[ListedStep]  #: Fits, oldest first.
 
 
 def ladder_command(
@@ -401,6 +414,8 @@ def ladder_command(
 
     Example: gyrotrack ladder case1.h5
     """
+    from fitting._schema import ListedStep
+
     study = open_study(cases, ledger, data=data, rotor=rotor)
     if not study.ledger.of(study.data):
         raise DatasetError("There is no fit of these cases yet.", "Run `gyrotrack fit`.")
@@ -416,13 +431,45 @@ def ladder_command(
         found = study.entry(delete)
         study.ledger.delete(found.fit_id if found else delete)
         out.note(f"{delete} is deleted from {study.ledger.path}.")
-    keys = ("parent", "name", "note")
-    steps = [
-        {**e.document["rung"], **{k: e.document.get(k, "") for k in keys}}
+    steps: list[Any] = [
+        {**e.document["rung"], **{k: e.document.get(k, "") for k in ListedStep.__annotations__}}
         for e in study.ledger.of(study.data)
     ]
-    out.result({"ladder": steps})
+    out.result(LadderDocument(ladder=steps))
     out.show(*ladder_tables(steps, study.data[0].record))
+
+
+class EffectParameter(TypedDict):
+    """A parameter of an effect."""
+
+    symbol: str  #: Symbol.
+    unit: str  #: SI unit.
+    role: str  #: `amplitude`, `shape`, `phase` or `fixed`.
+    lower: float  #: Lower bound; null if it has none [`unit`].
+    upper: float  #: Upper bound; null if it has none [`unit`].
+    meaning: str  #: Meaning in words.
+
+
+class EffectDocument(TypedDict):
+    """An effect of the library, or of `--effects`."""
+
+    name: str  #: Name.
+    words: str  #: Name in words.
+    symbol: str  #: Symbol of the strength.
+    kind: str  #: `physical` or `measurement`.
+    joint: str  #: Body, joint or camera on which it acts.
+    law: str  #: Formula.
+    latex: str  #: Formula in LaTeX.
+    parameters: list[EffectParameter]  #: Its parameters.
+    signature: str  #: How it shows in the data.
+    confused_with: list[str]  #: Names of similar effects.
+    source: str  #: Publication.
+
+
+class EffectsDocument(TypedDict):
+    """All effects."""
+
+    effects: list[EffectDocument]  #: The library, then the effects of `--effects`.
 
 
 def effects_command(
@@ -444,7 +491,7 @@ def effects_command(
         out.show(_effect_text(effect))
         return
     every = [*LIBRARY.values(), *own.values()]
-    out.result({"effects": [_effect_document(e) for e in every]})
+    out.result(EffectsDocument(effects=[_effect_document(e) for e in every]))
     out.show(
         "\n".join(
             f"{e.name:<27} {e.words or _where(e)}" + chr(10) + f"{'':<29}{_where(e)}: {e.law}" for e in every
@@ -452,7 +499,8 @@ def effects_command(
     )
 
 
-def _effect_document(e: Effect) -> dict[str, Any]:
+def _effect_document(e: Effect) -> EffectDocument:
+    from fitting._schema import as_document
     from fitting.effects._expression import latex
     from fitting.effects._words import effect_name
 
@@ -464,14 +512,11 @@ def _effect_document(e: Effect) -> dict[str, Any]:
         "joint": e.joint,
         "law": e.law,
         "latex": latex(e.expression),
-        "parameters": [{key: getattr(p, key) for key in _PARAMETER} for p in e.parameters],
+        "parameters": [as_document(EffectParameter, p) for p in e.parameters],
         "signature": e.signature,
         "confused_with": list(e.confused_with),
         "source": e.source,
     }
-
-
-_PARAMETER = ("symbol", "unit", "role", "lower", "upper", "meaning")
 
 
 def _where(e: Effect) -> str:

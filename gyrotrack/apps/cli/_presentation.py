@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NotRequired, TypedDict
 
 import typer
 
@@ -18,6 +18,34 @@ from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, command_line
 from gyrotrack.apps.cli._settings import option
 from gyrotrack.io._command_end import unmarked
+
+
+class ReportFiles(TypedDict):
+    """The files of a report."""
+
+    output: Path  #: The report.
+    overlay: NotRequired[Path]  #: The film, with `--overlay`.
+
+
+class ReportDocument(ReportFiles):
+    """A new report."""
+
+    fits: list[str]  #: Changes of the fits that it shows, oldest first; `base` for the first one.
+    verdict: str  #: Verdict of the diagnosis.
+
+
+class FiguresDocument(TypedDict):
+    """New figures and tables."""
+
+    output: Path  #: Their folder.
+    files: Sequence[Path]  #: Their files.
+    figures: int  #: Number of figures.
+
+
+class ViewDocument(TypedDict):
+    """The workbench; the command prints this line when the page is ready, and runs on."""
+
+    url: str  #: Address of the page, with its secret.
 
 
 def report_command(
@@ -79,12 +107,18 @@ def report_command(
             appendix=appendix,
             force=force,
         )
-    written = {"output": output} | ({"overlay": overlay} if overlay is not None else {})
+    written: ReportFiles = {"output": output}
     if overlay is not None:
+        written["overlay"] = overlay
         with out.progress("writing the film", "frame") as progress:
             folders = shared.film_folders(cases, films)
             write_overlay(overlay, steps, diagnosis, recordings, folders, force=force, progress=progress)
-    out.result({**written, "fits": [r.change or "base" for r in steps], "verdict": diagnosis.verdict})
+    document: ReportDocument = {
+        **written,
+        "fits": [r.change or "base" for r in steps],
+        "verdict": diagnosis.verdict,
+    }
+    out.result(document)
     out.show(*(f"written: {path}" for path in written.values()))
 
 
@@ -129,7 +163,7 @@ def figures_command(
             force=force,
         )
     drawn = {f.stem for f in files if f.suffix.lstrip(".") in wanted}
-    out.result({"output": output, "files": files, "figures": len(drawn)})
+    out.result(FiguresDocument(output=output, files=files, figures=len(drawn)))
     out.show(f"written: {len(files)} files in {output}")
     if "gyroscope" not in drawn:
         out.note("No film was found for the figure of the gyroscope; give its folder with --films.")
@@ -194,7 +228,7 @@ def view_command(
 
     def announce(url: str, *, is_running: bool = False) -> None:
         if out.as_json:
-            sys.stdout.write(json.dumps({"url": url}) + "\n")
+            sys.stdout.write(json.dumps(ViewDocument(url=url)) + "\n")
         elif is_running:
             out.show(f"already open: {url}")
         else:

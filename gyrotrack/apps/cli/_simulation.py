@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import typer
 
@@ -26,12 +26,50 @@ from gyrotrack.apps.cli._output import (
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
+    from fitting._schema import FitDocument, StepDocument
     from fitting.discovery._select import Step
     from fitting.discovery._verdict import Diagnosis
+    from fitting.study._serialisation import DiagnosisDocument
 
 
 _PAPER_ROTOR, _PAPER_CASING = 5.54e-5, 2.06e-5  # kg m2
 _WINDOWS = (0.025, 0.35, 0.75)  # default starts of the rotor windows [duration]
+
+
+class SimulationDocument(TypedDict):
+    """A simulated case."""
+
+    output: Path  #: The case.
+    model: NotRequired[list[str]]  #: Names of the effects; not with `--hide`.
+    parameters: NotRequired[dict[str, float]]  #: Simulated parameters by key; not with `--hide` [SI units].
+    seal: NotRequired[Path]  #: The sealed file, with `--hide`.
+    commitment: NotRequired[str]  #: SHA-256 to which the answer is committed, with `--hide`.
+    films: list[Path]  #: Rendered films, with `--film`.
+
+
+class RevealDocument(TypedDict):
+    """A sealed effect, and the grade of an answer."""
+
+    effect: str  #: The hidden effect.
+    parameters: dict[str, float]  #: Simulated parameters by key [SI units].
+    answer: list[str]  #: Effects of the answer.
+    grade: str  #: `right`, `right class` or `wrong`.
+    #: Difference of a fitted parameter from the simulated one, by key [standard errors].
+    pulls: dict[str, float]
+    commitment: str  #: SHA-256 to which the answer was committed.
+
+
+class DemoDocument(TypedDict):
+    """The analysis of the sample clips."""
+
+    case: Path  #: The case.
+    report: Path  #: The report.
+    picture: Path  #: A picture of the result.
+    diagnosis: DiagnosisDocument  #: Diagnosis of the first fit.
+    ladder: list[StepDocument]  #: Fits, oldest first.
+    final: FitDocument  #: The last fit.
+    verdict: str  #: Verdict, as of `improve`.
+    seconds: float  #: Duration [s].
 
 
 def simulate_command(
@@ -177,14 +215,15 @@ def reveal_command(
     refuse_special(seal)
     truth = unseal(seal)
     score = grade(truth, named, found)
-    out.result({
+    document: RevealDocument = {
         "effect": truth.effect,
         "parameters": truth.parameters,
         "answer": named,
         "grade": score.grade,
         "pulls": score.pulls,
         "commitment": truth.commitment,
-    })  # fmt: skip
+    }
+    out.result(document)
     lines = [score.sentence, *(f"  {k} = {v:.6g}" for k, v in truth.parameters.items())]
     lines += [f"  {k}: {z:+.1f} standard errors from the true value" for k, z in score.pulls.items()]
     out.show("\n".join(lines))

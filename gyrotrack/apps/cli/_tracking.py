@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import typer
 
@@ -18,11 +19,72 @@ from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
     from gyrotrack.apps._drive import Response
-    from gyrotrack.io._records import Recording
-    from gyrotrack.synchronisation._decision import Match
+    from gyrotrack.io._contents import MarkerCounts
+    from gyrotrack.io._records import Floats, Recording
+    from gyrotrack.synchronisation._decision import Match, Rival
     from gyrotrack.tracking._film import Film
+    from gyrotrack.tracking._profile import Profile
     from gyrotrack.tracking._proposal import Proposal, ProposedMarker
     from gyrotrack.tracking._tracked import Tracked
+
+
+class BodyReading(TypedDict):
+    """A rotating body whose texture can be tracked without markers."""
+
+    kind: str  #: `picture of a body`.
+    hub_px: list[float]  #: Centre of rotation, x and y [px].
+    hub_from: str  #: How it was found; `outline` of a body that moves across the picture.
+    ring_px: list[float]  #: Inner and outer radius of the texture [px].
+    explained: float  #: Share of the change of brightness that the rotation explains, 0 to 1 [1].
+
+
+_From = TypedDict("_From", {"from": Annotated[str, "Mark at the centre: `circle` or `orbit`."]})
+
+
+class CentreDocument(_From):
+    """The centre of rotation in the picture."""
+
+    x: float  #: Distance from the left edge [px].
+    y: float  #: Distance from the upper edge [px].
+
+
+class FoundMarker(TypedDict):
+    """A marker that was found in the film."""
+
+    name: str  #: Name in the profile.
+    colour: str  #: Colour.
+    hue_deg: float | None  #: Hue; null for a colour without one [degrees].
+    body: str  #: `casing` or `rotor`.
+    inner_px: float  #: Inner radius of its orbit [px].
+    outer_px: float  #: Outer radius of its orbit [px].
+    half_width_rad: float  #: Half of its angular width [rad].
+    contrast: float  #: Contrast of its colour with its surroundings [levels of brightness].
+    seen: float  #: Share of the frames in which it is seen, 0 to 1 [1].
+    step_rad: float  #: Rotation per frame [rad].
+
+
+class ProfileDocument(TypedDict):
+    """A new profile, and the markers on which it is based."""
+
+    output: Path  #: The profile.
+    centre: CentreDocument  #: Centre of rotation.
+    circle_colour: str | None  #: Colour of the disc at the centre; null without a disc.
+    markers: list[FoundMarker]  #: Markers.
+    notes: Sequence[str]  #: Doubts.
+    verdict: str  #: `clear`, `in_doubt` or `not_confirmed`.
+    profile: Profile  #: Contents of the profile.
+    picture: NotRequired[Path]  #: The drawing, with `--picture`.
+    #: Alternative interpretation, if the markers show one body only.
+    readings: NotRequired[list[BodyReading]]
+
+
+class NoMarkersDocument(TypedDict):
+    """A body that rotates in a film without markers."""
+
+    output: None  #: No profile is written.
+    picture: Path | None  #: The drawing, with `--picture`.
+    verdict: str  #: `no_markers`.
+    readings: list[BodyReading]  #: The body.
 
 
 def profile_command(
@@ -77,7 +139,7 @@ def profile_command(
         if picture is not None:
             write_body_picture(picture, *body, force=force)
         reading = _body_reading(body[1])
-        out.result({"output": None, "picture": picture, "verdict": "no_markers", "readings": [reading]})
+        out.result(NoMarkersDocument(output=None, picture=picture, verdict="no_markers", readings=[reading]))
         out.show(f"No coloured markers were found. {_body_sentence(reading, video)}")
         return NOT_TRUSTED
     if len({m.profile.body for m in found.markers}) == 1:
@@ -101,7 +163,7 @@ def profile_command(
     return None if found.sound else NOT_TRUSTED
 
 
-def _body_reading(tracked: Tracked) -> dict[str, Any]:
+def _body_reading(tracked: Tracked) -> BodyReading:
     return {
         "kind": "picture of a body",
         "hub_px": list(tracked.ring.hub),
@@ -111,7 +173,7 @@ def _body_reading(tracked: Tracked) -> dict[str, Any]:
     }
 
 
-def _body_sentence(reading: dict[str, Any], video: Path) -> str:
+def _body_sentence(reading: BodyReading, video: Path) -> str:
     x, y = reading["hub_px"]
     where = (
         f"A body turns while it moves across the picture, near ({x:.0f}, {y:.0f}) px"
@@ -124,22 +186,22 @@ def _body_sentence(reading: dict[str, Any], video: Path) -> str:
     )
 
 
-def _profile_document(target: Path, picture: Path | None, found: Proposal) -> dict[str, Any]:
-    document: dict[str, Any] = {
+def _profile_document(target: Path, picture: Path | None, found: Proposal) -> ProfileDocument:
+    document: ProfileDocument = {
         "output": target,
         "centre": {"x": found.centre[0], "y": found.centre[1], "from": found.profile.centre},
         "circle_colour": found.profile.circle_colour if found.disc else None,
         "markers": [_marker(m) for m in found.markers],
         "notes": found.notes,
         "verdict": "not_confirmed" if not found.sound else "in_doubt" if found.notes else "clear",
-        "profile": found.profile.model_dump(mode="json"),
+        "profile": found.profile,
     }
     if picture is not None:
         document["picture"] = picture
     return document
 
 
-def _marker(marker: ProposedMarker) -> dict[str, Any]:
+def _marker(marker: ProposedMarker) -> FoundMarker:
     import numpy as np
 
     entry, found = marker.profile, marker.marker
@@ -185,6 +247,39 @@ class Times(StrEnum):
     auto = "auto"
     stamps = "stamps"
     frames = "frames"
+
+
+class TrackedBody(TypedDict):
+    """The angles of one body."""
+
+    samples: int  #: Number of angles.
+    median_sigma: float  #: Median standard uncertainty of the angle [rad].
+
+
+class TrackedPath(TypedDict):
+    """The path of one point."""
+
+    samples: int  #: Number of positions.
+    median_sigma_px: float  #: Median standard uncertainty of x and y [px].
+
+
+class ExtractionDocument(TypedDict):
+    """A new recording."""
+
+    output: Path  #: The recording.
+    frames: int  #: Number of decoded frames.
+    markers: dict[str, MarkerCounts]  #: Number of frames by status, by marker.
+    body: dict[str, TrackedBody]  #: Angles, by body.
+    sense: int  #: Factor applied to angles in the image: 1 or -1.
+    capture_fps: float  #: Capture rate of the camera [s-1].
+    capture_fps_from: str  #: Origin of the capture rate.
+    times_from: str  #: Origin of the times: `frames` or `stamps`.
+    frames_declared: int  #: Number of frames that the film declares.
+    fps: float  #: Frames that were processed per second; null for points and for a complete output [s-1].
+    warnings: list[str]  #: Warnings.
+    overlay: NotRequired[Path]  #: The drawn film, with `--overlay`.
+    contact_sheet: NotRequired[Path]  #: The drawn frames, with `--contact-sheet`.
+    points: NotRequired[dict[str, TrackedPath]]  #: Paths by point, with `--point` or `--colour`.
 
 
 def extract_command(
@@ -371,12 +466,10 @@ def _extract_points(
     write_recording(target, recording, command=command_line(), settings=settings, force=force)
     for warning in recording.warnings:
         out.warn(warning)
-    document = {
-        **_extraction_document(target, recording, math.nan),
-        "points": {
-            p.name: {"samples": len(p.time), "median_sigma_px": float(np.median([p.sigma_x, p.sigma_y]))}
-            for p in recording.points.values()
-        },
+    document = _extraction_document(target, recording, math.nan)
+    document["points"] = {
+        p.name: {"samples": len(p.time), "median_sigma_px": float(np.median([p.sigma_x, p.sigma_y]))}
+        for p in recording.points.values()
     }
     out.result(document)
     lines = [
@@ -387,18 +480,15 @@ def _extract_points(
     return NOT_TRUSTED if doubts_of(recording) else DONE
 
 
-def _extraction_document(target: Path, recording: Recording, fps: float) -> dict[str, Any]:
+def _extraction_document(target: Path, recording: Recording, fps: float) -> ExtractionDocument:
     import numpy as np
 
-    from gyrotrack.io._schema import STATUS
+    from gyrotrack.io._contents import marker_counts
 
     return {
         "output": target,
         "frames": recording.frames_decoded,
-        "markers": {
-            name: {word: int(np.sum(track.status == code)) for word, code in STATUS.items()}
-            for name, track in recording.markers.items()
-        },
+        "markers": {name: marker_counts(track.status) for name, track in recording.markers.items()},
         "body": {
             name: {"samples": len(track.time), "median_sigma": float(np.median(track.sigma))}
             for name, track in recording.bodies.items()
@@ -413,7 +503,7 @@ def _extraction_document(target: Path, recording: Recording, fps: float) -> dict
     }
 
 
-def _extraction_lines(document: dict[str, Any]) -> str:
+def _extraction_lines(document: Mapping[str, Any]) -> str:
     words = ("ok", "blurred", "occluded", "out_of_frame", "lost")
     lines = [f"{'marker':<12}" + "".join(f"{word.replace('_', ' '):>14}" for word in words)]
     lines += [
@@ -430,6 +520,33 @@ def _extraction_lines(document: dict[str, Any]) -> str:
     lines.append(f"capture rate {document['capture_fps']:g} fps (from {source}){stamped}")
     lines.append(f"{document['frames']} frames{rate}; written: {document['output']}")
     return "\n".join(lines)
+
+
+class ClipDocument(TypedDict):
+    """The clock of one clip on that of the casing's camera."""
+
+    source: Path  #: The recording.
+    offset_s: float  #: Start of the clip [s].
+    offset_sigma_s: float  #: Standard uncertainty of the start [s].
+    rate: float  #: Rate of the clock of the clip [1].
+    rate_sigma: float  #: Standard uncertainty of the rate [1].
+    angle_offset: float  #: Angle added to the angles of the clip [rad].
+    angle_offset_sigma: float  #: Standard uncertainty of `angle_offset` [rad].
+    covariance: Floats  #: Covariance matrix of start, rate and angle [products of s, 1 and rad].
+    ambiguous: bool  #: Whether another start is not excluded.
+    rivals: tuple[Rival, ...]  #: Alternative starts.
+    misfit_rad: float  #: Rms difference of the angles of the two cameras [rad].
+    outliers: int  #: Number of samples that are not used.
+    common_rate: bool  #: Whether all clips have one clock rate.
+    common_direction: bool  #: Whether all clips have one direction of zero.
+
+
+class SyncDocument(TypedDict):
+    """A new case of synchronised clips."""
+
+    output: Path  #: The case.
+    clips: list[ClipDocument]  #: The clips of the rotor.
+    warnings: tuple[str, ...]  #: Warnings.
 
 
 def sync_command(
@@ -471,11 +588,11 @@ def sync_command(
         misfit = 1e3 * match.misfit
         out.detail(f"{match.name}: {match.method}; rms difference of the cameras {misfit:.2f} mrad")
     clips = [_clip(path, match) for path, match in zip(rotors, done.matches, strict=True)]
-    out.result({"output": output, "clips": clips, "warnings": done.case.warnings})
+    out.result(SyncDocument(output=output, clips=clips, warnings=done.case.warnings))
     out.show("\n".join([_HEADER, *(_line(clip) for clip in clips), f"written: {output}"]))
 
 
-def _clip(path: Path, match: Match) -> dict[str, Any]:
+def _clip(path: Path, match: Match) -> ClipDocument:
     from gyrotrack.synchronisation._matching import TURN
 
     return {
@@ -499,7 +616,7 @@ def _clip(path: Path, match: Match) -> dict[str, Any]:
 _HEADER = f"{'clip':<24}{'start [s]':>12}{'+- [ms]':>10}{'clock error [ppm]':>20}{'+-':>8}"
 
 
-def _line(clip: dict[str, Any]) -> str:
+def _line(clip: ClipDocument) -> str:
     doubt = "ambiguous" if clip["ambiguous"] else ""
     name = clip["source"].name
     name = name if len(name) < 24 else "..." + name[-20:]
@@ -618,14 +735,13 @@ def spindown_command(
         out.warn(warning)
     out.result(document)
     out.show(*shared.reading_lines(document["reading"]), *_lines(document))
-    verdict = (document["diagnosis"] or {}).get("verdict")
     if document["ambiguous"]:
         return NOT_TRUSTED
     if document["diagnosis"] is None:
         motion = document["motion"]
         free = motion.kind in ("steady", "fluctuating") or motion.period is not None
         return DONE if free or document["response"] is not None else NOT_TRUSTED
-    return NOT_TRUSTED if verdict == "unexplained" else DONE
+    return NOT_TRUSTED if document["diagnosis"]["verdict"] == "unexplained" else DONE
 
 
 def _position(text: str | None) -> tuple[float, float] | None:
@@ -685,7 +801,7 @@ def _response_lines(response: Response | None) -> list[str]:
     ]
 
 
-def _first_order_lines(document: dict[str, Any]) -> list[str]:
+def _first_order_lines(document: Mapping[str, Any]) -> list[str]:
     """Return the constants of the first-order fit of a body driven by recorded inputs."""
     from fitting._numbers import rounded
 
@@ -709,7 +825,7 @@ def _first_order_lines(document: dict[str, Any]) -> list[str]:
     ]
 
 
-def _law_lines(document: dict[str, Any]) -> list[str]:
+def _law_lines(document: Mapping[str, Any]) -> list[str]:
     """Return the strengths of the fitted laws and their effects on the motion; for an oscillator, only the effects."""
     from fitting._numbers import rounded
 
@@ -728,7 +844,7 @@ def _with_u(value: float, u: float) -> str:
     return rounded(value, u, "").rstrip() if math.isfinite(u) and u > 0 else f"{value:.6g}"
 
 
-def _lines(document: dict[str, Any]) -> list[str]:
+def _lines(document: Mapping[str, Any]) -> list[str]:
     from fitting._numbers import rounded, speed, speed_unit
     from gyrotrack.io.readers._reading import units_of_file
 

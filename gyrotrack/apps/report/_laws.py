@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LawOfBody:
-    """A strength or shape constant of a fitted law, in `unit`, and its meaning."""
+    """A strength or shape constant of a fitted law."""
 
-    parameter: str
-    words: str
-    value: float
-    stderr: float
-    unit: str
-    meaning: str
+    parameter: str  #: Key of the parameter.
+    words: str  #: The parameter in words.
+    value: float  #: Value [`unit`].
+    stderr: float  #: Standard error [`unit`].
+    unit: str  #: Unit of both.
+    meaning: str  #: Meaning, with the effect on the motion.
 
 
 _SIGNIFICANT = 3.0  # smallest strength whose effect on the motion is stated [standard uncertainties]

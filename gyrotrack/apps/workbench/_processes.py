@@ -335,7 +335,7 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
         found = diagnose(fit)
         prediction, columns = Prediction(fit), CaseColumns(fit, 0)
         shown = [c for c in found.candidates if c.score > 0][:_MAX_CANDIDATES]
-        document = diagnosis_document(found, "")
+        document: Any = diagnosis_document(found, "")
         excess = max(prediction.misfit**2 - 1.0, 1e-12)
         for c, row in zip(found.candidates, document["candidates"], strict=True):
             row |= {"fits": c.effect.signature, "contradiction": contradiction(c.effect)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from threading import RLock
@@ -385,7 +385,7 @@ class Session:
                 return {}
             # the certificate was written by another process
             found = type(self._ledger)(self._ledger.path).find(fit_id).latest_certificate()
-        return {} if found is None else _document(certificate_document(found))
+        return {} if found is None else _document(certificate_document(found, fit_id))
 
     def _sharpen(self, step: Step) -> None:
         from fitting.discovery._refine import refined
@@ -627,7 +627,7 @@ def _steps_of(data: CaseData, ledger: Ledger | None) -> list[Step]:
     ]
 
 
-def _document(found: dict[str, Any]) -> dict[str, Any]:
+def _document(found: Mapping[str, Any]) -> dict[str, Any]:
     from fitting._numbers import to_json
 
     return dict(to_json(found))

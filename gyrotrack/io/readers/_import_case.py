@@ -7,13 +7,13 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._smoothing import median_smooth
-from gyrotrack.io._contents import describe_motion, describe_windows
+from gyrotrack.io._contents import SeriesSummary, WindowSummary, describe_motion, describe_windows
 from gyrotrack.io._records import (
     Case,
     ErrorMode,
@@ -183,13 +183,38 @@ def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece
     return made
 
 
-def summary(case: Case) -> dict[str, Any]:
+class ImportedSeries(SeriesSummary):
+    """The motion of the casing, or of the single or first body."""
+
+    quantity: str  #: What was measured: `angle` or `omega`.
+
+
+class ImportedWindows(TypedDict):
+    """The windows of the rotor, or of a further body."""
+
+    windows: list[WindowSummary]  #: The windows.
+    quantity: str  #: What was measured: `angle` or `omega`.
+    sigma_source: str  #: Origin of the standard uncertainty.
+
+
+class ImportSummary(TypedDict):
+    """Contents of an imported case."""
+
+    label: str  #: Name of the case.
+    casing: ImportedSeries  #: The casing, or the single or first body.
+    rotor: ImportedWindows  #: The rotor; without windows if there is none.
+    further: dict[str, ImportedWindows]  #: Further bodies of a chain, by name.
+    sense: int  #: Factor applied to the angles, by which the motion is positive: 1 or -1.
+    warnings: list[str]  #: Repairs and doubts.
+
+
+def summary(case: Case) -> ImportSummary:
     """Return a summary of an imported case: samples, times and sigmas of the casing and of each window."""
     key = "omega_sigma" if case.quantity == "omega" else "sigma"
 
-    def windows(series: Series) -> dict[str, Any]:
-        stated = {"quantity": case.quantity, "sigma_source": series.sigma_source}
-        return {"windows": describe_windows(series, key), **stated}
+    def windows(series: Series) -> ImportedWindows:
+        found = describe_windows(series, key)
+        return {"windows": found, "quantity": case.quantity, "sigma_source": series.sigma_source}
 
     return {
         "label": case.label,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 from gyrotrack.io.readers._raw_table import factor
 
@@ -16,10 +16,20 @@ _MOST_NAMES = 12  # largest number of unused columns that are named
 class Taken:
     """One column or point, and its interpretation."""
 
-    column: str
-    quantity: str
-    unit: str
-    why: str
+    column: str  #: Name of the column or point, in quotes, or its number.
+    quantity: str  #: Quantity for which it is taken, for example `time`, `angle`, `omega` or `input`.
+    unit: str  #: Unit in the file; empty if not stated.
+    why: str  #: Reason.
+
+
+class ReadingDocument(TypedDict):
+    """The interpretation of one file."""
+
+    file: str  #: Name of the file.
+    format: str  #: Format.
+    rows: int  #: Number of rows.
+    columns: list[Taken]  #: Columns that are used.
+    left_out: list[str]  #: Columns or points that are not used.
 
 
 @dataclass(frozen=True)
@@ -44,13 +54,14 @@ class Reading:
             f"{self.file}: left out: {', '.join(names) or 'no column'}.",
         )
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> ReadingDocument:
         """Return the interpretation for JSON and for the provenance of a case."""
+        columns: list[Any] = [vars(t) for t in self.taken]
         return {
             "file": self.file,
             "format": self.format,
             "rows": self.rows,
-            "columns": [vars(t) for t in self.taken],
+            "columns": columns,
             "left_out": list(self.left_out),
         }
 
