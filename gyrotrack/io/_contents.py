@@ -10,7 +10,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NotRequired, TypedDict, cast
 
@@ -134,6 +134,8 @@ class ClipSummary(RecordingSummary):
 class CaseSummary(TypedDict):
     """Contents of a case."""
 
+    #: Moment of inertia of the casing, or of the single or first body; null if it is unknown [kg m2].
+    I_casing: float | None
     casing: SeriesSummary  #: The casing, or the single or first body.
     rotor: WindowsSummary  #: The rotor.
     further: dict[str, BodySummary]  #: Further bodies of a chain, by name.
@@ -211,6 +213,7 @@ def describe_case(case: Case) -> dict[str, Any]:
         clips[name]["placement"] = vars(case.placements[name])
     inputs: dict[str, Any] = {i.name: _describe_input(i) for i in case.inputs}
     found = CaseSummary(
+        I_casing=None if case.per_inertia else case.I_casing,
         casing={**describe_motion(case.casing, key=key), "sigma_source": case.casing.sigma_source},
         rotor=_describe_series(case.rotor, key),
         further=further,
@@ -219,7 +222,8 @@ def describe_case(case: Case) -> dict[str, Any]:
         inputs=inputs,
         recordings=clips,
     )
-    return {**stated_attributes(case, CASE_ATTRIBUTES), **found}
+    stated = case if case.bodies == "two" else replace(case, I_rotor=math.nan, I_rotor_u=math.nan)
+    return {**stated_attributes(stated, CASE_ATTRIBUTES), **found}
 
 
 def _describe_series(series: Series, key: str) -> WindowsSummary:

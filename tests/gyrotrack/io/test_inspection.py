@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import DatasetError, write_case, write_recording
-from gyrotrack.io._contents import inspect_file
+from gyrotrack.io._contents import describe_case, inspect_file
 
 
 def test_recording_in_numbers(tmp_path, recording):
@@ -31,6 +31,14 @@ def test_case_in_numbers(tmp_path, case):
     stated = dataclasses.replace(case, I_rotor_u=6e-7)
     found = inspect_file(write_case(tmp_path / "u.h5", stated, command="c", settings={}))
     assert found.summary["I_rotor_u"] == 6e-7
+
+
+@pytest.mark.parametrize(("bodies", "per_inertia"), [("two", 0), ("one", 0), ("one", 1), ("chain", 0)])
+def test_only_known_moments_of_inertia_are_shown(case, bodies, per_inertia):
+    given = dataclasses.replace(case, bodies=bodies, per_inertia=per_inertia)
+    shown = describe_case(given)
+    assert shown["I_casing"] == (None if per_inertia else case.I_casing)
+    assert shown.get("I_rotor") == (case.I_rotor if bodies == "two" else None)
 
 
 @pytest.mark.parametrize(

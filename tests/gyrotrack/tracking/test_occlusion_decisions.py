@@ -426,16 +426,15 @@ class TestLight:
         assert windows._blurred(rows, 1)[0].tolist() == [6.0, 3.0, 6.0, 9.0, 12.0, 9.0]
         assert windows._blurred(rows, 0) is rows
 
-    @pytest.mark.parametrize(("height", "light"), [(0.3, 0.55), (0.8, 0.8857), (3.0, 1.857), (9.0, 2.0)])
-    def test_the_light_is_between_0_55_and_2(self, height, light):
-        """Of 12 passages beside a prior of 4; 0.3 would be 0.475."""
-        heights = np.ones(36)
-        heights[10:13] = height
-        found = even_light(self.map(heights, 4), 1)
-        expected = np.clip((height * 12 + 4) / 16, 0.55, 2.0)
-        assert found[11] == pytest.approx(expected)
-        assert light == pytest.approx(expected, abs=0.05) or height in {0.8, 3.0}
-        assert found[30] == pytest.approx(1.0)
+    @pytest.mark.parametrize(("reach", "mean"), [(1, 2), (2, 2), (3, 3)])
+    def test_the_light_is_between_0_55_and_2(self, reach, mean):
+        """The mean is over at least a fifth of a turn to either side; unknown heights are those between."""
+        asked = []
+        heights = np.array([[1.0, 0.54, 0.56, 1.0, np.nan, 1.4, 1.99, 2.01, 1.0]])
+        made = SimpleNamespace(columns=9, heights=lambda blur, prior: asked.append((blur, prior)) or heights)
+        found = even_light(made, reach)
+        assert found == pytest.approx([1.0, 0.55, 0.56, 1.0, 1.2, 1.4, 1.99, 2.0, 1.0])
+        assert asked == [(mean, 4.0)]
         assert even_light(AngleMap(1, 8), 1).tolist() == [1.0] * 8
 
     @pytest.mark.parametrize(("height", "shaded"), [(0.5, False), (0.42, False), (0.3, True)])
