@@ -216,8 +216,8 @@ class TestImprove:
             "+ linear air drag of the wheel instead of quadratic air drag of the wheel",
         ),
         (
-            f"+bearing.linear +{LINEAR} instead of casing: -k*omega_c**3",
-            "+ viscous friction of the bearing + linear air drag of the wheel instead of law -k*omega_c**3 on the wheel",
+            f"+bearing.linear +{LINEAR} instead of casing: -k*omega_c",
+            "+ viscous friction of the bearing + linear air drag of the wheel instead of law -k*omega_c on the wheel",
         ),
     ],
 )  # fmt: skip
