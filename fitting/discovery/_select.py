@@ -22,6 +22,7 @@ from fitting._errors import FittingError
 from fitting._numbers import rounded, short, unit_text
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._difference import SeparateValues, different_parameter, improves_on_difference
+from fitting.discovery._exchange import Exchange, exchanges
 from fitting.discovery._measurement import StartErrors, starts_are_unknown
 from fitting.discovery._oscillator import possible_restoring
 from fitting.discovery._random_torque import describes, is_established, with_random_torque
@@ -568,11 +569,15 @@ def ranked_at_noise(
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a history: the added or dropped effect, the fit, and the candidates for the next step."""
+    """One step of a history: the added, dropped or exchanged effect, the fit, and the candidates for the next step.
+
+    Exchanges are the last steps; they have no candidates.
+    """
 
     change: str
     fit: Fit
     candidates: tuple[Candidate, ...]
+    is_exchange: bool = False
 
     @property
     def words(self) -> str:
@@ -683,9 +688,12 @@ def select(
             chosen, end = now_best, now_best.fit
     if less_noise or end.fails(criteria):
         most = 1 + criteria.follow_up
-        history = known[: 1 + most]
+        # an exchange changes the effect that is named
+        history = [s for s in known if not s.is_exchange][: 1 + most]
         if len(known) < 2 or known[1].change != f"+{chosen.effect.name}":
-            history = improve(base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers)
+            history = improve(
+                base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers, exchange=False
+            )
         named, end = (history[1].fit, history[-1].fit) if len(history) > 1 else (end, end)
     else:
         named = end
@@ -756,8 +764,11 @@ def improve(
     first: Sequence[Candidate] | None = None,
     workers: WorkerPool | None = None,
     keep: Callable[[Step], object] | None = None,
+    exchange: bool = True,
 ) -> History:
     """Add the best effect while one is significant, free its shape constant if needed, drop what is not needed.
+
+    Finally exchange an added effect for one or two others while this lowers BIC.
 
     Parameters
     ----------
@@ -778,6 +789,8 @@ def improve(
         Processes that share the work.
     keep : callable, optional
         Called with each step after the base as soon as it is complete, so that an interrupted search loses no step.
+    exchange : bool
+        End with exchanges of added effects.
 
     Returns
     -------
@@ -791,6 +804,15 @@ def improve(
             measured, extra, criteria, criteria.max_steps if max_steps is None else max_steps, progress,
             first if measured is base else None, workers, keep,
         )  # fmt: skip
+        for _ in range(criteria.max_steps if exchange else 0):
+            step = None
+            with attempt("exchanges of an effect"):
+                step = _exchanged(history, extra, criteria)
+            if step is None:
+                break
+            history.append(step)
+            if keep is not None:
+                keep(step)
     history.trace = tuple(trace.refits)
     return history
 
@@ -922,6 +944,49 @@ def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
 def _without(fitted: Fit, effect: Effect) -> Fit:
     with with_purpose("without an effect that may be unnecessary"):
         return fit(fitted.model.without(effect.name), fitted, start=fitted.values, noise=fitted.noise)
+
+
+_EXCHANGES = 3
+"""Largest number of refits of exchanges for one step [1]. Chosen: fewer rely on the order of first order, more cost
+time."""
+
+
+def _exchanged(history: Sequence[Step], extra: Sequence[Effect], criteria: Criteria) -> Step | None:
+    """Return the step that removes or exchanges an effect that was added; None if none lowers BIC enough.
+
+    Only laws without a search for a frequency or a changepoint take part. Oscillations are excluded, as their refits
+    take long.
+    """
+    current, names = history[-1].fit, history[0].fit.model.names
+    added = [e for e in current.model.effects if e.name not in names and _is_friction(e)]
+    if not added or current.model.restoring:
+        return None
+    effects = [e for e in applicable_effects(current, extra) if _is_friction(e)]
+    known = {**laws_of(mechanism_of(current.model.effects)), **{e.name: e for e in extra}}
+    cases = [CaseColumns(current, i) for i in range(len(current.problem.cases))]
+    found: list[Exchange] = []
+    for e in added:
+        usual = [known[e.name]] if known.get(e.name, e) != e else []
+        found += exchanges(current, e, [*usual, *effects], cases, criteria)
+    found.sort(key=lambda x: round(x.delta_bic, _TIE))
+    fits = {x.change: refitted for x in found[:_EXCHANGES] if (refitted := x.refit(current)) is not None}
+    change = min(fits, key=lambda k: round(fits[k].bic, _TIE), default=None)
+    if change is None:
+        return None
+    end = _refined(fits[change], criteria)
+    # a part of the fall is due to the noise
+    fall = current.bic - end.bic - max(current.deviance - deviance_at_noise_of(current, end), 0.0)
+    if not current.fails(criteria):
+        # a random torque may describe the data as well as the new laws
+        old, new = (f.bic - f.deviance + with_random_torque(f, criteria).deviance for f in (current, end))
+        fall = min(fall, old - new)
+    if fall < criteria.evidence:
+        return None
+    return Step(change, end, (), is_exchange=True)
+
+
+def _is_friction(effect: Effect) -> bool:
+    return effect.kind == "physical" and effect.mechanical and not (effect.periodic or needs_search(effect))
 
 
 _DRAWS = 2

@@ -21,6 +21,8 @@ CASING = "casing"
 _OWN = {"rotor": "on the rotor", CASING: "on the casing", "bearing": "between the bodies"}
 # separates the parts of a change of the model, "+casing.air.quadratic -casing.air.linear"; laws may contain spaces
 _PART = re.compile(r"(?:^|(?<!:) )(?=[+-][A-Za-z])")
+# separates the laws that an exchange adds from the one that it removes
+INSTEAD = " instead of "
 _INITIAL = {"omega_r": "rotor", "omega_c": CASING}
 
 
@@ -90,12 +92,14 @@ def effect_name(key: str, body: str = CASING, effects: Iterable[Effect] = ()) ->
 
 def change_name(change: str, body: str = CASING, effects: Iterable[Effect] = ()) -> str:
     """Return a change of the model in words: ``+casing.air.quadratic`` is "+ quadratic air drag of the casing"."""
-    parts = [p.strip() for p in _PART.split(change) if p.strip()]
+    new, instead, old = change.partition(INSTEAD)
+    parts = [p.strip() for p in _PART.split(new) if p.strip()]
     known = tuple(effects)
-    return " ".join(
+    words = " ".join(
         f"{'−' if p[0] == '-' else '+'} {effect_name(p[1:], body, known).words}" if p[0] in "+-" else p
         for p in parts
     )
+    return words + instead + effect_name(old, body, known).words if instead else words
 
 
 def of_body(text: str, body: str) -> str:

@@ -51,6 +51,8 @@ def test_the_torque_is_that_of_the_measured_motion(quantity, memory):
     [
         (1.01 * speed_residuals._MOVES, 9, True),
         (0.99 * speed_residuals._MOVES, 9, False),
+        (0.05, 9, True),
+        (0.002, 9, False),
         (-1.0, 9, True),
         (1.0, 2, True),
         (1.0, 1, False),

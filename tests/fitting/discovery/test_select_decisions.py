@@ -940,6 +940,12 @@ class TestSelect:
         assert (found.named, found.final) == ((known[1].fit, known[2].fit) if taken else (end, end))
         assert (calls[:1] == ["restarted"]) is taken
 
+    def test_exchanges_of_an_earlier_history_are_ignored(self, monkeypatch):
+        known = [Step("", Found(), ()), Step(f"+{DRAG.name}", Found(80.0), ())]
+        known.append(Step("+b instead of a", Found(70.0), (), is_exchange=True))
+        _, _, found = self.selected(monkeypatch, wrong=True, known=known)
+        assert (found.named, found.final) == (known[1].fit, known[1].fit)
+
     def test_less_noise_compares_the_class_again(self, monkeypatch):
         better = candidate(LAMINAR, -80.0)
         steps = [Step("", Found(), ()), Step("+a", Found(40.0), ())]
@@ -1003,7 +1009,10 @@ class TestPassedOn:
         monkeypatch.setattr(module, "improve", recorded)
         select(base, first, self.OWN, strict, "workers")
         assert asked == [
-            ((base, self.OWN), {"criteria": strict, "max_steps": 2, "first": first, "workers": "workers"})
+            (
+                (base, self.OWN),
+                {"criteria": strict, "max_steps": 2, "first": first, "workers": "workers", "exchange": False},
+            )
         ]
         asked.clear()
         monkeypatch.setattr(module, "rank", recorded)
