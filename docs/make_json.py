@@ -82,7 +82,7 @@ Every command prints one JSON document with `--json`, and nothing else on stdout
 generated from the program by `docs/make_json.py`, and a test compares it with the documents of real commands. For
 example, this command prints the parameters of a fit with their standard errors:
 
-```bash
+```sh
 gyrotrack fit case.h5 --json | jq .parameters
 ```
 

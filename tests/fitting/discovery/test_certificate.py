@@ -88,12 +88,12 @@ class TestRates:
 
     def test_the_document_has_the_keys_of_the_contract(self):
         found = made(outcome(), outcome("truth", effect=NAME, named=(NAME,), inside={"k": True}))
-        document = json.loads(json.dumps(certificate_document(found)))
+        document = json.loads(json.dumps(certificate_document(found, "f1")))
         assert {"n", "null", "p_empirical", "truth", "rivals", "film"} <= document.keys()
         assert {"alarms", "rate", "interval", "names"} <= document["null"].keys()
         assert document["truth"]["coverage"] == {"k": 1.0}
         assert document["film"] is False
-        assert certificate_document(made(outcome()))["truth"] is None
+        assert certificate_document(made(outcome()), "f1")["truth"] is None
 
     def test_the_sentence_tells_rate_p_value_and_shares(self):
         text = made(outcome(), outcome("truth", effect=NAME, named=(NAME,))).sentence
