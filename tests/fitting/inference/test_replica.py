@@ -270,3 +270,19 @@ def test_modelled_speeds_contain_laws_of_an_angle(gyroscope):
     fast = evaluated > 0.8 * evaluated.max()
     shown, whole = (np.diff((v - evaluated + response[0, 1])[fast]) for v in (speed, evaluated))
     assert np.std(shown) < 0.1 * np.std(whole)
+
+
+def test_the_windows_of_the_rotor_have_harmonics_of_their_stated_size(gyroscope):
+    """Of 12 orders, each with a cosine and a sine of 0.05 rad: a variance of 12 * 0.05^2."""
+    data = gyroscope.problem.data[0]
+    rotor = tuple(
+        replace(w, samples=replace(w.samples, harmonic=h))
+        for w, h in zip(data.rotor, (0.05, 0.0, 0.0), strict=True)
+    )
+    plain, wavy = (
+        _replica._recording(FittedMotion(gyroscope, 0, d), np.random.default_rng(0))
+        for d in (data, replace(data, rotor=rotor))
+    )
+    added = [b.value - a.value for a, b in zip(plain.rotor, wavy.rotor, strict=True)]
+    assert added[0].std() == pytest.approx(0.05 * np.sqrt(12.0), rel=0.4)
+    assert not np.any([a.any() for a in added[1:]])

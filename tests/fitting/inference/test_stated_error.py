@@ -295,7 +295,7 @@ class TestWindowsOfTheRotor:
 
     LEVEL = 0.5e-3
 
-    def record(self, harmonics):
+    def record(self, harmonics, quantity="angle"):
         t = np.arange(1600) / 100
         u = np.full(len(t), 1e-3)
         whole = np.arange(4000) / 100
@@ -305,7 +305,9 @@ class TestWindowsOfTheRotor:
             (t + start, 2 * np.pi * x + e, u) for start, x, e in zip((0, 20), turns, noise, strict=True)
         ]
         casing = (whole, 5.0 * whole, np.full(len(whole), 1e-3))
-        return make_record(casing=casing, rotor=windows, I_rotor=5e-5, I_casing=1e-5, harmonics=harmonics)
+        return make_record(
+            casing=casing, rotor=windows, I_rotor=5e-5, I_casing=1e-5, harmonics=harmonics, quantity=quantity
+        )
 
     def data(self, *harmonics):
         return replace(CaseData.of(self.record(harmonics)), noiseless=True)
@@ -332,8 +334,10 @@ class TestWindowsOfTheRotor:
             assert own.max() < beyond if beyond < 1 else own.max() > beyond
         assert not covariance[:rows, rows:].any()
 
-    def test_without_an_error_the_noise_is_white(self):
+    def test_without_an_error_of_an_angle_the_noise_is_white(self):
         assert not len(self.data().rotor_angle_noise.root)
+        speeds = CaseData.of(self.record((self.LEVEL, self.LEVEL), "omega"))
+        assert not len(speeds.rotor_angle_noise.root)
 
     def test_simulated_recordings_have_it(self):
         data = self.data(0.0, self.LEVEL)

@@ -350,6 +350,12 @@ class TestBodies:
         )
         return bodies, warnings, joined, len(perspective)
 
+    def test_the_harmonics_of_all_bodies_are_measured(self, monkeypatch):
+        turning, still = body(np.linspace(0, 40, 400)), body(np.linspace(0, 20, 400))
+        monkeypatch.setattr(module, "harmonic_error", lambda angle: float(angle[-1]))
+        bodies, *_ = self.followed(monkeypatch, rotor=turning, casing=still)
+        assert {name: b.harmonic for name, b in bodies.items()} == {"rotor": 40.0, "casing": 20.0}
+
     def test_the_casing_is_joined_again_with_the_rotor_beneath(self, monkeypatch):
         turning, still = body(np.linspace(0, 40, 400)), body(np.linspace(0, 20, 400))
         better = body(np.linspace(0, 20, 400), sigma=5e-4)

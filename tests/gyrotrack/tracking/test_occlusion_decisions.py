@@ -305,8 +305,8 @@ class TestMeasured:
 
     @pytest.mark.parametrize(("before", "rounds", "after"), [(0.2, 1, 0.3), (None, 3, 0.4)])
     def test_a_known_template_moves_half_way_to_that_of_a_batch(self, monkeypatch, before, rounds, after):
-        fitted = []
-        monkeypatch.setattr(tracker, "even_light", lambda *_: np.ones(4))
+        fitted, reaches = [], set()
+        monkeypatch.setattr(tracker, "even_light", lambda _, reach: reaches.add(reach) or np.ones(4))
         monkeypatch.setattr(
             tracker, "match", lambda profile, template, start, seen: fitted.append(template) or matches(9)
         )
@@ -322,6 +322,7 @@ class TestMeasured:
         )  # fmt: skip
         every = np.ones(9, dtype=bool)
         tracker.MarkerTracker._matched_across(given, window, np.ones((9, 5), dtype=bool), every)
+        assert reaches == {10}
         assert given._across == pytest.approx(np.full(5, after))
         assert len(fitted) == 1 + rounds
         assert fitted[-1] == pytest.approx(np.full(5, after))
