@@ -125,6 +125,16 @@ def test_only_measured_uncertainties_are_those_of_tracking(tmp_path, source, tra
     assert wheel_with(tmp_path / "case.h5", **source).tracked is tracked
 
 
+def test_a_body_without_a_known_inertia_has_torques_per_unit_of_inertia(tmp_path):
+    wheel_with(tmp_path / "case.h5")
+    with h5py.File(tmp_path / "case.h5", "r+") as file:
+        file.attrs["I_casing"] = 3.0
+    assert read_record(tmp_path / "case.h5").I_casing == 1.0
+    with h5py.File(tmp_path / "case.h5", "r+") as file:
+        file.attrs["per_inertia"] = 0
+    assert read_record(tmp_path / "case.h5").I_casing == 3.0
+
+
 PROFILE = ((0.0, 4 * SIGMA), (10.0, SIGMA), (60.0, 2 * SIGMA))
 
 

@@ -302,6 +302,23 @@ def test_modes_that_cannot_be_read_again_are_not_written(stated, tmp_path, chang
     assert not list(tmp_path.glob("new*"))
 
 
+@pytest.mark.parametrize(("lost", "refused"), [("angle", False), (None, True)])
+def test_a_mode_is_finite_where_its_series_is_measured(stated, tmp_path, lost, refused):
+    mode, angle = stated.casing.modes[0], stated.casing.angle.copy()
+    basis = mode.basis.copy()
+    basis[3] = np.nan
+    if lost:
+        angle[3] = np.nan
+    series = replace(stated.casing, angle=angle, modes=(replace(mode, basis=basis),))
+    case = replace(stated, casing=series)
+    if refused:
+        with pytest.raises(UsageError, match="not finite"):
+            write_case(tmp_path / "new.h5", case, command="", settings={})
+    else:
+        path = write_case(tmp_path / "new.h5", case, command="", settings={})
+        np.testing.assert_array_equal(read_case(path).casing.modes[0].basis, basis)
+
+
 def test_two_modes_of_one_name_are_refused(stated, tmp_path):
     case = replace(stated, casing=replace(stated.casing, modes=stated.casing.modes * 2))
     with pytest.raises(UsageError, match="no unique name"):
