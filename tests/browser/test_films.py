@@ -177,6 +177,7 @@ _SAMPLES = (
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_cancelled_film_is_continued_from_its_checkpoint(open_page, tmp_path):
     shutil.copy(CLIPS / "casing.mp4", tmp_path / "casing_260fps.mp4")
     page = open_page(str(tmp_path / "casing_260fps.mp4"))

@@ -26,6 +26,7 @@ def visit(chromium, report, request):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_it_shows_what_it_is_about_and_fits_the_window(visit):
     assert visit.locator("h1").inner_text() == HOSTILE
     assert "Missing:" in visit.locator(".answer").inner_text()

@@ -381,6 +381,7 @@ def test_a_fit_is_kept_in_the_ledger_and_quitting_leaves_nothing_behind(chromium
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.release
 def test_a_signal_ends_it_while_it_searches(chromium, case, tmp_path, sign):
     server = Server(str(case), "--ledger", str(tmp_path / "fits.json"))
     found = Visit(chromium)
@@ -477,6 +478,7 @@ LAYOUT = """() => {
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_nothing_is_cut_at_any_width_and_the_panes_stay_on_the_screen(visit):
     visit.locator("#ranking .card").first.wait_for(timeout=150_000)
     for width, height, scheme in (

@@ -196,6 +196,7 @@ def test_a_result_prints_within_a_screen():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_results_of_a_diagnosis_print_within_a_screen():
     found, _, diagnosis = searched()
     for result in (

@@ -241,6 +241,7 @@ def test_one_case_or_a_list():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_documentation_page_runs(tmp_path, monkeypatch, capsys):
     for name, seed, words in (
         ("case1", "2", []),

@@ -41,6 +41,7 @@ def test_harmonics_of_the_residual_torque_contain_an_unbalance(order):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("centre", "width"), [(10, 3), (12, 1), (30, 3)])  # rad/s
+@pytest.mark.release
 def test_a_lack_of_fit_elsewhere_is_not_a_harmonic(centre, width):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -8e-6 * np.exp(-(((wc - centre) / width) ** 2)))
     cameras = twobody.Cameras(span=60.0, windows=(2.0, 25.0, 55.0))
@@ -55,6 +56,7 @@ def test_a_lack_of_fit_elsewhere_is_not_a_harmonic(centre, width):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_strong_unbalance_leaves_no_torque_on_the_rotor():
     """Angles of 4,000 turns: rounding of their constant was a torque of 3,300 uN m on the rotor, 370 on the casing."""
     strength = 3.6e-5

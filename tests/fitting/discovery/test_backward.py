@@ -12,6 +12,7 @@ DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-10 * abs(wc) * wc)
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_effects_that_imitated_the_newest_are_dropped():
     record = make_record(**twobody.film(twobody.simulate(hidden=DRAG, ou=5e-8, seed=3), 3))
     base = fit(Model.of(REDUCED), [record])
@@ -23,6 +24,7 @@ def test_effects_that_imitated_the_newest_are_dropped():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_per_case_phases_remain_when_another_effect_is_dropped():
     data = records(unbalance, APART)
     base = fit(Model.of(REDUCED), data)

@@ -143,6 +143,7 @@ class TestHypotheses:
 
 class TestRuns:
     @pytest.mark.slow
+    @pytest.mark.release
     def test_the_truth_is_found_and_the_null_is_not(self, answer):
         truth, null = outcomes_of(answer, [("truth", NAME, 0), ("null", "", 0)])
         assert truth.named[0] == NAME

@@ -53,6 +53,7 @@ def test_a_distant_changepoint_is_found_from_the_residual_torque():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("at", [0.35, 0.57, 0.61])
+@pytest.mark.release
 def test_a_strong_step_is_found_in_its_narrow_minimum(at):
     par = {**twobody.PAPER, "a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
     span = 60.0
@@ -68,6 +69,7 @@ def test_a_strong_step_is_found_in_its_narrow_minimum(at):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["touchpoint.step", "casing: -k*heaviside(t - t0)"])
+@pytest.mark.release
 def test_a_changepoint_that_is_added_to_a_fit_is_searched_first(name):
     hidden = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -1.2e-5 if t >= 126.4 else 0.0)
     data = [CaseData.of(make_record(**twobody.film(twobody.simulate(hidden=hidden, ou=1e-7, seed=4), 4)))]

@@ -46,6 +46,7 @@ def test_criteria_are_immutable_and_validated():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_significance_decides_the_verdict():
     assert diagnosed().verdict == "missing_effect"
     none = diagnose(wheel(), criteria=Criteria(significance=0.0), brief=True)

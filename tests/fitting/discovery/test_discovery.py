@@ -50,6 +50,7 @@ def diagnosed(*given):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.release
 def test_a_missing_effect_is_ranked_first_with_its_strength(name):
     """A heated bearing: see test_other_gyroscopes.py."""
     found = diagnosed(name)
@@ -75,6 +76,7 @@ def test_an_exact_law_has_no_remainder():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_two_processes_give_the_same_result_as_one():
     fit_, _, alone = searched()
     with WorkerPool(1) as workers:
@@ -87,6 +89,7 @@ def test_two_processes_give_the_same_result_as_one():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("ou", "centre"), [(0.0, 0.0), (1e-7, 2e-3)])
+@pytest.mark.release
 def test_no_effect_is_found_in_data_of_the_model(ou, centre):
     found = diagnosed("", 3, ou, centre)
     assert found.verdict == "adequate"
@@ -97,6 +100,7 @@ def test_no_effect_is_found_in_data_of_the_model(ou, centre):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_wrong_inertia_is_a_measurement_effect():
     found = diagnose(base(seed=1, inertia=1.03))
     assert found.verdict == "missing_effect"
@@ -146,6 +150,7 @@ def test_false_alarms_are_as_rare_as_claimed():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_named_class_contains_the_true_effect_under_process_noise():
     found = diagnose(base("touchpoint.stribeck", seed=7, ou=5e-8))
     assert found.verdict == "missing_effect"

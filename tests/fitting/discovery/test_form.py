@@ -78,6 +78,7 @@ def test_a_weak_test_or_an_active_bound_is_not_strong():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_torque_that_decays_in_time_is_not_named_heating_only():
     """A heated bearing and one that is run in give the same motion here: the answer is a class."""
     law = resolve("bearing: k*exp(-t/9)")
@@ -102,6 +103,7 @@ def test_a_torque_that_decays_in_time_is_not_named_heating_only():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_nine_in_ten_deviations_of_the_limit_are_detected():
     """Rows of the linear theory itself: random smooth deviations of twice the limit, put through the smooth test."""
     from fitting.discovery._lack_of_fit import smooth_test

@@ -63,6 +63,7 @@ def test_without_an_uncertainty_or_for_another_effect_nothing_is_allowed():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("u", "verdict"), [(0.01, "adequate"), (0.001, "missing_effect")])
+@pytest.mark.release
 def test_a_casing_one_percent_too_light(u, verdict):
     film = twobody.film(twobody.simulate(seed=2), 2, twobody.FEWER_FRAMES)
     record = make_record(**film)
@@ -74,6 +75,7 @@ def test_a_casing_one_percent_too_light(u, verdict):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_wrong_inertia_is_reported_with_the_effect(monkeypatch):
     """Quadratic drag and I_casing wrong by 3 %: the name stays, and the error is found with its uncertainty."""
     model = Model.of(REDUCED).with_effect(LIBRARY["casing.air.quadratic"])

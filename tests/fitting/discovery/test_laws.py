@@ -110,6 +110,7 @@ def test_formulas_with_the_same_torque_along_the_motion_are_grouped(monkeypatch)
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_saturating_drag_is_found_with_its_parameters():
     _, found = saturating()
     assert found.verdict == "law"
@@ -139,6 +140,7 @@ def test_an_effect_of_the_library_is_the_answer_only_if_no_law_is_clearly_better
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_shared_parameter_that_differs_between_recordings_is_named_with_both_values():
     """The same touch point in both recordings is none; one of 4e-6 N m in the second is found, with both values."""
     shared = ["touchpoint.constant.b1", "casing.air.linear.b2"]
@@ -259,6 +261,7 @@ def test_a_saved_law_fits_as_an_effect(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_no_law_is_found_in_data_of_the_model():
     found = laws(fitted())
     assert found.verdict == "none"
@@ -295,6 +298,7 @@ def test_no_dependence_is_significant_in_null_data():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_saturating_drag_of_a_single_body_is_found():
     """A law that replaces another changes the friction of the base by as much: the refit starts at these values."""
     from scipy.integrate import solve_ivp
@@ -318,6 +322,7 @@ def test_a_saturating_drag_of_a_single_body_is_found():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_brake_that_is_switched_on_is_found_and_its_torque_is_that_of_the_motion():
     """The brake k omega acts from 30 s on; speed and angle are those of two exponentials."""
     b1, b2, k, moment, first = 0.3, 0.004, 0.15, 30.0, 60.0

@@ -54,6 +54,7 @@ def test_a_nonparametric_law_describes_the_data_as_well_as_the_true_one():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_step_in_time_is_not_a_law_of_the_speed():
     step = gain("step", LIBRARY["touchpoint.step"], **{"touchpoint.step.t0": 88.0})
     assert nonparametric_law(base("step"), "casing", "omega_c") < 0.6 * step
@@ -61,6 +62,7 @@ def test_a_step_in_time_is_not_a_law_of_the_speed():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_sinusoid_of_many_periods_is_not_a_slow_torque():
     """Sixteen periods: a spline with five knots in time does not resolve them."""
     effect = LIBRARY["casing.precession"]
@@ -69,6 +71,7 @@ def test_a_sinusoid_of_many_periods_is_not_a_slow_torque():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_sinusoid_of_less_than_a_period_is_not_named():
     """Amplitude and phase of less than a period are degenerate: nothing of them is determined."""
     found = base("wear")

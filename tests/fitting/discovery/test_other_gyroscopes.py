@@ -49,6 +49,7 @@ def ranked():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_heated_bearing_is_ranked_first_and_its_refit_lowers_the_deviance_by_at_least_its_score():
     base, candidates = ranked()
     heating = candidates[0]
@@ -69,6 +70,7 @@ def test_no_refit_is_worse_than_its_base():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_rivals_are_separated_at_the_noise_of_the_better_one():
     """Friction that rises sharply at low speed: with process noise of that size, several laws seem to explain it."""
     rise = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -2e-6 * math.exp(-abs(wc) / 6.0))

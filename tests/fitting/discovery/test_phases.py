@@ -16,6 +16,7 @@ def off(estimate, phi):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_per_case_phases_are_found():
     name = "casing.precession"
     answer = diagnose(fit(Model.of(REDUCED), records(precession, APART)))
@@ -32,6 +33,7 @@ def test_per_case_phases_are_found():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_common_phase_is_found_as_common():
     (best, *_) = (c for c in rank(fit(Model.of(REDUCED), records(unbalance, ALIKE))) if c.fit is not None)
     assert best.effect.name == "casing.unbalance"
@@ -42,6 +44,7 @@ def test_a_common_phase_is_found_as_common():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_an_effect_added_by_the_user_may_have_per_case_phases():
     data = records(precession, APART)
     base = fit(Model.of(REDUCED), data)

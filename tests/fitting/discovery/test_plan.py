@@ -168,6 +168,7 @@ class TestLimits:
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_an_effect_that_shifts_a_parameter_to_its_bound_has_a_smaller_detection_limit(described):
     """Drift of the bearing shifts the exponent g; held at its bound of 1.4, g no longer absorbs the drift."""
     few, usual = "casing_fps = 60.0\nrotor_fps = 250.0", "casing_fps = 260.0\nrotor_fps = 1000.0"

@@ -230,6 +230,7 @@ def test_the_most_likely_random_torque_is_never_above_its_ceiling():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_drag_is_named_beside_a_random_torque():
     """A torque of 1e-6 N m is established beside a random one of 1e-7 N m with a correlation time of 1 s."""
     found = diagnose(fitted(ou=1e-7, hidden="drag"))

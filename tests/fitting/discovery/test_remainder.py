@@ -63,6 +63,7 @@ def answer(name):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_similar_exponent_is_reported_with_its_uncertainty():
     found = answer("exponent")
     assert (found.verdict, found.form) == ("missing_effect", "approximate")
@@ -76,6 +77,7 @@ def test_a_similar_exponent_is_reported_with_its_uncertainty():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_an_exponent_between_two_laws_is_not_attributed_to_noise():
     """More random torque describes the deviation from either law; the exponent describes it better."""
     found = answer("exponent between")
@@ -88,6 +90,7 @@ def test_an_exponent_between_two_laws_is_not_attributed_to_noise():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_similar_exponent_of_a_law_that_the_base_absorbs_is_not_an_unexplained_torque():
     """What the base leaves of omega_r^2.1 differs by more than a half from what it leaves of the square.
 
@@ -113,6 +116,7 @@ def test_a_similar_exponent_of_a_law_that_the_base_absorbs_is_not_an_unexplained
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_interval_of_the_free_exponent_contains_the_truth():
     steps = improve(base("exponent"))
     assert steps[-1].change == "+casing.air.quadratic.n"
@@ -124,6 +128,7 @@ def test_interval_of_the_free_exponent_contains_the_truth():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_step_of_finite_width_is_named_a_step():
     found = answer("ramp")
     assert (found.verdict, found.form) == ("missing_effect", "approximate")
@@ -132,6 +137,7 @@ def test_a_step_of_finite_width_is_named_a_step():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_third_harmonic_is_the_remainder_after_an_unbalance():
     found = answer("unbalance")
     assert found.verdict == "missing_effect"
@@ -148,6 +154,7 @@ def test_a_third_harmonic_is_the_remainder_after_an_unbalance():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_law_outside_the_library_is_not_named_exactly():
     found = answer("resonance")
     assert found.form != "exact"
@@ -176,6 +183,7 @@ def test_camera_effects_are_nuisance_parameters_and_no_candidates():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_nuisance_intervals_have_the_stated_coverage():
     pulls = []
     for seed in range(8):
@@ -220,6 +228,7 @@ def test_a_smooth_law_represents_any_cubic_of_a_speed():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_law_of_another_speed_is_not_called_close_to_an_effect():
     """A saturating drag: the heating of the bearing, with the base adapted, explains 99.9 % of the net torque.
 

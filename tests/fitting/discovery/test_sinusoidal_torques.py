@@ -61,6 +61,7 @@ def test_an_added_effect_starts_at_the_optimum_of_the_score(base):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_second_effect_is_found_after_a_sinusoidal_one():
     fitted = fit(Model.of(REDUCED), [make_record(**twobody.film(motion(swing, unbalance)))])
     rungs = improve(fitted)

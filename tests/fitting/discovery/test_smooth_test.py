@@ -28,6 +28,7 @@ def found(seed, hidden, *more):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_smooth_test_rejects_a_law_of_the_wrong_shape_that_slow_torques_accept():
     named = found(5, DIP, "touchpoint.step")
     assert named.verdict == "no_lack_of_fit"
@@ -42,6 +43,7 @@ def test_smooth_test_accepts_the_right_law(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_rejected_effect_is_named_as_a_hypothesis():
     base = found(5, DIP)
     (step,) = (c for c in rank(base) if c.effect.name == "touchpoint.step")

@@ -141,6 +141,7 @@ def difference(name, key, times):
 @pytest.mark.parametrize(
     "name", ["stops", "freed by time", "turned round", "stopped by a step", "held and heated"]
 )
+@pytest.mark.release
 def test_sensitivities_match_differences_across_events(name):
     _, _, span, dynamics, numbers, path = solved(name)
     found = sensitivities(dynamics, numbers, path)

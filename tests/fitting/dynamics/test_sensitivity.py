@@ -44,6 +44,7 @@ def difference(p, key, times):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["none", "general", "stribeck", "step", "heating", "precession", "drift"])
+@pytest.mark.release
 def test_sensitivities_match_differences(name):
     p = PAPER | EXTRA[name]
     dynamics, numbers, path = solved(p)

@@ -48,6 +48,7 @@ def case(sigma=0.0, correlation=0.1, seed=0, torque_noise=0.0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "correlation"), [(3e-3, 0.1), (1e-3, 0.3)])
+@pytest.mark.release
 def test_level_and_correlation_time_are_estimated(sigma, correlation):
     found = case(sigma, correlation).angle_noise
     # what a level over the root of the time has, is what slow rows see
@@ -59,6 +60,7 @@ def test_level_and_correlation_time_are_estimated(sigma, correlation):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("torque_noise", [0.0, 1e-7, 1e-6])
+@pytest.mark.release
 def test_white_and_process_noise_are_not_correlated_angle_noise(torque_noise):
     assert all(case(seed=seed, torque_noise=torque_noise).angle_noise.sigma == 0 for seed in range(1, 3))
 

@@ -160,6 +160,7 @@ class TestFit:
         assert named.bic == pytest.approx(known.bic, rel=1e-9)
 
     @pytest.mark.slow
+    @pytest.mark.release
     def test_intervals_cover_the_truth(self):
         """Sixty recordings, of which 95 % are expected to be covered, with three standard deviations."""
         found = np.array([list(pulls(fit(MODEL, recorded(100 + i))).values()) for i in range(60)])
@@ -173,6 +174,7 @@ class TestDiagnosis:
     @pytest.mark.parametrize(
         ("hidden", "seed"), [("wheel.air.quadratic", 3), ("drum.air.linear", 4), ("belt.linear", 5)]
     )
+    @pytest.mark.release
     def test_a_hidden_law_is_named(self, hidden, seed):
         found = diagnose(fit([name for name in MODEL if name != hidden], recorded(seed)))
         assert (found.verdict, found.form) == ("missing_effect", "exact")

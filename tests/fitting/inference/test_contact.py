@@ -142,6 +142,7 @@ def test_a_fit_finds_ratio_and_losses_of_rolling_bodies():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_standard_uncertainties_of_a_contact_are_those_of_the_scatter():
     """Pulls over 16 recordings: their rms is 1, with a standard deviation of 0.18 for each parameter."""
     t, sigma = np.arange(0.0, 60.0, 0.05), 2e-3

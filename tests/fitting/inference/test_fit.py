@@ -154,6 +154,7 @@ SEEDS = 14
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_uncertainties_without_a_random_torque_have_the_stated_coverage():
     """Over 14 recordings: 95 % intervals must hold the truth in 85 to 100 % of all cases, taken together.
 

@@ -84,6 +84,7 @@ def test_strong_periodic_torque_is_not_correlated_angle_noise():
 @pytest.mark.parametrize(
     ("strength", "step", "shown"), [(1.1, 0.03, True), (0.0, 0.01, False), (0.0, 0.03, False)]
 )
+@pytest.mark.release
 def test_harmonics_are_free_only_where_the_angle_shows_a_torque(strength, step, shown):
     # blocks of a second hold less than two turns: most rows of harmonics are polynomials, and empty
     record, _ = wheel(strength, 1, quantity="angle", step=step)
@@ -92,6 +93,7 @@ def test_harmonics_are_free_only_where_the_angle_shows_a_torque(strength, step, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("strength", "quantity"), [(1.1, "omega"), (0.03, "omega"), (1.1, "angle")])
+@pytest.mark.release
 def test_standard_errors_are_those_of_repeats(strength, quantity):
     errors = []
     for seed in range(6):
@@ -106,6 +108,7 @@ def test_standard_errors_are_those_of_repeats(strength, quantity):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_no_periodic_torque_is_named_where_there_is_none():
     named = []
     for seed in range(3):

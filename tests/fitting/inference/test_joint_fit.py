@@ -64,6 +64,7 @@ def test_a_bearing_with_per_case_parameters_is_fitted(free):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_start_values_do_not_depend_on_how_many_cases_share_them():
     record = data(seed=0).record
     starts = []
@@ -77,6 +78,7 @@ def test_start_values_do_not_depend_on_how_many_cases_share_them():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [71, 81])
+@pytest.mark.release
 def test_a_case_with_a_lack_of_fit_does_not_bias_the_other(seed):
     """Process noise in both cases would allow a compromise, with b1 of the good case wrong by 40 %."""
     drag = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -3e-5 * (wc / 100) ** 2)

@@ -32,6 +32,7 @@ def found(hidden, seed, model=REDUCED):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_lack_of_fit_of_noise_has_the_expected_distribution():
     lacks = [found(twobody.Hidden(), seed).lack_of_fit for seed in range(4)]
     chi2, dof = sum(x.chi2 for x in lacks), sum(x.dof for x in lacks)

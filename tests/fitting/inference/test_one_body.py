@@ -77,6 +77,7 @@ def test_a_recording_of_one_turn_is_fitted():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["omega", "angle"])
+@pytest.mark.release
 def test_uncertainties_agree_with_the_scatter_of_many_wheels(quantity):
     fits = [fit(BASE, [wheel(quantity=quantity, seed=seed)]) for seed in range(100, 116)]
     pulls = [pull(f, "casing.air.linear.b2", LINEAR) for f in fits]

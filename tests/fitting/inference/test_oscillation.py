@@ -103,6 +103,7 @@ def test_the_motion_of_a_body_released_at_rest_does_not_depend_on_the_sign_of_it
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_quadratic_drag_of_a_pendulum_released_at_rest_is_the_second_effect():
     t, angle, _ = oscillators.motion(
         lambda t, a, w: -12 * np.sin(a) - 0.01 * w - 0.008 * w * abs(w), (1.3, 0.0), 25.0, 50.0
@@ -269,6 +270,7 @@ def test_a_step_of_friction_between_reversals_is_solved():
         ("casing.spring.cubic", lambda t, a, w: -12 * a**3 - 0.1 * w),
     ],
 )
+@pytest.mark.release
 def test_a_missing_restoring_torque_is_found(name, law):
     """From dry friction and drag, the model with which every study of a single body begins."""
     t, angle, _ = oscillators.motion(law, (1.3, 0.0), 15.0, rate=50.0)
@@ -288,6 +290,7 @@ def test_a_missing_restoring_torque_is_found(name, law):
         ([SPRING, "touchpoint.constant"], lambda t, a, w: -12 * a, 0.1),
     ],
 )
+@pytest.mark.release
 def test_95_percent_intervals_contain_the_truth(model, law, dry):
     t, angle, _ = oscillators.motion(law, (1.0, 0.0), 10.0, rate=40.0, dry=dry)
     truth = {f"{model[0]}.k": 12.0, "initial.deflection@body": 1.0}

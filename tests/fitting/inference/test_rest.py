@@ -41,6 +41,7 @@ RESTS = {
     "name", [pytest.param(n, marks=() if n == "early" else pytest.mark.slow) for n in RESTS]
 )
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_casing_that_comes_to_rest_within_the_record_is_fitted(name):
     record, true, events = with_rest(RESTS[name])
     effects = dict.fromkeys([*REDUCED, *(k.rpartition(".")[0] for k in RESTS[name])])

@@ -78,6 +78,7 @@ def test_the_robust_minimum_agrees_with_scipy(loss, tuning):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_outliers_cost_little():
     """One sample in twenty is wrong by thirty sigma: least squares loses a factor of six, a robust loss a tenth."""
     raw = spoiled(0, **FEWER_FRAMES)
@@ -94,6 +95,7 @@ def test_outliers_cost_little():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_uncertainties_are_valid_with_outliers():
     """4 recordings x 8 parameters, of which about two are independent: rms pull 1 +- 0.25, less where noise of the
     windows is allowed that these data do not have."""

@@ -24,6 +24,7 @@ _STIFF = {"casing.friction.gms", "casing.friction.lugre", "casing.friction.presl
         if e.kind == "physical"
     ],
 )
+@pytest.mark.release
 def test_the_motion_with_each_effect_is_that_of_another_integrator(name):
     model = Model([LIBRARY[n] for n in dict.fromkeys((*REDUCED, name))])
     numbers = typical_of_model(

@@ -25,6 +25,7 @@ def unbalanced():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("start", [{}, {"casing.unbalance.k": 1e-6, "casing.unbalance.phi": PHASE + math.pi}])
+@pytest.mark.release
 def test_a_strong_unbalance_is_found_from_zero_and_from_the_opposite_phase(unbalanced, start):
     found = fit(Model.of((*REDUCED, "casing.unbalance")), [unbalanced], start=start)
     k, phi = (found.estimates[f"casing.unbalance.{s}"] for s in ("k", "phi"))

@@ -102,6 +102,7 @@ def test_windows_with_known_starts_are_unchanged():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_uncertain_window_starts_are_not_missing_effect():
     """Start times wrong by a millisecond give a lack of fit if they count as exact, and none if uncertain."""
     model = Model.of(REDUCED)
@@ -117,6 +118,7 @@ def test_uncertain_window_starts_are_not_missing_effect():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_uncertainties_agree_with_the_scatter_of_many_recordings():
     pulls = []
     for seed in range(10, 22):

@@ -50,6 +50,7 @@ def loop(k, a, s, q, half, x):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_intervals_cover_the_constants_of_both_elements():
     angle = swings()
     names = [n for n in TRUE if n.startswith(GMS)]

@@ -72,6 +72,7 @@ def test_a_single_run_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_intervals_of_mean_and_spread_have_the_stated_coverage():
     """600 sets of 8 runs of unequal uncertainty: 68 % intervals of spread, and of the mean by Student's t with 7."""
     rng = np.random.default_rng(1)

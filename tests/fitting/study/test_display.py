@@ -53,6 +53,7 @@ class _Seen(HTMLParser):
         self.text += data + " "
 
 
+@pytest.mark.release
 def test_notebooks_show_tables_with_names_as_text(story):
     base, diagnosis, ladder, _ = story
     assert isinstance(ladder, History)

@@ -198,6 +198,7 @@ def test_few_runs_have_no_population():
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_false_changes_are_as_rare_as_stated():
     """200 sets without a change: three parameters with correlated errors and unequal spread, 12 or 40 runs."""
     rng = np.random.default_rng(8)

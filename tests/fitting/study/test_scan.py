@@ -60,6 +60,7 @@ def test_shades_have_the_thresholds_of_the_paper():
     assert shades == ["white", "white", *["light gray"] * 2, "gray", "gray", "dark gray", "dark gray"]
 
 
+@pytest.mark.release
 def test_the_scan_has_every_run_for_every_case(found, data):
     assert found.labels == ("case_1", "case 2")
     assert [len(rows) for rows in (*found.air, *found.bearing)] == [5, 5, 15, 15]
@@ -201,6 +202,7 @@ def test_the_document_contains_plain_numbers(found):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_one_case_has_no_joint_fit(data):
     alone = scan(data[:1])
     for model in alone.models:

@@ -173,6 +173,7 @@ def test_command_on_a_table(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unsearched")
+@pytest.mark.release
 def test_units_follow_the_inertia(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     t = np.arange(200) / 20
@@ -252,6 +253,7 @@ def correlated(rng, n, sigma, frames):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_uncertainties_contain_correlated_errors():
     t = np.arange(300) / 60
     truth = 4 * t - 0.1 * t**2
@@ -320,6 +322,7 @@ def dots(film):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unsearched")
+@pytest.mark.release
 def test_a_film_that_shows_two_rotations_ends_with_exit_code_3(tmp_path, monkeypatch, capsys):
     """Three equal arms that turn by 66 to 40 degrees a frame look like +54 to +80; both are stated, one is taken."""
     monkeypatch.chdir(tmp_path)
@@ -401,6 +404,7 @@ def test_trifilar():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not REAL.is_dir(), reason="no films of others")
+@pytest.mark.release
 def test_two_bodies_about_one_axis():
     """By the picture, most of which turns with the casing; a selected body is that of `extract`."""
     film = REAL / "pathtraced" / "casing_wood.mp4"
@@ -590,6 +594,7 @@ def _pendulum(tmp_path, law):
         (0.01, 0.0, {"touchpoint.constant", "casing.air.quadratic"}),
     ],
 )
+@pytest.mark.release
 def test_gravity_and_two_kinds_of_friction_are_named_together(
     tmp_path, capsys, monkeypatch, quadratic, viscous, damping
 ):
@@ -615,6 +620,7 @@ def test_a_computed_table_is_described(tmp_path, capsys, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
+@pytest.mark.release
 def test_cases_of_oscillators(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, found = _said(capsys, CASES / "pendulum_94deg.csv")
@@ -628,6 +634,7 @@ def test_cases_of_oscillators(tmp_path, capsys, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
 @pytest.mark.usefixtures("unsearched")
+@pytest.mark.release
 def test_an_oscillator_whose_period_drifts(tmp_path, capsys, monkeypatch):
     """A kink after 9 s, and a period that shortens from 15.5 to 14 s: no further law describes that either."""
     monkeypatch.chdir(tmp_path)
@@ -640,6 +647,7 @@ def test_an_oscillator_whose_period_drifts(tmp_path, capsys, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("periods", "searched"), [(12, True), (130, False)])
+@pytest.mark.release
 def test_an_oscillation_of_hundreds_of_reversals_is_not_searched_for_further_laws(
     tmp_path, capsys, monkeypatch, unsearched, periods, searched
 ):

@@ -57,6 +57,7 @@ def batch(films, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_batch_from_films_to_fit_and_again(batch, tmp_path, capsys):
     code, plan = batch("--dry-run", "--until", "fit")
     assert code == 0
@@ -93,6 +94,7 @@ def test_names_of_files_are_shown_and_not_obeyed(films, tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of the cluster's own libraries
+@pytest.mark.release
 def test_a_cluster_whose_worker_is_killed(batch, films, tmp_path):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
@@ -126,6 +128,7 @@ def test_a_cluster_whose_worker_is_killed(batch, films, tmp_path):
 
 @pytest.mark.filterwarnings("default")  # of the cluster's own libraries
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.release
 def test_an_interrupted_batch_leaves_no_step_on_the_cluster(batch, films, tmp_path, number):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(

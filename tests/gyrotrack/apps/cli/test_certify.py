@@ -151,6 +151,7 @@ def test_duration_is_reported_once_and_outcomes_are_stored_from_time_to_time(mon
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of the cluster's own libraries
+@pytest.mark.release
 def test_a_cluster_gives_the_same_outcomes(gyrotrack, wheel, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     here = gyrotrack("certify", wheel, "-n", "5", "--seed", "3", "--workers", "1", "--json").json

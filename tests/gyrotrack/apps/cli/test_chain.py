@@ -328,6 +328,7 @@ class TestAnswers:
         assert again.chi2 == pytest.approx(made.chi2, rel=1e-6)
 
     @pytest.mark.slow
+    @pytest.mark.release
     def test_the_hidden_law_is_named_and_reported(self, gyrotrack, case, model, tmp_path):
         ledger = ["--ledger", tmp_path / "fits.json"]
         gyrotrack("fit", case, "--model", model, *ledger)
@@ -348,6 +349,7 @@ class TestAnswers:
         assert not [w for w in ("the rotor", "the casing", "the bearing<") if w in text]
 
     @pytest.mark.slow
+    @pytest.mark.release
     def test_an_answer_is_certified(self, gyrotrack, case, model, tmp_path):
         ledger = ["--ledger", tmp_path / "fits.json"]
         gyrotrack("fit", case, "--model", model, *ledger)

@@ -58,6 +58,7 @@ def lab(tmp_path_factory, simulated):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("entry", [e for e in COMMANDS if e.name not in LONG | SERVED], ids=lambda e: e.name)
+@pytest.mark.release
 def test_the_example_runs(gyrotrack, lab, tmp_path, monkeypatch, entry):
     shutil.copytree(lab, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
@@ -71,6 +72,7 @@ def test_the_example_runs(gyrotrack, lab, tmp_path, monkeypatch, entry):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_example_of_scan_runs(gyrotrack, lab, tmp_path, monkeypatch):
     shutil.copytree(lab, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
@@ -80,6 +82,7 @@ def test_the_example_of_scan_runs(gyrotrack, lab, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_examples_with_films_run(gyrotrack, demo, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     entries = {e.name: e for e in COMMANDS}

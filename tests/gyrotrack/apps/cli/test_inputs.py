@@ -230,6 +230,7 @@ REAL = {
 
 @pytest.mark.parametrize("name", REAL)
 @pytest.mark.slow
+@pytest.mark.release
 def test_constants_of_real_motors_are_those_of_a_plain_fit(capsys, tmp_path, name):
     table, columns, given, delay, start = REAL[name]
     if not (CASES / table).is_file():
@@ -252,6 +253,7 @@ def test_constants_of_real_motors_are_those_of_a_plain_fit(capsys, tmp_path, nam
 
 @pytest.mark.slow
 @pytest.mark.parametrize("late", [0, 12])
+@pytest.mark.release
 def test_spindown_measures_the_response_of_a_driven_body(capsys, tmp_path, late):
     a, path = np.exp(-0.01 / TAU), tmp_path / "motor.csv"
     acting = np.concatenate([np.full(late, VOLTAGE[0]), VOLTAGE[: len(VOLTAGE) - late]])

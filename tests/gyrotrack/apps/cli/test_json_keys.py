@@ -146,6 +146,7 @@ def test_keys_of_numbers(printed, words):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_keys_of_studies(printed, study, tmp_path):
     fit = printed("fit", study, "--from", "f1", "--profile", "b1")
     assert fit["parameters"]["touchpoint.constant.b1"]["interval"]

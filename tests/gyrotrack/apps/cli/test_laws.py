@@ -46,6 +46,7 @@ def test_the_result_is_printed_where_there_is_no_law_to_save(gyrotrack, simulate
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_search_of_one_case(gyrotrack, tmp_path):
     """A body whose drag saturates: -0.15 tanh(omega / 5) rad/s2 beside friction that the model has."""
     case, picture, file = tmp_path / "case.h5", tmp_path / "laws.svg", tmp_path / "lab.toml"

@@ -88,6 +88,7 @@ def test_a_series_is_fitted_as_it_was_measured(gyrotrack, tmp_path, series):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("series", SERIES)
+@pytest.mark.release
 def test_intervals_cover_the_constants(gyrotrack, tmp_path, series):
     """Quantised values without other noise err regularly, by less than independent errors; 28 pulses show no noise."""
     found = [deviations(gyrotrack, tmp_path, series, 100 + seed) for seed in range(SLOW.get(series, SEEDS))]

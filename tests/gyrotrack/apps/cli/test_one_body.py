@@ -22,6 +22,7 @@ def wheel(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_a_wheel(gyrotrack, wheel, tmp_path):
     case = tmp_path / "wheel.h5"
     said = gyrotrack("import", "--body", wheel, "--inertia", "2e-3", "-o", case, "--json")

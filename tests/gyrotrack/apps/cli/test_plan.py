@@ -30,6 +30,7 @@ def described(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_the_guides_description_gives_limits_a_run_and_a_picture(gyrotrack, described, tmp_path, monkeypatch):
     # how good limits and run are, tests/fitting/discovery/test_plan.py tells
     monkeypatch.setattr(_plan, "_EVALUATIONS", 12)
