@@ -811,6 +811,8 @@ def improve(
             if step is None:
                 break
             history.append(step)
+            if not step.fit.fails(criteria):
+                history.stopped = ""  # the reason applied to the model before the exchange
             if keep is not None:
                 keep(step)
     history.trace = tuple(trace.refits)

@@ -534,7 +534,8 @@ class CaseData:
         known = AngleNoise() if self._excess_angle_noise(noise, self.rotor) else noise
         if not self.is_angle or self.record.generated:
             return known
-        rows = [stated_error_rows(w, 0.0, 0.0, harmonic=w.samples.harmonic) for w in self.rotor]
+        errors = [(w, w.samples.harmonic) for w in self.rotor]
+        rows = [stated_error_rows(w, 0.0, 0.0, periodic=h, harmonic=h) for w, h in errors]
         return known.with_stated(block_diagonal(rows))
 
     def _excess_angle_noise(self, noise: AngleNoise, runs: Sequence[Compressed]) -> float:

@@ -69,7 +69,7 @@ class Samples:
     """An uninterrupted run of measured values: time [s], value [rad or rad/s], sigma (same unit).
 
     `state` is the place of the speed of its body in the state of the motion, for a body that is not the main one;
-    `harmonic` is the standard deviation of the amplitudes of an error of 3 to 12 periods per turn of its angle [rad].
+    `harmonic` is the standard deviation of the amplitudes of an error of 1 to 12 periods per turn of its angle [rad].
     """
 
     time: Array
@@ -421,7 +421,7 @@ def make_record(
     further : sequence of (float, float)
         Moments of inertia of its third and later bodies and their standard uncertainties [kg m2].
     harmonics : sequence of float
-        Standard deviation of the amplitudes of an error of 3 to 12 periods per turn of the angle of each run of `rotor`
+        Standard deviation of the amplitudes of an error of 1 to 12 periods per turn of the angle of each run of `rotor`
         [rad]; all are zero if empty.
 
     Raises

@@ -207,6 +207,21 @@ class TestImprove:
         assert self.improved(monkeypatch, 1, fails=True) == ["", "-0"]
         assert len(self.improved(monkeypatch, 99)) == 1 + DEFAULT.max_steps
 
+    @pytest.mark.parametrize(
+        ("exchanges", "fails", "kept"), [(0, False, True), (1, False, False), (1, True, True)]
+    )
+    def test_the_reason_of_an_early_end_does_not_apply_after_an_exchange_without_lack_of_fit(
+        self, monkeypatch, exchanges, fails, kept
+    ):
+        base = fitted((LINEAR,))
+        stopped = History([Step("", base, ())])
+        stopped.stopped = "a random torque"
+        steps = [Step("-0", base, (), is_exchange=True)] * exchanges
+        monkeypatch.setattr(module, "_improved", lambda *_: stopped)
+        monkeypatch.setattr(module, "_exchanged", lambda *_: steps.pop() if steps else None)
+        monkeypatch.setattr(type(base), "fails", lambda *_: fails)
+        assert improve(base).stopped == ("a random torque" if kept else "")
+
 
 @pytest.mark.parametrize(
     ("change", "words"),

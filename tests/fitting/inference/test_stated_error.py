@@ -338,11 +338,26 @@ class TestWindowsOfTheRotor:
         for window, part, beyond in zip(
             data.rotor, (slice(rows), slice(rows, None)), (0.4, 10.0), strict=True
         ):
-            stated = stated_error_rows(window, 0.0, 0.0, harmonic=self.LEVEL)
+            stated = stated_error_rows(window, 0.0, 0.0, self.LEVEL, self.LEVEL)
             own = stated @ stated.T
             assert covariance[part, part] == pytest.approx(np.eye(len(own)) + own, rel=1e-6, abs=1e-6)
             assert own.max() < beyond if beyond < 1 else own.max() > beyond
         assert not covariance[:rows, rows:].any()
+
+    def test_few_turns_of_the_rotor_have_it_once_and_twice_per_turn(self):
+        t = np.arange(1600) / 100
+        slow = 2 * np.pi * 0.4 * t + 1e-3 * np.random.default_rng(3).standard_normal(len(t))
+        u = np.full(len(t), 1e-3)
+        record = make_record(
+            casing=(t, 5.0 * t, u), rotor=[(t, slow, u)], I_rotor=5e-5, I_casing=1e-5, harmonics=[self.LEVEL]
+        )
+        data = replace(CaseData.of(record), noiseless=True)
+        (run,) = data.rotor
+        low, high = (stated_error_rows(run, 0.0, 0.0, *x) for x in ((self.LEVEL,), (0.0, self.LEVEL)))
+        assert low.size
+        covariance = data.rotor_angle_noise.root @ data.rotor_angle_noise.root
+        expected = np.eye(len(low)) + low @ low.T + high @ high.T
+        assert covariance == pytest.approx(expected, rel=1e-6, abs=1e-6 * expected.max())
 
     def test_without_an_error_of_an_angle_the_noise_is_white(self):
         assert not len(self.data().rotor_angle_noise.root)
