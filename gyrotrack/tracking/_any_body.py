@@ -23,6 +23,7 @@ import numpy.typing as npt
 from gyrotrack._column_store import StoredPictures, large_blocks_returned, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
+from gyrotrack.tracking._camera_motion import Shake, camera_shake
 from gyrotrack.tracking._coaxial import second_rotation
 from gyrotrack.tracking._diagnosis import (
     FOLLOW_LINKS,
@@ -35,13 +36,7 @@ from gyrotrack.tracking._diagnosis import (
     refuse_moving_camera,
     refuse_two_motions,
 )
-from gyrotrack.tracking._film import (
-    Film,
-    Plane,
-    Shake,
-    camera_shake,
-    reduced,
-)
+from gyrotrack.tracking._film import Film, Plane, reduced
 from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, fallen, halves_differ, hub_doubt
 from gyrotrack.tracking._hub_search import (
     FARTHEST,

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film, Plane, features_of, fresh_frames, tracked
+from gyrotrack.tracking._camera_motion import features_of, tracked
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, Plane, fresh_frames
 from gyrotrack.tracking._links import share_a_joint
 from gyrotrack.tracking._registration import Ring
 

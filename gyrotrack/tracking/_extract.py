@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,8 +23,8 @@ from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording, speed_warni
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
+from gyrotrack.tracking._camera_motion import Plane, Shake, background_roll, camera_shake
 from gyrotrack.tracking._corners import paper_angle
-from gyrotrack.tracking._film import Shake, camera_shake
 from gyrotrack.tracking._film_parts import PartWorkers, frames_done, split, track_film
 from gyrotrack.tracking._film_tracker import (
     FilmObservations,
@@ -33,6 +33,7 @@ from gyrotrack.tracking._film_tracker import (
 )
 from gyrotrack.tracking._frame_repeats import judge_repeats, left_out, without_repeats
 from gyrotrack.tracking._fusion import BodyAngles, wrapped
+from gyrotrack.tracking._hub import moves_fast
 from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.tracking._profile import PAPER, Profile, single_threaded
 from gyrotrack.tracking._scene import FEWEST, Marker, Scene, take_samples
@@ -228,8 +229,20 @@ def _observe(
         release_memory()
         with large_blocks_returned():
             seen = track_film(processes, video, scene, tracker, threads, progress, timing, journal)
+        if shake is None and seen.disc is not None and moves_fast(seen.disc):
+            with Reader(video, threads) as reader:
+                planes = (frame.y for frame in reader)
+                shake = background_roll(_counted(planes, len(seen.pts_time), progress), body)
         whole = shake is not None and len(shake.roll) == len(seen.pts_time)
         return scene, seen, shake if whole else None
+
+
+def _counted(planes: Iterable[Plane], count: int, progress: Progress | None) -> Iterator[Plane]:
+    """Yield the pictures of a film of `count` frames, and report their number."""
+    for k, plane in enumerate(planes):
+        if progress is not None:
+            progress(k, count)
+        yield plane
 
 
 def _stabilised(seen: FilmObservations, shake: Shake) -> FilmObservations:
@@ -267,10 +280,14 @@ def _as_seen(joint: TrackedBodies, scene: Scene, shake: Shake) -> TrackedBodies:
         largest = max(largest, own)
         markers = {m: replace(one, sigma=np.hypot(one.sigma, own)) for m, one in body.markers.items()}
         bodies[name] = replace(body, markers=markers, sigma=np.hypot(body.sigma, own))
-    rolls = f" and rolls by {1e3 * shake.roll.std():.2g} mrad rms" if shake.roll.any() else ""
+    rolls = f"rolls by {1e3 * shake.roll.std():.2g} mrad rms" if shake.roll.any() else ""
+    if shake.features:
+        also = rolls and f" and {rolls}"
+        moves = f"moves by {shake.rms:.2g} px rms{also}; {shake.features} features of the background are"
+    else:
+        moves = f"{rolls}; the whole background is"
     text = (
-        f"The camera moves by {shake.rms:.2g} px rms{rolls}; {shake.features} features of the background are used to "
-        f"subtract this. Its uncertainty of {1e3 * largest:.2g} mrad is included."
+        f"The camera {moves} used to subtract this. Its uncertainty of {1e3 * largest:.2g} mrad is included."
     )
     return replace(joint, centre=centre, bodies=bodies, warnings=(text, *joint.warnings))
 

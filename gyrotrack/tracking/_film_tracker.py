@@ -22,7 +22,7 @@ from gyrotrack.tracking._association import (
     find_lock,
     follow,
 )
-from gyrotrack.tracking._hub import DiscWindow
+from gyrotrack.tracking._hub import DiscWindow, moves_fast
 from gyrotrack.tracking._marker_tracker import MarkerObservations, MarkerTracker, spread_out
 from gyrotrack.tracking._marker_window import AngleMap, MarkerStrip, Occlusion, common_columns
 from gyrotrack.tracking._polar import boxed
@@ -367,13 +367,28 @@ class FilmTracker:
         self._new = False
         for body in self.bodies.values():
             body.take(self.held, self.filled, advance)
-        for name, texture in self.textures.items():
-            texture.take(self.held, self.filled, self.bodies[name].coarse(self.filled, len(self.held)))
         if self.disc is not None:
             self.disc.take(self.held, self.filled)
+        shake = self._shake()
+        for name, texture in self.textures.items():
+            coarse = self.bodies[name].coarse(self.filled, len(self.held))
+            texture.take(self.held, self.filled, coarse, shake)
         self.filled += len(self.held)
         self.held.clear()
         self.steps.clear()
+
+    def _shake(self) -> Floats | None:
+        """Return the displacement of the hub in the held frames, (n, 2) [px]; None unless it moves fast.
+
+        A ring that is sampled about a wrong centre is blurred, and its response to the centre is not linear.
+        """
+        if self.disc is None:
+            return None
+        shift = self.disc.centres(self.filled + len(self.held), self.filled) - self.centre
+        if not moves_fast(shift):
+            return None
+        known, at = np.isfinite(shift).all(axis=1), np.arange(len(shift))
+        return np.stack([np.interp(at, at[known], part[known]) for part in shift.T], axis=1)
 
     def learn_batch(self) -> None:
         """Estimate templates, illumination and occlusion from the stored frames, which are measured later."""
@@ -401,7 +416,9 @@ class FilmTracker:
             if name == "casing":
                 casing = coarse
             if name in self.textures:
-                rings = self.textures[name].measure(self.filled, _by_markers(coarse, markers, body))
+                texture = self.textures[name]
+                about = texture.centres(self.filled)
+                rings = texture.measure(self.filled, _by_markers(coarse, markers, body, about))
                 for kind, ring in zip(RINGS, rings, strict=True):
                     rows |= {
                         f"{name}/{kind}/{f.name}": getattr(ring, f.name) for f in fields(TextureObservations)
@@ -426,14 +443,18 @@ class FilmTracker:
                     self.textures[name].centre = (self.centre[0] + dx, self.centre[1] + dy)
 
 
-def _by_markers(coarse: Floats, markers: dict[str, MarkerObservations], body: BodyTracker) -> Floats:
-    """Return the apparent angle of a body (n,): the mean over its unoccluded markers, or the coarse angle."""
-    off = [
-        np.where(
-            seen.open & np.isfinite(seen.angle), seen.angle - coarse - body.markers[m].marker.mount, np.nan
-        )
-        for m, seen in markers.items()
-    ]
+def _by_markers(
+    coarse: Floats, markers: dict[str, MarkerObservations], body: BodyTracker, about: Floats
+) -> Floats:
+    """Return the apparent angle of a body (n,) about the centres (n, 2) [px].
+
+    The angle is the mean over its unoccluded markers, or the coarse angle.
+    """
+    off = []
+    for m, seen in markers.items():
+        here = seen.open & np.isfinite(seen.angle)
+        x, y = (seen.position(here) - about).T
+        off.append(np.where(here, np.arctan2(-y, x) - coarse - body.markers[m].marker.mount, np.nan))
     ahead = np.mod(np.stack(off) + np.pi, 2.0 * np.pi) - np.pi
     known = np.isfinite(ahead) & (np.abs(ahead) < REACH)
     total = np.where(known, ahead, 0.0).sum(axis=0)

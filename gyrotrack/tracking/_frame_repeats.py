@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._association import net_turn
-from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
+from gyrotrack.tracking._film_tracker import FilmObservations
 from gyrotrack.tracking._fusion import wrapped
 from gyrotrack.tracking._marker_tracker import plausible
 from gyrotrack.tracking._scene import Scene
@@ -140,10 +140,7 @@ def left_out(seen: FilmObservations, times: FrameTimes) -> FilmObservations:
     if times.again is None:
         return replace(seen, times=times)
     fresh, count = np.flatnonzero(~times.again), len(times.again)
-    bodies = {}
-    for name, body in seen.bodies.items():
-        own = BodyObservations(body.coarse[fresh], {m: s.picked(fresh) for m, s in body.markers.items()})
-        bodies[name] = own.spread_out(fresh, count)
+    bodies = {name: body.picked(fresh).spread_out(fresh, count) for name, body in seen.bodies.items()}
     return replace(seen, bodies=bodies, times=times)
 
 

@@ -72,11 +72,11 @@ class DiscWindow:
             u[:] = frame.u[box]
             v[:] = frame.v[box]
 
-    def centres(self, count: int) -> Floats:
-        """Measure the disc's centre in the first `count` frames, (count, 2) in px; NaN where it is occluded."""
+    def centres(self, count: int, first: int = 0) -> Floats:
+        """Measure the disc's centre in frames `first` to `count` - 1, (n, 2) in px; NaN where it is occluded."""
         u, v = self.disc.chroma
         norm = u * u + v * v
-        place = kernels.discs(self._pixels[:count], (u / norm, v / norm), self.disc.radius / 2.0)
+        place = kernels.discs(self._pixels[first:count], (u / norm, v / norm), self.disc.radius / 2.0)
         return np.asarray(2.0 * (place + self._corner) + np.array(CHROMA_SHIFT))
 
 
@@ -151,25 +151,31 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
     return paths
 
 
-_SHAKES = 5.0
-"""Motion of a hub from frame to frame that triggers a warning, in units of `EXPECTED_ERROR` [1]. Chosen: a smaller
-value warns of wobbling hubs, a larger one overlooks a hand-held camera."""
+FAST = 0.5
+"""Motion of a hub from frame to frame that suggests camera shake, rms [px]. Chosen: five times `EXPECTED_ERROR`; a
+smaller value warns of wobbling hubs, a larger one overlooks a hand-held camera."""
+
+
+def moves_fast(disc: Floats) -> bool:
+    """Return whether a disc (n, 2) [px], NaN where it is unknown, moves fast from frame to frame."""
+    known = np.isfinite(disc).all(axis=1)
+    return bool(known.sum() > 1 and robust_rms(np.diff(disc[known], axis=0)) > FAST)
 
 
 def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
     """Return a warning if the measured disc (n, 2) [px] moves fast and no background shows the camera's motion."""
-    limit, known = _SHAKES * EXPECTED_ERROR, np.isfinite(measured).all(axis=1) & np.isfinite(centre.sigma)
+    known = np.isfinite(measured).all(axis=1) & np.isfinite(centre.sigma)
     if known.sum() < 2:
         return None
-    steps = _robust_rms(np.diff(centre.centre[known], axis=0))
-    if centre.reach in _SHORT_HALVES and steps > limit:
+    steps = robust_rms(np.diff(centre.centre[known], axis=0))
+    if centre.reach in _SHORT_HALVES and steps > FAST:
         return (
             f"The disc of the hub moves by {steps:.2g} px rms from frame to frame, suggesting camera shake; it is "
             f"followed with an uncertainty of {np.median(centre.sigma[known]):.2g} px, which is part of the "
             "uncertainties of the angles."
         )
-    rest = _robust_rms((measured - centre.centre)[known])
-    if rest > limit:
+    rest = robust_rms((measured - centre.centre)[known])
+    if rest > FAST:
         return (
             f"The disc of the hub is {rest:.2g} px rms away from its smoothed path, suggesting camera shake, and no "
             "background shows its motion; the uncertainties of the angles include this."
@@ -177,7 +183,7 @@ def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
     return None
 
 
-def _robust_rms(steps: Floats) -> float:
+def robust_rms(steps: Floats) -> float:
     """Return the rms length of normally distributed vectors (n, 2) from the median of their squares."""
     return float(np.sqrt(np.median(np.sum(steps**2, axis=1)) / np.log(2.0)))
 

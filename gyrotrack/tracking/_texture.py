@@ -398,15 +398,21 @@ class TextureTracker:
         if not self._used:
             self._strips = np.zeros(state["_strips"], dtype=np.uint8)
 
-    def take(self, frames: list[Frame], place: int, coarse: Floats) -> None:
-        """Sample the ring at the coarse angles (n,) of the body [rad], NaN where it is lost."""
+    def take(
+        self, frames: list[Frame], place: int, coarse: Floats, displacement: Floats | None = None
+    ) -> None:
+        """Sample the ring at the coarse angles (n,) of the body [rad], NaN where it is lost.
+
+        `displacement` (n, 2) is the displacement of the hub from `centre` in each frame [px]; None: at rest.
+        """
         self._used = True
         self._angle[place : place + len(frames)] = coarse
-        self._centre[place : place + len(frames)] = self.centre
+        centre = self._centre[place : place + len(frames)]
+        centre[:] = self.centre if displacement is None else self.centre + displacement
         for k in np.flatnonzero(np.isfinite(coarse)) if self._useful else ():
             c, s = np.float32(np.cos(coarse[k])), np.float32(np.sin(coarse[k]))
-            x = np.float32(self.centre[0]) + c * self._x - s * self._y
-            y = np.float32(self.centre[1]) - s * self._x - c * self._y
+            x = np.float32(centre[k, 0]) + c * self._x - s * self._y
+            y = np.float32(centre[k, 1]) - s * self._x - c * self._y
             cv2.remap(
                 frames[k].y, x, y, cv2.INTER_LINEAR, self._strips[place + k], borderMode=cv2.BORDER_REPLICATE
             )
@@ -424,6 +430,10 @@ class TextureTracker:
                     for f in (np.float32(1.0), np.float32(-1.0))
                 )
                 self._slopes[place + int(k)] = np.subtract(*ends, dtype=np.float32)
+
+    def centres(self, count: int) -> Floats:
+        """Return the centres of the ring in the first `count` frames of the batch, (count, 2) [px]."""
+        return self._centre[:count].copy()
 
     def measure(self, count: int, angle: Floats) -> tuple[TextureObservations, TextureObservations]:
         """Measure the first `count` frames, whose angles (count,) [rad] are known to some mrad.

@@ -10,10 +10,15 @@ import pytest
 
 from gyrotrack import read_case
 from gyrotrack.tracking._any_body import track_body
-from gyrotrack.tracking._extract import _stabilised
-from gyrotrack.tracking._film import Film, Shake, camera_shake
-from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations
-from gyrotrack.tracking._texture import TextureObservations
+from gyrotrack.tracking._camera_motion import Shake, background_roll, camera_shake
+from gyrotrack.tracking._extract import _stabilised, extract
+from gyrotrack.tracking._film import Film
+from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations, FilmTracker, _by_markers
+from gyrotrack.tracking._frame_repeats import left_out
+from gyrotrack.tracking._hub import FAST, moves_fast
+from gyrotrack.tracking._marker_tracker import MarkerObservations
+from gyrotrack.tracking._texture import TextureObservations, TextureTracker
+from gyrotrack.video._container import Frame
 
 REAL = Path(__file__).parents[4] / "shared" / "real"
 SIZE = 240, 320
@@ -102,6 +107,127 @@ def test_a_body_before_a_blank_wall_is_not_a_background():
     assert camera_shake(frames, frames) is None
 
 
+def grain(shift, roll, seed=0):
+    """Pictures of a wall with a soft grain along one direction, without corners, and a disc in front."""
+    rng = np.random.default_rng(seed)
+    wood = cv2.GaussianBlur(rng.normal(0, 1, SIZE), (0, 0), sigmaX=14, sigmaY=2.5)
+    back = cv2.GaussianBlur(120 + 12 * wood / wood.std(), (0, 0), 1.5)
+    for k, ((dx, dy), turn) in enumerate(zip(shift, roll, strict=True)):
+        body, cover = disc(0.21 * k)
+        picture = moved(back * (1 - cover) + body * cover, dx, dy, turn) + rng.normal(0, 1.0, SIZE)
+        yield np.clip(picture, 0, 255).astype(np.uint8)
+
+
+class TestBackgroundRoll:
+    """A background without corners determines the roll of the camera."""
+
+    BODY = (159.7, 120.3, 75.0)
+
+    def test_the_roll_is_that_of_the_camera_within_its_uncertainty(self):
+        rng = np.random.default_rng(4)
+        shift, roll = rng.normal(0, 1.5, (112, 2)), rng.normal(0, 5e-3, 112)
+        shift[0], roll[0] = 0, 0
+        found = background_roll(grain(shift, roll), self.BODY)
+        error = found.roll - roll
+        assert error.std() < 5e-4
+        assert 0.3 < error.std() / found.roll_sigma < 1.5
+        assert not found.shift.any()
+        assert found.shift_sigma == 0.0
+        assert found.still(np.tile(self.BODY[:2], (112, 1))) == pytest.approx(
+            np.tile(self.BODY[:2], (112, 1))
+        )
+
+    def test_a_camera_that_does_not_roll_is_left_alone(self):
+        shift = np.random.default_rng(4).normal(0, 1.5, (112, 2))
+        assert background_roll(grain(shift, np.zeros(112)), self.BODY) is None
+
+    def test_a_body_that_fills_the_picture_leaves_no_background(self):
+        roll = np.random.default_rng(4).normal(0, 5e-3, 112)
+        assert background_roll(grain(np.zeros((112, 2)), roll), (159.7, 120.3, 200.0)) is None
+
+    def test_too_few_frames_have_no_uncertainty(self):
+        roll = np.random.default_rng(4).normal(0, 5e-3, 80)
+        assert background_roll(grain(np.zeros((80, 2)), roll), self.BODY) is None
+
+
+class TestHub:
+    """A ring is sampled about the hub of each frame if the hub moves fast."""
+
+    @pytest.mark.parametrize(("size", "fast"), [(0.9, False), (1.1, True)])
+    def test_a_disc_moves_fast_beyond_half_a_pixel_from_frame_to_frame(self, size, fast):
+        # the steps of white noise have twice its variance, in each of two coordinates
+        disc = np.random.default_rng(0).normal(0, size * FAST / 2.0, (20_000, 2))
+        disc[::7] = np.nan
+        steps = disc[np.isfinite(disc).all(axis=1)]
+        assert moves_fast(disc) == fast
+        assert np.sqrt(np.mean(np.sum(np.diff(steps, axis=0) ** 2, axis=1))) == pytest.approx(
+            size * FAST, rel=0.02
+        )
+
+    def test_one_known_position_does_not_move(self):
+        assert not moves_fast(np.array([[0.0, 0.0], [np.nan, np.nan]]))
+
+    @pytest.mark.parametrize(("size", "followed"), [(0.2, False), (3.0, True)])
+    def test_the_displacement_of_the_hub_is_that_of_its_disc(self, size, followed):
+        centre = np.array([50.0, 40.0])
+        disc = centre + np.random.default_rng(1).normal(0, size, (12, 2))
+        disc[5] = np.nan
+        window = SimpleNamespace(centres=lambda count, first: disc[first:count])
+        tracker = SimpleNamespace(disc=window, centre=tuple(centre), filled=2, held=[None] * 10)
+        found = FilmTracker._shake(tracker)
+        if not followed:
+            assert found is None
+            return
+        expected = disc[2:] - centre
+        expected[3] = 0.5 * (expected[2] + expected[4])
+        assert found == pytest.approx(expected)
+
+    def test_a_film_without_a_disc_has_no_displacement(self):
+        assert FilmTracker._shake(SimpleNamespace(disc=None)) is None
+
+    def test_markers_are_seen_about_the_displaced_hub(self):
+        """A marker to the right of a hub that is 3 px too low is seen at a positive angle."""
+        hub, radius, true = np.array([[100.0, 80.0], [100.0, 83.0]]), 60.0, 0.3
+        place = hub + radius * np.array([np.cos(true), -np.sin(true)])
+        x, y = (place - (100.0, 80.0)).T
+        one = np.ones(2)
+        seen = MarkerObservations(
+            np.arctan2(-y, x), np.hypot(x, y), *np.zeros((2, 2, 2)), one, 0 * one, one,
+            np.ones(2, dtype=bool), np.tile([100.0, 80.0], (2, 1)),
+        )  # fmt: skip
+        body = SimpleNamespace(markers={"red": SimpleNamespace(marker=SimpleNamespace(mount=0.1))})
+        found = _by_markers(np.full(2, 0.18), {"red": seen}, body, hub)
+        assert found == pytest.approx(np.full(2, true - 0.1))
+
+    def test_a_ring_about_the_moving_hub_has_the_angle_of_a_camera_at_rest(self):
+        rng = np.random.default_rng(6)
+        shift, angle = rng.normal(0, 2.0, (96, 2)), 0.21 * np.arange(96)
+        grey = np.zeros((1, 1), np.uint8)
+        frames = [Frame(k, k, p, grey, grey) for k, p in enumerate(film(shift, np.zeros(96)))]
+        error = {}
+        for followed in (True, False):
+            ring = TextureTracker((159.7, 120.3), 55.0, SIZE[::-1], 96)
+            ring.take(frames, 0, angle + 0.01, shift if followed else None)
+            found = ring.measure(96, angle + rng.normal(0, 2e-3, 96))[0]
+            known = np.isfinite(found.angle)
+            off = (found.angle - angle)[known]
+            error[followed] = np.inf if known.mean() < 0.9 else (off - off.mean()).std()
+            assert ring.centres(96) == pytest.approx((159.7, 120.3) + shift * followed)
+        assert error[True] < 1e-3
+        assert error[False] > 3 * error[True]
+
+
+def test_the_ring_is_kept_if_frames_are_repeated():
+    ring = TextureObservations.unknown(np.zeros((4, 2)))
+    ring.angle[:] = np.arange(4.0)
+    body = BodyObservations(np.arange(4.0), {}, ring, ring)
+    again = np.array([False, False, True, False])
+    seen = FilmObservations({"casing": body}, None, np.arange(4.0), SimpleNamespace(), (), SIZE[::-1], again)
+    found = left_out(seen, SimpleNamespace(again=again)).bodies["casing"]
+    for kind in (found.texture, found.aligned):
+        assert kind.angle == pytest.approx(np.array([0.0, 1.0, np.nan, 3.0]), nan_ok=True)
+
+
 def shaken(source, target, rms, roll):
     """Write a film again with known displacements and rolls of its frames (a random walk that returns)."""
     rng = np.random.default_rng(3)
@@ -152,6 +278,21 @@ def test_real_films_that_were_shaken_give_the_same_angles(name, words, roll, mos
     apart -= apart.mean()
     assert apart.std() < most
     assert apart.std() < 1.5 * np.hypot(np.median(alone.sigma), np.median(found.sigma))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="needs the real films")
+def test_a_shaken_film_before_wood_has_the_angles_of_a_camera_at_rest(tmp_path):
+    """Without corners in the background: 3.4 mrad about a fixed hub, 0.5 mrad about the hub of each frame."""
+    source = REAL / "pathtraced" / "rotor_wood.mp4"
+    truth = np.genfromtxt(source.with_suffix(".csv"), delimiter=",", names=True)["psi_casing_rad"]
+    found = extract(shaken(source, tmp_path / "shaken.mp4", 2.0, 1e-3), capture_fps=1000.0)
+    casing = found.bodies["casing"]
+    off = casing.angle - truth[np.rint(1000.0 * casing.time).astype(int)]
+    off -= off.mean()
+    assert off.std() < 1e-3
+    assert 0.4 < np.sqrt(np.mean((off / casing.sigma) ** 2)) < 1.4
+    assert "The camera rolls by" in " ".join(found.warnings)
 
 
 def test_both_angles_of_a_ring_are_those_of_a_camera_at_rest():
