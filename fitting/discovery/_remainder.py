@@ -406,8 +406,11 @@ def grade(
     if significant:
         found = doubt if doubt is not None else smooth_test(end)
         p = min(p, end.lack_of_fit.p_value, found.p_value)
+        weak = f" (p = {found.p_value:.1g})" if found.p_value >= criteria.doubt_adequate else ""
         parts.append(
-            f"it {found.words}" if found.p_value < criteria.doubt_named else "a lack of fit of unknown form"
+            f"it {found.words}{weak}"
+            if found.p_value < criteria.doubt_named
+            else "a lack of fit of unknown form"
         )
     # a contradicting test alone, for example a sinusoid, states its own size
     size = (

@@ -513,7 +513,15 @@ class TestGrade:
         assert "a lack of fit of unknown form" in size.remainder.sentence
         assert self.asked[0] == (self.asked[0][0], True)
 
-    @pytest.mark.parametrize(("p", "words"), [(0.009, "depends on the speed"), (0.011, "unknown form")])
+    @pytest.mark.parametrize(
+        ("p", "words"),
+        [
+            (0.0009, "depends on the speed of the casing."),
+            (0.0011, "depends on the speed of the casing (p = 0.001)."),
+            (0.009, "depends on the speed of the casing (p = 0.009)."),
+            (0.011, "unknown form"),
+        ],
+    )
     def test_the_smooth_test_says_what_a_misfit_depends_on(self, monkeypatch, p, words):
         size = self.graded(monkeypatch, misfit=True, smooth_p=p, p_value=1e-7)
         assert words in size.remainder.sentence
