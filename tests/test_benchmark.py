@@ -80,6 +80,7 @@ def test_a_casing_spun_against_the_rotor_reverses_where_scipy_finds_it():
     assert motion.turned[-1] == pytest.approx(second.y[2:, -1], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_reversal_leaves_nothing_in_the_harmonics_of_the_angle():
     """With the true parameters all residuals are noise, also in the block in which dry friction jumps."""
     case = experiment.CASES[1] | {"start": (497.0, -165.0), "span": 120.0}

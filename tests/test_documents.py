@@ -30,6 +30,7 @@ def test_a_made_page_is_up_to_date(name):
     assert module.TARGET.read_text(encoding="utf-8") == module.page(), f"run python docs/{name}.py"
 
 
+@pytest.mark.slow
 def test_the_pages_of_settings_are_up_to_date():
     for target, text in maker("make_settings").pages().items():
         assert target.read_text(encoding="utf-8") == text, "run python docs/make_settings.py"

@@ -91,6 +91,7 @@ def test_python_in_the_pages_is_python():
         compile(text, "README.md", "exec")
 
 
+@pytest.mark.slow
 def test_the_libraries_that_fitting_imports_are_named():
     """Those of the sentence "`fitting` needs no films: it imports ...", and no others."""
     found = set()

@@ -88,6 +88,7 @@ def constants(packages):
     return found
 
 
+@pytest.mark.slow
 def test_no_number_escapes_and_each_value_is_that_of_the_module(kind, settings):
     _, packages, least = COLLECTED[kind]
     expected = constants(packages)

@@ -47,6 +47,7 @@ def _end(page):
     page.locator("#ended").wait_for()
 
 
+@pytest.mark.slow
 def test_the_start_page_lists_the_films_of_the_work_folder(open_page, tmp_path):
     shutil.copy(CLIPS / "rotor_1.mp4", tmp_path / "rotor.mp4")
     page = open_page()
@@ -103,6 +104,7 @@ def test_four_films_to_the_named_effect_with_two_clicks_in_four_minutes(open_pag
     again.locator("#ladder tr").first.wait_for(timeout=30_000)
 
 
+@pytest.mark.slow
 def test_a_removed_film_comes_back_with_its_markers_and_a_second_command_opens_the_same_page(
     open_page, tmp_path, capsys
 ):

@@ -101,6 +101,7 @@ def _shown(page, frame):
     page.locator(f"#frame[data-shown='casing:{frame}']").wait_for()
 
 
+@pytest.mark.slow
 def test_opening_shows_the_case_and_its_name_as_text(visit, tmp_path):
     assert visit.locator("h1").inner_text() == HOSTILE
     assert visit.title() == f"gyrotrack: {HOSTILE}"

@@ -95,6 +95,7 @@ def speeds():
     return make_record(casing=casing, rotor=[], I_rotor=1.0, I_casing=1.0, single=True, quantity="omega")
 
 
+@pytest.mark.slow
 def test_a_search_with_other_criteria_of_the_noise_repeats_the_fit(monkeypatch):
     record = wheel(slip=1, step=0.08)
     base = fitting.fit(Model.of(["touchpoint.constant"]), record)
@@ -130,6 +131,7 @@ def test_the_verdict_of_a_fit_is_by_its_own_criteria():
     assert usual.undetermined_at(sure.criteria) == sure.undetermined
 
 
+@pytest.mark.slow
 def test_no_module_decides_by_a_default_that_a_caller_cannot_change():
     """`DEFAULT` is the default of an argument or a field only; every field of `Criteria` is used."""
     used, ignored = set(), []

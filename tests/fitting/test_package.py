@@ -34,6 +34,7 @@ def python(code, *blocked):
     return subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, cwd=ROOT, check=False)
 
 
+@pytest.mark.slow
 def test_the_package_needs_neither_films_nor_terminals():
     done = python(
         "from fitting import *\nimport fitting\nassert all(hasattr(fitting, n) for n in fitting.__all__)",
@@ -114,6 +115,7 @@ def same(a, b):
     return a == b or (math.isnan(a) and math.isnan(b))
 
 
+@pytest.mark.slow
 def test_a_saved_fit_is_read_back(tmp_path):
     model = Model.of("reduced") + "casing: -q*omega_c**3"
     found = fit(model, data(seed=0), fixed={"g": 1.32})

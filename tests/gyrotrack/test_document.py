@@ -114,6 +114,7 @@ def _leaves(value, path=()):
         yield from _leaves(inner, (*path, key))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @example({"a": [{"a": 0, "b": [{"a": 0}]}, {"a": {}, "b": [{"a": 0}]}]})
 @example({"a": [{"a": 0, "b": [{"a": 0}]}, {"a": {}, "b": {"a": 0}}]})

@@ -258,6 +258,7 @@ class TestInformation:
         left = schur(info.present, places, range(info.parameters))
         assert 1 / math.sqrt(left[0, 0]) == pytest.approx(drag().stderr, rel=1e-3)
 
+    @pytest.mark.slow
     def test_information_of_a_planned_run_is_that_of_the_measured_run(self):
         """The present run, planned again: the coarse simulation has the same information about a torque within 10 %."""
         info = information()
@@ -356,6 +357,7 @@ def test_an_adequate_model_has_no_rivals():
 
 
 class TestDescription:
+    @pytest.mark.slow
     def test_a_plan_is_read_and_simulated_with_its_noise(self, described):
         found = read_planned(described()).fit()
         record = found.problem.data[0].record

@@ -16,6 +16,7 @@ def data_of(acceleration, start, duration, seed):
     return [CaseData.of(oscillators.record(t, angle, 1e-3, seed))]
 
 
+@pytest.mark.slow
 def test_dry_viscous_and_quadratic_friction_of_a_spring_are_separated():
     """Forty periods: without averaging, an error of the spring of 1 % is a slip by a fifth of a period."""
     strengths = {

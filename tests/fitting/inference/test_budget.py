@@ -41,6 +41,7 @@ def found():
     return result, budget(result, clock_rate_u=CLOCK)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rotor", "casing"), [(1.0, 1.5), (2.0, 2.0)])
 def test_data_with_other_moments_of_inertia_have_the_noise_of_a_new_recording(rotor, casing):
     """That of the rotor's windows depends on the ratio; the other noise is kept."""

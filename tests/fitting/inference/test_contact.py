@@ -121,6 +121,7 @@ def test_a_sliding_contact_brings_the_rims_to_one_speed():
     assert rotor == pytest.approx(RATIO * both, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_fit_finds_ratio_and_losses_of_rolling_bodies():
     rng = np.random.default_rng(4)
     t = np.arange(0.0, 60.0, 0.05)

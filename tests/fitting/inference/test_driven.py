@@ -333,6 +333,7 @@ def test_a_changepoint_is_a_candidate_only_beside_the_dead_time_of_an_input():
         assert ("touchpoint.step" in {e.name for e in applicable_effects(found, ())}) is tried
 
 
+@pytest.mark.slow
 def test_results_print_themselves_within_a_screen():
     windows = [(TIME[k : k + 40], TIME[k : k + 40], np.ones(40)) for k in range(0, 400, 40)]
     many = [Input(f"u{k}", [0.0, 1.0], [0.0, 1.0], interpolation="hold") for k in range(9)]
@@ -359,6 +360,7 @@ def test_a_body_with_an_input_is_driven_if_it_becomes_faster(rise, driven):
     assert not CaseData.of(record(omega, inputs=())).driven
 
 
+@pytest.mark.slow
 def test_a_rotor_that_a_current_drives_in_its_casing():
     current = Input("current", [0.0, 4.0, 12.0], [0.0, 0.5, 0.1], "A", interpolation="hold")
     law = effect("rotor.input.current", [current])

@@ -98,6 +98,7 @@ def test_measured_speeds_give_the_same_parameters_as_angles(seed):
     assert result.noise[0].pure < 2e-8
 
 
+@pytest.mark.slow
 def test_a_few_single_speeds_of_the_rotor_are_sufficient():
     """A stroboscope instead of a camera: twelve speeds of the rotor, one at a time."""
     raw = twobody.film(twobody.simulate(), cameras=twobody.Cameras(quantity="omega", sigma=0.05))

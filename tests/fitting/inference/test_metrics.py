@@ -64,6 +64,7 @@ def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
         assert found == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_cross_validation_error_is_one_for_the_right_model_only():
     right, wrong = fitted(seed=0), fitted(seed=0, hidden="step")
     assert right.cases[0].casing.held_out == pytest.approx(1.0, abs=0.04)

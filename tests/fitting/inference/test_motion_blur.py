@@ -55,6 +55,7 @@ def test_only_films_are_blurred_by_5_mrad_at_the_largest_speed(tracked):
     assert data.camera_columns[:, -2:].any() == tracked
 
 
+@pytest.mark.slow
 def test_an_error_by_blur_is_found_as_such():
     speed = largest_speed(CaseData.of(film()).casing.samples)
     blur = {n.effect: n for n in nuisance_parameters(fit(Model.of(BASE), [film(3e-3)]))}["camera.blur"]

@@ -134,6 +134,7 @@ def test_laws_that_need_rotor_data_are_refused():
             fit(model, [wheel()])
 
 
+@pytest.mark.slow
 def test_single_bodies_are_fitted_jointly_but_not_with_a_gyroscope():
     both = fit(BASE, [wheel(seed=1, label="a"), wheel(seed=2, label="b")])
     assert abs(pull(both, "touchpoint.constant.b1@b", DRY)) < 4

@@ -26,6 +26,7 @@ def same(new, old):
         assert new.estimates[k].stderr == pytest.approx(e.stderr, rel=1e-4, nan_ok=True)
 
 
+@pytest.mark.slow
 def test_a_model_that_fails_grossly_keeps_its_uncertainties(pendulum):
     stored = stored_fit(pendulum)
     assert pendulum.verdict == "lack_of_fit"

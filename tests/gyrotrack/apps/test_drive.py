@@ -42,6 +42,7 @@ TIME = np.arange(2000) / 400
 STEP = np.where(TIME < 1.0, 2.0, 12.0)
 
 
+@pytest.mark.slow
 def test_the_response_to_a_step_of_a_voltage():
     pulls = []
     for seed in range(8):

@@ -46,6 +46,7 @@ def test_a_common_uncertainty_of_all_angles_hides_no_oscillation():
     assert end_of_motion(t, angle, np.full(len(t), 0.011)) == len(t)
 
 
+@pytest.mark.slow
 def test_beats_are_neither_a_steady_rotation_nor_one_oscillation():
     """Two coupled pendulums exchange their energy: the sum of two normal modes."""
     t = np.arange(0, 100, 0.02)
@@ -192,6 +193,7 @@ def test_the_sample_that_leaves_the_motion_is_found_beside_many_that_do_not(off,
     assert _joins(time, angle, 21) == found
 
 
+@pytest.mark.slow
 def test_ends_contain_what_the_highest_degree_leaves():
     """A wheel with quadratic drag over six turns: its speed needs more degrees than harmonics of the angle leave."""
     t = np.linspace(0, 10, 400)

@@ -109,6 +109,7 @@ def test_an_oscillation_keeps_its_sign(tmp_path):
     assert not any("negative sense" in w for w in case.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "factor"), [(23.0, 0.5), (4.0, 3.0)])
 def test_halves_of_the_ring_that_differ_widen_the_uncertainty(speed, factor):
     """By half the difference over many turns; over less than two, also by the leverage of a displaced hub."""
@@ -465,6 +466,7 @@ def coast_down(path):
     path.write_text("t,angle\n" + "".join(f"{a:.4f},{b:.6f}\n" for a, b in zip(t, angle, strict=True)))
 
 
+@pytest.mark.slow
 def test_an_interrupted_command_can_be_repeated_as_it_is(tmp_path, monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt

@@ -325,6 +325,7 @@ def test_two_modes_of_one_name_are_refused(stated, tmp_path):
         write_case(tmp_path / "new.h5", case, command="", settings={})
 
 
+@pytest.mark.slow
 def test_the_number_of_modes_is_limited(stated, tmp_path):
     modes = tuple(replace(stated.casing.modes[0], name=f"m{i}", group="") for i in range(64))
     case = replace(stated, casing=replace(stated.casing, modes=modes))

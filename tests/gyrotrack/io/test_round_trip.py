@@ -167,6 +167,7 @@ def test_the_other_kind_is_refused(tmp_path, recording, case, reader, wrong):
         reader(path)
 
 
+@pytest.mark.slow
 def test_xarray_opens_it_with_dimensions_and_units(tmp_path, case):
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")

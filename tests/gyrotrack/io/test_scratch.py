@@ -25,6 +25,7 @@ def root(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
 def test_the_folder_of_a_killed_process_is_removed_by_the_next(root):
     done = subprocess.run([sys.executable, "-c", _KILLED], check=False)

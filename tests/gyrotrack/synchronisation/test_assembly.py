@@ -125,6 +125,7 @@ class TestCommand:
             write_recording(tmp_path / name, recording, command="", settings={})
         return tmp_path
 
+    @pytest.mark.slow
     def test_json(self, files, capsys):
         assert app.run(["sync", "casing.h5", "a.h5", "b.h5", "-o", "case.h5", "--json", *INERTIAS]) == 0
         said = json.loads(capsys.readouterr().out)
@@ -143,12 +144,14 @@ class TestCommand:
         told = {c["source"]: c["offset_sigma_s"] for c in said["clips"]}
         assert read_record(files / "case.h5").start_sigma == (told["b.h5"], told["a.h5"])
 
+    @pytest.mark.slow
     def test_table(self, files, capsys):
         assert app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5", *INERTIAS]) == 0
         said = capsys.readouterr()
         assert "b.h5" in said.out
         assert max(map(len, said.out.splitlines())) <= 80
 
+    @pytest.mark.slow
     def test_a_case_is_not_a_recording(self, files, capsys):
         app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5", *INERTIAS])
         assert app.run(["sync", "case.h5", "b.h5", "-o", "again.h5", *INERTIAS]) == 1

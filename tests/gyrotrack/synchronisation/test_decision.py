@@ -78,6 +78,7 @@ def test_a_casing_of_constant_speed_says_nothing_of_the_start(make_run):
     assert found.offset_sigma > 0.1
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_turned_between_clips_does_no_harm(motion, make_run):
     run = make_run(motion, np.random.default_rng(6), 30.0)
     starts = (3.0, 9.0, 15.0)

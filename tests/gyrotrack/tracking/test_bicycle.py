@@ -21,6 +21,7 @@ def recording():
     return extract(FILM, load(ROOT / "docs" / "bicycle.toml"))
 
 
+@pytest.mark.slow
 def test_speed_and_deceleration_agree_with_the_points_marked_by_hand(recording):
     track = recording.bodies["rotor"]
     fit = np.polyfit(track.time, track.angle, 2)

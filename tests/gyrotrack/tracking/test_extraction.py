@@ -176,6 +176,7 @@ def test_rotor_angle_in_scenes_of_all_kinds(draw, settings):
     assert np.abs(error).max() < 0.08
 
 
+@pytest.mark.slow
 def test_a_film_in_which_nothing_turns_has_a_constant_angle(draw):
     path, _ = draw(**{**SMALL, "frames": 60, "casing": _linear(0.0), "rotor_papers": False, "wobble": 0.0})
     recording = extract(path)
@@ -195,6 +196,7 @@ def test_papers_that_are_not_there_are_not_found(draw):
         extract(path, body="rotor")
 
 
+@pytest.mark.slow
 def test_only_the_casing_when_that_must_be_stated(casing_clip):
     recording = extract(casing_clip[0], body="casing")
     assert set(recording.bodies) == {"casing"}
@@ -275,6 +277,7 @@ def test_a_few_frames_are_too_few(draw):
         extract(path)
 
 
+@pytest.mark.slow
 def test_a_mount_angle_in_the_profile_fixes_the_zero(casing_clip):
     path, _ = casing_clip
     marker = {"name": "red", "colour": "red", "body": "casing"}
@@ -285,11 +288,13 @@ def test_a_mount_angle_in_the_profile_fixes_the_zero(casing_clip):
     assert moved.markers["red"].mount_angle == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_gives_the_same_numbers(casing, casing_clip):
     other = extract(casing_clip[0], threads=2)
     np.testing.assert_array_equal(other.bodies["casing"].angle, casing[0].bodies["casing"].angle)
 
 
+@pytest.mark.slow
 def test_a_film_of_which_less_is_left_than_its_samples_promise(casing_clip, monkeypatch):
     """As after damage that one way of decoding survives and the other does not."""
     from dataclasses import replace

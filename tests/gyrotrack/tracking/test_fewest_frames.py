@@ -29,6 +29,7 @@ def folder(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_ten_pictures_are_tracked(folder):
     found = track_body(Film(folder))
     assert len(found.frame) == FEWEST_FRAMES

@@ -61,6 +61,7 @@ def test_frames_far_apart_are_exact_though_what_no_later_frame_needs_is_not_deco
             assert not np.array_equal(after, picture)
 
 
+@pytest.mark.slow
 def test_frames_that_are_not_there_are_not_shown(recording):
     path, found = recording
     with Film(path, found) as film:

@@ -247,6 +247,7 @@ def discs(path, bodies, frames=60):
     return path
 
 
+@pytest.mark.slow
 def test_two_bodies_of_one_colour_are_refused_in_one_sentence(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     discs(tmp_path / "two.mp4", [(80, 90, 50, 0.2), (235, 90, 50, -0.31)])
@@ -257,6 +258,7 @@ def test_two_bodies_of_one_colour_are_refused_in_one_sentence(tmp_path, monkeypa
     assert [p.name for p in tmp_path.iterdir()] == ["two.mp4"]
 
 
+@pytest.mark.slow
 def test_a_wall_of_the_colours_of_the_rotor_is_not_a_rotor(tmp_path):
     recording = extract(discs(tmp_path / "one.mp4", [(160, 90, 70, 0.2)]), capture_fps=260)
     assert list(recording.bodies) == ["casing"]

@@ -135,6 +135,7 @@ def test_frames_in_which_the_body_is_hidden_are_left_out():
     assert np.std(error_of(tracked, angle)) < 0.02
 
 
+@pytest.mark.slow
 def test_a_point_on_its_path_chooses_a_body():
     path, angle = sliding()
     shown = film(path, angle)
@@ -156,6 +157,7 @@ def test_a_blank_disc_that_turns_is_refused():
         track_free_body(film(path, angle, marks=False))
 
 
+@pytest.mark.slow
 def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_not_a_rigid_body():
     """A glare on a record that turns under a lamp: its outline moves, and another orientation fits it suddenly."""
     path, angle = sliding(turns=0.8)
@@ -164,6 +166,7 @@ def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_not_a_rigid_bo
         track_free_body(film(path, angle))
 
 
+@pytest.mark.slow
 def test_an_outline_whose_picture_is_not_rigid_is_not_a_body():
     """Such as a wave, or wires that trail behind a puck: marks that turn to both sides."""
     path, angle = sliding(turns=0.8)

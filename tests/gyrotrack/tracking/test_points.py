@@ -89,6 +89,7 @@ def test_the_bob_is_found_without_a_click_and_not_a_thrown_ball(bob):
         follow_point(Rendered(Thrown(frames=60).pictures()), None)
 
 
+@pytest.mark.slow
 def test_an_occluded_bob_is_omitted_and_found_again(bob):
     film = bob(frames=70, bar=(74.0, 92.0))
     found = follow_point(Rendered(film.pictures()), tuple(film.place[0]))
@@ -117,6 +118,7 @@ def test_a_point_outside_the_picture_or_at_rest_is_refused(bob):
         follow_point(film, (20.0, 100.0), (0.0, 0.0))
 
 
+@pytest.mark.slow
 def test_two_bobs_are_reported(bob):
     one, two = (bob(hub=(x, -120.0), amplitude=0.1, frames=44, thread=False) for x in (40.0, 120.0))
     frames = [np.minimum(a, b) for a, b in zip(one.pictures(), two.pictures(), strict=True)]

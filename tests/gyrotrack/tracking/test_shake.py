@@ -145,6 +145,7 @@ class TestBackgroundRoll:
         roll = np.random.default_rng(4).normal(0, 5e-3, 112)
         assert background_roll(grain(np.zeros((112, 2)), roll), (159.7, 120.3, 200.0)) is None
 
+    @pytest.mark.slow
     def test_too_few_frames_have_no_uncertainty(self):
         roll = np.random.default_rng(4).normal(0, 5e-3, 80)
         assert background_roll(grain(np.zeros((80, 2)), roll), self.BODY) is None

@@ -186,6 +186,7 @@ def test_a_marker_on_a_coloured_background_is_measured_in_its_own_hue():
     assert np.all(found.clear)
 
 
+@pytest.mark.slow
 def test_a_casing_that_is_faster_than_its_rotor_is_reported_with_the_commands_that_exchange_them(draw):
     path, _ = draw(**{**SMALL, "frames": 60, "casing": lambda t: 90.0 * t, "rotor": lambda t: 1.0 + 20.0 * t})
     (told,) = (text for text in extract(path).warnings if "faster than the rotor" in text)

@@ -174,6 +174,7 @@ def test_an_empty_folder(tmp_path):
         read_folder(tmp_path / "no")
 
 
+@pytest.mark.slow
 @given(st.text(max_size=100))
 def test_no_label_leads_out_of_the_results(label):
     name = folder_name(label)

@@ -86,6 +86,7 @@ def test_a_shorter_test_leaves_the_outcomes_of_a_longer_one(gyrotrack, wheel):
     assert [o["number"] for o in stored["outcomes"]] == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_diagnose_says_what_the_test_takes(gyrotrack, wheel):
     assert re.search(
         r"`gyrotrack certify \S+wheel.h5` tests this answer .*\(about .* (s|min|h)\)",
@@ -172,6 +173,7 @@ def test_a_case_without_films_is_refused_before_anything_is_rendered(gyrotrack, 
     assert "--film" in said.error["hint"]
 
 
+@pytest.mark.slow
 def test_diagnose_lists_the_fits_of_its_search_with_v(gyrotrack, wheel):
     said = gyrotrack("diagnose", wheel, "-v")
     lines = [line for line in said.err.splitlines() if re.match(r"a candidate .*\(\+\S+", line)]

@@ -251,6 +251,7 @@ class TestAnswers:
         (tmp_path / "model.toml").write_text(f"effects = {json.dumps(KNOWN)}")
         return tmp_path / "model.toml"
 
+    @pytest.mark.slow
     def test_a_law_of_one_body_is_added(self, gyrotrack, case, model, tmp_path):
         ledger = ["--ledger", tmp_path / "fits.json"]
         said = gyrotrack("fit", case, "--model", model, *ledger, "--json").json
@@ -268,6 +269,7 @@ class TestAnswers:
         assert "rmse of the angular rate of the motor" in shown
         assert "inertia.drum" not in gyrotrack("budget", case, *ledger).out
 
+    @pytest.mark.slow
     def test_own_laws_in_a_file(self, gyrotrack, case, model, tmp_path):
         effects = tmp_path / "own.toml"
         effects.write_text('[[effect]]\nname = "lab.drag"\nbody = "wheel"\nlaw = "-k*omega_wheel**2"\n')

@@ -31,6 +31,7 @@ def runs(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_drag_differs(runs, capsys):
     picture = runs / "difference.png"
     cases = [str(runs / "left.h5"), str(runs / "right.fits.json")]

@@ -106,6 +106,7 @@ def test_a_file_says_what_made_it(gyrotrack, here):
     assert {"gyrotrack", "python", "platform", "numpy", "h5py"} <= set(environment)
 
 
+@pytest.mark.slow
 def test_numbers_of_tracking(gyrotrack, here):
     said = gyrotrack("config", "--tracking")
     assert said.code == 0
@@ -124,6 +125,7 @@ def test_numbers_of_tracking(gyrotrack, here):
         assert "--tracking shows no options of commands." in said.err
 
 
+@pytest.mark.slow
 def test_numbers_of_fitting(gyrotrack, here):
     said = gyrotrack("config", "--fitting")
     assert said.code == 0

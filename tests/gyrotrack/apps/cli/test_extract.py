@@ -19,6 +19,7 @@ def _json(capsys):
     return json.loads(captured.out), captured.err
 
 
+@pytest.mark.slow
 def test_a_film_becomes_a_recording(film, tmp_path, capsys):
     target = tmp_path / "out.h5"
     assert run(["extract", str(film), "-o", str(target), "--json"]) == 0

@@ -28,6 +28,7 @@ def far(parameters, truth):
     }
 
 
+@pytest.mark.slow
 def test_numbers_and_keys_of_the_document(gyrotrack, case):
     said = gyrotrack("fit", case("plain"), "--json")
     assert said.code == 0
@@ -67,6 +68,7 @@ def test_numbers_and_keys_of_the_document(gyrotrack, case):
     assert math.isfinite(found["bic"])
 
 
+@pytest.mark.slow
 def test_for_people_the_verdict_comes_first_and_the_ledger_is_where_one_wants_it(gyrotrack, case, tmp_path):
     ledger = tmp_path / "elsewhere.json"
     said = gyrotrack("fit", case("plain"), "--ledger", ledger)

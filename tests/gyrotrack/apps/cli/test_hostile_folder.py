@@ -76,6 +76,7 @@ def test_a_found_file_may_set_what_is_computed(gyrotrack, here):
     assert gyrotrack("effects").code == 0
 
 
+@pytest.mark.slow
 def test_a_scheduler_comes_from_the_environment_or_the_users_file(gyrotrack, here, monkeypatch):
     distributed = pytest.importorskip("distributed")
     asked = []

@@ -59,6 +59,7 @@ def imported(capsys, motor, *more):
     return case, out
 
 
+@pytest.mark.slow
 def test_import_info_and_export_of_an_input(capsys, motor, tmp_path):
     case, out = imported(capsys, motor)
     assert "input voltage from 'voltage [V]' [V] (by --input; the last value holds)" in out
@@ -128,6 +129,7 @@ def test_a_likely_input_is_proposed(capsys, motor):
     assert "--input 'voltage=voltage [V]'" in err
 
 
+@pytest.mark.slow
 def test_a_fit_prints_time_constant_and_gain(capsys, motor):
     case, _ = imported(capsys, motor)
     code, out, err = run(capsys, "fit", case, "--add", "casing: k*voltage", "--drop", "touchpoint.constant")
@@ -300,6 +302,7 @@ def test_an_input_of_spindown_needs_a_table(capsys, motor, tmp_path):
     assert "--input names a column of a table" in err
 
 
+@pytest.mark.slow
 def test_a_recorded_temperature_drives_nothing(capsys, tmp_path):
     time = np.arange(0.0, 4.0, 0.1)
     speed = 20 * np.exp(-time / 2) + 0.01 * np.random.default_rng(2).standard_normal(len(time))

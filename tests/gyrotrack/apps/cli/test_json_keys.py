@@ -123,6 +123,7 @@ def test_keys_of_simulations(printed, tmp_path):
     printed("reveal", tmp_path / "sealed.seal.json", "--answer", "casing.air.quadratic")
 
 
+@pytest.mark.slow
 def test_keys_of_fits(printed, study):
     assert len(printed("ladder", study)["ladder"]) == 2
     printed("fit", study, "--from", "f1")

@@ -79,6 +79,7 @@ def deviations(gyrotrack, tmp_path, series, seed):
     return [(found[n]["value"] - v) / found[n]["stderr"] for n, v in true.items()], said.json["verdict"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("series", ["pulses of unequal marks", "counts, fewer than rows"])
 def test_a_series_is_fitted_as_it_was_measured(gyrotrack, tmp_path, series):
     z, verdict = deviations(gyrotrack, tmp_path, series, 1)

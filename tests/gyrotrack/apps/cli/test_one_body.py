@@ -74,6 +74,7 @@ def test_half_of_what_is_needed(gyrotrack, tmp_path, words):
     assert "or --body" in said.err
 
 
+@pytest.mark.slow
 def test_body_without_inertia(gyrotrack, wheel, tmp_path):
     """No moment of inertia is invented: torques are per unit of inertia, and say so; with one they are in N m."""
     case = tmp_path / "w.h5"

@@ -32,6 +32,7 @@ def rows(path):
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.slow
 def test_a_point_becomes_a_table_with_uncertainties(film, tmp_path, capsys):
     path, drawn = film
     target, table = tmp_path / "bob.h5", tmp_path / "bob.csv"
@@ -50,6 +51,7 @@ def test_a_point_becomes_a_table_with_uncertainties(film, tmp_path, capsys):
     assert float(found[-1]["time [s]"]) == pytest.approx(59 / 50)
 
 
+@pytest.mark.slow
 def test_a_scale_gives_metres(film, tmp_path, capsys):
     path, drawn = film
     target, table = tmp_path / "bob.h5", tmp_path / "bob.csv"
@@ -142,6 +144,7 @@ def tilted(bob, made_once):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tilt", "right"), [("36.87", True), (None, False)])
 def test_a_given_tilt_corrects_the_angles(tilted, bob, tmp_path, tilt, right):
     """Without it, the hub at 0.8 of its height gives angles that are larger by 1 / 0.8."""

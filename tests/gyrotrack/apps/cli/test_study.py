@@ -114,6 +114,7 @@ class TestImprove:
 
 
 class TestLadder:
+    @pytest.mark.slow
     def test_what_was_added_and_what_the_error_did(self, gyrotrack, study):
         said = gyrotrack("ladder", study)
         assert said.code == 0
@@ -263,6 +264,7 @@ class TestAsAProcess:
         assert done.stderr == ""
         assert json.loads(done.stdout)["verdict"] == "no_lack_of_fit"
 
+    @pytest.mark.slow
     def test_a_missing_file(self, tmp_path):
         done = self.run("diagnose", tmp_path / "missing.h5", "--json")
         assert done.returncode == 1

@@ -29,6 +29,7 @@ def fit(record_of):
     return fit_model(Model.of([*REDUCED, ADDED]), [CaseData.of(record_of(1))])
 
 
+@pytest.mark.slow
 def test_all_dissipation_is_the_loss_of_kinetic_energy(fit):
     path, record = fit.predictions[0].path, fit.problem.data[0].record
     inertia = np.array([record.I_rotor, record.I_casing])

@@ -32,6 +32,7 @@ def _place(recording, marker, frame):
     return recording.centre[frame] + 60 * np.array([np.cos(angle), -np.sin(angle)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("marker", ["red", "blue"])
 def test_a_click_on_the_marker_gives_the_angle_that_tracking_gives(recording, marker):
     body = recording.markers[marker].body

@@ -30,6 +30,7 @@ def prediction(base):
     return Prediction(base)
 
 
+@pytest.mark.slow
 def test_slopes_are_the_derivatives_of_the_exact_residual(base, prediction):
     document = prediction.sliders()
     for k, p in enumerate(document["parameters"]):

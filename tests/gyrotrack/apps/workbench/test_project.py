@@ -237,6 +237,7 @@ def test_commands_are_those_of_the_command_line(project):
     assert "not a moment of inertia" in project.document()["inertias"]["inertia_rotor"]["error"]
 
 
+@pytest.mark.slow
 def test_tables_become_a_case_in_a_separate_process(project, tmp_path):
     for name, speed in (("casing.csv", 5.0), ("rotor.csv", 50.0)):
         rows = "".join(f"{0.01 * k},{speed * (0.01 * k - 0.01 * (0.01 * k) ** 2)}\n" for k in range(300))
@@ -257,6 +258,7 @@ def test_tables_become_a_case_in_a_separate_process(project, tmp_path):
     assert not project.document()["is_matched"]
 
 
+@pytest.mark.slow
 def test_a_table_is_read_for_the_page_before_it_becomes_a_case(project, tmp_path):
     rows = "".join(f"{0.01 * k},{5 * (0.01 * k - 0.01 * (0.01 * k) ** 2)},7\n" for k in range(300))
     (tmp_path / "wheel.csv").write_text("t [s],angle [rad],note\n" + rows)
@@ -298,6 +300,7 @@ def _wait(project, key):
     assert not project.jobs.get(key).is_active
 
 
+@pytest.mark.slow
 def test_jobs_wait_for_a_slot_are_cancelled_and_report_their_error(tmp_path):
     jobs, ended = Jobs(tmp_path, 1), []
     first = jobs.start("a", ["extract", "absent.mp4"], ended.append)

@@ -151,6 +151,7 @@ def kept(tmp_path_factory):
     return case
 
 
+@pytest.mark.slow
 def test_the_ledger_is_the_tree_and_keeps_names_notes_and_deletions(kept):
     study = open_study([kept], None)
     base, fit_id = study.base("f1")

@@ -396,6 +396,7 @@ def test_a_tracker_project(tmp_path):
             read_motion(write(tmp_path / "b.trk", bad))
 
 
+@pytest.mark.slow
 def test_matlab_and_excel(tmp_path):
     from scipy.io import savemat
 
@@ -467,6 +468,7 @@ def test_names_with_blanks_between_columns_that_blanks_separate(tmp_path, head, 
     np.testing.assert_allclose(read.value, np.pi * np.arange(400) if given else ANGLE, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_pose_file_of_movement(tmp_path):
     xr = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")

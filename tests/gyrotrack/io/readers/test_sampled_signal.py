@@ -64,6 +64,7 @@ def test_times_of_events_beside_another_quantity_stay_events(tmp_path):
     assert np.allclose(np.diff(found.value), 2 * np.pi / 3)
 
 
+@pytest.mark.slow
 def test_of_two_signals_one_is_chosen(tmp_path):
     t = np.arange(0, 20, 1 / 400)
     light = voltage(angle_at(t), t)

@@ -37,6 +37,7 @@ def coasting(kind):
     return "".join(f"{t},{c + 7},1.5,3\n" for t, c in rows), ReadOptions(names=read_names(["revolutions=2"]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["table", "counter"])
 def test_spoiled_copies(tmp_path, spoil, kind):
     text, options = coasting(kind)
