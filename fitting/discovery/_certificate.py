@@ -28,6 +28,7 @@ from fitting._criteria import Criteria
 from fitting._display import block, draw_answers, figure, figure_of, headline, table
 from fitting._errors import EstimationError, FittingError
 from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._refine import with_candidate
 from fitting.discovery._verdict import Diagnosis, diagnose
 from fitting.effects._effect import Effect
 from fitting.effects._words import effect_name
@@ -357,12 +358,11 @@ def hypotheses(found: Diagnosis) -> list[Hypothesis]:
 
 def _with_effect(base: Fit, candidate: Candidate) -> Fit | None:
     """Return the fit of the base model with a candidate effect; None if it fails or does not converge."""
-    names = {*base.model.names, candidate.effect.name}
-    known = candidate.fit
-    if known is None or set(known.model.names) != names:
+    model, known = with_candidate(base, candidate.effect), candidate.fit
+    if known is None or set(known.model.names) != set(model.names):
         start = {k: e.value for k, e in (base.estimates | candidate.estimates).items()}
         try:
-            known = fit_model(base.model.with_effect(candidate.effect), base, start=start)
+            known = fit_model(model, base, start=start)
         except FittingError:
             return None
     return known if known.converged else None

@@ -184,6 +184,31 @@ def is_far_from_the_motion(base: Fit, criteria: Criteria) -> bool:
     return any(holds_moving_body(base, i) for i in range(len(base.problem.data)))
 
 
+def replaced_laws(base: Fit, effect: Effect) -> list[str]:
+    """Return the laws of a base that an effect replaces, by name.
+
+    Such a law and the effect are the same torque up to the sign while no body turns back (`Effect.equivalent`), and its
+    strength in the base is at a bound: dry friction of a body that a constant torque drives. Of both together only the
+    sum would be determined.
+    """
+    found = []
+    for law in base.model.effects if effect.equivalent else ():
+        if law.name in effect.equivalent and law.amplitude is not None:
+            key = f"{law.name}.{law.amplitude.symbol}"
+            own = [e for k, e in base.estimates.items() if k.partition("@")[0] == key]
+            if own and all(e.at_bound for e in own):
+                found.append(law.name)
+    return [] if found and any(len(d.motion.reversals) for d in base.problem.data) else found
+
+
+def with_candidate(base: Fit, effect: Effect) -> Model:
+    """Return the model of a base with one more effect, without the laws that it replaces."""
+    model = base.model
+    for name in replaced_laws(base, effect):
+        model = model.without(name)
+    return model.with_effect(effect)
+
+
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the optimum of the base; None if it fails.
 
@@ -224,7 +249,7 @@ def fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
     At the noise level of a base without a restoring torque, a search ends before phase and frequency are determined.
     """
     with attempt("a candidate from scratch"):
-        found = fit(base.model.with_effect(effect), base.problem.data, quick=True)
+        found = fit(with_candidate(base, effect), base.problem.data, quick=True)
         return found if np.isfinite(found.deviance) else None
     return None
 
@@ -250,7 +275,7 @@ def fit_together(
     how = "" if start is None else " from another start of the search"
     with attempt(f"a candidate{' with its strength held at first' if hold_strength else how}"):
         found = fit(
-            base.model.with_effect(score.effect),
+            with_candidate(base, score.effect),
             base,
             share=common,
             per_case=_keys_per_case(score),

@@ -586,6 +586,11 @@ class Step:
             self.change or "base", self.fit.problem.data[0].record.body, self.fit.model.effects
         )
 
+    def adds(self, effect: Effect) -> bool:
+        """Return whether this step added an effect; laws that it replaced are dropped in the same step."""
+        added = f"+{effect.name}"
+        return self.change == added or self.change.startswith(f"{added} -")
+
     def __repr__(self) -> str:
         return f"Step({self.change or 'base'}: {self.fit.verdict}, {len(self.candidates)} candidates)"
 
@@ -690,7 +695,7 @@ def select(
         most = 1 + criteria.follow_up
         # an exchange changes the effect that is named
         history = [s for s in known if not s.is_exchange][: 1 + most]
-        if len(known) < 2 or known[1].change != f"+{chosen.effect.name}":
+        if len(known) < 2 or not known[1].adds(chosen.effect):
             history = improve(
                 base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers, exchange=False
             )
@@ -882,7 +887,8 @@ def _steps(
     found = converged if converged.bic < found.bic + criteria.evidence else found
     if found.bic > history[-1].fit.bic - criteria.evidence:
         return
-    newest = Step(f"+{chosen.effect.name}", found, ())
+    replaced = [n for n in history[-1].fit.model.names if n not in found.model.names]
+    newest = Step(" -".join([f"+{chosen.effect.name}", *replaced]), found, ())
     last = _backward([*history, newest], criteria)
     try:
         candidates = rank(last.fit, extra, criteria=criteria, workers=workers)
@@ -926,7 +932,7 @@ def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
         droppable = [
             e
             for e in added
-            if newest.change != f"+{e.name}"
+            if not newest.adds(e)
             and (len(added) >= criteria.crowded or not _is_essential(current, e, criteria))
         ]
         tried = ((e, _without(current, e)) for e in droppable)

@@ -282,7 +282,10 @@ CASING = (
         signature="a chirp whose rate grows as the rotor slows, also in the tracked centre",
         source="precession of a fast top at m / omega_r", state=State("chirp", "m/omega_r")),
     Effect("external.constant", "casing", "k",
-        (Parameter("k", "N m", lower=_ANY, meaning="constant torque, for example of a steady draught"),),
+        (
+            Parameter("k", "N m", lower=_ANY,
+                meaning="constant torque, for example of a falling weight, less a dry friction outside the model"),
+        ),
         words="constant external torque on the casing",
         signature="the same as dry friction while the casing keeps its sense of rotation",
         confused_with=("touchpoint.constant",), source="a constant external torque",

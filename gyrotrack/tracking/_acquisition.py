@@ -598,7 +598,8 @@ def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
     if disc is None and orbit is None:
         raise TrackingError(
             f"No markers found in {where}: nothing in the colours of the profile turns about a centre.",
-            "Check the colours of the profile (--profile). If nothing turns, mark the centre with a disc.",
+            "Check the colours of the profile (--profile). If the camera moves by more than a few pixels, film from a "
+            "stand. If nothing turns, mark the centre with a disc.",
         )
     centre = disc.centre if disc is not None else orbit.centre if orbit is not None else (0.0, 0.0)
     radius = max(orbit.radii.values()) if orbit is not None else None

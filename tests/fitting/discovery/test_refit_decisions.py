@@ -8,7 +8,7 @@ import numpy as np
 import oscillators
 import pytest
 
-from fitting import LIBRARY, Criteria, Estimate, EstimationError, SimulationError
+from fitting import LIBRARY, Case, Criteria, Estimate, EstimationError, SimulationError, diagnose, fit
 from fitting._criteria import DEFAULT
 from fitting.discovery import _refine as module
 from fitting.discovery._refine import (
@@ -21,7 +21,9 @@ from fitting.discovery._refine import (
     refined,
     refit,
     refitted_at,
+    replaced_laws,
     restarted_from,
+    with_candidate,
     with_common_phase,
     with_common_values,
     with_free_shape,
@@ -29,6 +31,7 @@ from fitting.discovery._refine import (
     with_values_per_case,
 )
 from fitting.discovery._score import Score
+from fitting.dynamics._model import Model
 from fitting.effects._effect import State
 from fitting.effects._expression import Tape
 from fitting.effects._user import resolve
@@ -251,7 +254,7 @@ class TestRefit:
             return Found(deviance)
 
         monkeypatch.setattr(module, "fit", fit)
-        effect = SimpleNamespace(restoring=True, breakpoint="", name="spring")
+        effect = SimpleNamespace(restoring=True, breakpoint="", name="spring", equivalent=())
         model = SimpleNamespace(restoring=False, with_effect=lambda e: "with it" if e is effect else "")
         base = Found(model=model, problem=SimpleNamespace(data="data"))
         assert (refit(base, SimpleNamespace(effect=effect, score=1.0), DEFAULT) is not None) is found
@@ -704,3 +707,50 @@ class TestFreeShape:
     def test_without_a_fit_there_is_no_free_constant(self, monkeypatch):
         assert self.freed(monkeypatch, DRAG, [None], lambda d: d)[0] is None
         assert with_free_shape(Found(), LIBRARY["touchpoint.constant"], Criteria()) is None
+
+
+class TestReplacedLaws:
+    """A constant torque replaces the dry friction that is at its bound while the body does not turn back."""
+
+    TORQUE = LIBRARY["external.constant"]
+
+    def base(self, at_bound=True, reversals=0, cases=1):
+        keys = [f"touchpoint.constant.b1{f'@{i}' if cases > 1 else ''}" for i in range(cases)]
+        own = {k: SimpleNamespace(at_bound=at_bound or (cases > 1 and i > 0)) for i, k in enumerate(keys)}
+        other = {"casing.air.linear.b2": SimpleNamespace(at_bound=True)}
+        run = SimpleNamespace(motion=SimpleNamespace(reversals=np.zeros(reversals)))
+        model = Model.of(["touchpoint.constant", "casing.air.linear"])
+        return SimpleNamespace(
+            model=model, estimates=own | other, problem=SimpleNamespace(data=[run] * cases)
+        )
+
+    @pytest.mark.parametrize(
+        ("given", "replaced"),
+        [
+            ({}, True),
+            ({"at_bound": False}, False),
+            ({"reversals": 1}, False),
+            ({"cases": 2}, True),
+            ({"cases": 2, "at_bound": False}, False),
+        ],
+    )
+    def test_a_law_at_its_bound_is_replaced_by_its_equivalent(self, given, replaced):
+        base = self.base(**given)
+        assert replaced_laws(base, self.TORQUE) == ["touchpoint.constant"] * replaced
+        kept = () if replaced else ("touchpoint.constant",)
+        assert with_candidate(base, self.TORQUE).names == (*kept, "casing.air.linear", "external.constant")
+
+    def test_another_effect_replaces_nothing(self):
+        assert replaced_laws(self.base(), DRAG) == []
+
+    def test_the_torque_of_a_body_that_speeds_up_is_named_with_its_strength(self):
+        """1.242e-4 N m on 2e-5 kg m2: 6.21 rad/s2. Beside a dry friction of any strength it was not determined."""
+        t = np.arange(0.0, 2.3, 0.02)
+        angle = 0.05 * t + 0.5 * 6.21 * t**2 + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+        case = Case.from_arrays(wheel={"t": t, "angle": angle, "u": 1e-3, "inertia": 2e-5})
+        found = diagnose(fit(["touchpoint.constant", "casing.air.linear"], case))
+        assert found.verdict == "missing_effect"
+        assert found.candidates[0].effect.name == "external.constant"
+        k = found.candidates[0].fit.estimates["external.constant.k"]
+        assert k.value == pytest.approx(1.242e-4, abs=3 * k.stderr)
+        assert k.stderr < 3e-7
