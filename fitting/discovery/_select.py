@@ -700,6 +700,12 @@ def select(
                 base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers, exchange=False
             )
         named, end = (history[1].fit, history[-1].fit) if len(history) > 1 else (end, end)
+        if (left := _superseding(base, end, ranked, chosen)) is not None:
+            ranked, chosen, named = (
+                [left, *(c for c in ranked if c.effect.name != left.effect.name)],
+                left,
+                end,
+            )
     else:
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
@@ -716,6 +722,27 @@ def select(
         stated = replace(chosen, estimates=_own_estimates(named, chosen.effect))
         ranked, chosen = [stated if c is chosen else c for c in ranked], stated
     return Selection(ranked, chosen, named, end)
+
+
+def _superseding(base: Fit, end: Fit, candidates: Sequence[Candidate], chosen: Candidate) -> Candidate | None:
+    """Return the only effect of the most complete fit, if the chosen one was dropped from it; None otherwise.
+
+    The scores of a base that is far from the motion mislead; a second effect then makes the first one unnecessary.
+    """
+    added = [e.name for e in end.model.effects if e.name not in base.model.names]
+    left = next((c for c in candidates if [c.effect.name] == added and c is not chosen), None)
+    if left is None:
+        return None
+    return replace(
+        left,
+        fit=end,
+        score=base.deviance - end.deviance,
+        delta_bic=end.bic - base.bic,
+        p_value=min(left.p_value, chosen.p_value),
+        held_out_gain=base.held_out_of_first_casing - end.held_out_of_first_casing,
+        indistinguishable_from=(),
+        significant=True,
+    )
 
 
 def _refined(found: Fit, criteria: Criteria) -> Fit:

@@ -933,6 +933,41 @@ class TestSelect:
         calls, end, found = self.selected(monkeypatch, wrong=True, improved=steps[:1])
         assert (found.named, found.final) == (end, end)
 
+    @pytest.mark.parametrize(
+        ("left", "superseded"),
+        [((LAMINAR,), True), ((DRAG,), False), ((DRAG, LAMINAR), False), ((STEP,), False), ((), False)],
+    )
+    def test_an_effect_that_is_left_alone_supersedes_the_first_one(self, monkeypatch, left, superseded):
+        """The first one was dropped, because the second one describes the data without it."""
+        last = Found(10.0, 12.0, model=Model(left), held_out_of_first_casing=0.4)
+        steps = [Step("", Found(), ()), Step("+a", Found(40.0), ()), Step("+b -a", last, ())]
+        _, _, found = self.selected(monkeypatch, wrong=True, improved=steps)
+        assert found.final is last
+        assert (found.chosen.effect is LAMINAR) is superseded
+        if not superseded:
+            assert found.named is steps[1].fit
+            return
+        assert found.named is last
+        assert found.candidates[0] is found.chosen
+        assert [c.effect for c in found.candidates] == [LAMINAR, DRAG]
+        of_it = found.chosen
+        assert (of_it.delta_bic, of_it.score, of_it.held_out_gain) == pytest.approx((-90.0, 88.0, 0.6))
+        assert of_it.significant
+        assert of_it.indistinguishable_from == ()
+        assert of_it.fit is last
+
+    @pytest.mark.parametrize(
+        ("change", "adds"),
+        [
+            (f"+{DRAG.name}", True),
+            (f"+{DRAG.name} -touchpoint.constant", True),
+            (f"+{DRAG.name}.n", False),
+            (f"+b -{DRAG.name}", False),
+        ],
+    )
+    def test_the_effect_that_a_step_adds(self, change, adds):
+        assert Step(change, Found(), ()).adds(DRAG) is adds
+
     @pytest.mark.parametrize(("change", "taken"), [(f"+{DRAG.name}", True), ("+casing.air.laminar", False)])
     def test_an_earlier_history_of_the_same_effect_is_taken_over(self, monkeypatch, change, taken):
         known = [Step(c, Found(90.0 - 10 * i), ()) for i, c in enumerate(("", change, "+b", "+c"))]
