@@ -309,6 +309,7 @@ def test_the_oracle_sees_the_difference_that_the_effect_makes():
     assert among.whole == alone.whole
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_the_command_runs_a_part_of_the_plan_once(tmp_path):
     path = tmp_path / "lines.jsonl"
@@ -328,6 +329,7 @@ def test_the_command_runs_a_part_of_the_plan_once(tmp_path):
     assert abs(pull) < 4
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_the_score_is_what_the_oracle_foresaw():
     """With random torque: the root of the score of the hidden effect has its size in sigma as mean, and spread 1."""

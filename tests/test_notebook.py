@@ -57,6 +57,7 @@ def test_the_notebook_names_the_hidden_effect(demo, tmp_path, monkeypatch):
     assert abs(drag.value - truth["hidden_parameters"]["k"]) < 4 * drag.stderr
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_the_notebook_of_the_wheel_finds_the_law_that_was_drawn(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

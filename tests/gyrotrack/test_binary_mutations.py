@@ -113,6 +113,7 @@ def inside(content, chance):
     return made.getvalue()
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("name", list(KINDS))
 def test_a_changed_binary_file_is_read_or_refused_within_limits(tmp_path, name):
     path = tmp_path / name

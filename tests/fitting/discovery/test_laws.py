@@ -127,6 +127,7 @@ def test_a_saturating_drag_is_found_with_its_parameters():
     assert best.fit.verdict == "no_lack_of_fit"
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_an_effect_of_the_library_is_the_answer_only_if_no_law_is_clearly_better():
     """A law improves on a wrong effect, and none improves on the right one."""

@@ -60,6 +60,7 @@ def test_a_heated_bearing_is_ranked_first_and_its_refit_lowers_the_deviance_by_a
     assert heating.estimates["bearing.heating.tau_T"].value == pytest.approx(COOLING, rel=0.25)
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_no_refit_is_worse_than_its_base():
     base, candidates = ranked()

@@ -33,6 +33,7 @@ def _z(recording, truth, body):
 NOISE = (1.0, 4.0, 1.0, 4.0)
 
 
+@pytest.mark.release
 def test_casing_clips(tmp_path):
     z, errors = [], []
     for seed, noise in enumerate(NOISE):
@@ -50,6 +51,7 @@ def test_casing_clips(tmp_path):
     assert np.std(np.concatenate(errors)) < 2.5e-3
 
 
+@pytest.mark.release
 def test_rotor_clips(tmp_path):
     z = {"casing": [], "rotor": []}
     errors = []

@@ -230,6 +230,7 @@ def pendulums(periods, phases, count=120, fps=30.0):
     return Rendered(frames), angles
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_two_pendulums_are_never_one_body():
     """The features of both move as one rigid picture about a hub far away: such an angle is refused."""
@@ -242,6 +243,7 @@ def test_two_pendulums_are_never_one_body():
     assert min(off) < 3 * np.median(tracked.sigma) + 0.02 * angles.std()
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_a_camera_that_turns_about_a_point_outside_the_picture_is_not_a_body():
     """The hub must be given for a body that fills the picture: the film does not differ from that of a camera."""
@@ -261,6 +263,7 @@ def test_a_camera_that_turns_about_a_point_outside_the_picture_is_not_a_body():
     assert np.std(error_of(tracked, angle)) < 2e-3
 
 
+@pytest.mark.release
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "wrong"), [(1.0, False), (0.6, False), (1.0, True)])
 def test_the_distance_of_a_hub_outside_the_picture_is_checked_by_the_path(monkeypatch, share, wrong):
@@ -293,6 +296,7 @@ def test_a_hopeless_second_body_is_not_refined(monkeypatch):
     assert _any_body._second_body(None, motion, best) is None
 
 
+@pytest.mark.release
 @pytest.mark.slow
 @pytest.mark.parametrize(("off", "doubt"), [(0.3, False), (12.0, True)])
 def test_a_given_hub_that_is_not_the_centre_is_doubted(off, doubt):

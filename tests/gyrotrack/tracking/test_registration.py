@@ -107,6 +107,7 @@ def test_error_and_uncertainty(angles):
     assert 0.8 < (error / found.sigma).std() < 1.25
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_error_and_uncertainty_of_a_large_disc():
     error, found, least = check(300, SPIN_DOWN[:60], 6.0, seed=3)
@@ -192,6 +193,7 @@ def test_hub_of_a_ball_far_from_it_is_not_pulled_towards_the_ball():
     assert distant_hub(1.0 + 0.5j, left, shift, np.zeros(159, dtype=complex)) is None
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_a_pendulum_before_a_textured_wall():
     """A ball on a rod that turns little before a wall with texture, its hub above: the wall is not the body's."""

@@ -268,6 +268,7 @@ def long_film(draw, tmp_path):
 _KILLS = 4
 
 
+@pytest.mark.release
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_killed_at_random_moments_it_ends_with_the_same_numbers(long_film, tmp_path):

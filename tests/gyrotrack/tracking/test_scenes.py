@@ -40,6 +40,7 @@ SETS = {
 }
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     ("colours", "table", "white", "fps"),
     [

@@ -159,6 +159,7 @@ def test_keys_of_studies(printed, study, tmp_path):
     printed("laws", study, "--from", "f1")
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_keys_of_a_certificate(printed, study):
     printed("certify", study, "-n", 1, "--workers", 1)
@@ -184,6 +185,7 @@ def test_keys_of_a_population(printed, tmp_path):
     assert printed("compare", tmp_path, "--model", "reduced", "--workers", 1)["population"]["parameters"]
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_keys_of_one_body(printed, wheel, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -203,6 +205,7 @@ def test_keys_of_one_body(printed, wheel, tmp_path, monkeypatch):
     assert printed("info", "driven.h5")["inputs"]
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_keys_of_films(printed, demo, tmp_path):
     document, folder = demo

@@ -14,6 +14,7 @@ sys.path.insert(0, str(ROBUSTNESS))
 import kill  # noqa: E402
 
 
+@pytest.mark.release
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
 @pytest.mark.parametrize("name", [*kill.QUICK, "view"])

@@ -26,6 +26,7 @@ def study(tmp_path_factory):
     return cases, target
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_every_figure_is_there_in_every_format(study):
     _, target = study
