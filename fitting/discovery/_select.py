@@ -700,12 +700,10 @@ def select(
                 base, extra, criteria=criteria, max_steps=most, first=ranked, workers=workers, exchange=False
             )
         named, end = (history[1].fit, history[-1].fit) if len(history) > 1 else (end, end)
-        if (left := _superseding(base, end, ranked, chosen)) is not None:
-            ranked, chosen, named = (
-                [left, *(c for c in ranked if c.effect.name != left.effect.name)],
-                left,
-                end,
-            )
+        left = _superseding(base, history, ranked, chosen) if len(history) > 1 else None
+        if left is not None and left.fit is not None:
+            ranked = [left, *(c for c in ranked if c.effect.name != left.effect.name)]
+            chosen, named = left, left.fit
     else:
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
@@ -724,25 +722,31 @@ def select(
     return Selection(ranked, chosen, named, end)
 
 
-def _superseding(base: Fit, end: Fit, candidates: Sequence[Candidate], chosen: Candidate) -> Candidate | None:
-    """Return the only effect of the most complete fit, if the chosen one was dropped from it; None otherwise.
+def _superseding(
+    base: Fit, history: Sequence[Step], candidates: Sequence[Candidate], chosen: Candidate
+) -> Candidate | None:
+    """Return the effect that made the chosen one unnecessary; None if the most complete fit contains the chosen one.
 
-    The scores of a base that is far from the motion mislead; a second effect then makes the first one unnecessary.
+    The scores of a base that is far from the motion mislead; a second effect then describes the data without the first
+    one. The result is the first effect that was alone in a step of the history and that the last step contains.
     """
-    added = [e.name for e in end.model.effects if e.name not in base.model.names]
-    left = next((c for c in candidates if [c.effect.name] == added and c is not chosen), None)
-    if left is None:
-        return None
-    return replace(
-        left,
-        fit=end,
-        score=base.deviance - end.deviance,
-        delta_bic=end.bic - base.bic,
-        p_value=min(left.p_value, chosen.p_value),
-        held_out_gain=base.held_out_of_first_casing - end.held_out_of_first_casing,
-        indistinguishable_from=(),
-        significant=True,
-    )
+    last = history[-1].fit.model.names
+    for step in history[1:] if chosen.effect.name not in last else ():
+        found = step.fit
+        added = [n for n in found.model.names if n not in base.model.names]
+        left = next((c for c in candidates if [c.effect.name] == added and c.effect.name in last), None)
+        if left is not None:
+            return replace(
+                left,
+                fit=found,
+                score=base.deviance - found.deviance,
+                delta_bic=found.bic - base.bic,
+                p_value=min(left.p_value, chosen.p_value),
+                held_out_gain=base.held_out_of_first_casing - found.held_out_of_first_casing,
+                indistinguishable_from=(),
+                significant=True,
+            )
+    return None
 
 
 def _refined(found: Fit, criteria: Criteria) -> Fit:

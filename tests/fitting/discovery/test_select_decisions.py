@@ -940,7 +940,8 @@ class TestSelect:
     def test_an_effect_that_is_left_alone_supersedes_the_first_one(self, monkeypatch, left, superseded):
         """The first one was dropped, because the second one describes the data without it."""
         last = Found(10.0, 12.0, model=Model(left), held_out_of_first_casing=0.4)
-        steps = [Step("", Found(), ()), Step("+a", Found(40.0), ()), Step("+b -a", last, ())]
+        first = Found(40.0, model=Model((DRAG,)))
+        steps = [Step("", Found(), ()), Step("+a", first, ()), Step("+b -a", last, ())]
         _, _, found = self.selected(monkeypatch, wrong=True, improved=steps)
         assert found.final is last
         assert (found.chosen.effect is LAMINAR) is superseded
@@ -955,6 +956,18 @@ class TestSelect:
         assert of_it.significant
         assert of_it.indistinguishable_from == ()
         assert of_it.fit is last
+
+    def test_of_several_effects_the_first_that_was_alone_supersedes(self, monkeypatch):
+        alone = Found(20.0, model=Model((LAMINAR,)))
+        both = Found(10.0, model=Model((LAMINAR, STEP)))
+        fits = [Found(), Found(40.0, model=Model((DRAG,))), alone, both]
+        steps = [Step(c, f, ()) for c, f in zip(("", "+a", "+b -a", "+c"), fits, strict=True)]
+        _, _, found = self.selected(monkeypatch, wrong=True, improved=steps)
+        assert (found.chosen.effect, found.named, found.final) == (LAMINAR, alone, both)
+        # an effect that was dropped as well is not named
+        steps[-1] = Step("+c", Found(10.0, model=Model((STEP,))), ())
+        _, _, found = self.selected(monkeypatch, wrong=True, improved=steps)
+        assert (found.chosen.effect, found.named) == (DRAG, fits[1])
 
     @pytest.mark.parametrize(
         ("change", "adds"),
