@@ -35,7 +35,7 @@ from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism
 from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._initial_values import initial_shapes, initial_values, unknown_shapes
 from fitting.inference._noise import Noise
-from fitting.inference._optimisation import ActiveBounds, Solution, search, search_widely
+from fitting.inference._optimisation import ActiveBounds, Solution, is_far, search, search_widely
 from fitting.inference._oscillation import are_smooth
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import (
@@ -187,16 +187,41 @@ def deviance_at_noise_of(base: Fit, other: Fit) -> float:
 
 
 def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
-    """Yield other initial values: those of the program if some were given, and other exponents of power laws."""
+    """Yield other initial values: of the program if some were given, of no dry friction, of other power laws.
+
+    Dry friction that stops the body too early in the model hides the motion after it from the search.
+    """
     usual = initial_values(problem, None) if given else theta
     if given:
         yield usual
+    model = problem.layout.model
+    dry = [
+        f"{e.name}.{e.amplitude.symbol}"
+        for e in model.effects
+        if e.amplitude is not None and _jumps_at_rest(e, model.mechanism.speeds[MAIN])
+    ]
+    if dry:
+        yield initial_values(problem, {**(given or {}), **dict.fromkeys(dry, 0.0)})
     for g in _OTHER_POWERS:
         begin = usual.copy()
         for v in problem.power_laws:
             begin = problem.physical(np.where(np.arange(len(usual)) == v.g, g, problem.transformed(begin)))
         if problem.power_laws:
             yield begin
+
+
+def _from_other_starts(
+    problem: Problem, found: Solution, others: Iterable[Array], *, quick: bool
+) -> Solution:
+    """Return a better solution than one that is far from the data, searched from other initial values.
+
+    A random torque as large as the lack of fit makes the search leave a minimum that a search at a low level found.
+    """
+    for begin in others:
+        with attempt("a search from other initial values", EstimationError):
+            other = search(problem, begin, quick=quick)
+            found = other if other.minimum.cost < found.minimum.cost else found
+    return found
 
 
 _GIVEN_UP = 30.0
@@ -342,6 +367,8 @@ def _fitted(
         noise = refine_level(problem, theta, noise)
         problem = problem.with_noise(noise)
     found = search(problem, theta, quick=quick, active=active)
+    if given is None and is_far(problem, found):
+        found = _from_other_starts(problem, found, _other_starts(problem, first, start), quick=quick)
     noise = refine_level(problem, found.theta, noise)
     problem = problem.with_noise(noise)
     found = search(problem, found.theta, quick=quick, active=found.active)

@@ -176,6 +176,11 @@ class Solution:
     active: ActiveBounds | None = None
 
 
+def is_far(problem: Problem, found: Solution) -> bool:
+    """Return whether a solution is so far from the data that another minimum is likely."""
+    return found.minimum.cost >= _FAR * problem.rows
+
+
 def search_widely(
     problem: Problem,
     theta: Array,
@@ -197,7 +202,7 @@ def search_widely(
         same = best is not None and abs(cost - best.minimum.cost) < _SAME * best.minimum.cost
         if best is None or cost < best.minimum.cost:
             best = found
-        if same or (found.minimum.converged and cost < _FAR * problem.rows):
+        if same or (found.minimum.converged and not is_far(problem, found)):
             break
     # if all searches failed, the error of the first is raised
     return search(problem, theta, quick=quick) if best is None else best

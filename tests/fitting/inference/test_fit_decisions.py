@@ -13,6 +13,7 @@ from fitting import LIBRARY, Estimate, EstimationError, Model, SimulationError
 from fitting.effects._user import resolve
 from fitting.inference import _fit as module
 from fitting.inference._fit import cauchy, deviance_at_noise_of, fit, huber
+from fitting.inference._optimisation import _FAR, is_far
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples
 
@@ -194,8 +195,12 @@ class TestStarts:
     @pytest.mark.parametrize(("given", "expected"), [(None, [0.7, 1.35]), ({"a": 1.0}, ["usual", 0.7, 1.35])])
     def test_other_exponents_and_the_programs_own_values(self, monkeypatch, given, expected):
         monkeypatch.setattr(module, "initial_values", lambda problem, known: np.array([5.0, 1.2]))
+        layout = SimpleNamespace(model=Model.of(["casing.air.linear"]))
         problem = SimpleNamespace(
-            power_laws=[SimpleNamespace(g=1)], transformed=lambda theta: theta, physical=lambda u: u
+            power_laws=[SimpleNamespace(g=1)],
+            transformed=lambda theta: theta,
+            physical=lambda u: u,
+            layout=layout,
         )
         found = [t.tolist() for t in module._other_starts(problem, np.array([3.0, 1.1]), given)]
         first = 5.0 if given else 3.0
@@ -203,6 +208,36 @@ class TestStarts:
         assert found == [*wanted, [first, 0.7], [first, 1.35]]
         problem.power_laws = []
         assert [t.tolist() for t in module._other_starts(problem, np.array([3.0, 1.1]), given)] == wanted
+
+    @pytest.mark.parametrize("given", [None, {"casing.air.linear.b2": 1.0}])
+    def test_a_search_begins_also_without_dry_friction(self, monkeypatch, given):
+        """Dry friction of the casing stops it too early; viscous friction and that of the bearing remain."""
+        asked = []
+        monkeypatch.setattr(
+            module, "initial_values", lambda problem, known: asked.append(known) or np.zeros(2)
+        )
+        names = ["touchpoint.constant", "touchpoint.stribeck", "casing.air.linear", "bearing.linear"]
+        problem = SimpleNamespace(power_laws=[], layout=SimpleNamespace(model=Model.of(names)))
+        list(module._other_starts(problem, np.zeros(2), given))
+        assert asked[-1] == {**(given or {}), "touchpoint.constant.b1": 0.0, "touchpoint.stribeck.k": 0.0}
+        assert len(asked) == (1 if given is None else 2)
+
+    def test_the_best_of_several_searches_is_kept(self, monkeypatch):
+        def search(problem, begin, *, quick):
+            assert quick
+            if begin < 0:
+                raise EstimationError("it fails", "")
+            return SimpleNamespace(minimum=SimpleNamespace(cost=begin))
+
+        monkeypatch.setattr(module, "search", search)
+        first = SimpleNamespace(minimum=SimpleNamespace(cost=30.0))
+        for others, cost in (([40.0, -1.0], 30.0), ([40.0, -1.0, 20.0, 25.0], 20.0), ([], 30.0)):
+            found = module._from_other_starts(None, first, others, quick=True)
+            assert found.minimum.cost == cost
+
+    @pytest.mark.parametrize(("cost", "far"), [(0.99 * _FAR * 50, False), (1.01 * _FAR * 50, True)])
+    def test_a_solution_is_far_from_the_data(self, cost, far):
+        assert is_far(SimpleNamespace(rows=50), SimpleNamespace(minimum=SimpleNamespace(cost=cost))) is far
 
     def of(self, value, stderr):
         return Estimate(value, stderr, "N m", at_bound=False)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting import REDUCED, EstimationError, Model, diagnose, fit, improve, make_record
+from fitting import REDUCED, Case, EstimationError, Model, diagnose, fit, improve, make_record
 from fitting.discovery._lack_of_fit import smooth_test
 from fitting.effects._user import formula, resolve
 
@@ -169,3 +169,26 @@ def test_rms_error_of_pulses_is_that_of_their_times():
     )
     result = fit(Model.of(["casing.air.linear"]), [pulses])
     assert result.cases[0].casing.rmse == pytest.approx(result.rmse_noise, rel=0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.release
+def test_eddy_currents_on_a_wheel_are_named_although_its_base_model_is_far_from_the_motion():
+    """The search of dry and viscous friction ended in a minimum with 50 times the deviance; no law was named."""
+    inertia, time = 2e-3, np.arange(0.0, 30.0, 0.01)
+    slow = solve_ivp(
+        lambda t, y: [y[1], -(1e-4 + 8e-4 / (1.0 + (y[1] / 10.0) ** 2)) * y[1] / inertia],
+        (0.0, 30.0), [0.0, 40.0], t_eval=time, rtol=1e-9, atol=1e-9,
+    )  # fmt: skip
+    angle = slow.y[0] + 1e-3 * np.random.default_rng(5).standard_normal(len(time))
+    case = Case.from_arrays(wheel={"t": time, "angle": angle, "u": 1e-3, "inertia": inertia})
+    laws = ["touchpoint.constant", "casing.air.linear"]
+    base = fit(laws, case)
+    near = fit(laws, case, params={"casing.air.linear.b2": {"value": 1e-4}})
+    assert base.deviance < 1.01 * near.deviance
+    found = diagnose(base)
+    assert found.candidates[0].effect.name == "casing.brake.eddy"
+    assert found.verdict == "missing_effect"
+    estimates = found.candidates[0].estimates
+    assert estimates["casing.brake.eddy.k"].value == pytest.approx(8e-4, rel=1e-3)
+    assert estimates["casing.brake.eddy.w"].value == pytest.approx(10.0, rel=1e-3)
