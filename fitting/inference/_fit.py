@@ -218,7 +218,7 @@ def _from_other_starts(
     A random torque as large as the lack of fit makes the search leave a minimum that a search at a low level found.
     """
     for begin in others:
-        with attempt("a search from other initial values", EstimationError):
+        with attempt("a search from further initial values", EstimationError):
             other = search(problem, begin, quick=quick)
             found = other if other.minimum.cost < found.minimum.cost else found
     return found
