@@ -42,7 +42,10 @@ def test_chi_square_of_slow_torques_is_the_fall_beyond_the_parameters_of_the_fit
         return float(np.sum((r - columns @ np.linalg.lstsq(columns, r)[0]) ** 2))
 
     # the sum of the first parameter's columns in both cases is in the fit already
-    assert _together(slow, free, residual) == (pytest.approx(chi2(common) - chi2(np.hstack([common, tested]))), 2)
+    assert _together(slow, free, residual) == (
+        pytest.approx(chi2(common) - chi2(np.hstack([common, tested]))),
+        2,
+    )
 
 
 def found(hidden, seed, model=REDUCED):

@@ -8,7 +8,14 @@ import pytest
 
 from gyrotrack import TrackingError
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking._acquisition import Rings, SampledMarker, _on_other_body, acquire, find_coloured, find_white
+from gyrotrack.tracking._acquisition import (
+    Rings,
+    SampledMarker,
+    _on_other_body,
+    acquire,
+    find_coloured,
+    find_white,
+)
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._profile import PAPER
@@ -196,13 +203,13 @@ def test_the_edges_of_a_coloured_marker_are_not_the_white_marker():
     red = np.abs(apart) < 1.5 * half_width
     white = np.abs(np.angle(np.exp(1j * (apart - 2.0)))) < half_width
     luma = np.full((24, 41, 512), 60.0)
-    luma[:, 10:31] += (120.0 * red + 50.0 * white)[:, None]
+    luma[:, 10:31] += (190.0 * red + 30.0 * white)[:, None]
     seen = Marker("red", "rotor", "red", 30.0, 50.0, half_width, (-30.0, 25.0), 0.3)
     others = [SampledMarker(seen, turn, np.ones(24, dtype=bool))]
     samples = SimpleNamespace(luma_strips=lambda ring, frames: luma)
     found = find_white(samples, range(24), ring, PAPER.marker[0], others)
     assert found.mount == pytest.approx(2.0, abs=ring.step)
-    assert found.contrast[0] == pytest.approx(50.0, abs=1.0)
+    assert found.contrast[0] == pytest.approx(30.0, abs=1.0)
 
 
 @pytest.mark.slow

@@ -14,8 +14,8 @@ import pytest
 
 from gyrotrack import DatasetError, UsageError, export_file, import_body, import_case, write_case
 from gyrotrack.io.readers._columnar import read_json
-from gyrotrack.io.readers._motion_table import ReadOptions, only_one, read_names, resolution
-from gyrotrack.io.readers._raw_table import TURN, number_of
+from gyrotrack.io.readers._motion_table import ReadOptions, checked, only_one, read_names, resolution
+from gyrotrack.io.readers._raw_table import TURN, number_of, table_of
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, read_cuts
 
@@ -417,6 +417,14 @@ def test_matlab_and_excel(tmp_path):
     for read in found:
         np.testing.assert_allclose(read.time, TIME)
         np.testing.assert_allclose(read.value, ANGLE)
+
+
+def test_rows_of_a_file_without_lines_are_counted_from_one():
+    angle, notes = ANGLE.copy(), []
+    angle[2] = np.nan
+    raw = table_of(Path("a.mat"), ["t", "angle"], [TIME, angle])
+    assert checked(raw, "angle", TIME, angle, None, notes).line[:3].tolist() == [1, 2, 4]
+    assert notes == ["a.mat: 1 rows without a value were excluded (first: line 3)"]
 
 
 def test_lists_of_a_json_table_that_are_shorter_are_not_columns(tmp_path):

@@ -77,13 +77,3 @@ def test_limits_of_the_process(work, ends_well):
     program += f"m._MOST_CPU_S = {1 if 'while' in work else 20}\nm._limit()\n{work}"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60, check=False)
     assert (ended.returncode == 0) == ends_well
-
-
-def test_rows_of_a_matlab_file_are_counted_from_one(tmp_path):
-    time = 0.01 * np.arange(400)
-    angle = 20.0 * time - 1.5 * time**2
-    angle[2] = np.nan
-    savemat(tmp_path / "a.mat", {"t": time, "phi_rad": angle})
-    found = read_motion(tmp_path / "a.mat")
-    assert found.line[:3].tolist() == [1, 2, 4]
-    assert "a.mat: 1 rows without a value were excluded (first: line 3)" in found.notes
