@@ -61,7 +61,7 @@ def parse_tie(text: str, keys: Sequence[str]) -> Expr:
 
     def placeholder(found: re.Match[str]) -> str:
         name = found[0]
-        if name in replaced or "." not in name:
+        if "." not in name:  # a function, a short name, or a placeholder
             return name
         replaced[f"tied_{len(replaced)}"] = find_key(name, keys)
         return f"tied_{len(replaced) - 1}"

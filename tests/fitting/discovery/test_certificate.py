@@ -132,6 +132,13 @@ class TestHypotheses:
             assert counts["null", ""] == counts["truth", NAME] == n
             assert {c for (kind, _), c in counts.items() if kind == "rival"} == {each}
 
+    @pytest.mark.parametrize("verdict", ["missing_effect", "undecided", "adequate"])
+    def test_only_an_answer_with_a_missing_effect_names_it(self, answer, verdict):
+        best = answer.candidates[0]
+        tested = Certificate.of_answer(replace(answer, verdict=verdict), (), 1)
+        assert tested.named == ((NAME, *best.indistinguishable_from) if verdict == "missing_effect" else ())
+        assert tested.score == best.score
+
     def test_an_interrupted_run_has_some_of_every_hypothesis(self, answer):
         first = planned(answer, 10)[: len(hypotheses(answer))]
         assert len({item[:2] for item in first}) == len(first)

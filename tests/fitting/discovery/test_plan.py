@@ -367,6 +367,19 @@ class TestDescription:
         assert found.problem.data[0].casing.scale == pytest.approx(1.0, abs=0.05)
         assert found.noise[0].pure == pytest.approx(NOISE, rel=0.4)
 
+    @pytest.mark.parametrize(("casing", "limit"), [(5.0, 135.0), (-134.0, 135.0), (-136.0, 136.0)])
+    def test_bounds_of_the_next_run_are_those_of_the_planned_runs(self, described, casing, limit):
+        """The casing reaches 15 % of the speed of the rotor, or what is planned if that is faster."""
+        bounds = read_planned(described("omega_casing = 5.0", f"omega_casing = {casing}")).bounds
+        assert bounds.omega_rotor == pytest.approx((300.0, 900.0))
+        assert bounds.omega_casing == pytest.approx((-limit, limit))
+        assert bounds.duration == pytest.approx((30.0, 120.0))
+
+    def test_bounds_in_the_file_replace_the_usual_ones(self, described):
+        found = read_planned(described("[[run]]", "[bounds]\nduration = [3, 9]\n[[run]]")).bounds
+        assert found.duration == (3.0, 9.0)
+        assert found.omega_rotor == pytest.approx((300.0, 900.0))
+
     @pytest.mark.parametrize(
         ("old", "new", "message"),
         [

@@ -183,3 +183,11 @@ def test_a_product_with_the_sense_of_motion_is_friction_in_proportion_to_an_inpu
     moving = 1.0 + TAU * np.log(1 + at_one * C / (0.6 * K)) > TIMES
     assert omega[moving] == pytest.approx(expected[moving], rel=1e-8, abs=1e-8)
     assert omega[~moving] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("second", "of_first_order"), [("casing", True), ("rotor", False)])
+def test_a_response_is_of_first_order_if_every_input_drives_the_body(second, of_first_order):
+    inputs = [Input(name, [0.0, 1.0], [0.0, 2.0], interpolation="hold") for name in "uv"]
+    laws = [effect(law, inputs) for law in ("casing: k*u", f"{second}: k*v")]
+    model = Model.of(["casing.air.linear"]) + laws[0] + laws[1]
+    assert (Dynamics(model, inputs=inputs).first_order is not None) is of_first_order

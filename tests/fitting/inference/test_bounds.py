@@ -1,11 +1,14 @@
 """Held, bounded and undetermined parameters; models with missing and with superfluous effects."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import twobody
 from cases import case, data, fitted, pulls
 
 from fitting import GENERAL, LINEAR, REDUCED, Model, fit
+from fitting.inference._problem import surely_at_bound
 
 TRUTH = twobody.truth()
 
@@ -116,3 +119,14 @@ def test_nine_parameters_of_one_recording_are_not_determined():
     for key in ("bearing.linear.d", "bearing.power.f", "bearing.power.g"):
         assert general.estimates[key].stderr > 30 * reduced.estimates[key].stderr
         assert abs(general.estimates[key].value - TRUTH[key]) < 4 * general.estimates[key].stderr
+
+
+@pytest.mark.parametrize(("beyond", "sure"), [(2.9, False), (3.1, True), (-3.1, True)])
+@pytest.mark.parametrize("size", [0.1, 5.0])
+def test_a_strength_three_standard_errors_beyond_its_bound_is_at_the_bound(beyond, sure, size):
+    """Of four variables the first is not at a bound, the second has other bounds, the third is not influential."""
+    layout = SimpleNamespace(names=("a.k", "a.g", "a.b", "a.d"), is_physical_bound=lambda name: name != "a.g")
+    j = size * np.eye(5)[:, :4] * [1.0, 1.0, 0.0, 1.0]
+    at_bound = np.array([False, True, False, True])
+    found = surely_at_bound(layout, at_bound, np.full(5, beyond), j)
+    assert found.tolist() == [False, False, True, sure]

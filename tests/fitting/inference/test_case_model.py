@@ -11,7 +11,8 @@ import pytest
 import twobody
 from cases import data, fitted
 
-from fitting import REDUCED, Model, SimulationError, make_record
+from fitting import LIBRARY, REDUCED, Model, SimulationError, make_record
+from fitting.dynamics._collocation import Sampler
 from fitting.inference import _case_model
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
@@ -119,6 +120,36 @@ def test_response_to_a_harmonic_torque_agrees_with_the_oracle():
     for part, share in (("casing", 0.01), ("harmonic", 0.01), ("rotor", 0.01)):
         where = measured.slices[part]
         assert np.linalg.norm(left[where]) < share * np.linalg.norm(expected[where]), part
+
+
+@pytest.mark.parametrize("name", ["camera.centre", "casing.unbalance"])
+def test_a_strength_at_a_phase_is_a_sum_of_both_phases(name):
+    case, layout, theta = model_of(name)
+    found = case.predict(theta)
+    sine, cosine = case.unit_columns(LIBRARY[name], found.path, found.sensitivity, layout.numbers(theta, 0))
+    amplitude, phase = (layout.index[f"{name}.{symbol}"] for symbol in EXTRA[name])
+    k, phi = theta[[amplitude, phase]]
+    expected = np.cos(phi) * sine + np.sin(phi) * cosine
+    assert found.jacobian[:, amplitude] == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+    expected = k * (np.cos(phi) * cosine - np.sin(phi) * sine)
+    assert found.jacobian[:, phase] == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+
+
+def test_the_clock_of_the_rotor_camera_counts_from_the_start_of_each_window():
+    """The error of the angle is (t - t0) omega per unit of the error of the clock."""
+    case, layout, theta = model_of("camera.clock")
+    found, measured = case.predict(theta), case.data
+    parts = []
+    for window in measured.rotor:
+        t = window.samples.time
+        omega = Sampler(found.path.mesh, t).value(found.path.y)[:, 0]
+        parts.append(window.at_samples(((t - t[0]) * omega)[:, None])[0][:, 0])
+    rows = np.zeros(len(measured.z))
+    rows[measured.slices["rotor"]] = np.concatenate(parts)
+    free = np.linalg.qr(measured.nuisance)[0]
+    column = found.jacobian[:, layout.index["camera.clock.eps"]]
+    column, expected = (v - free @ (free.T @ v) for v in (column, measured.whitened(rows)))
+    assert column == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("quantity", ["angle", "omega"])

@@ -627,3 +627,24 @@ class TestSearchWithNoise:
         calls, _, _ = self.searched(monkeypatch, held=("a.w",))
         assert calls[3:6] == ["search", "measure_noise", "_other_starts"]
         assert "search" not in self.searched(monkeypatch)[0]
+
+
+@pytest.mark.parametrize(
+    ("same", "repeated"), [((True, True), False), ((True, False), True), ((False, False), True)]
+)
+def test_one_recording_with_other_noise_repeats_the_fit(monkeypatch, same, repeated):
+    def recording(name, has_noise):
+        return SimpleNamespace(
+            has_noise_of=lambda criteria: has_noise, with_criteria=lambda criteria: (name, criteria)
+        )
+
+    def fitted(model, data, *, share, per_case, ranges, ties):
+        return model.name, data, share, per_case, ranges, ties
+
+    monkeypatch.setattr(module, "fit", fitted)
+    layout = SimpleNamespace(choices=(("x.k", "gone.k"), ("y.k",)), ranges="ranges", ties="ties")
+    data = [recording(name, has_noise) for name, has_noise in zip("ab", same, strict=True)]
+    problem = SimpleNamespace(data=data, layout=layout)
+    found = SimpleNamespace(problem=problem, model=SimpleNamespace(name="model", free=("x.k", "y.k")))
+    again = "model", [("a", "other"), ("b", "other")], ["x.k"], ["y.k"], "ranges", "ties"
+    assert module.measured_with(found, "other") == (again if repeated else found)

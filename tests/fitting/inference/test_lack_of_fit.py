@@ -9,6 +9,7 @@ import twobody
 
 from fitting import REDUCED, Model, fit, make_record
 from fitting.inference._case_data import CaseData
+from fitting.inference._metrics import _together
 from fitting.inference._noise import tail_probability
 from fitting.inference._process_noise import ProcessNoise
 
@@ -24,6 +25,27 @@ def test_tail_probability_agrees_with_draws_of_an_uncertain_level(share):
     for p in (0.5, 1e-1, 1e-2):
         found = float(tail_probability(np.quantile(drawn, 1 - p), 5, [noise], [share]))
         assert found == pytest.approx(p, rel=0.08)
+
+
+def test_chi_square_of_slow_torques_is_the_fall_beyond_the_parameters_of_the_fit():
+    """Two cases with common parameters: the fall from the fit alone to a fit with the slow torques of each case."""
+    rng = np.random.default_rng(3)
+    free = [rng.normal(size=(12, 2)) for _ in range(2)]
+    slow = [np.column_stack([rng.normal(size=12), f[:, 0]]) for f in free]
+    slow[1] = slow[1][:, 1:]
+    residual = [rng.normal(size=12) for _ in range(2)]
+    common, r = np.concatenate(free), np.concatenate(residual)
+    tested = np.zeros((24, 3))
+    tested[:12, :2], tested[12:, 2:] = slow
+
+    def chi2(columns):
+        return float(np.sum((r - columns @ np.linalg.lstsq(columns, r)[0]) ** 2))
+
+    # the sum of the first parameter's columns in both cases is in the fit already
+    assert _together(slow, free, residual) == (
+        pytest.approx(chi2(common) - chi2(np.hstack([common, tested]))),
+        2,
+    )
 
 
 def found(hidden, seed, model=REDUCED):

@@ -4,7 +4,9 @@ from cases import data
 
 from fitting import LINEAR, REDUCED, EffectError, Model, Record
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
+from fitting.effects._expression import Tape
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._ties import parse_tie
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +90,26 @@ def test_ranges_tighten_bounds_and_never_widen_them(records):
     theta[g], theta[d] = 1.3, 5e-7
     assert layout.at_bound(theta)[[g, d]].all()
     assert layout.at_bound(theta).sum() == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("sqrt(b1*d)", 6.0),
+        ("sqrt(touchpoint.constant.b1*bearing.linear.d)", 6.0),
+        ("2*linear.d + casing: -k*u.k", 23.0),
+        ("casing: -k*u.k*abs(bearing.linear.d - b1)", 25.0),
+    ],
+)
+def test_a_tie_has_functions_and_long_and_short_names(text, value):
+    known = {"touchpoint.constant.b1": 4.0, "bearing.linear.d": 9.0, "casing: -k*u.k": 5.0}
+    assert Tape([parse_tie(text, list(known))])(known)[0] == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["2*nothing", "2*bearing.power.f", "sqrt(c)"])
+def test_a_tie_to_an_unknown_parameter_is_refused(text):
+    with pytest.raises(EffectError, match="there is no parameter"):
+        parse_tie(text, ["touchpoint.constant.b1", "bearing.linear.d"])
 
 
 def test_start_speeds_have_no_bounds(records):

@@ -12,7 +12,7 @@ from gyrotrack import TrackingError
 from gyrotrack._column_store import StoredPictures
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import Film, fresh_frames
-from gyrotrack.tracking._hub_search import distant_hub, fit_circle
+from gyrotrack.tracking._hub_search import Motion, distant_hub, edge_hub, fit_circle
 from gyrotrack.tracking._registration import Ring, follow, learn, register, rolled, without_slips
 from gyrotrack.tracking._tracked import hub_error
 
@@ -175,6 +175,26 @@ def test_circle_through_an_arc_with_strays():
     x[::9] += 60
     centre = fit_circle(x + rng.normal(0, 0.05, 60), y + rng.normal(0, 0.05, 60))
     assert np.hypot(centre[0] - 500, centre[1] + 80) < 3
+
+
+@pytest.mark.parametrize(("share", "hub"), [(0.6, (50.0, 70.0)), (0.4, (120.0, 30.0))])
+def test_the_hub_of_edges_is_that_of_most_of_them(share, hub):
+    """Rings about one point at the left, about another one at the right."""
+    y, x = np.mgrid[0:120, 0:160].astype(np.float32)
+    left, right = (np.cos(np.hypot(x - u, y - v) / 2.5) for u, v in ((50, 70), (120, 30)))
+    mean = (120 + 40 * np.where(x < 160 * share, left, right)).astype(np.float32)
+    motion = Motion(mean, mean, 1.0, np.ones(mean.shape, dtype=bool), (0, 0, 160, 120))
+    assert edge_hub(motion) == pytest.approx(hub, abs=0.1)
+
+
+@pytest.mark.parametrize(("contrast", "found"), [(0.9, False), (1.1, True)])
+def test_an_edge_has_half_a_grey_level_per_pixel(contrast, found):
+    """A cone about the hub that rises by one grey level in two pixels."""
+    y, x = np.mgrid[0:80, 0:80].astype(np.float32)
+    mean = 0.5 * contrast * np.hypot(x - 33, y - 44)
+    motion = Motion(mean, mean, 1.0, np.ones(mean.shape, dtype=bool), (0, 0, 80, 80))
+    place = edge_hub(motion)
+    assert place == (pytest.approx((33.0, 44.0), abs=0.1) if found else None)
 
 
 def test_hub_of_a_ball_far_from_it_is_not_pulled_towards_the_ball():

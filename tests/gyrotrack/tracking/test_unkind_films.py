@@ -1,12 +1,21 @@
 """Films as the world makes them: a rotor below the casing, flickering lamps, a hand at the start, lost markers."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 
 from gyrotrack import TrackingError
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking._acquisition import Rings, SampledMarker, _on_other_body, acquire, find_coloured
+from gyrotrack.tracking._acquisition import (
+    Rings,
+    SampledMarker,
+    _on_other_body,
+    acquire,
+    find_coloured,
+    find_white,
+)
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._polar import Ring
 from gyrotrack.tracking._profile import PAPER
@@ -184,6 +193,23 @@ def test_a_marker_on_a_coloured_background_is_measured_in_its_own_hue():
     assert (found.marker.inner, found.marker.outer) == pytest.approx((45.0, 79.0), abs=1.5)
     assert found.marker.half_width == pytest.approx(15.5 * ring.step, abs=0.02)
     assert np.all(found.clear)
+
+
+def test_the_edges_of_a_coloured_marker_are_not_the_white_marker():
+    """A red marker is brighter than the white one, up to 1.5 half widths."""
+    ring, half_width = Ring((160.0, 120.0), 20.0, 60.0, 41, 512), 0.2
+    turn = np.arange(24) * 100 * ring.step
+    apart = np.angle(np.exp(1j * (np.arange(512) * ring.step - turn[:, None])))
+    red = np.abs(apart) < 1.5 * half_width
+    white = np.abs(np.angle(np.exp(1j * (apart - 2.0)))) < half_width
+    luma = np.full((24, 41, 512), 60.0)
+    luma[:, 10:31] += (190.0 * red + 30.0 * white)[:, None]
+    seen = Marker("red", "rotor", "red", 30.0, 50.0, half_width, (-30.0, 25.0), 0.3)
+    others = [SampledMarker(seen, turn, np.ones(24, dtype=bool))]
+    samples = SimpleNamespace(luma_strips=lambda ring, frames: luma)
+    found = find_white(samples, range(24), ring, PAPER.marker[0], others)
+    assert found.mount == pytest.approx(2.0, abs=ring.step)
+    assert found.contrast[0] == pytest.approx(30.0, abs=1.0)
 
 
 @pytest.mark.slow

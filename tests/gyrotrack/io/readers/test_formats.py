@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import time
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -12,8 +13,9 @@ import numpy as np
 import pytest
 
 from gyrotrack import DatasetError, UsageError, export_file, import_body, import_case, write_case
-from gyrotrack.io.readers._motion_table import ReadOptions, only_one, read_names, resolution
-from gyrotrack.io.readers._raw_table import TURN
+from gyrotrack.io.readers._columnar import read_json
+from gyrotrack.io.readers._motion_table import ReadOptions, checked, only_one, read_names, resolution
+from gyrotrack.io.readers._raw_table import TURN, number_of, table_of
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, read_cuts
 
@@ -415,6 +417,45 @@ def test_matlab_and_excel(tmp_path):
     for read in found:
         np.testing.assert_allclose(read.time, TIME)
         np.testing.assert_allclose(read.value, ANGLE)
+
+
+def test_rows_of_a_file_without_lines_are_counted_from_one():
+    angle, notes = ANGLE.copy(), []
+    angle[2] = np.nan
+    raw = table_of(Path("a.mat"), ["t", "angle"], [TIME, angle])
+    assert checked(raw, "angle", TIME, angle, None, notes).line[:3].tolist() == [1, 2, 4]
+    assert notes == ["a.mat: 1 rows without a value were excluded (first: line 3)"]
+
+
+def test_lists_of_a_json_table_that_are_shorter_are_not_columns(tmp_path):
+    table = {"note": [1.0, 2.0], "t": TIME.tolist(), "angle": ANGLE.tolist(), "omega": [3.0], "empty": []}
+    found = read_motion(write(tmp_path / "a.json", json.dumps(table)))
+    np.testing.assert_allclose(found.value, ANGLE)
+    raw = read_json(tmp_path / "a.json", json.dumps(table).encode(), ReadOptions())
+    assert raw.names == ("t", "angle")
+    assert len(raw.line) == len(TIME)
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("1970-01-02T00:00:00", 86400.0),
+        ("1970-01-02 02:00:00.5+02:00", 86400.5),
+        ("1:02:03.5", 3723.5),
+        ("02:03", 123.0),
+    ],
+)
+def test_times_do_not_depend_on_the_time_zone_of_the_computer(monkeypatch, text, seconds):
+    try:
+        with monkeypatch.context() as context:
+            context.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")
+            if hasattr(time, "tzset"):
+                time.tzset()
+            assert number_of(text, times=True) == seconds
+    finally:
+        if hasattr(time, "tzset"):
+            time.tzset()
+    assert number_of(text) is None
 
 
 def test_excel_97_with_text_above_and_a_second_sheet(tmp_path):

@@ -216,6 +216,14 @@ def test_coordinates_by_number(tmp_path, places):
     )
 
 
+def test_a_column_may_be_given_for_one_body():
+    options = ["casing.x=2", "rotor.x=3", "t=Zeit"]
+    assert read_names(options, "casing") == {"2": ("x", ""), "zeit": ("t", "")}
+    assert read_names(options, "rotor") == {"3": ("x", ""), "zeit": ("t", "")}
+    with pytest.raises(UsageError, match="unknown column"):
+        read_names(["casing.x=2"], bodies=("wheel",))
+
+
 def test_columns_by_name(tmp_path):
     path = write(
         tmp_path / "a.csv",

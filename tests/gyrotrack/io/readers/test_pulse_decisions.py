@@ -62,6 +62,14 @@ class TestSampled:
         levels = np.tile(np.arange(7.0), 5)
         assert signal_columns(table(np.arange(35.0), levels, levels + np.eye(35)[3] * 9), 0) == [2]
 
+    @pytest.mark.parametrize(
+        ("marker", "columns"), [(None, [1, 2]), ("LIGHT", [1]), ("otor", [2]), ("x", [])]
+    )
+    def test_a_signal_is_selected_by_a_part_of_its_name_in_upper_or_lower_case(self, marker, columns):
+        values = np.arange(20.0)
+        raw = table(values, values, values, names=["t", "Light", "motor"])
+        assert module._signals(raw, 0, ReadOptions(marker=marker)) == columns
+
     @pytest.mark.parametrize(("change", "regular"), [(1.34, True), (1.36, False)])
     def test_intervals_of_a_rotation_change_by_less_than_three_tenths(self, change, regular):
         """exp(0.3) = 1.35."""
