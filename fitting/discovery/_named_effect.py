@@ -147,10 +147,7 @@ def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, ...]:
 
 def _senses(effect: Effect, torques: Sequence[Array]) -> list[float]:
     """Return the share of a torque in time on each body that an effect drives or brakes."""
-    mechanism = effect.mechanism
-    shares = mechanism.shares(effect.site)
-    if effect.joint == "input":  # which may act on any body
-        shares = tuple(1.0 if body == mechanism.main else -1.0 for body in mechanism.bodies)
+    shares = effect.mechanism.shares(effect.site)
     return [share if own.any() else 0.0 for share, own in zip(shares, torques, strict=True)]
 
 

@@ -8,8 +8,20 @@ import numpy as np
 import pytest
 import twobody
 from cases import case, fitted
+from linearised import gyroscope
 
-from fitting import REDUCED, EffectError, Fit, Model, diagnose, improve, laws, make_record, read_effects
+from fitting import (
+    LINEAR,
+    REDUCED,
+    EffectError,
+    Fit,
+    Model,
+    diagnose,
+    improve,
+    laws,
+    make_record,
+    read_effects,
+)
 from fitting._criteria import DEFAULT
 from fitting._workers import WorkerPool
 from fitting.discovery import _dependence, _laws
@@ -18,6 +30,7 @@ from fitting.discovery._difference import different_parameter
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._laws import Law, Laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
+from fitting.dynamics._collocation import Sampler
 from fitting.effects._library import find
 from fitting.effects._user import resolve
 from fitting.inference._fit import fit
@@ -354,3 +367,17 @@ def test_a_brake_that_is_switched_on_is_found_and_its_torque_is_that_of_the_moti
         (estimate,) = (e for n, e in best.estimates.items() if n.endswith(f".{name}") or f".{name}@" in n)
         assert abs(estimate.value - true) < 4 * estimate.stderr
         assert estimate.stderr < 1e-3 * true
+
+
+def test_the_torque_of_a_law_is_the_rms_over_the_times_of_all_cases():
+    """A drag that is three times as large in the second case."""
+    drag, cases = "casing.air.quadratic", ("a", "b")
+    strengths = {f"{drag}.k@a": 1e-9, f"{drag}.k@b": 3e-9}
+    found = gyroscope((*LINEAR, drag), strengths, cases=cases, per_case=[drag])
+    squares = []
+    for k, data, p in zip(strengths.values(), found.problem.data, found.predictions, strict=True):
+        omega = Sampler(p.path.mesh, np.linspace(*data.record.span, 3000)).value(p.path.y)[:, 1]
+        squares.append(np.mean(k**2 * omega**4))
+    expected = math.sqrt(np.mean(squares))
+    assert _laws._torque_rms(found, [find(drag)]) == pytest.approx(expected, rel=1e-3)
+    assert abs(np.mean(np.sqrt(squares)) / expected - 1) > 0.05

@@ -1,8 +1,10 @@
 """Detection limits, upper limits, rivals, the next run, and descriptions of recordings."""
 
+import itertools
 import math
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
 
 import cases
 import numpy as np
@@ -13,7 +15,7 @@ from scipy.stats import norm
 from fitting import LIBRARY, REDUCED, EstimationError, Model, make_record, plan, simulate
 from fitting._criteria import DEFAULT
 from fitting.discovery._information import Information, Run, rivals, schur, simulated
-from fitting.discovery._next_run import Bounds, next_run, separating_run
+from fitting.discovery._next_run import Bounds, _RunSearch, next_run, separating_run
 from fitting.discovery._plan import read_planned
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._collocation import Sampler
@@ -287,7 +289,30 @@ class TestInformation:
         assert gained[1] == pytest.approx(0.5 * gained[0], rel=0.03)
 
 
+class Hill(_RunSearch):
+    """A search whose value falls with the distance of the settings from known ones; nothing is simulated."""
+
+    def __init__(self, best, evaluations):
+        self.best, self._evaluations, self._count = np.array(best), evaluations, 0
+        self.tried = [SimpleNamespace(x=np.full(len(best), 0.1), sense=1.0, value=-math.inf)]
+
+    def _keep(self, x, sense):
+        self._count += 1
+        self.tried.append(SimpleNamespace(x=x, sense=sense, value=-float(np.abs(x - self.best).sum())))
+
+
 class TestNextRun:
+    @pytest.mark.parametrize("best", [(0.77, 0.3), (0.0, 1.0), (0.1, 0.1)])
+    def test_steps_are_halved_only_when_no_setting_is_better(self, best):
+        """They begin at a quarter of the range and end at a fiftieth: the last ones are 1 / 32."""
+        search = Hill(best, 200)
+        search.refine()
+        assert search._best.x == pytest.approx(best, abs=1 / 32)
+        assert search._count < 200
+        few = Hill(best, 3)
+        few.refine()
+        assert few._count == 3
+
     @pytest.mark.slow
     def test_next_run_separates_windage_from_bearing_load_better_than_a_repetition(self):
         info = information()
@@ -437,3 +462,12 @@ def test_an_upper_limit_respects_the_bound_of_a_correlated_parameter():
     # (10 (k - 2))^2 + (0.01 k)^2 = 1.645^2
     assert found == pytest.approx(2.16448, rel=2e-3)
     assert bounds.largest_strength(apart, np.zeros(3), without, one_sided=True) == without
+
+
+def test_each_run_of_each_simulation_has_its_own_noise(described):
+    """Two equal runs, simulated twice."""
+    short = PLAN.replace("= 60.0\ncasing", "= 5.0\ncasing").replace("2.0, 30.0, 50.0", "1.0")
+    planned = read_planned(described(PLAN, short + short[short.index("[[run]]") :]))
+    seen = [record.casing.value for k in (0, 1) for record in planned._records(k)]
+    assert all(np.any(a != b) for a, b in itertools.combinations(seen, 2))
+    assert np.array_equal(planned._records(0)[0].casing.value, seen[0])

@@ -583,6 +583,11 @@ class TestFindings(Answer):
         assert found.sentence.startswith("Two turns slipped. ")
         assert "nothing else is missing" in found.sentence
 
+    def test_slipped_turns_are_listed_before_candidates_with_a_larger_score(self):
+        other = candidate(score=1e12)
+        found = self.answer(self.of(self.slip), select=selection(other))
+        assert [c.effect for c in found.candidates] == [SLIP, other.effect]
+
     def test_another_verdict_remains(self):
         found = self.answer(self.of(self.slip), select=selection(final=Found(wrong=True)))
         assert (found.verdict, found.form) == ("unexplained", None)

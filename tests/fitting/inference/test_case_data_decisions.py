@@ -329,6 +329,7 @@ class TestAngleNoise:
         assert (data._excess_angle_noise(known, (data.casing,)) > 0) is excess
         assert data.angle_noise.is_white is excess
         assert len(data.findings) == excess
+        assert all(f"by {1e3 * 1.1 * limit:.2g} mrad" in words for words in data.findings)
 
     @pytest.mark.parametrize(("rows", "estimated"), [((7, 20), False), ((8, 20), True)])
     def test_windows_are_estimated_with_the_share_of_the_torque_on_the_rotor(

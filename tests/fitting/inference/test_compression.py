@@ -279,3 +279,14 @@ def test_a_record_that_comes_to_rest_is_not_cut(slowest, cut):
     edges = np.array([0, 1200, len(angles)])
     found = _cut_where_slow(np.arange(len(angles)) * 1.0, angles, edges)
     assert (len(found) > len(edges)) is cut
+
+
+@pytest.mark.parametrize("bins", [1, 5, 40])
+def test_samples_of_a_block_are_summed_in_groups_of_equal_number(bins):
+    t = np.arange(200) ** 1.1 / 100
+    run = compress(Samples(t, 3.0 * t, np.full(200, SIGMA)), degree=3, angle=None, blocks=1)
+    ((where, operator),) = run.operators
+    ((middle, grouped),) = run.operators_of_bins(bins)
+    assert middle == pytest.approx(t[where].reshape(bins, -1).mean(axis=1))
+    expected = operator[: run.lift.shape[1]].reshape(-1, bins, 200 // bins).sum(axis=2)
+    assert grouped == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())

@@ -53,6 +53,15 @@ def test_rolling_bodies_keep_the_ratio_of_speeds():
     np.testing.assert_allclose(rotor, RATIO * casing, rtol=1e-9)
 
 
+def test_friction_that_holds_one_rolling_body_holds_both():
+    """At one state, rolling in the first row and held in the second one: no speed changes, whatever a parameter is."""
+    dynamics = Dynamics(Model.of(ROLLING))
+    given = np.zeros(2), np.full((2, 2), [RATIO, 1.0]), NUMBERS, np.array([1.0, 0.0])
+    for found in (dynamics.rates(*given), *dynamics.linearised(*given)):
+        assert np.abs(found[0]).min(axis=tuple(range(1, found.ndim - 1))).any()
+        assert not found[1].any()
+
+
 def test_a_torque_on_one_rolling_body_accelerates_both():
     """The linearised motion, by which process noise and further laws act, has the inertia of both."""
     dynamics, path = path_of(NUMBERS, 30.0)

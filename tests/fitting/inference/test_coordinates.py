@@ -52,6 +52,13 @@ def test_slopes_match_differences(g, power_laws):
         np.testing.assert_allclose(slope[:, i], rise, rtol=1e-5, atol=1e-9 * np.abs(slope[:, i]).max())
 
 
+@pytest.mark.parametrize(("g", "kept"), [(1.002, 1.003), (0.998, 0.997), (1.004, 1.004), (0.996, 0.996)])
+def test_an_exponent_keeps_a_distance_of_3e_3_from_that_of_the_other_law(g, kept):
+    theta, _ = to_physical(np.array([0.0, 1e-4, g, 2e-5, 0.0]), VALLEYS)
+    assert theta[2] == pytest.approx(kept, abs=1e-9)
+    assert from_physical(np.array([0.0, 1e-7, g, 1e-7, 0.0]), VALLEYS)[2] == pytest.approx(kept, abs=1e-9)
+
+
 ALONE = (PowerLaw(None, 3, 2, 400.0),)
 
 

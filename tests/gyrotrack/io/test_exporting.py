@@ -1,9 +1,11 @@
 """Exported numbers are those of the file, to the last digit, whoever reads them."""
 
 import csv
+import io
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from gyrotrack import (
     write_recording,
 )
 from gyrotrack.apps.cli import _app as app
+from gyrotrack.io import _contents as contents
 from gyrotrack.io._contents import columns, plain_cell
 
 pd = pytest.importorskip("pandas")
@@ -112,3 +115,12 @@ def test_the_notebook_runs(file, tmp_path, monkeypatch, capsys):
     assert "rad s-1" in said
     assert "bearing.linear.d" in said
     scope["tree"].close()
+
+
+@pytest.mark.parametrize("rows", [1, 3, 4, 7])
+def test_every_row_is_written_in_blocks(monkeypatch, rows):
+    """Of three rows."""
+    monkeypatch.setattr(contents, "_BLOCK", 3)
+    stream, values = io.BytesIO(), np.arange(float(rows))
+    contents._csv([SimpleNamespace(heading=name, values=values) for name in "ab"], stream)
+    assert stream.getvalue().decode().split() == ["a,b", *(f"{x},{x}" for x in values.tolist())]

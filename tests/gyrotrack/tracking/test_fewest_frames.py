@@ -4,11 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack import DatasetError, TrackingError
+from gyrotrack import DatasetError, TrackingError, VideoError
 from gyrotrack.apps._motion import motion_of
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film
 from gyrotrack.tracking._point_tracker import track_point
+from gyrotrack.tracking._scene import FEWEST, take_samples
 
 STEP = 0.12  # rotation from frame to frame [rad]
 
@@ -54,3 +55,13 @@ def test_a_motion_has_ten_samples(count):
     else:
         found = motion_of(time, angle, np.full(count, 1e-3))
         assert found.omega_mean.value == pytest.approx(3.0, abs=3.0 * found.omega_mean.stderr)
+
+
+@pytest.mark.parametrize(("frames", "taken"), [(FEWEST, True), (FEWEST - 1, False)])
+def test_a_film_of_eight_frames_is_sampled(draw, frames, taken):
+    path, _ = draw(width=64, height=48, radius=20.0, frames=frames)
+    if taken:
+        assert len(take_samples(path).frames) == FEWEST
+    else:
+        with pytest.raises(VideoError, match="only 7 frames; at least 8 are required"):
+            take_samples(path)

@@ -478,6 +478,14 @@ class TestLight:
         windows.MarkerWindow.apply_light(given, np.array([1.0, 2.0, 4.0, 9.0]))
         assert given.profile == pytest.approx(np.array([[2.0, 1.0, 0.5]]))
 
+    def test_a_mean_along_the_radius_is_divided_by_the_light_too(self):
+        scores = np.random.default_rng(0).uniform(size=(2, 3, 4)).astype(np.float32)
+        weight, given = np.full((2, 4), 0.25), SimpleNamespace(scores=scores, _light=None)
+        assert windows.MarkerWindow.along(given, weight) == pytest.approx(scores.mean(axis=2))
+        given._light = np.array([[1.0, 2.0, 1.0, 0.5], [4.0, 1.0, 1.0, 1.0]])
+        expected = (scores * given._light[:, None]).mean(axis=2)
+        assert windows.MarkerWindow.along(given, weight) == pytest.approx(expected, rel=1e-5)
+
 
 class TestOcclusion:
     """A map of the angle to the other body, in degrees."""

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._any_body import elsewhere
-from gyrotrack.tracking._hub_search import Motion, similarity_hubs
+from gyrotrack.tracking import _any_body
+from gyrotrack.tracking._any_body import _Trial, elsewhere
+from gyrotrack.tracking._hub_search import Motion, Proposal, similarity_hubs
 from gyrotrack.tracking._point_tracker import _linked
 from gyrotrack.tracking._registration import Ring
 from gyrotrack.tracking._silhouettes import Spot
@@ -47,3 +48,23 @@ def test_a_hub_is_proposed_from_fewer_frames_than_the_longest_distance_of_two():
     ]
     near, _ = similarity_hubs(frames, Motion.of(frames, 0))
     assert near == pytest.approx((42.0, 38.0), abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("own", "outer", "second"), [(20.0, 40.0, True), (20.0, 70.0, False), (70.0, 20.0, False)]
+)
+def test_the_hub_of_a_second_body_is_outside_the_best_ring_and_the_best_hub_outside_its_ring(
+    monkeypatch, own, outer, second
+):
+    """The hubs are 60 px apart."""
+    frames = [np.zeros((120, 240), np.uint8)] * 2
+    motion = Motion.of(frames)
+    motion.moving[40:60, 30:50] = motion.moving[40:60, 180:200] = True
+    best, other = (
+        _Trial(Ring.about((x, 50.0), 3.0, r), "edges", "low", True, np.linspace(0.0, 3.0, 12), 0.6, True)
+        for x, r in ((40.0, own), (100.0, outer))
+    )
+    monkeypatch.setattr(_any_body, "propose_hubs", lambda *_: [Proposal(other.ring.hub, "edges")])
+    monkeypatch.setattr(_any_body, "_trials", lambda *_: [other])
+    monkeypatch.setattr(_any_body, "_refined_trial", lambda trial, *_, **__: trial)
+    assert _any_body._second_body(frames, motion, best) is (other if second else None)

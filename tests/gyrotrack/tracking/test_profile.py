@@ -1,3 +1,4 @@
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,12 @@ def test_a_profile_survives_toml(tmp_path):
     path = tmp_path / "p.toml"
     path.write_text(to_toml(profile), encoding="utf-8")
     assert load(path) == profile
+
+
+def test_a_mount_angle_and_a_hue_of_zero_are_not_unknown():
+    marker = {"name": "one", "colour": "red", "body": "rotor", "mount_angle": 0.0, "hue": 0.0}
+    profile = Profile.model_validate({"name": "a", "centre": "orbit", "circle_hue": 0.0, "marker": [marker]})
+    assert parse(tomllib.loads(to_toml(profile)), "text") == profile
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from gyrotrack._column_store import StoredPictures
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, distant_hub, edge_hub, fit_circle
-from gyrotrack.tracking._registration import Ring, follow, learn, register, rolled, without_slips
+from gyrotrack.tracking._registration import TURN, Ring, follow, learn, register, rolled, without_slips
 from gyrotrack.tracking._tracked import hub_error
 
 
@@ -379,3 +379,11 @@ def test_a_jump_below_two_steps_is_a_motion(step, kept):
     template = learn(polars, jumped * ring.step, allowed, ring, separate=False, plain=True)
     found = without_slips(polars, jumped * ring.step, np.arange(20), template) / ring.step
     assert (abs(found[9] - jumped[9]) < 0.2) == kept
+
+
+@pytest.mark.parametrize(("span", "rows", "samples"), [(TURN, 10, 40 * TURN), (1.0, 40, 160)])
+def test_a_radius_has_the_finest_number_of_samples_and_a_row_of_an_arc_too(span, rows, samples):
+    """100 px of 400 px: steps of 400 / 40 px, and of 100 / 40 px in an arc."""
+    ring = Ring.about((0.0, 0.0), 300.0, 400.0, finest=40.0, span=span)
+    assert ring.rows == rows
+    assert samples - 1 <= ring.columns <= 1.1 * samples

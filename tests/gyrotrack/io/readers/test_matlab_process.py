@@ -38,6 +38,13 @@ def test_numbers_cross_and_other_variables_are_described(good):
     assert sorted(numbers) == ["angle", "flag", "t"]
 
 
+def test_the_fields_of_a_single_struct_are_variables_and_those_of_an_array_of_structs_are_not(tmp_path):
+    runs = np.zeros((1, 2), dtype=[("omega", object)])
+    runs["omega"][0] = [np.arange(3.0), np.arange(4.0)]
+    savemat(tmp_path / "a.mat", {"run": {"angle": np.arange(5.0)}, "runs": runs})
+    assert sorted(_matlab_process._read((tmp_path / "a.mat").read_bytes())) == ["angle", "runs"]
+
+
 @posix
 @pytest.mark.parametrize(
     ("lines", "said"),

@@ -66,6 +66,15 @@ class TestExchanged:
         assert not are_exchanged(0.01 * np.arange(60.0), steps, TURN)
         assert not are_exchanged(irregular, irregular**1.1, TURN)
 
+    @pytest.mark.parametrize(
+        ("odd", "factor", "expected"), [(1, 1.1, True), (3, 1.1, False), (3, 1.009, True), (3, 1.011, False)]
+    )
+    def test_99_percent_of_equal_steps_differ_by_less_than_1_percent(self, odd, factor, expected):
+        """Of 200 steps, one or three are longer."""
+        time, step = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, 201)), np.full(200, TURN / 4.5)
+        step[[20, 90, 150][:odd]] *= factor
+        assert are_exchanged(time, np.concatenate([[0.0], np.cumsum(step)]), TURN) is expected
+
     @pytest.mark.parametrize(("back", "expected"), [(2, True), (4, False)])
     def test_times_do_not_step_back(self, back, expected):
         """In more than a twentieth of 59 steps."""

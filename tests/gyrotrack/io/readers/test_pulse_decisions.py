@@ -937,6 +937,13 @@ class TestCounter:
         assert found.value[-1] - found.value[0] == pytest.approx(TURN * 58, abs=0.01)
         assert any("1 false pulses were excluded" in n for n in found.notes)
 
+    def test_a_false_pulse_that_was_counted_twice_is_not_a_turn(self):
+        t = np.insert(np.arange(60.0), 31, 30.1)
+        step = np.ones(61)
+        step[31] = 2.0
+        found = self.counted(t, np.cumsum(step))
+        assert np.diff(found.value) == pytest.approx(np.full(58, TURN), abs=0.01)
+
     @pytest.mark.parametrize("offset", [0, 1])
     def test_the_more_regular_rows_are_used(self, offset):
         """A logger that writes each event twice, the count with it or one row late."""

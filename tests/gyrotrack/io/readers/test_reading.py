@@ -193,6 +193,18 @@ def test_exchanged_columns(tmp_path):
     assert len(read_motion(pulses).time) == 400
 
 
+@pytest.mark.parametrize(("step", "exchanged"), [(60.0, False), (50.0, True)])
+def test_exchanged_columns_of_an_angle_in_degrees(tmp_path, step, exchanged):
+    """The angles of pulses are whole parts of 360 degrees."""
+    time = np.cumsum(np.linspace(0.01, 0.02, 400))
+    path = write(tmp_path / "a.csv", time, step * np.arange(400), head="t,angle [deg]")
+    if exchanged:
+        with pytest.raises(DatasetError, match="may be exchanged"):
+            read_motion(path)
+    else:
+        np.testing.assert_allclose(np.diff(read_motion(path).value), np.radians(step))
+
+
 def circle(centre, radius=80.0, arc=4.0):
     phase = arc / 2 * np.sin(2 * np.pi * TIME)
     noise = np.random.default_rng(3).normal(0, 0.5, (400, 2))

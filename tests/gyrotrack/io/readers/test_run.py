@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack import import_body
+from gyrotrack import UsageError, import_body
+from gyrotrack.io.readers._clock import MIN_SAMPLES
 from gyrotrack.io.readers._motion_table import MotionTable
-from gyrotrack.io.readers._run import Limits, run_of, start_of_oscillation
+from gyrotrack.io.readers._run import Limits, enough_within, run_of, start_of_oscillation
 
 
 def swing(t, period, decay):
@@ -76,3 +77,13 @@ def test_no_part_of_a_drive_by_hand_is_left(quantity, shape, seed):
     run, _ = run_of(table, value, Limits())
     # the last 2 % of a push are less than 0.1 % of it
     assert -0.02 * lasting < run.time[0] - (begin + lasting) < 0.05 * t[-1]
+
+
+@pytest.mark.parametrize(("stop", "enough"), [(MIN_SAMPLES - 1, True), (MIN_SAMPLES - 2, False)])
+def test_as_many_samples_as_a_table_needs_remain_within_the_limits(stop, enough):
+    time = np.arange(4.0 * MIN_SAMPLES)
+    if enough:
+        assert enough_within(time, Limits(stop=stop)).sum() == MIN_SAMPLES
+    else:
+        with pytest.raises(UsageError, match=f"wheel: {MIN_SAMPLES - 1} samples remain"):
+            enough_within(time, Limits(stop=stop), "wheel: ")
