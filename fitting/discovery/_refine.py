@@ -188,8 +188,8 @@ def replaced_laws(base: Fit, effect: Effect) -> list[str]:
     """Return the laws of a base that an effect replaces, by name.
 
     Such a law and the effect are the same torque up to the sign while no body turns back (`Effect.equivalent`), and its
-    strength in the base is at a bound: dry friction of a body that a constant torque drives. Of both together only the
-    sum would be determined.
+    strength in the base is at a bound: dry friction of a body that a constant torque drives. Together with
+    the effect, only their sum would be determined.
     """
     found = []
     for law in base.model.effects if effect.equivalent else ():

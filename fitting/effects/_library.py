@@ -284,7 +284,7 @@ CASING = (
     Effect("external.constant", "casing", "k",
         (
             Parameter("k", "N m", lower=_ANY,
-                meaning="constant torque, for example of a falling weight, less a dry friction outside the model"),
+                meaning="constant torque, for example of a falling weight, minus dry friction that the model lacks"),
         ),
         words="constant external torque on the casing",
         signature="the same as dry friction while the casing keeps its sense of rotation",

@@ -187,7 +187,7 @@ def deviance_at_noise_of(base: Fit, other: Fit) -> float:
 
 
 def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
-    """Yield other initial values: of the program if some were given, of no dry friction, of other power laws.
+    """Yield further initial values: those of the program if some were given, no dry friction, other exponents.
 
     Dry friction that stops the body too early in the model hides the motion after it from the search.
     """
@@ -213,9 +213,9 @@ def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | N
 def _from_other_starts(
     problem: Problem, found: Solution, others: Iterable[Array], *, quick: bool
 ) -> Solution:
-    """Return a better solution than one that is far from the data, searched from other initial values.
+    """Return a better solution than one that is far from the data, searched from further initial values.
 
-    A random torque as large as the lack of fit makes the search leave a minimum that a search at a low level found.
+    At a random torque as large as the lack of fit, a search may leave a minimum that a search at a low level found.
     """
     for begin in others:
         with attempt("a search from further initial values", EstimationError):

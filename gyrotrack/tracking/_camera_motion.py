@@ -251,12 +251,17 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
     roll = np.interp(at, at[known], roll[known])
     shift = np.stack([np.interp(at, at[known], shift[known, i]) for i in (0, 1)], axis=1)
     roll_sigma = float(np.median(rolls))
-    if roll.std() < _CLEAR * roll_sigma:  # no significant roll, for example of a tripod on a shaking table
-        roll_sigma = float(np.sqrt(max(roll.var() - roll_sigma**2, 0.0)))
-        roll = np.zeros(len(roll))
+    roll, roll_sigma = _significant_roll(roll, roll_sigma)
     return Shake(
         shift, roll, (float(centre[0]), float(centre[1])), len(places), float(np.median(errors)), roll_sigma
     )
+
+
+def _significant_roll(roll: Floats, sigma: float) -> tuple[Floats, float]:
+    """Return a roll (n,) [rad] and its standard uncertainty; zero unless significant, as of a tripod on a table."""
+    if roll.std() >= _CLEAR * sigma:
+        return roll, sigma
+    return np.zeros(len(roll)), float(np.sqrt(max(roll.var() - sigma**2, 0.0)))
 
 
 _WIDTH = 640
@@ -280,10 +285,11 @@ a larger one leaves few differences."""
 
 
 def background_roll(frames: Iterable[Plane], body: tuple[float, float, float]) -> Shake | None:
-    """Measure the roll of the camera by the whole background; None if it is not significant, or cannot be measured.
+    """Measure the roll of the camera by the whole background; None if it cannot be measured.
 
     `body` is centre (x, y) and radius [px] of the bodies in the first frame. The displacement of the result is zero at
     this centre. The standard uncertainty of the roll follows from the differences between two halves of the background.
+    A roll that is not significant is zero, with its rms beyond the noise as standard uncertainty.
     """
     roll, apart, masks = [], [], []
     warp = [np.eye(2, 3, dtype=np.float32) for _ in range(3)]
@@ -316,8 +322,7 @@ def background_roll(frames: Iterable[Plane], body: tuple[float, float, float]) -
     sigma = 1.4826 * float(np.nanmedian(np.abs(halves - np.nanmedian(halves))))
     at = np.arange(len(turned))
     turned = np.interp(at, at[known], turned[known])
-    if turned.std() < _CLEAR * sigma:
-        return None
+    turned, sigma = _significant_roll(turned, sigma)
     return Shake(np.zeros((len(turned), 2)), turned, body[:2], 0, 0.0, sigma)
 
 

@@ -203,9 +203,17 @@ def extract(
     joint = join_bodies(seen if shake is None else _stabilised(seen, shake), scene, profile, rate.fps)
     if shake is not None:
         joint = _as_seen(joint, scene, shake)
+    elif seen.disc is not None and moves_fast(seen.disc):
+        joint = replace(joint, warnings=(_UNKNOWN_ROLL, *joint.warnings))
     _check_bodies(joint, body, video)
     sha256 = str(journal.facts["film"]) if journal else file_sha256(video)
     return _recording(info, sha256, rate, scene, seen, joint)
+
+
+_UNKNOWN_ROLL = (
+    "The camera shakes, and no background shows whether it rolls. A roll of the camera would change all angles; the "
+    "uncertainties do not include it."
+)
 
 
 def _observe(
@@ -241,7 +249,7 @@ def _counted(planes: Iterable[Plane], count: int, progress: Progress | None) -> 
     """Yield the pictures of a film of `count` frames, and report their number."""
     for k, plane in enumerate(planes):
         if progress is not None:
-            progress(k, count)
+            progress(k + 1, count)
         yield plane
 
 
@@ -281,14 +289,17 @@ def _as_seen(joint: TrackedBodies, scene: Scene, shake: Shake) -> TrackedBodies:
         markers = {m: replace(one, sigma=np.hypot(one.sigma, own)) for m, one in body.markers.items()}
         bodies[name] = replace(body, markers=markers, sigma=np.hypot(body.sigma, own))
     rolls = f"rolls by {1e3 * shake.roll.std():.2g} mrad rms" if shake.roll.any() else ""
+    included = f"Its uncertainty of {1e3 * largest:.2g} mrad is included."
     if shake.features:
         also = rolls and f" and {rolls}"
-        moves = f"moves by {shake.rms:.2g} px rms{also}; {shake.features} features of the background are"
+        text = (
+            f"The camera moves by {shake.rms:.2g} px rms{also}; {shake.features} features of the background are used "
+            f"to subtract this. {included}"
+        )
+    elif rolls:
+        text = f"The camera {rolls}; the whole background is used to subtract this. {included}"
     else:
-        moves = f"{rolls}; the whole background is"
-    text = (
-        f"The camera {moves} used to subtract this. Its uncertainty of {1e3 * largest:.2g} mrad is included."
-    )
+        text = f"The background shows no significant roll of the camera. {included}"
     return replace(joint, centre=centre, bodies=bodies, warnings=(text, *joint.warnings))
 
 

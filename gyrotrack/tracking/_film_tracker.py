@@ -369,15 +369,15 @@ class FilmTracker:
             body.take(self.held, self.filled, advance)
         if self.disc is not None:
             self.disc.take(self.held, self.filled)
-        shake = self._shake()
+        displacement = self._hub_displacement()
         for name, texture in self.textures.items():
             coarse = self.bodies[name].coarse(self.filled, len(self.held))
-            texture.take(self.held, self.filled, coarse, shake)
+            texture.take(self.held, self.filled, coarse, displacement)
         self.filled += len(self.held)
         self.held.clear()
         self.steps.clear()
 
-    def _shake(self) -> Floats | None:
+    def _hub_displacement(self) -> Floats | None:
         """Return the displacement of the hub in the held frames, (n, 2) [px]; None unless it moves fast.
 
         A ring that is sampled about a wrong centre is blurred, and its response to the centre is not linear.

@@ -10,7 +10,7 @@ import pytest
 
 from gyrotrack import read_case
 from gyrotrack.tracking._any_body import track_body
-from gyrotrack.tracking._camera_motion import Shake, background_roll, camera_shake
+from gyrotrack.tracking._camera_motion import Shake, _significant_roll, background_roll, camera_shake
 from gyrotrack.tracking._extract import _stabilised, extract
 from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations, FilmTracker, _by_markers
@@ -139,7 +139,17 @@ class TestBackgroundRoll:
 
     def test_a_camera_that_does_not_roll_is_left_alone(self):
         shift = np.random.default_rng(4).normal(0, 1.5, (112, 2))
-        assert background_roll(grain(shift, np.zeros(112)), self.BODY) is None
+        found = background_roll(grain(shift, np.zeros(112)), self.BODY)
+        assert not found.roll.any()
+        assert found.roll_sigma < 2e-4
+
+    @pytest.mark.parametrize(("sigma", "kept"), [(0.99, True), (1.01, False)])
+    def test_a_roll_below_five_standard_uncertainties_becomes_the_uncertainty(self, sigma, kept):
+        roll = np.array([-1e-3, 1e-3] * 20)
+        u = sigma * 1e-3 / 5.0
+        found, left = _significant_roll(roll, u)
+        assert found == pytest.approx(roll * kept)
+        assert left == pytest.approx(u if kept else np.sqrt(1e-6 - u**2))
 
     def test_a_body_that_fills_the_picture_leaves_no_background(self):
         roll = np.random.default_rng(4).normal(0, 5e-3, 112)
@@ -175,7 +185,7 @@ class TestHub:
         disc[5] = np.nan
         window = SimpleNamespace(centres=lambda count, first: disc[first:count])
         tracker = SimpleNamespace(disc=window, centre=tuple(centre), filled=2, held=[None] * 10)
-        found = FilmTracker._shake(tracker)
+        found = FilmTracker._hub_displacement(tracker)
         if not followed:
             assert found is None
             return
@@ -184,7 +194,7 @@ class TestHub:
         assert found == pytest.approx(expected)
 
     def test_a_film_without_a_disc_has_no_displacement(self):
-        assert FilmTracker._shake(SimpleNamespace(disc=None)) is None
+        assert FilmTracker._hub_displacement(SimpleNamespace(disc=None)) is None
 
     def test_markers_are_seen_about_the_displaced_hub(self):
         """A marker to the right of a hub that is 3 px too low is seen at a positive angle."""
