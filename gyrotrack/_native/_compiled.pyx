@@ -18,8 +18,14 @@ cdef extern from "kernels.h" nogil:
     void gt_locate(const float *, ssize, ssize, ssize, const double *, ssize, ssize, ssize, ssize, ssize, double *, double *)
     void gt_sample(const uint8_t **, const ssize *, int, const float *, ssize, const int32_t *, const float *,
                    const float *, const int32_t *, const float *, const int64_t *, float *, ssize, ssize, ssize, ssize, float *)
+    void gt_ring(const uint8_t **, const ssize *, ssize, ssize, ssize, const double *, const double *, const float *, ssize,
+                 const float *, ssize, float *, uint8_t *)
+    void gt_turned(const uint8_t *, ssize, ssize, const int64_t *, const double *, const float *, const int64_t *, ssize, ssize,
+                   float *)
+    void gt_sample_sums(const float *, ssize, ssize, ssize, const float *, const float *, double *)
+    void gt_frame_sums(const float *, ssize, ssize, ssize, const float *, const float *, float *)
 
-ABI = 6
+ABI = 7
 
 
 cdef void *_allocated(size_t count, size_t size) except NULL:
@@ -118,3 +124,53 @@ def sample(tuple planes, (float, float) weights, const int32_t[:, ::1] at, const
     finally:
         free(<void *> pixels)
         free(stride)
+
+
+def ring(list planes, const double[:, ::1] centre, const double[:, ::1] turn, const float[::1] radius,
+         const float[:, ::1] direction, uint8_t[:, :, ::1] out):
+    cdef ssize count = len(planes), columns = direction.shape[1], k
+    cdef const uint8_t[:, :] plane
+    cdef const uint8_t **pixels = <const uint8_t **> _allocated(count, sizeof(void *))
+    cdef ssize *stride = <ssize *> _allocated(count, sizeof(ssize))
+    cdef float *room = <float *> _allocated(2 * columns, sizeof(float))
+    cdef ssize height = 0, width = 0
+    cdef list views = []  # the planes stay alive and in place while the kernel reads them
+    try:
+        for k in range(count):
+            plane = planes[k]
+            views.append(plane)
+            pixels[k] = &plane[0, 0]
+            stride[k] = plane.strides[0]
+            height, width = plane.shape[0], plane.shape[1]
+        with nogil:
+            if count and out.shape[1] and columns:
+                gt_ring(pixels, stride, height, width, count, &centre[0, 0], &turn[0, 0], &radius[0], out.shape[1],
+                        &direction[0, 0], columns, room, &out[0, 0, 0])
+    finally:
+        free(<void *> pixels)
+        free(stride)
+        free(room)
+
+
+def turned(const uint8_t[:, :, ::1] strips, const int64_t[::1] which, const double[::1] ahead, const float[:, ::1] light,
+           const int64_t[::1] first, float[:, :, ::1] out):
+    with nogil:
+        if out.shape[0] and out.shape[1] and out.shape[2]:
+            gt_turned(&strips[0, 0, 0], strips.shape[1], strips.shape[2], &which[0], &ahead[0], &light[0, 0], &first[0],
+                      out.shape[0], out.shape[2], &out[0, 0, 0])
+
+
+def sample_sums(const float[:, :, ::1] strips, ssize row, const float[::1] picture, const float[:, ::1] weights,
+                double[:, ::1] out):
+    with nogil:
+        if out.shape[0] and picture.shape[0]:
+            gt_sample_sums(&strips[0, row, 0], strips.shape[1] * strips.shape[2], strips.shape[0], picture.shape[0], &picture[0],
+                           &weights[0, 0], &out[0, 0])
+
+
+def frame_sums(const float[:, :, ::1] strips, ssize row, const float[::1] picture, const float[:, ::1] weights,
+               float[:, ::1] out):
+    with nogil:
+        if strips.shape[0] and picture.shape[0]:
+            gt_frame_sums(&strips[0, row, 0], strips.shape[1] * strips.shape[2], strips.shape[0], picture.shape[0], &picture[0],
+                          &weights[0, 0], &out[0, 0])

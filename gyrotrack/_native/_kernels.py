@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-ABI = 6  # version of the interface; an extension of another version is not used
+ABI = 7  # version of the interface; an extension of another version is not used
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -241,6 +241,77 @@ def sample(
     _kernel("sample")(planes, weights, at, right, down, box, ground, first, score, out)
 
 
+def ring(
+    planes: list[Array], centre: Array, turn: Array, radius: Array, direction: Array, out: Array
+) -> None:
+    """Sample rings from one plane (height, width) per frame by bilinear interpolation, rounded to grey levels.
+
+    The sample of row i and column j in frame k is at the radius r_i (`radius` (rows,) [px]) about `centre` (n, 2)
+    (x, y) [px] and at the angle a_j + b_k, counter-clockwise: `direction` (2, columns) holds cos and sin of a_j, `turn`
+    (n, 2) those of b_k. Outside the picture its nearest pixel is used. `out` (n, rows, columns) is written to.
+    """
+    lengths = _check("f8[n,2] f8[n,2] f4[r] f4[2,c] -> u1[n,r,c]", (centre, turn, radius, direction, out))
+    _require(len(planes) == lengths["n"], "the number of planes and rings differ")
+    shape = planes[0].shape if planes else (2, 2)
+    _require(len(shape) == 2 and min(shape) >= 2, "a plane needs two rows and two columns at least")
+    for plane in planes:
+        if not (plane.dtype == np.uint8 and plane.shape == shape and plane.strides[1] == 1):
+            what = f"a plane has type {plane.dtype} and shape {plane.shape}, expected uint8 {shape}"
+            raise ValueError(what)
+    _kernel("ring")(planes, centre, turn, radius, direction, out)
+
+
+def turned(strips: Array, which: Array, ahead: Array, light: Array, first: Array) -> Array:
+    """Return rings without their margins, turned back by fractions of a column, less static light, (n, rows, columns).
+
+    Column j of frame k is the linear interpolation of `strips` (m, rows, columns + 2 margin), ring `which[k]`, at the
+    column j + margin + `ahead[k]`, less column (j + `first[k]`) modulo columns of `light` (rows, columns).
+    """
+    out = np.empty((len(which), *light.shape), dtype=np.float32)
+    signature = "u1[m,r,d] i8[n] f8[n] f4[r,c] i8[n] -> f4[n,r,c]"
+    lengths = _check(signature, (strips, which, ahead, light, first, out))
+    margin = 0.5 * (lengths["d"] - lengths["c"])
+    if len(which):
+        inside = which.min() >= 0 and which.max() < len(strips)
+        inside = inside and first.min() >= 0 and first.max() < lengths["c"]
+        _require(
+            bool(inside and np.abs(ahead).max() <= margin - 1.0),
+            "a ring is turned beyond its margin or missing",
+        )
+    _kernel("turned")(strips, which, ahead, light, first, out)
+    return out
+
+
+def sample_sums(strips: Array, row: int, picture: Array, weights: Array) -> Array:
+    """Return weighted sums over the samples of each picture, (n, 4).
+
+    The samples x of picture k are the (p,) values of `strips` (n, rows, columns) from a row on. With d = x - `picture`
+    (p,) and `weights` w (4, p), the sums are those of w_0 d, w_1 d, w_2 d and w_3 d^2.
+    """
+    out = np.empty((len(strips), 4))
+    lengths = _check("f4[n,r,c] f4[p] f4[4,p] -> f8[n,4]", (strips, picture, weights, out))
+    _require(
+        row >= 0 and lengths["p"] <= (lengths["r"] - row) * lengths["c"], "the picture is outside the rows"
+    )
+    _kernel("sample_sums")(strips, row, picture, weights, out)
+    return out
+
+
+def frame_sums(strips: Array, row: int, picture: Array, weights: Array) -> Array:
+    """Return weighted sums over the pictures for each sample, (5, p).
+
+    With d as for `sample_sums` and `weights` w (n, 4), the sums are those of w_0 d, w_0 d^2, w_1 d, w_2 d and w_3 d;
+    pictures with w_0 = 0 are omitted.
+    """
+    out = np.zeros((5, len(picture)), dtype=np.float32)
+    lengths = _check("f4[n,r,c] f4[p] f4[n,4] -> f4[5,p]", (strips, picture, weights, out))
+    _require(
+        row >= 0 and lengths["p"] <= (lengths["r"] - row) * lengths["c"], "the picture is outside the rows"
+    )
+    _kernel("frame_sums")(strips, row, picture, weights, out)
+    return out
+
+
 def _likelihood(squares: Floats, excess: Floats, shares: Floats, clip: float, out: Floats) -> None:
     """Compute `likelihood` with NumPy."""
     for k, share in enumerate(shares):
@@ -414,3 +485,47 @@ def _sample(
         far = picture[y, after] + down[part] * (picture[below, after] - picture[y, after])
         found = near + right[part] * (far - near)
         out[k] = (found * a if len(planes) == 1 else found) - ground[part]
+
+
+def _ring(
+    planes: list[Array], centre: Array, turn: Array, radius: Array, direction: Array, out: Array
+) -> None:
+    """Compute `ring` with NumPy."""
+    c, s = turn.astype(np.float32).T
+    for plane, cos, sin, (x0, y0), found in zip(planes, c, s, centre.astype(np.float32), out, strict=True):
+        right, up = cos * direction[0] - sin * direction[1], sin * direction[0] + cos * direction[1]
+        height, width = plane.shape
+        x = np.clip(x0 + radius[:, None] * right, 0, width - 1)
+        y = np.clip(y0 - radius[:, None] * up, 0, height - 1)
+        column = np.minimum(x.astype(np.int64), width - 2)
+        line = np.minimum(y.astype(np.int64), height - 2)
+        beside, below = x - column, y - line
+        grey = plane.astype(np.float64)
+        above = grey[line, column] + beside * (grey[line, column + 1] - grey[line, column])
+        under = grey[line + 1, column] + beside * (grey[line + 1, column + 1] - grey[line + 1, column])
+        found[:] = np.floor(above + below * (under - above) + 0.5)
+
+
+def _turned(strips: Array, which: Array, ahead: Array, light: Array, first: Array, out: Array) -> None:
+    """Compute `turned` with NumPy."""
+    count = out.shape[2]
+    twice = np.concatenate([light, light], axis=1)
+    for at, columns, k, found in zip(which, ahead, first, out, strict=True):
+        shift = 0.5 * (strips.shape[2] - count) + columns
+        whole = int(np.floor(shift))
+        seen = strips[at].astype(np.float32)
+        near, far = seen[:, whole : whole + count], seen[:, whole + 1 : whole + 1 + count]
+        found[:] = near + np.float32(shift - whole) * (far - near) - twice[:, k : k + count]
+
+
+def _sample_sums(strips: Array, row: int, picture: Array, weights: Array, out: Array) -> None:
+    """Compute `sample_sums` with NumPy."""
+    off = strips.reshape(len(strips), -1)[:, row * strips.shape[2] :][:, : len(picture)] - picture
+    out[:, :3], out[:, 3] = off @ weights[:3].T, off**2 @ weights[3]
+
+
+def _frame_sums(strips: Array, row: int, picture: Array, weights: Array, out: Array) -> None:
+    """Compute `frame_sums` with NumPy."""
+    off = strips.reshape(len(strips), -1)[:, row * strips.shape[2] :][:, : len(picture)] - picture
+    used = np.where(weights[:, :1] != 0.0, weights, np.float32(0.0))
+    out[0], out[1], out[2:] = used[:, 0] @ off, used[:, 0] @ off**2, used[:, 1:].T @ off

@@ -489,3 +489,109 @@ void gt_sample(const uint8_t *const *pixels, const ssize *stride, int planes, co
             cut_one(&grid, plane[(k - 1) % 2], planes, (ssize)first[k - 1], out + (k - 1) * rows * width);
     }
 }
+
+
+/* Rings: sampled from luma, turned with a body, and summed */
+
+void gt_ring(const uint8_t *const *pixels, const ssize *stride, ssize height, ssize width, ssize count,
+             const double *centre, const double *turn, const float *radius, ssize rows, const float *direction,
+             ssize columns, float *room, uint8_t *out)
+{
+    const float *cosine = direction, *sine = direction + columns;
+    float *right = room, *up = room + columns;
+    const float last_x = (float)(width - 1), last_y = (float)(height - 1);
+    const int32_t most_x = (int32_t)width - 2, most_y = (int32_t)height - 2;
+    for (ssize k = 0; k < count; k++) {
+        const float c = (float)turn[2 * k], s = (float)turn[2 * k + 1];
+        const float x0 = (float)centre[2 * k], y0 = (float)centre[2 * k + 1];
+        for (ssize j = 0; j < columns; j++)
+            right[j] = c * cosine[j] - s * sine[j], up[j] = s * cosine[j] + c * sine[j];
+        for (ssize row = 0; row < rows; row++)
+            for (ssize begin = 0; begin < columns; begin += TOGETHER) {
+                const ssize size = columns - begin < TOGETHER ? columns - begin : TOGETHER;
+                int32_t column[TOGETHER], line[TOGETHER], a[TOGETHER], b[TOGETHER], p[TOGETHER], q[TOGETHER];
+                float beside[TOGETHER], below[TOGETHER];
+                for (ssize j = 0; j < size; j++) {
+                    float x = x0 + radius[row] * right[begin + j], y = y0 - radius[row] * up[begin + j];
+                    x = x > 0.0f ? x : 0.0f, y = y > 0.0f ? y : 0.0f;
+                    x = x < last_x ? x : last_x, y = y < last_y ? y : last_y;
+                    int32_t i = (int32_t)x, l = (int32_t)y;
+                    i = i < most_x ? i : most_x, l = l < most_y ? l : most_y;
+                    column[j] = i, line[j] = l, beside[j] = x - (float)i, below[j] = y - (float)l;
+                }
+                for (ssize j = 0; j < size; j++) {
+                    const uint8_t *near = pixels[k] + line[j] * stride[k] + column[j], *far = near + stride[k];
+                    a[j] = near[0], b[j] = near[1], p[j] = far[0], q[j] = far[1];
+                }
+                for (ssize j = 0; j < size; j++) {
+                    float above = (float)a[j] + beside[j] * (float)(b[j] - a[j]);
+                    float under = (float)p[j] + beside[j] * (float)(q[j] - p[j]);
+                    out[j] = (uint8_t)(int32_t)(above + below[j] * (under - above) + 0.5f);
+                }
+                out += size;
+            }
+    }
+}
+
+void gt_turned(const uint8_t *strips, ssize rows, ssize width, const int64_t *which, const double *ahead,
+               const float *light, const int64_t *first, ssize count, ssize columns, float *out)
+{
+    for (ssize k = 0; k < count; k++) {
+        const double shift = 0.5 * (double)(width - columns) + ahead[k];
+        const ssize whole = (ssize)floor(shift), same = columns - (ssize)first[k];
+        const float part = (float)(shift - (double)whole);
+        for (ssize row = 0; row < rows; row++) {
+            const uint8_t *seen = strips + ((ssize)which[k] * rows + row) * width + whole;
+            const float *begin = light + row * columns, *after = begin + first[k];
+            for (ssize j = 0; j < columns; j++)
+                out[j] = (float)seen[j] + part * (float)((int32_t)seen[j + 1] - (int32_t)seen[j]);
+            for (ssize j = 0; j < same; j++)
+                out[j] -= after[j];
+            for (ssize j = same; j < columns; j++)
+                out[j] -= begin[j - same];
+            out += columns;
+        }
+    }
+}
+
+#define LANES 8
+
+void gt_sample_sums(const float *strips, ssize step, ssize count, ssize size, const float *picture,
+                    const float *weights, double *out)
+{
+    const float *w = weights, *x = weights + size, *y = weights + 2 * size, *z = weights + 3 * size;
+    for (ssize k = 0; k < count; k++, strips += step, out += 4) {
+        float sum[4][LANES] = {{0.0f}};
+        ssize j = 0;
+        for (; j + LANES <= size; j += LANES)
+            for (int i = 0; i < LANES; i++) {
+                const float off = strips[j + i] - picture[j + i];
+                sum[0][i] += off * w[j + i], sum[1][i] += off * x[j + i], sum[2][i] += off * y[j + i];
+                sum[3][i] += off * off * z[j + i];
+            }
+        for (; j < size; j++) {
+            const float off = strips[j] - picture[j];
+            sum[0][0] += off * w[j], sum[1][0] += off * x[j], sum[2][0] += off * y[j], sum[3][0] += off * off * z[j];
+        }
+        for (int each = 0; each < 4; each++) {
+            out[each] = 0.0;
+            for (int i = 0; i < LANES; i++)
+                out[each] += (double)sum[each][i];
+        }
+    }
+}
+
+void gt_frame_sums(const float *strips, ssize step, ssize count, ssize size, const float *picture, const float *weights,
+                   float *out)
+{
+    memset(out, 0, (size_t)(5 * size) * sizeof *out);
+    for (ssize k = 0; k < count; k++, strips += step, weights += 4) {
+        const float a = weights[0], b = weights[1], c = weights[2], d = weights[3];
+        if (a != 0.0f)
+            for (ssize j = 0; j < size; j++) {
+                const float off = strips[j] - picture[j];
+                out[j] += a * off, out[size + j] += a * off * off, out[2 * size + j] += b * off;
+                out[3 * size + j] += c * off, out[4 * size + j] += d * off;
+            }
+    }
+}

@@ -36,4 +36,17 @@ void gt_sample(const uint8_t *const *pixels, const ssize *stride, int planes, co
                const int64_t *first, float *score, ssize score_stride, ssize rows, ssize columns,
                ssize width, float *out);
 
+void gt_ring(const uint8_t *const *pixels, const ssize *stride, ssize height, ssize width, ssize count,
+             const double *centre, const double *turn, const float *radius, ssize rows, const float *direction,
+             ssize columns, float *room, uint8_t *out);
+
+void gt_turned(const uint8_t *strips, ssize rows, ssize width, const int64_t *which, const double *ahead,
+               const float *light, const int64_t *first, ssize count, ssize columns, float *out);
+
+void gt_sample_sums(const float *strips, ssize step, ssize count, ssize size, const float *picture,
+                    const float *weights, double *out);
+
+void gt_frame_sums(const float *strips, ssize step, ssize count, ssize size, const float *picture, const float *weights,
+                   float *out);
+
 #endif

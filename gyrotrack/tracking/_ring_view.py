@@ -87,18 +87,21 @@ def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
         Angle of the body in each picture [rad], over a turn or more.
     """
     count = strips.shape[2]
-    turned, moved = _columns(angle, count), np.empty_like(strips)
-    light = np.zeros_like(strips[0])
+    columns = columns_of(angle, count)
+    seen = np.zeros_like(strips[0])  # mean picture at rest in the image
+    for strip, k in zip(strips, columns, strict=True):
+        seen[:, k:] += strip[:, : count - k]
+        seen[:, :k] += strip[:, count - k :]
+    still, turning = (np.fft.rfft(p, axis=1) for p in (seen / len(strips), strips.mean(axis=0)))
+    # a picture that turns with the body and is averaged at rest is convolved with the distribution of the angle
+    spread = np.fft.rfft(np.bincount(columns, minlength=count) / len(strips))
+    light = np.zeros_like(still)
     # after a motion that is not uniform, the mean picture of the body contains a part of the light
     for _ in range(_ALTERNATIONS):
-        body = without_light(strips, light, angle).mean(axis=0)
-        for strip, place, k in zip(strips, moved, turned, strict=True):
-            np.subtract(strip[:, : count - k], body[:, : count - k], out=place[:, k:])
-            np.subtract(strip[:, count - k :], body[:, count - k :], out=place[:, :k])
-        orders = np.fft.rfft(np.mean(moved, axis=0), axis=1)
-        orders[:, :lowest] = 0.0
-        light = np.asarray(np.fft.irfft(orders, count, axis=1), dtype=np.float32)
-    return np.asarray(light)
+        body = turning - light * spread.conj()
+        light = still - body * spread
+        light[:, :lowest] = 0.0
+    return np.asarray(np.fft.irfft(light, count, axis=1), dtype=np.float32)
 
 
 def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
@@ -106,12 +109,13 @@ def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
     count = strips.shape[2]
     twice = np.concatenate([light, light], axis=1)  # its columns from k on are the light turned by k columns
     found = np.empty_like(strips)
-    for strip, place, k in zip(strips, found, _columns(angle, count), strict=True):
+    for strip, place, k in zip(strips, found, columns_of(angle, count), strict=True):
         np.subtract(strip, twice[:, k : k + count], out=place)
     return found
 
 
-def _columns(angle: Floats, count: int) -> npt.NDArray[np.int64]:
+def columns_of(angle: Floats, count: int) -> npt.NDArray[np.int64]:
+    """Return the column, of `count` per turn, of a picture at rest that is below column 0 of a body at angles [rad]."""
     return np.asarray(np.rint(angle * count / TURN).astype(np.int64) % count)
 
 

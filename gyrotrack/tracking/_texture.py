@@ -23,7 +23,7 @@ templates of both.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -32,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial.legendre import legvander
 
+from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of, spread
 from gyrotrack.tracking._marker_tracker import spread_out
 from gyrotrack.tracking._ring_view import (
@@ -40,6 +41,7 @@ from gyrotrack.tracking._ring_view import (
     WHOLE_TURN,
     View,
     ViewResponse,
+    columns_of,
     slope,
     static_light,
     without_light,
@@ -86,6 +88,9 @@ small part of the body, a larger one omits bodies near the border."""
 LEAST_VARIANCE = 0.25
 """Lower limit of the variance of a sample [grey levels squared]. Chosen: rounding contributes 1 / 12, noise the rest;
 a smaller value gives saturated samples too much weight, a larger one ignores the noise."""
+LEAST_RESIDUAL = 0.01
+"""Lower limit of the typical residual of a zone [grey levels]. Chosen: below the rounding of grey levels, 0.29, and
+above the rounding errors of sums in single precision, which are all that remains in a picture without noise."""
 FINENESS = 32
 """Parts of a column to which rotations are rounded [1]. Source: OpenCV interpolates to 1/32 of a pixel."""
 UNUSUAL = 4.0
@@ -120,6 +125,12 @@ SHADOW_ERROR = 0.6
 """Standard uncertainty of the displacement of a ring in addition to its measured view, per coordinate [px]. Measured:
 a shadow that a bar casts beside itself displaces its edges; on ten films by two other renderers, the largest error is
 1.04, 0.82 and 0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
+_TEMPLATE_FRAMES = 256
+"""Largest number of frames of a batch from which the templates of a fast body are learnt [frames]. Derived: the noise
+of a template is that of a frame divided by 16; more cost time."""
+_BLOCK = 16
+"""Frames that are turned and measured together [frames]. Derived: their samples, 0.7 MB, remain in the cache of a
+processor; the result does not depend on it."""
 _LIGHT_FRAMES = 128
 """Number of frames of a batch for the estimate of static light [frames]. Chosen: fewer leave noise in it, more cost
 time."""
@@ -150,6 +161,9 @@ one over many turns; a remaining motion would seem correlated with the errors of
 FAR = 5.0
 """Residual to which outliers are limited, in robust standard deviations [1]. Chosen: a smaller value discards good
 frames, a larger one keeps disturbed ones."""
+FINEST = 1e-7
+"""Lower limit of the scatter of a zone [rad]. Derived: the rounding error of sums in single precision, which is all
+that remains of a body at rest in a picture without noise."""
 SHRINKAGE = 0.1
 """Relative increase of variances estimated from some hundred frames [1]. Chosen: a smaller value gives weights
 by chance, a larger one makes the zones equal."""
@@ -249,18 +263,34 @@ class _Zones:
 
     def fit(self, strips: Singles) -> tuple[Floats, Floats]:
         """Return the rotation [rad] and the relative misfit of each zone in each frame, both (ZONES, n)."""
-        found, misfit = (np.empty((ZONES, len(strips))) for _ in range(2))
-        for z, seen in enumerate(_by_zone(strips)):
-            parts, left = _fitted(seen, self.picture[z], self.basis[z], self.weight[z])
-            misfit[z] = (left**2) @ self.weight[z] / self.usual[z]
-            # a hand of uniform brightness fits a template without contrast
-            similar = (misfit[z] < LARGEST_MISFIT) & (1.0 + parts[:, 2] > LEAST_CONTRAST)
-            # at larger angles the picture is not linear in the angle; a blurred picture is noisier, but linear
-            # farther. A zone that scatters more does not turn with the body
-            farthest = FAR * spread(parts[:, 0])
-            similar &= np.abs(parts[:, 0]) < (farthest if LARGEST_TURN < farthest < REACH else LARGEST_TURN)
-            found[z] = np.where(similar, parts[:, 0], np.nan)
-        return found, misfit
+        return self.fit_blocks([strips])
+
+    def fit_blocks(self, blocks: Iterable[Singles]) -> tuple[Floats, Floats]:
+        """Return the same as `fit` from consecutive blocks of frames."""
+        fits = [_Fit.of(z, self.picture[z], self.basis[z], self.weight[z]) for z in range(ZONES)]
+        sums = [[fit.sums(strips) for fit in fits] for strips in blocks]
+        both = [
+            fit.solved(np.concatenate(own)) for fit, own in zip(fits, zip(*sums, strict=True), strict=True)
+        ]
+        parts, square = (np.stack(each) for each in zip(*both, strict=True))
+        turned, misfit = parts[:, :, 0], square / self.usual[:, None]
+        # a hand of uniform brightness fits a template without contrast
+        similar = (misfit < LARGEST_MISFIT) & (1.0 + parts[:, :, 2] > LEAST_CONTRAST)
+        # at larger angles the picture is not linear in the angle; a blurred picture is noisier, but linear
+        # farther. A zone that scatters more does not turn with the body
+        farthest = FAR * np.array([[spread(one)] for one in turned])
+        wide = (farthest > LARGEST_TURN) & (farthest < REACH)
+        similar &= np.abs(turned) < np.where(wide, farthest, LARGEST_TURN)
+        return np.where(similar, turned, np.nan), misfit
+
+    def residuals(self, strips: Singles) -> list[Singles]:
+        """Return the residuals of the zones after a fit of rotation, offset and gain of each frame, each (n, P)."""
+        found = []
+        for z in range(ZONES):
+            parts, _ = _fitted(strips, z, self.picture[z], self.basis[z], self.weight[z])
+            off = strips[:, ROWS * z : ROWS * (z + 1)].reshape(len(strips), -1) - self.picture[z]
+            found.append(off - parts.astype(np.float32) @ self.basis[z].T)
+        return found
 
     def response(self, radial: Singles, radius: Floats) -> ViewResponse:
         """Return the response to a view, with the derivative of the picture with respect to the radius."""
@@ -295,14 +325,9 @@ class _Zones:
             variance = self.variance[z] + other.variance[z]
             mean = 0.5 * (self.picture[z] + other.picture[z])
             basis = _basis(mean, self.weight[z])
-            each[z] = _fitted(self.picture[z][None], other.picture[z], basis, 1.0 / variance)[0][0, 0]
+            own = self.picture[z].reshape(1, ROWS, COLUMNS)
+            each[z] = _fitted(own, 0, other.picture[z], basis, 1.0 / variance)[0][0, 0]
         return float(share @ each / share.sum()) if share.any() else 0.0
-
-
-def _by_zone(strips: Singles) -> Iterator[Singles]:
-    """Yield the samples of each zone, (n, ROWS * COLUMNS)."""
-    for z in range(ZONES):
-        yield strips[:, ROWS * z : ROWS * (z + 1)].reshape(len(strips), -1)
 
 
 def _basis(picture: Singles, weight: Singles) -> Singles:
@@ -312,15 +337,59 @@ def _basis(picture: Singles, weight: Singles) -> Singles:
     return np.stack([-across, np.ones_like(across), picture - level], axis=1)
 
 
-def _fitted(seen: Singles, picture: Singles, basis: Singles, weight: Singles) -> tuple[Floats, Singles]:
-    """Fit the changes of a picture to samples (n, P) by weighted least squares; return them (n, 3) and residuals."""
-    weighted = basis * weight[:, None]
-    normal = (weighted.T @ basis).astype(np.float64)
-    normal += np.diag(1e-9 * np.trace(normal) * np.ones(3) + 1e-12)  # a zone without details
-    right = (seen @ weighted - picture @ weighted).astype(np.float64)
-    found = np.linalg.solve(normal, right.T).T
-    left = seen - picture - found.astype(np.float32) @ basis.T
-    return np.asarray(found, dtype=np.float64), np.asarray(left, dtype=np.float32)
+@dataclass(frozen=True)
+class _Fit:
+    """Weighted least-squares fit of the changes of the picture of a zone."""
+
+    zone: int
+    picture: Singles  # shape (P,)
+    weights: Singles  # shape (4, P); weights of the sums (see `sums`)
+    normal: Floats  # shape (3, 3); B' W B, with the changes B and the weights W
+
+    @classmethod
+    def of(cls, zone: int, picture: Singles, basis: Singles, weight: Singles) -> _Fit:
+        """Return the fit of changes `basis` (P, 3) of a picture with weights, both (P,)."""
+        weighted = basis * weight[:, None]
+        normal = (weighted.T @ basis).astype(np.float64)
+        return cls(zone, picture, np.array([*weighted.T, weight]), normal)
+
+    def sums(self, strips: Singles) -> Floats:
+        """Return B' W d and d' W d, (n, 4), for the differences d of strips (n, rows, COLUMNS) from the picture."""
+        return kernels.sample_sums(strips, ROWS * self.zone, self.picture, self.weights)
+
+    def solved(self, sums: Floats) -> tuple[Floats, Floats]:
+        """Return the changes f (n, 3) and the weighted sums of the squared residuals (n,)."""
+        # the second term is for a zone without details
+        regular = self.normal + np.diag(1e-9 * np.trace(self.normal) * np.ones(3) + 1e-12)
+        found = np.asarray(np.linalg.solve(regular, sums[:, :3].T).T, dtype=np.float64)
+        # |d - B f|^2 = |d|^2 - f . (2 B' d - B' B f)
+        explained = np.sum(found * (2.0 * sums[:, :3] - found @ self.normal), axis=1)
+        return found, np.maximum(sums[:, 3] - explained, 0.0)
+
+
+def _fitted(
+    strips: Singles, zone: int, picture: Singles, basis: Singles, weight: Singles
+) -> tuple[Floats, Floats]:
+    """Fit the changes of the picture of a zone to strips (n, rows, COLUMNS).
+
+    Return the changes (n, 3) and the weighted sums of the squared residuals (n,).
+    """
+    fit = _Fit.of(zone, picture, basis, weight)
+    return fit.solved(fit.sums(strips))
+
+
+def _mean_residual(
+    strips: Singles, zone: int, picture: Singles, basis: Singles, parts: Floats, used: npt.NDArray[np.bool_]
+) -> tuple[Singles, Singles]:
+    """Return mean and mean square (P,) of the residuals of a fit, with changes `parts` (n, 3), in the `used` frames."""
+    share = np.where(used, 1.0 / used.sum(), 0.0)[:, None]
+    weights = (share * np.concatenate([np.ones((len(parts), 1)), parts], axis=1)).astype(
+        np.float32, order="C"
+    )
+    mean, square, *along = kernels.frame_sums(strips, ROWS * zone, picture, weights)
+    changed = (parts.T @ (share * parts)).astype(np.float32)
+    square += np.sum(basis * (basis @ changed - 2.0 * np.stack(along, axis=1)), axis=1)
+    return mean - basis @ weights[:, 1:].sum(axis=0), np.maximum(square, 0.0)
 
 
 def learn_zones(strips: Singles, angle: Floats, radius: Floats) -> tuple[_Zones, Floats, Floats]:
@@ -341,21 +410,25 @@ def _templates(strips: Singles, radius: Floats) -> _Zones:
     basis = np.empty((ZONES, ROWS * COLUMNS, 3), dtype=np.float32)
     first, second = np.zeros((2, ZONES), dtype=np.complex128)
     usual = np.ones(ZONES)
-    for z, seen in enumerate(_by_zone(strips)):
+    every = np.ones(len(strips), dtype=np.bool_)
+    for z in range(ZONES):
         rows = radius[ROWS * z : ROWS * (z + 1)]
         size = np.repeat(area[ROWS * z : ROWS * (z + 1)], COLUMNS).astype(np.float32)
-        good = np.ones(len(seen), dtype=np.bool_)
-        mean, scatter = seen.mean(axis=0), seen.var(axis=0)
+        mean = strips[0, ROWS * z : ROWS * (z + 1)].ravel()
+        unchanged = np.zeros((len(strips), 3)), every
+        shift, scatter = _mean_residual(strips, z, mean, np.zeros((len(mean), 3), np.float32), *unchanged)
+        mean, scatter = mean + shift, scatter - shift**2
         for _ in range(_ROUNDS):
-            own = size / np.maximum(scatter, max(float(np.quantile(scatter, 0.1)), LEAST_VARIANCE))
-            parts, left = _fitted(seen, mean, _basis(mean, own), own)
-            square = np.asarray((left**2) @ own, dtype=np.float64)
+            least = np.float32(max(float(np.quantile(scatter, 0.1)), LEAST_VARIANCE))
+            own = np.asarray(size / np.maximum(scatter, least), dtype=np.float32)
+            changes = _basis(mean, own)
+            parts, square = _fitted(strips, z, mean, changes, own)
             good = (square < UNUSUAL * median_of(square)) & (1.0 + parts[:, 2] > LEAST_CONTRAST)
             good |= not good.any()
-            left = left if good.all() else left[good]
-            mean, scatter = mean + left.mean(axis=0), np.einsum("np,np->p", left, left) / len(left)
+            shift, scatter = _mean_residual(strips, z, mean, changes, parts, good)
+            mean = mean + shift
         picture[z], variance[z], weight[z], basis[z] = mean, scatter, own, _basis(mean, own)
-        usual[z] = median_of(square)
+        usual[z] = max(median_of(square), LEAST_RESIDUAL**2 * float(own.sum()))
         information = (basis[z, :, 0] ** 2 * own).reshape(ROWS, COLUMNS).astype(np.float64)
         information /= max(float(information.sum()), 1e-12)
         first[z] = np.sum(information / rows[:, None] * np.exp(-1j * theta))
@@ -376,10 +449,8 @@ class TextureTracker:
         self._radius = 0.5 * (edges[1:] + edges[:-1])
         self._useful = inside > LEAST_REACH * outer
         theta = (np.arange(COLUMNS + 2 * MARGIN) - MARGIN) * TURN / COLUMNS
-        self._x = (self._radius[:, None] * np.cos(theta)).astype(np.float32)
-        self._y = (self._radius[:, None] * np.sin(theta)).astype(np.float32)
-        self._outward = np.stack([np.cos(theta), np.sin(theta)]).astype(np.float32)
-        self._strips = np.zeros((capacity, *self._x.shape), dtype=np.uint8)
+        self._direction = np.stack([np.cos(theta), np.sin(theta)]).astype(np.float32)
+        self._strips = np.zeros((capacity, len(self._radius), len(theta)), dtype=np.uint8)
         self._slopes: dict[int, Singles] = {}  # derivative with respect to the radius in some frames [1/px]
         self._angle = np.full(capacity, np.nan)
         self._centre = np.zeros((capacity, 2))
@@ -409,27 +480,28 @@ class TextureTracker:
         self._angle[place : place + len(frames)] = coarse
         centre = self._centre[place : place + len(frames)]
         centre[:] = self.centre if displacement is None else self.centre + displacement
-        for k in np.flatnonzero(np.isfinite(coarse)) if self._useful else ():
-            c, s = np.float32(np.cos(coarse[k])), np.float32(np.sin(coarse[k]))
-            x = np.float32(centre[k, 0]) + c * self._x - s * self._y
-            y = np.float32(centre[k, 1]) - s * self._x - c * self._y
-            cv2.remap(
-                frames[k].y, x, y, cv2.INTER_LINEAR, self._strips[place + k], borderMode=cv2.BORDER_REPLICATE
-            )
-            if (place + k) % _SLOPE_EVERY == 0:
-                u, v = self._outward
-                right, up = 0.5 * (c * u - s * v), 0.5 * (s * u + c * v)
-                ends = (
-                    cv2.remap(
-                        frames[k].y,
-                        x + f * right,
-                        y - f * up,
-                        cv2.INTER_LINEAR,
-                        borderMode=cv2.BORDER_REPLICATE,
-                    )
-                    for f in (np.float32(1.0), np.float32(-1.0))
-                )
-                self._slopes[place + int(k)] = np.subtract(*ends, dtype=np.float32)
+        if not self._useful:
+            return
+        turn = np.stack([np.cos(coarse), np.sin(coarse)], axis=1)
+        known = np.flatnonzero(np.isfinite(coarse))
+        self._strips[place + known] = self._sampled(frames, known, centre, turn, 0.0)
+        some = known[(place + known) % _SLOPE_EVERY == 0]
+        beyond, before = (self._sampled(frames, some, centre, turn, off) for off in (0.5, -0.5))
+        slopes = np.subtract(beyond, before, dtype=np.float32)
+        self._slopes |= {place + int(k): slope for k, slope in zip(some, slopes, strict=True)}
+
+    def _sampled(
+        self, frames: list[Frame], use: npt.NDArray[np.int64], centre: Floats, turn: Floats, off: float
+    ) -> npt.NDArray[np.uint8]:
+        """Sample rings in the frames `use` about centres (n, 2) [px] at angles with cos and sin `turn` (n, 2).
+
+        Their radii are larger by `off` [px].
+        """
+        found = np.empty((len(use), *self._strips.shape[1:]), dtype=np.uint8)
+        radius = (self._radius + off).astype(np.float32)
+        planes = [frames[k].y for k in use]
+        kernels.ring(planes, centre[use], turn[use], radius, self._direction, found)
+        return found
 
     def centres(self, count: int) -> Floats:
         """Return the centres of the ring in the first `count` frames of the batch, (count, 2) [px]."""
@@ -445,21 +517,23 @@ class TextureTracker:
         use = np.flatnonzero(np.abs(ahead) * STEP < REACH)
         if not self._useful or len(use) < (FEWEST if self._last is None else 1):
             return seen, aligned
-        strips = self._turned(use, ahead[use])
         rough = self._angle[use] + ahead[use] * STEP
         if learning := self._last is None or len(use) >= LEARNT:
-            some = slice(None, None, max(len(use) // _LIGHT_FRAMES, 1))
+            some = np.arange(0, len(use), max(len(use) // _LIGHT_FRAMES, 1))
             fast = np.ptp(rough) > FAST_TURNS * TURN
-            self._light = static_light(strips[some], rough[some], LOWEST_LIGHT_ORDER) if fast else None
-        if self._light is not None:
-            strips = without_light(strips, self._light, rough)
+            lit = self._turned(use[some], ahead[use[some]]) if fast else None
+            self._light = None if lit is None else static_light(lit, rough[some], LOWEST_LIGHT_ORDER)
         if learning or self._last is None:
-            zones, turned, misfit = learn_zones(strips, rough, self._radius)
-            self._zero += zones.ahead_of(self._last) if self._last is not None else 0.0
-            self._last = zones
+            some = np.arange(0, len(use), math.ceil(len(use) / _TEMPLATE_FRAMES))
+            zones = _templates(self._turned(use[some], ahead[use[some]], self._light), self._radius)
         else:  # too few frames for templates, for example at the end of a part of the film
             zones = self._last
-            turned, misfit = zones.fit(strips)
+        parts = (use[k : k + _BLOCK] for k in range(0, len(use), _BLOCK))
+        turned, misfit = zones.fit_blocks(self._turned(part, ahead[part], self._light) for part in parts)
+        if zones is not self._last:
+            zones = zones.weighted(rough + turned, turned, CENTRE_ERROR)
+            self._zero += zones.ahead_of(self._last) if self._last is not None else 0.0
+            self._last = zones
         seen.set(use, zones, rough + self._zero, turned, misfit)
         self._batch += 1
         if learning:
@@ -484,6 +558,7 @@ class TextureTracker:
         """
         for _ in range(_ALIGNMENTS):
             ahead = np.rint((angle - self._angle[use]) / STEP * FINENESS) / FINENESS
+            ahead = np.clip(ahead, 1 - MARGIN, MARGIN - 1)
             rough = self._angle[use] + ahead * STEP
             strips = self._turned(use, ahead)
             own = learnt or _OwnView.learn(strips, rough, self._radius, self._radial_slope(use, ahead))
@@ -502,15 +577,16 @@ class TextureTracker:
         slopes = [_columns_ahead(self._slopes[int(use[k])], ahead[k]) for k in known]
         return np.asarray(np.mean(slopes, axis=0))
 
-    def _turned(self, use: npt.NDArray[np.int64], ahead: Floats) -> Singles:
+    def _turned(self, use: npt.NDArray[np.int64], ahead: Floats, light: Singles | None = None) -> Singles:
         """Return the samples of the frames `use`, turned by more columns `ahead`, (n, rows, COLUMNS).
 
-        The samples are floats: rounding to grey levels would lose subpixel displacements of faint edges.
+        Static light (rows, COLUMNS) is subtracted. The samples are floats: rounding to grey levels would lose subpixel
+        displacements of faint edges.
         """
-        strips = np.empty((len(use), len(self._radius), COLUMNS), dtype=np.float32)
-        for k, at in enumerate(use):
-            strips[k] = _columns_ahead(self._strips[at].astype(np.float32), ahead[k])
-        return strips
+        if light is None:
+            light = np.zeros((len(self._radius), COLUMNS), dtype=np.float32)
+        place = columns_of(self._angle[use] + ahead * STEP, COLUMNS)
+        return kernels.turned(self._strips, use, ahead, light, place)
 
 
 def _columns_ahead(strip: Singles, ahead: float) -> Singles:
@@ -546,10 +622,7 @@ class _OwnView:
         known = arc > LEAST_ARC
         view = View(np.zeros(VIEW_SIZE), np.zeros((VIEW_SIZE, VIEW_SIZE)))
         if known:
-            left = [
-                _fitted(seen, zones.picture[z], zones.basis[z], zones.weight[z])[1]
-                for z, seen in enumerate(_by_zone(lit))
-            ]
+            left = zones.residuals(lit)
             view = View.of(response, left, zones.weight, angle, np.isfinite(turned), TOGETHER)
             if light is None:
                 clear = response.explains(view.value, left, angle)
@@ -601,7 +674,7 @@ def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats,
     off = rest
     covariance = np.cov(off) + TOGETHER * np.cov(_means(off))
     covariance += shift**2 * np.outer(first[known], first[known].conj()).real
-    covariance += SHRINKAGE * np.diag(apart**2)
+    covariance += SHRINKAGE * np.diag(np.maximum(apart, FINEST) ** 2)
     while True:
         found = np.linalg.solve(covariance, np.ones(len(known)))
         if (found > 0).all():
@@ -657,14 +730,14 @@ def _zone_variances(turned: Floats) -> Floats:
         for j in range(i + 2, count):
             if known[i] and known[j]:
                 off = turned[i] - turned[j]
-                apart[i, j] = apart[j, i] = max(spread(off - np.nanmedian(off)) ** 2, 1e-14)
+                apart[i, j] = apart[j, i] = max(spread(off - np.nanmedian(off)), FINEST) ** 2
     if (
         known.sum() > 1
     ):  # a zone with adjacent zones only: for independent errors, the difference gives an upper limit
         for k in np.flatnonzero(known & ~np.isfinite(apart).any(axis=1)):
             others = turned[k] - turned[known & (np.arange(count) != k)]
             limit = min(spread(off - np.nanmedian(off)) for off in others)
-            apart[k, k] = 2.0 * max(limit**2, 1e-14)
+            apart[k, k] = 2.0 * max(limit, FINEST) ** 2
     pairs = np.isfinite(apart)
     variance = np.where(pairs.any(axis=1), 0.5 * np.nanmin(np.where(pairs, apart, np.inf), axis=1), np.inf)
     equations = []

@@ -283,6 +283,133 @@ def test_local_polynomials_are_those_of_numpy(both, count, half, degree, hole):
         np.testing.assert_allclose(mine[seen], other[seen], rtol=1e-8, atol=1e-8)
 
 
+def _rings(frames, centre, turn, radius, columns=90, margin=6):
+    """Rings from the luma of frames, about centres (n, 2) at angles (n,) [rad]."""
+    theta = (np.arange(columns + 2 * margin) - margin) * 2.0 * np.pi / columns
+    direction = np.stack([np.cos(theta), np.sin(theta)]).astype(np.float32)
+    turns = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    out = np.zeros((len(frames), len(radius), len(theta)), dtype=np.uint8)
+    kernels.ring([f.y for f in frames], centre, turns, radius.astype(np.float32), direction, out)
+    return out, theta
+
+
+class TestRing:
+    RADIUS = np.linspace(4.0, 30.0, 7)
+
+    @ways
+    @pytest.mark.parametrize(
+        "middle", [(47.3, 35.6), (6.0, 66.0)]
+    )  # the second one reaches beyond the picture
+    def test_its_samples_are_those_of_bilinear_interpolation(self, use, way, middle):
+        use(way)
+        frames = [_frame(_noise(seed)) for seed in range(5)]
+        centre = np.array(middle) + np.arange(10.0).reshape(5, 2) / 7.0
+        turn = np.linspace(-2.0, 9.0, 5)
+        rings, theta = _rings(frames, centre, turn, self.RADIUS)
+        for frame, (x0, y0), psi, ring in zip(frames, centre, turn, rings, strict=True):
+            x = x0 + self.RADIUS[:, None] * np.cos(theta + psi)
+            y = y0 - self.RADIUS[:, None] * np.sin(theta + psi)
+            theirs = map_coordinates(frame.y.astype(np.float64), (y, x), order=1, mode="nearest")
+            # rounded to grey levels; positions are of single precision
+            np.testing.assert_allclose(ring, theirs, atol=0.51)
+
+    def test_the_compiled_kernel_gives_the_result_of_numpy(self, both):
+        frames = [_frame(_noise(seed)) for seed in range(5)]
+        centre, turn = np.tile([[46.0, 36.0]], (5, 1)), np.arange(5.0)
+        ours, theirs = both(lambda: _rings(frames, centre, turn, self.RADIUS)[0])
+        assert np.abs(ours.astype(int) - theirs).max() <= 1
+
+    @ways
+    def test_other_planes_are_refused(self, use, way):
+        use(way)
+        frame = _frame(_noise())
+        with pytest.raises(ValueError, match="number of planes"):
+            kernels.ring([frame.y], np.zeros((2, 2)), np.zeros((2, 2)), *_ring_arrays(2))
+        for wrong in (frame.y.astype(np.int16), frame.y[:, ::2], frame.y[:-1]):
+            with pytest.raises(ValueError, match="a plane has type"):
+                kernels.ring([frame.y, wrong], np.zeros((2, 2)), np.zeros((2, 2)), *_ring_arrays(2))
+        with pytest.raises(ValueError, match="two rows"):
+            kernels.ring([frame.y[:1]], np.zeros((1, 2)), np.zeros((1, 2)), *_ring_arrays(1))
+
+
+def _ring_arrays(count):
+    return np.ones(3, np.float32), np.ones((2, 8), np.float32), np.zeros((count, 3, 8), np.uint8)
+
+
+class TestTurnedRing:
+    @ways
+    def test_a_ramp_is_turned_by_fractions_of_a_column_and_loses_the_light(self, use, way):
+        use(way)
+        strips = np.tile(10 * np.arange(20, dtype=np.uint8), (2, 3, 1))  # 12 columns, margin 4
+        strips[1] += 5
+        light = (np.arange(36.0).reshape(3, 12) / 4.0).astype(np.float32)
+        ahead, first = np.array([0.0, 1.25, -3.0]), np.array([0, 5, 11])
+        found = kernels.turned(strips, np.array([0, 1, 0]), ahead, light, first)
+        for k, (offset, columns, begin) in enumerate(zip([0.0, 5.0, 0.0], ahead, first, strict=True)):
+            seen = 10.0 * (np.arange(12) + 4.0 + columns) + offset
+            np.testing.assert_allclose(found[k], seen - np.roll(light, -begin, axis=1), atol=1e-4)
+
+    def test_the_compiled_kernel_gives_the_result_of_numpy(self, both):
+        rng = np.random.default_rng(3)
+        strips = rng.integers(0, 256, (4, 5, 103), dtype=np.uint8)
+        light = rng.normal(0.0, 9.0, (5, 91)).astype(np.float32)
+        which, ahead = rng.integers(0, 4, 30), rng.uniform(-5.0, 5.0, 30)
+        first = np.arange(30)
+        ours, theirs = both(lambda: kernels.turned(strips, which, ahead, light, first))
+        np.testing.assert_allclose(ours, theirs, atol=1e-4)
+
+    @ways
+    @pytest.mark.parametrize(
+        ("which", "ahead", "first"), [(2, 0.0, 0), (0, 3.1, 0), (0, -3.1, 0), (0, 0.0, 12)]
+    )
+    def test_a_ring_is_not_turned_beyond_its_margin(self, use, way, which, ahead, first):
+        use(way)
+        strips, light = np.zeros((2, 3, 20), np.uint8), np.zeros((3, 12), np.float32)
+        inside = kernels.turned(strips, np.array([1, 1]), np.array([3.0, -3.0]), light, np.array([11, 0]))
+        assert inside.shape == (2, 3, 12)
+        with pytest.raises(ValueError, match="beyond its margin"):
+            kernels.turned(strips, np.array([which]), np.array([ahead]), light, np.array([first]))
+
+
+class TestSumsOfRings:
+    """13 samples, which are not a multiple of what a processor computes at once, from the second row on."""
+
+    RNG = np.random.default_rng(5)
+    STRIPS = RNG.normal(0.0, 3.0, (40, 4, 9)).astype(np.float32)
+    PICTURE = RNG.normal(0.0, 1.0, 13).astype(np.float32)
+    OFF = STRIPS.astype(np.float64).reshape(40, 36)[:, 9:22] - PICTURE
+
+    @ways
+    def test_sums_over_samples(self, use, way):
+        use(way)
+        w = self.RNG.normal(0.0, 1.0, (4, 13)).astype(np.float32)
+        found = kernels.sample_sums(self.STRIPS, 1, self.PICTURE, w)
+        np.testing.assert_allclose(found[:, :3], self.OFF @ w[:3].T, atol=1e-4)
+        np.testing.assert_allclose(found[:, 3], self.OFF**2 @ w[3], atol=1e-3)
+
+    @ways
+    def test_sums_over_frames_without_those_of_no_weight(self, use, way):
+        use(way)
+        w = self.RNG.normal(0.0, 1.0, (40, 4)).astype(np.float32)
+        w[7, 0] = 0.0
+        found = kernels.frame_sums(self.STRIPS, 1, self.PICTURE, w)
+        w[7] = 0.0
+        np.testing.assert_allclose(found[[0, 2, 3, 4]], w.T @ self.OFF, atol=1e-3)
+        np.testing.assert_allclose(found[1], w[:, 0] @ self.OFF**2, atol=1e-2)
+
+    @ways
+    @pytest.mark.parametrize(("row", "fits"), [(0, True), (2, True), (3, False), (-1, False)])
+    def test_rows_beyond_the_strip_are_refused(self, use, way, row, fits):
+        use(way)
+        for work, weights in ((kernels.sample_sums, (4, 13)), (kernels.frame_sums, (40, 4))):
+            arrays = self.STRIPS, row, self.PICTURE, np.ones(weights, np.float32)
+            if fits:
+                work(*arrays)
+            else:
+                with pytest.raises(ValueError, match="outside the rows"):
+                    work(*arrays)
+
+
 def test_an_extension_of_another_interface_is_not_used(monkeypatch):
     monkeypatch.setattr(kernels, "import_module", lambda name: SimpleNamespace(ABI=kernels.ABI - 1))
     assert kernels._extension() is None

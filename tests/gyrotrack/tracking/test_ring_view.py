@@ -62,10 +62,7 @@ def view_of(angles, displacement, flattening, light=0.0, *, known=None):
     strips = np.stack([spots(displacement, flattening, a, light) for a in angles])
     zones, turned, _ = texture.learn_zones(strips, angles, RADIUS)
     response = zones.response(radial(zones.picture), RADIUS)
-    left = [
-        texture._fitted(seen, zones.picture[z], zones.basis[z], zones.weight[z])[1]
-        for z, seen in enumerate(texture._by_zone(strips))
-    ]
+    left = zones.residuals(strips)
     use = np.isfinite(turned) if known is None else known
     return View.of(response, left, zones.weight, angles, use, 16.0), response, turned
 
@@ -124,7 +121,8 @@ class TestResponse:
         for k, angle in enumerate(angles):
             seen = spots(displacement, flattening, angle, near=near).reshape(texture.ZONES, -1)
             for z in range(2, texture.ZONES):
-                turned = texture._fitted(seen[z][None], body[z], basis[z], weight[z])[0][0, 0]
+                strip = seen[z].reshape(1, texture.ROWS, COLUMNS)
+                turned = texture._fitted(strip, 0, body[z], basis[z], weight[z])[0][0, 0]
                 assert turned == pytest.approx(expected[z, k], abs=7e-4)
         assert np.abs(expected[2:]).max() > 2e-3
 

@@ -319,3 +319,61 @@ class TestTwoZones:
         angle = 1e-3 * np.array([[1.0], [3.0]]) * rng.standard_normal((2, 2000))
         weights, _ = zone_weights(angle, np.zeros(2, dtype=complex), SHIFT)
         assert weights == pytest.approx([0.9, 0.1], abs=0.04)
+
+
+class TestBodyAtRestWithoutNoise:
+    def test_it_has_an_angle_and_finite_weights(self):
+        angle = np.full(64, 0.3)
+        found = measured(angle, angle, [picture(0.3)] * 64)
+        assert found.angle - found.angle[0] == pytest.approx(np.zeros(64), abs=1e-9)
+        assert np.isfinite(found.sigma).all()
+
+    def test_its_scatter_is_at_least_the_rounding_error(self):
+        weights, sigma = zone_weights(np.zeros((4, 400)), np.zeros(4, dtype=complex), 0.0)
+        assert weights == pytest.approx(np.full(4, 0.25))
+        assert sigma == pytest.approx(texture.FINEST * np.sqrt(texture.SHRINKAGE / 4.0))
+
+    def test_a_typical_residual_is_at_least_a_hundredth_of_a_grey_level(self):
+        theta = np.arange(texture.COLUMNS) * TURN / texture.COLUMNS
+        rows = texture.ZONES * texture.ROWS
+        strips = np.tile(100.0 + 40.0 * np.cos(3.0 * theta), (60, rows, 1)).astype(np.float32)
+        zones = texture._templates(strips, np.linspace(20.0, 90.0, rows))
+        # the weight of a sample is at most 1 / LEAST_VARIANCE, times its area
+        most = texture.ROWS * texture.COLUMNS / texture.LEAST_VARIANCE
+        assert zones.usual.mean() == pytest.approx(texture.LEAST_RESIDUAL**2 * most, rel=1e-3)
+        assert np.isfinite(zones.fit(strips)[0]).all()
+
+
+def test_blocks_of_frames_have_the_same_angles_as_all_together():
+    rng = np.random.default_rng(8)
+    theta = np.arange(texture.COLUMNS) * TURN / texture.COLUMNS
+    rows = texture.ZONES * texture.ROWS
+    turned = 1e-3 * rng.standard_normal(70)
+    strips = np.stack([np.tile(100.0 + 40.0 * np.cos(3.0 * (theta - d)), (rows, 1)) for d in turned])
+    strips = (strips + 2.0 * rng.standard_normal(strips.shape)).astype(np.float32)
+    zones = texture._templates(strips, np.linspace(20.0, 90.0, rows))
+    whole, parts = zones.fit(strips), zones.fit_blocks(np.split(strips, [16, 32, 61]))
+    assert parts[0] == pytest.approx(whole[0], abs=1e-12)
+    assert parts[1] == pytest.approx(whole[1], rel=1e-12)
+
+
+def test_a_residual_is_what_is_left_of_a_fit():
+    """The sum of squares follows from the sums of the fit, without the residuals themselves."""
+    rng = np.random.default_rng(9)
+    theta = np.arange(texture.COLUMNS) * TURN / texture.COLUMNS
+    rows = texture.ZONES * texture.ROWS
+    base = np.tile(100.0 + 40.0 * np.cos(3.0 * theta) + 30.0 * np.sin(5.0 * theta), (rows, 1))
+    strips = base * (1.0 + 0.03 * rng.standard_normal((60, 1, 1))) + 4.0 * rng.standard_normal((60, 1, 1))
+    strips = (strips + 2.0 * rng.standard_normal((60, *base.shape))).astype(np.float32)
+    strips[:5] += 30.0 * (theta < 0.5)  # a hand
+    zones = texture._templates(strips, np.linspace(20.0, 90.0, rows))
+    _, misfit = zones.fit(strips)
+    left = np.stack(zones.residuals(strips))
+    expected = np.einsum("zns,zs->zn", left.astype(np.float64) ** 2, zones.weight) / zones.usual[:, None]
+    assert misfit == pytest.approx(expected, rel=1e-4)
+    # mean and mean square of the residuals of the undisturbed frames
+    picture = left[:, 5:].mean(axis=1)
+    assert np.sqrt(np.mean(picture**2)) < 0.05
+    assert zones.variance == pytest.approx(
+        (left[:, 5:].astype(np.float64) ** 2).mean(axis=1), rel=0.02, abs=0.02
+    )
