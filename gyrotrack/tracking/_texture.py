@@ -392,16 +392,6 @@ def _mean_residual(
     return mean - basis @ weights[:, 1:].sum(axis=0), np.maximum(square, 0.0)
 
 
-def learn_zones(strips: Singles, angle: Floats, radius: Floats) -> tuple[_Zones, Floats, Floats]:
-    """Learn templates from strips (n, rows, COLUMNS) at the angles (n,) [rad]; also return the result of `_Zones.fit`.
-
-    `radius` are the radii of the rows [px].
-    """
-    found = _templates(strips, radius)
-    turned, misfit = found.fit(strips)
-    return found.weighted(angle + turned, turned, CENTRE_ERROR), turned, misfit
-
-
 def _templates(strips: Singles, radius: Floats) -> _Zones:
     """Learn the templates of the zones, without weights of the zones."""
     theta = np.arange(COLUMNS) * TURN / COLUMNS

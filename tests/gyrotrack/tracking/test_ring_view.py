@@ -60,7 +60,8 @@ def radial(picture):
 
 def view_of(angles, displacement, flattening, light=0.0, *, known=None):
     strips = np.stack([spots(displacement, flattening, a, light) for a in angles])
-    zones, turned, _ = texture.learn_zones(strips, angles, RADIUS)
+    zones = texture._templates(strips, RADIUS)
+    turned, _ = zones.fit(strips)
     response = zones.response(radial(zones.picture), RADIUS)
     left = zones.residuals(strips)
     use = np.isfinite(turned) if known is None else known
@@ -183,9 +184,7 @@ class TestViewOfARing:
         rng = np.random.default_rng(8)
         angles = np.linspace(0.0, turns * TURN, 40)
         strips = np.stack([spots(angle=a) for a in angles])
-        zones, _, _ = texture.learn_zones(
-            strips + 2.0 * rng.standard_normal(strips.shape, np.float32), angles, RADIUS
-        )
+        zones = texture._templates(strips + 2.0 * rng.standard_normal(strips.shape, np.float32), RADIUS)
         response = zones.response(radial(zones.picture), RADIUS)
         known = np.ones((texture.ZONES, len(angles)), dtype=bool)
         found, claimed = [], []
