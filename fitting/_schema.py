@@ -483,6 +483,7 @@ class StoredDiagnosis(Document):
     nuisance: list[NuisanceDocument] = []
     next_experiment: str
     upper_limits: list[UpperLimitDocument] = []
+    without_limit: list[str] = []
     differs: StoredDifference | None = None
 
 

@@ -144,6 +144,14 @@ class UpperLimit:
 
 
 @dataclass(frozen=True)
+class HiddenEffects:
+    """Physical effects that could still be hidden in the recordings."""
+
+    limits: tuple[UpperLimit, ...] = ()  # those with the largest upper limits of the torque, largest first
+    without_limit: tuple[str, ...] = ()  # names of those that the recordings do not limit
+
+
+@dataclass(frozen=True)
 class _Responses:
     """Whitened, projected responses of one candidate: an orthonormal basis of each group of columns."""
 
@@ -584,19 +592,22 @@ class Search:
         return tuple(names)
 
 
-def largest_hidden(fit: Fit, extra: Sequence[Effect], criteria: Criteria) -> tuple[UpperLimit, ...]:
-    """Return the physical effects with the largest upper limits of the rms torque; absorbed effects have no limit.
+def largest_hidden(fit: Fit, extra: Sequence[Effect], criteria: Criteria) -> HiddenEffects:
+    """Return the physical effects with the largest upper limits of the rms torque, and those without a limit.
 
-    A limit above the torque of the bearing (of a single body: the net torque) contains no information and is omitted.
+    An effect has no limit if the model absorbs it. A limit above the torque of the bearing (of a single body: the net
+    torque) contains no information.
     """
     search = Search(fit, extra, criteria, draws=1)
     found = [search.limits(e) for e in search.effects if e.kind == "physical"]
     limited = [e for e in found if e.upper_torque < search.typical_torque]
     finite = sorted(limited, key=lambda e: -e.upper_torque)
-    return tuple(
+    limits = [
         UpperLimit(e.effect.name, e.strength, e.upper_limit, e.unit, e.upper_torque)
         for e in finite[:_MOST_HIDDEN]
-    )
+    ]
+    without = [e for e in found if e.absorbed or e.upper_torque >= search.typical_torque]
+    return HiddenEffects(tuple(limits), tuple(e.effect.name for e in without))
 
 
 def _profile_limit(free: Array, response: Array, data: Array, bounds: Array, limit: float) -> float:

@@ -51,7 +51,7 @@ from fitting.discovery._named_effect import (
     with_free_inertia,
 )
 from fitting.discovery._next_run import separating_run
-from fitting.discovery._power import UpperLimit, largest_hidden
+from fitting.discovery._power import HiddenEffects, UpperLimit, largest_hidden
 from fitting.discovery._random_torque import RandomTorque, describes, is_established, with_random_torque
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, grade, nuisance_parameters
 from fitting.discovery._residuals import (
@@ -138,6 +138,9 @@ class Diagnosis:
         Tests of the independence of the residuals.
     upper_limits : tuple of UpperLimit
         Physical effects that could still be hidden, with their largest torques, if the verdict is "adequate".
+    without_limit : tuple of str
+        Physical effects that the recordings do not limit, if the verdict is "adequate": the model absorbs them, or the
+        upper limit exceeds the torque of the bearing (of a single body: the net torque).
     form_limit : float or None
         Rms deviation from the named law that would be detected with 90 % probability, as a share of its torque; None
         if the form was not tested or no deviation would be detected.
@@ -163,6 +166,7 @@ class Diagnosis:
     ripples: tuple[AngleHarmonics, ...]
     whiteness: tuple[Whiteness, ...]
     upper_limits: tuple[UpperLimit, ...] = ()
+    without_limit: tuple[str, ...] = ()
     form_limit: float | None = None
     differs: DifferentParameter | None = None
     trace: tuple[Refit, ...] = ()
@@ -431,7 +435,7 @@ def _diagnosis(
         selection, size = _with_unknown_laws(fit, selection, as_given, size, criteria)
     nuisance = nuisance_parameters(selection.final)
     torques, ripples = [] if fit.lacks_restoring_torque else curves.result(), harmonics.result()
-    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" and not brief else ()
+    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" and not brief else HiddenEffects()
     failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" and not brief else []
     # for an oscillation, camera effects are hardly distinguishable from harmonics of the motion
     told = nuisance if are_smooth(d.motion for d in fit.problem.data) else ()
@@ -458,7 +462,8 @@ def _diagnosis(
         torques=tuple(torques),
         ripples=tuple(ripples),
         whiteness=tuple(whiteness(fit)),
-        upper_limits=hidden,
+        upper_limits=hidden.limits,
+        without_limit=hidden.without_limit,
         form_limit=size.test.limit if size.test is not None and math.isfinite(size.test.limit) else None,
     )
 
@@ -637,21 +642,23 @@ def _sentence(
     size: Grade,
     nuisance: Sequence[Nuisance],
     criteria: Criteria,
-    hidden: Sequence[UpperLimit],
+    hidden: HiddenEffects,
 ) -> str:
     """Return the answer in a few sentences."""
     if verdict == "adequate":
         # if the measurement is faulty, the model alone is not adequate
         answer = "nothing else is missing" if fit.findings else "the model is adequate"
         parts = [f"The residuals are consistent with noise; {answer}."]
-        if hidden:
+        if hidden.limits:
             unit = fit.torque_unit
             limits = "; ".join(
-                f"{fit.name(u.effect)} {format_torque(u.torque_Nm, unit=unit)}" for u in hidden
+                f"{fit.name(u.effect)} {format_torque(u.torque_Nm, unit=unit)}" for u in hidden.limits
             )
             parts.append(
                 f"Effects that could still be hidden, with 95 % upper limits of the rms torque: {limits}."
             )
+            if hidden.without_limit:
+                parts.append(f"No useful limit: {'; '.join(str(fit.name(e)) for e in hidden.without_limit)}.")
         else:
             parts.append(
                 "The recording is too short or too noisy for a useful upper limit of another effect."

@@ -290,6 +290,8 @@ class DiagnosisDocument(TypedDict):
     remainder: RemainderDocument | None  #: What is still significant with the named effect.
     nuisance: list[ShownNuisance]  #: Camera effects that are always fitted.
     upper_limits: list[ShownLimit]  #: Effects that could still be hidden, if the verdict is `adequate`.
+    #: Names of effects that could be hidden and have no useful upper limit, if the verdict is `adequate`.
+    without_limit: list[str]
     differs: DifferenceBetweenRecordings | None  #: A parameter whose difference explains the lack of fit.
     whiteness: list[Whiteness]  #: Tests of the independence of the residuals, by case.
     energy_drift: dict[str, float]  #: Energy balance error by case, as a share of the kinetic energy [1].
@@ -308,6 +310,7 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> DiagnosisDocument:
         remainder=asdict(d.remainder) if d.remainder is not None else None,
         nuisance=[asdict(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
         upper_limits=[asdict(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
+        without_limit=list(d.without_limit),
         differs=shown_difference(d.differs),
         whiteness=[asdict(w) for w in d.whiteness],
         energy_drift={c.label: c.energy_drift for c in d.fit.cases},
@@ -579,6 +582,7 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         fit.angle_harmonics,
         tuple(whiteness(fit)),
         tuple(UpperLimit(**u.model_dump()) for u in stored.upper_limits),
+        tuple(stored.without_limit),
         stored.form_limit,
         None
         if (d := stored.differs) is None

@@ -389,7 +389,7 @@ def _upper_limits(final: Fit, diagnosis: Diagnosis | None) -> tuple[UpperLimit, 
 
     if diagnosis is not None:
         return diagnosis.upper_limits
-    return () if not final.converged or final.fails() else largest_hidden(final, (), DEFAULT)
+    return () if not final.converged or final.fails() else largest_hidden(final, (), DEFAULT).limits
 
 
 def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:

@@ -239,7 +239,7 @@ def test_the_upper_limit_is_that_of_a_fit_with_the_effect(seed):
 class TestHidden:
     @pytest.mark.slow
     def test_hidden_effects_are_sorted_by_torque(self):
-        found = largest_hidden(base(), (), DEFAULT)
+        found = largest_hidden(base(), (), DEFAULT).limits
         torques = [u.torque_Nm for u in found]
         assert len(found) == 5
         assert torques == sorted(torques, reverse=True)

@@ -323,6 +323,8 @@ class TestLargestHidden:
             "g": 2.0,
             "camera": 8.0,
             "nan": math.nan,
+            "absorbed": math.nan,
+            "total": 10.0,
         }
 
         class Known:
@@ -341,7 +343,7 @@ class TestLargestHidden:
                     "k",
                     "N m",
                     {},
-                    1.0,
+                    math.inf if effect.name == "absorbed" else 1.0,
                     2.0,
                     1.0,
                     (1.0, 1.0),
@@ -355,10 +357,12 @@ class TestLargestHidden:
 
         monkeypatch.setattr(module, "Search", Known)
         found = largest_hidden(base, (), DEFAULT)
-        assert [(u.effect, u.torque_Nm) for u in found] == [
+        assert [(u.effect, u.torque_Nm) for u in found.limits] == [
             ("b", 9.0), ("f", 5.0), ("e", 4.0), ("a", 3.0), ("g", 2.0),
         ]  # fmt: skip
-        assert found[0].upper_limit == 4.5
+        assert found.limits[0].upper_limit == 4.5
+        # above or at the torque of the bearing, or absorbed by the model; a significant effect ("nan") is not hidden
+        assert found.without_limit == ("d", "absorbed", "total")
 
 
 class TestCurves:

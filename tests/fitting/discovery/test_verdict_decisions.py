@@ -20,6 +20,7 @@ from fitting.discovery._lack_of_fit import (
     PeriodogramPeak,
     SmoothTest,
 )
+from fitting.discovery._power import HiddenEffects
 from fitting.discovery._remainder import Grade, Nuisance, Remainder
 from fitting.discovery._select import Selection
 from fitting.discovery._verdict import slipped
@@ -115,8 +116,9 @@ class Answer:
             "contradiction": None, "significant_peak": None, "grade": Grade(None, None, None),
             "inertia_within_uncertainty": "", "with_random_torque": None, "describes": False,
             "is_established": True, "smooth_test": SmoothTest("casing", 0.5), "nonparametric_rivals": (),
-            "nuisance_parameters": [], "largest_hidden": (), "find_failures": [], "separating_run": "next run",
-            "whiteness": [], "residual_torques": [], "angle_harmonics": [], "combined_uncertainties": {},
+            "nuisance_parameters": [], "largest_hidden": HiddenEffects(), "find_failures": [],
+            "separating_run": "next run", "whiteness": [], "residual_torques": [], "angle_harmonics": [],
+            "combined_uncertainties": {},
             "reselected": None,
         }  # fmt: skip
         self.asked, self.arguments = [], {}
@@ -152,9 +154,17 @@ class TestVerdict(Answer):
         assert (found.verdict, found.form, found.explained, found.failures) == ("adequate", None, None, ())
         assert "largest_hidden" not in self.asked  # not asked for in brief
         limit = SimpleNamespace(effect=DRAG, torque_Nm=3e-7)
-        found = self.answer(Found(), brief=False, largest_hidden=(limit,))
-        assert found.upper_limits == (limit,)
-        assert f"95 % upper limits of the rms torque: {NAMED} 0.3 uN m." in found.sentence
+        found = self.answer(Found(), brief=False, largest_hidden=HiddenEffects((limit,)))
+        assert (found.upper_limits, found.without_limit) == ((limit,), ())
+        assert found.sentence.endswith(f"95 % upper limits of the rms torque: {NAMED} 0.3 uN m.")
+
+    def test_effects_that_the_recordings_do_not_limit_are_told_beside_the_limits(self):
+        limit = SimpleNamespace(effect=DRAG, torque_Nm=3e-7)
+        found = self.answer(Found(), brief=False, largest_hidden=HiddenEffects((limit,), (DRAG, DRAG)))
+        assert found.without_limit == (DRAG, DRAG)
+        assert found.sentence.endswith(f"{NAMED} 0.3 uN m. No useful limit: {NAMED}; {NAMED}.")
+        found = self.answer(Found(), brief=False, largest_hidden=HiddenEffects((), (DRAG,)))
+        assert found.sentence.endswith("too short or too noisy for a useful upper limit of another effect.")
 
     def test_effects_of_the_user_and_criteria_are_passed_on(self):
         own, strict = candidate().effect, Criteria(significance=0.001)
