@@ -329,12 +329,12 @@ def _angle_noises(fit: FitSummary) -> list[tuple[str, AngleNoise]]:
     return [(label, noise) for label, noise in found if noise.is_significant]
 
 
-def not_determined(estimates: Mapping[str, Estimate]) -> list[str]:
-    """Return the parameters with a standard uncertainty larger than their value."""
+def not_determined(estimates: Mapping[str, Estimate], limit: float = 1.0) -> list[str]:
+    """Return the parameters with a standard uncertainty larger than `limit` times their value."""
     return [
         k
         for k, e in estimates.items()
-        if not k.startswith("initial.") and math.isfinite(e.stderr) and e.stderr > abs(e.value)
+        if not k.startswith("initial.") and math.isfinite(e.stderr) and e.stderr > limit * abs(e.value)
     ]
 
 
@@ -653,10 +653,8 @@ class Fit(FitSummary):
         known = {k for d in self.problem.data if d.prior is not None for k in d.prior.names}
         return [
             k
-            for k in not_determined(self.estimates)
-            if k.partition("@")[0] not in known
-            and self.estimates[k].stderr > criteria.undetermined * abs(self.estimates[k].value)
-            and self.problem.layout.parameter(k).role != "phase"
+            for k in not_determined(self.estimates, criteria.undetermined)
+            if k.partition("@")[0] not in known and self.problem.layout.parameter(k).role != "phase"
         ]
 
     @property

@@ -416,7 +416,8 @@ def _cells(column: Column, rows: slice) -> list[str]:
 
 def plain_cell(text: str) -> str:
     """Return a text that a spreadsheet does not interpret as a formula."""
-    return "'" + text if text.startswith(_FORMULA) else text
+    plain = "'" + text if text.startswith(_FORMULA) else text
+    return plain.replace("\r", "\n")  # `csv` quotes no carriage return, which would begin a row
 
 
 def _parquet(made: Sequence[Column], stream: BinaryIO) -> None:

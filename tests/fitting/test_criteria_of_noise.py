@@ -1,15 +1,17 @@
 """Criteria that determine what is noise reach the recordings, also through a search with other criteria."""
 
 import ast
+import math
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import fitting
-from fitting import Criteria, Model, diagnose, make_record
+from fitting import Criteria, Estimate, Fit, Model, diagnose, make_record
 from fitting._criteria import NOISE
 from fitting.discovery import _verdict
 from fitting.inference._case_data import CaseData
@@ -144,3 +146,25 @@ def test_no_module_decides_by_a_default_that_a_caller_cannot_change():
                     ignored.append((path.name, node.attr))
     assert ignored == [("_angle_noise.py", "correlated_noise")]  # of an empty `AngleNoise`
     assert {f.name for f in fields(Criteria)} <= used
+
+
+@pytest.mark.parametrize(
+    ("limit", "u", "listed"), [(20, 19, False), (20, 21, True), (0.5, 0.4, False), (0.5, 0.6, True)]
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_parameter_is_undetermined_from_its_criterion_on(limit, u, listed, sign):
+    """Of an uncertainty over the value; not a phase, an initial value, or one with a prior."""
+    names = ("a.k", "a.phi", "b.k@case2", "known.k", "known.k@case2", "initial.omega_c", "c.k")
+    estimates = {k: Estimate(2.0 * sign, 2.0 * u, "1", at_bound=False) for k in names}
+    estimates["c.k"] = Estimate(2.0 * sign, math.nan, "1", at_bound=True)
+    priors = None, SimpleNamespace(names=("known.k",))
+    found = SimpleNamespace(
+        estimates=estimates,
+        problem=SimpleNamespace(
+            data=[SimpleNamespace(prior=p) for p in priors],
+            layout=SimpleNamespace(
+                parameter=lambda k: SimpleNamespace(role="phase" if k == "a.phi" else "amplitude")
+            ),
+        ),
+    )
+    assert Fit.undetermined_at(found, Criteria(undetermined=limit)) == ["a.k", "b.k@case2"] * listed

@@ -75,6 +75,29 @@ class TestColumns:
             for torque, share in zip(columns.torque(LIBRARY[name], {}), shares, strict=True):
                 assert torque == pytest.approx(share * unit)
 
+    def test_a_delay_of_an_input_is_a_torque_of_the_accelerations_that_it_changes(self):
+        columns, asked = CaseColumns(gyroscope(), 0), []
+        rates = np.arange(2.0 * len(columns.response.centres)).reshape(-1, 2)
+        mechanism = columns.case.dynamics.mechanism
+        dynamics = SimpleNamespace(mechanism=mechanism, by_delay=lambda *given: asked.append(given) or rates)
+        columns.case = SimpleNamespace(dynamics=dynamics, data=columns.case.data)
+        delay = SimpleNamespace(
+            joint="input", inputs=(("drive", "N m"),), mechanical=True, depends_on_angle=False
+        )
+        rotor, casing = columns.torque(delay, {})
+        record = columns.case.data.record
+        assert rotor == pytest.approx(record.I_rotor * rates[:, :1])
+        assert casing == pytest.approx(record.I_casing * rates[:, 1:])
+        ((name, times, edges, y, numbers),) = asked
+        assert name == "drive"
+        assert times == pytest.approx(columns.response.centres)
+        assert edges == pytest.approx(columns.response.edges)
+        assert y == pytest.approx(columns._states_of_motion)
+        assert numbers is columns.numbers
+        (trial,) = columns.trials(delay, [{}])
+        assert trial.shape == {}
+        assert trial.columns == pytest.approx(columns.torque_rows(rotor, casing))
+
     def test_typical_torques_are_those_of_the_bearing(self):
         """0.2 uN m s times the difference of the speeds."""
         columns = CaseColumns(gyroscope(), 0)

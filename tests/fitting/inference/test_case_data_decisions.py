@@ -331,6 +331,20 @@ class TestAngleNoise:
         assert len(data.findings) == excess
         assert all(f"by {1e3 * 1.1 * limit:.2g} mrad" in words for words in data.findings)
 
+    @pytest.mark.parametrize(("body", "white"), [("casing", 2e-3), ("rotor", 4e-3)])
+    def test_the_body_with_an_excessive_noise_is_named(self, body, white):
+        """Beside the white noise of the casing, or the smallest one of the windows."""
+        data = CaseData.of(gyroscope_data().record)
+        rotor = tuple(replace(w, scale=s) for w, s in zip(data.rotor, (8.0, 4.0), strict=True))
+        data = replace(data, casing=replace(data.casing, scale=2.0), rotor=rotor)
+        size = 1.5 * DEFAULT.angle_noise_ratio * white
+        for name, key in (("casing", "_correlated_noise"), ("rotor", "_correlated_rotor_noise")):
+            vars(data)[key] = AngleNoise(sigma=size if name == body else 0.0, gain=99.0)
+        (found,) = data.findings
+        assert f"The angles of the {body} deviate" in found
+        ratio = 1.5 * DEFAULT.angle_noise_ratio
+        assert f"by {1e3 * size:.2g} mrad, {ratio:.0f} times their white noise" in found
+
     @pytest.mark.parametrize(("rows", "estimated"), [((7, 20), False), ((8, 20), True)])
     def test_windows_are_estimated_with_the_share_of_the_torque_on_the_rotor(
         self, monkeypatch, rows, estimated

@@ -8,11 +8,13 @@ import oscillators
 import pytest
 
 from fitting import LIBRARY, EstimationError, Model, SimulationError, diagnose, improve, plan
+from fitting._criteria import DEFAULT
 from fitting.discovery._remainder import Torques
 from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects._user import resolve
+from fitting.inference import _problem
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._fit import fit
@@ -409,3 +411,59 @@ def test_the_largest_torque_of_an_oscillation_is_that_of_sixteenths_of_its_perio
     x = 2 * np.pi / 16
     expected = 2.0 * 0.3 * (2 * np.pi) ** 2 * (np.sin(x) / x) ** 2
     assert CaseData.largest_torque.func(data) == pytest.approx(expected, rel=1e-3)
+
+
+class TestGrossMisfit:
+    """White noise of the torque changes the phase by sqrt(s^2 tau t / (1 + w^2 tau^2)) / (a w I) rms."""
+
+    PERIOD, PERIODS, TAU, INERTIA = 0.8, 25.0, 0.3, 2e-3
+
+    def fails(self, monkeypatch, share, *, slow=True):
+        w = 2 * np.pi / self.PERIOD
+        duration = self.PERIOD * self.PERIODS
+        # the root of the mean square of the amplitudes is 0.25 rad
+        most = DEFAULT.gross_misfit * 0.25 * w * self.INERTIA
+        level = share * most * np.sqrt((1 + (w * self.TAU) ** 2) / (self.TAU * duration))
+        seen = []
+        monkeypatch.setattr(_problem, "remaining_level", lambda *given: seen.append(given) or (level, 0.0))
+        motion = SimpleNamespace(
+            period=self.PERIOD,
+            periods=self.PERIODS,
+            slow_motion=SimpleNamespace(amplitude=np.array([0.15, 0.05, np.sqrt(0.1625)])) if slow else None,
+        )
+        data = SimpleNamespace(
+            motion=motion, z=np.array([5.0, 7.0]), nuisance=np.array([[3.0], [4.0]]), criteria=DEFAULT,
+            record=SimpleNamespace(I_casing=self.INERTIA),
+        )  # fmt: skip
+        prediction = SimpleNamespace(rows=np.array([4.0, 5.0]), columns=np.array([[1.0], [2.0]]))
+        found = _problem.fails_grossly(data, prediction, SimpleNamespace(whitener="white", time=self.TAU))
+        return found, seen
+
+    @pytest.mark.parametrize(("share", "gross"), [(0.95, False), (1.05, True)])
+    def test_the_phase_is_random_beyond_its_criterion(self, monkeypatch, share, gross):
+        found, ((whitener, residual, columns),) = self.fails(monkeypatch, share)
+        assert found is gross
+        assert (whitener, residual.tolist()) == ("white", [1.0, 2.0])
+        assert columns.tolist() == [[1.0, 3.0], [2.0, 4.0]]
+
+    def test_few_periods_have_no_random_phase(self, monkeypatch):
+        assert self.fails(monkeypatch, 9.0, slow=False) == (False, [])
+
+
+@pytest.mark.parametrize(("level", "expected"), [(0.05, 0.06), (0.07, 0.07)])
+def test_a_search_far_from_the_minimum_has_a_hundredth_of_the_torque_on_the_other_bodies(level, expected):
+    """Moments of inertia 2, 5 and 3, median accelerations 1.5, 9 and 2; the second body is the main one."""
+    rates = np.array([[1.0, 9.0, -2.0], [-1.5, 9.0, 2.0], [7.0, -9.0, -8.0]])
+    case = SimpleNamespace(
+        case=0,
+        dynamics=SimpleNamespace(rates=lambda *_: rates),
+        data=SimpleNamespace(record=SimpleNamespace(inertias=(2.0, 5.0, 3.0))),
+    )
+    path = SimpleNamespace(mesh=SimpleNamespace(times=None), y=None)
+    problem = SimpleNamespace(
+        cases=[case],
+        predict=lambda theta: [SimpleNamespace(path=path)],
+        layout=SimpleNamespace(numbers=lambda theta, case: {}),
+    )
+    known = SimpleNamespace(level=level, at=lambda raised: raised)
+    assert _problem.raised_noise(problem, None, [known]) == (pytest.approx(expected),)

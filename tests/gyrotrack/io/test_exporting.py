@@ -96,11 +96,23 @@ def test_what_is_not_there_is_reported(file, tmp_path):
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])
 def test_no_word_becomes_a_formula(text, case, tmp_path):
-    assert plain_cell(text) == "'" + text
+    cell = "'" + text.replace("\r", "\n")
+    assert plain_cell(text) == cell
     clip = replace(next(iter(case.recordings.values())), source=text)
     assert columns(clip, "frames")[0].values[0] == text
     path = write_case(tmp_path / "c.h5", replace(case, recordings={"x": clip}), command="", settings={})
     export_file(path, tmp_path / "a.csv", table="frames")
+    stream = io.BytesIO()
+    contents._csv(columns(clip, "frames"), stream)
+    _, first, *_ = csv.reader(io.StringIO(stream.getvalue().decode(), newline=""))
+    assert first[0] == cell
+
+
+def test_cells_of_numbers_and_words():
+    made = {"a": [1.5, np.nan, -2e-9], "b": [3, -4, 5], "c": np.array(["u", "-v", "w\r=1"], dtype=object)}
+    stream = io.BytesIO()
+    contents._csv([SimpleNamespace(heading=k, values=np.asarray(v)) for k, v in made.items()], stream)
+    assert stream.getvalue().decode() == 'a,b,c\n1.5,3,u\n,-4,\'-v\n-2e-09,5,"w\n=1"\n'
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from fitting import Ledger, LedgerError, RecordError
 from fitting._schema import locked as ledger_locked
 from fitting.inference._case_file import read_record
 from gyrotrack import DatasetError, OutputError, import_body, read_recording, write_recording
-from gyrotrack.io._atomic import CheckpointFile, locked, new_file, refuse_existing
+from gyrotrack.io._atomic import CheckpointFile, locked, new_file, refuse_existing, remove_remains
 from gyrotrack.io._hdf5 import new_hdf5
 
 
@@ -322,3 +322,30 @@ def test_bytes_changed_on_the_disk_are_noticed(tmp_path, recording):
             continue
         wrong += not (read.bodies["casing"].angle == recording.bodies["casing"].angle).all()
     assert wrong == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "left"),
+    [
+        (b"", []),
+        (b"gyrotrack lock\n", []),
+        (b"gyrotrack lock\na.h5.0123abcd.part", []),
+        (b"gyrotrack lock\nb.h5.0123abcd.part", ["a.h5.0123abcd.part"]),
+        (b"foreign", [".a.h5.lock", "a.h5.0123abcd.part"]),
+    ],
+)
+def test_remains_of_a_killed_program_are_removed_from_a_folder(tmp_path, content, left):
+    part = tmp_path / "a.h5.0123abcd.part"
+    for path in (tmp_path / "a.h5", tmp_path / "c.lock"):
+        path.write_bytes(b"precious")
+    if b"a.h5" in content or left:
+        part.write_bytes(b"unfinished")
+    (tmp_path / ".a.h5.lock").write_bytes(content)
+    remove_remains(tmp_path)
+    assert names(tmp_path) == sorted([*left, "a.h5", "c.lock"])
+
+
+def test_the_remains_of_a_program_that_still_runs_are_kept(tmp_path):
+    with locked(tmp_path / "a"):
+        remove_remains(tmp_path)
+        assert names(tmp_path) == [".a.lock"]

@@ -223,3 +223,13 @@ def test_two_parts_within_one_radius_are_one_body(apart, bodies, monkeypatch):
         _silhouettes, "spot_of", lambda *_: Spot(next(places), 8.0, np.ones((17, 17), np.uint8))
     )
     assert len(_silhouettes.spots_in(region.astype(np.uint8), 0.7, 3)) == bodies
+
+
+def test_the_depth_of_a_region_is_the_distance_from_its_edge():
+    """The edge of the picture is one."""
+    y, x = np.mgrid[0:9, 0:14]
+    region = ((y >= 2) & (y <= 6) & (x >= 3) & (x <= 12)).astype(np.uint8)
+    expected = np.maximum(np.minimum.reduce([y - 1, 7 - y, x - 2, 13 - x]), 0)
+    assert _silhouettes.depth_of(region) == pytest.approx(expected, abs=1e-3)
+    whole = np.minimum.reduce([y + 1, 9 - y, x + 1, 14 - x])
+    assert _silhouettes.depth_of(np.ones((9, 14), np.uint8)) == pytest.approx(whole, abs=1e-3)

@@ -119,12 +119,47 @@ def test_a_rotation_that_explains_a_part_of_the_film_falls_by_a_fifth(film, refu
     assert fallen(0.9, film) == refused
 
 
-def test_a_rotation_that_explains_a_part_of_the_film_only_is_refused_with_both_shares():
-    trial = SimpleNamespace(ring=Ring.about((20.0, 30.0), 5.0, 15.0), score=0.9)
-    film = SimpleNamespace(path=SimpleNamespace(name="film"), some=lambda index: [None] * len(index))
-    with pytest.raises(_any_body.RefusedFilmError, match=r"explains 90 % .* 69 % in the whole film") as error:
-        _any_body._refuse_fallen(film, np.arange(9), trial, 0.69)
+TRIAL = SimpleNamespace(ring=Ring.about((20.0, 30.0), 5.0, 15.0), score=0.9)
+
+
+@pytest.mark.parametrize(("share", "words"), [(0.69, "69 %"), (-0.2, "0 %")])
+def test_a_rotation_that_explains_a_part_of_the_film_only_is_refused_with_both_shares(share, words):
+    film = SimpleNamespace(path=SimpleNamespace(name="film"), some=lambda index: index.tolist())
+    with pytest.raises(_any_body.RefusedFilmError, match=rf"explains 90 % .* {words} in the whole") as error:
+        _any_body._refuse_fallen(film, 10 * np.arange(9), TRIAL, share)
     assert "--from and --to" in error.value.hint
+    assert "about (20, 30) px" in str(error.value)
+    assert error.value.evidence == {"explained": 0.9, "in_film": share}
+    assert error.value.frames == (0, 20, 50, 80)
+    assert (error.value.kind, error.value.hub) == ("no rotation", (20.0, 30.0))
+
+
+def test_a_hub_that_moves_is_refused_with_its_displacement():
+    with pytest.raises(_any_body.RefusedFilmError, match=r"moves by 3\.1 px; at most 1\.4 px") as error:
+        _any_body._refuse_loose("film", list(range(10)), TRIAL, 3.1, 1.4)
+    assert error.value.evidence == {"explained": 0.9, "hub_moves_px": 3.1}
+    assert error.value.frames == (0, 3, 6, 9)
+    assert error.value.hub == (20.0, 30.0)
+
+
+@pytest.mark.parametrize(("span", "blurred"), [(2 * np.pi, True), (6.2, False), (None, False)])
+def test_a_film_without_a_rotation_is_refused_with_the_best_candidate(monkeypatch, span, blurred):
+    """Only of a whole ring blurred pictures are the reason."""
+    asked = []
+    monkeypatch.setattr(_any_body, "refuse_two_motions", lambda *given: asked.append(("motions", given[2])))
+    monkeypatch.setattr(_any_body, "refuse_blurred", lambda film, block, *_: asked.append(("blurred", block)))
+    best = span and SimpleNamespace(ring=SimpleNamespace(span=span, hub=(20.0, 30.0)), score=0.123)
+    film, block = SimpleNamespace(path=SimpleNamespace(name="film")), list(range(65))
+    with pytest.raises(_any_body.RefusedFilmError, match="No body that turns about it") as error:
+        _any_body._refuse(film, (), block, SimpleNamespace(noise=1.0), best, "about it", "a hint", 0.4)
+    some = (0, 21, 42, 64)
+    assert asked == [("motions", some), *([("blurred", block[::2])] if blurred else [])]
+    assert (
+        "the best candidate explains 12 % of the change of brightness; 40 % are required" in str(error.value)
+    ) is (best is not None)
+    assert error.value.evidence == {"explained": 0.123 if best else 0.0, "needed": 0.4}
+    assert (error.value.frames, error.value.hint) == (some, "a hint")
+    assert error.value.hub == ((20.0, 30.0) if best else None)
 
 
 @pytest.mark.parametrize(("film", "told"), [(0.69, False), (0.67, True), (0.95, False)])

@@ -627,3 +627,68 @@ class TestFollowing:
         value = found.at(np.array([99.0 + ahead]))[0][0]
         expected = 30.0 + 0.2 * (ahead - 1.0) if again else 0.3 * (99.0 + ahead)
         assert value == pytest.approx(expected, abs=0.1)
+
+
+class TestStrip:
+    """The ring about a marker: the background under it, its rows and its windows."""
+
+    @pytest.mark.parametrize("count", [4, 5])
+    @pytest.mark.parametrize("white", [True, False])
+    def test_the_background_is_the_median_of_the_samples(self, white, count):
+        """Of a coloured marker those from which the scene is determined."""
+        frames = np.random.default_rng(count).normal(size=(count + 3, 6, 9)).astype(np.float32)
+        chosen = list(range(count))
+        samples = SimpleNamespace(frames=frames[:count] if white else frames, spread=chosen)
+        grid = SimpleNamespace(around=lambda frame, rows: frame[rows])
+        strip = SimpleNamespace(white=white, grid=grid, marker=SimpleNamespace(dwell=0.29))
+        expected = np.median(frames[:count], axis=0)
+        assert windows.MarkerStrip._background(strip, samples) == pytest.approx(expected)
+        strip.marker.dwell = 0.31  # the marker itself is in the median of a pixel
+        rows = np.repeat(np.median(expected, axis=1)[:, None], 9, axis=1)
+        assert windows.MarkerStrip._background(strip, samples) == pytest.approx(rows)
+
+    @pytest.mark.parametrize(
+        ("inner", "outer", "rows"),
+        [(50.0, 70.0, (52, 69)), (50.0, 60.0, (52, 59)), (50.3, 52.4, (51, 53)), (50.45, 50.7, (51, 52))],
+    )
+    def test_rows_well_inside_a_marker(self, inner, outer, rows):
+        """Without 15 % of its length at both ends, 2 px at most; the nearest row to its middle if there is none."""
+        strip = SimpleNamespace(
+            marker=SimpleNamespace(inner=inner, outer=outer, radius=0.5 * (inner + outer))
+        )
+        ring = SimpleNamespace(radii=np.arange(100.0))
+        assert windows.MarkerStrip._rows_on(strip, ring) == rows
+
+    def test_windows_begin_half_a_width_before_the_expected_angle(self):
+        cut = []
+        ring = SimpleNamespace(step=TURN / 100, columns=100)
+        grid = SimpleNamespace(ring=ring, cut=lambda *given: cut.append(given))
+        strip = SimpleNamespace(
+            grid=grid, half=7, starts=np.zeros(6, dtype=np.int64), windows=np.arange(6.0), _under="under",
+            _used=False,
+        )  # fmt: skip
+        windows.MarkerStrip.take(strip, ["a", "b", "c"], 2, np.array([2.4, -3.4, 103.6]) * ring.step)
+        assert strip.starts.tolist() == [0, 0, 2, -3, 104, 0]
+        ((frames, first, under, out),) = cut
+        assert (frames, first.tolist(), under, out.tolist()) == (
+            ["a", "b", "c"],
+            [95, 90, 97],
+            "under",
+            [2.0, 3.0, 4.0],
+        )
+        assert strip._used
+
+    def test_the_columns_of_a_window_are_counted_over_a_full_turn(self):
+        strip = SimpleNamespace(
+            marker=SimpleNamespace(radius=50.0), half=2, rows=slice(1, 8), starts=np.array([1, 9, 4]),
+            ring=SimpleNamespace(step=TURN / 10, columns=10),
+            windows=np.random.default_rng(0).uniform(size=(3, 9, 5)).astype(np.float32),
+        )  # fmt: skip
+        found = windows.MarkerWindow(strip, np.array([1.3, 8.8, np.nan]) * TURN / 10)
+        assert found.column(10).tolist() == [[9, 0, 1, 2, 3], [7, 8, 9, 0, 1], [2, 3, 4, 5, 6]]
+        assert found.fraction == pytest.approx([0.3, -0.2, 0.0])
+        assert found.known.tolist() == [True, True, False]
+        # seven rows in layers of three, two and two
+        parts = [strip.windows[:, a:b].mean(axis=1) for a, b in ((1, 4), (4, 6), (6, 8))]
+        assert found.layers == pytest.approx(np.stack(parts, axis=1), rel=1e-5)
+        assert found.raw == pytest.approx(strip.windows[:, 1:8].mean(axis=1), rel=1e-5)

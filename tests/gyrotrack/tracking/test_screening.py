@@ -172,6 +172,31 @@ def test_features_are_followed_until_they_turn_too_far():
     assert len(list(rest)) == 5  # 7 frames turn by 18 degrees
 
 
+@pytest.mark.parametrize(("rate", "speed"), [(0.05, 6.0 + 2.0j), (-0.06, 5.0 + 6.0j)])
+def test_new_features_continue_the_motion_of_those_that_are_lost(rate, speed):
+    """A texture that turns about a place and travels through the picture, which is 100 px wide."""
+    rng = np.random.default_rng(0)
+    texture = cv2.GaussianBlur(rng.integers(0, 255, (400, 400)).astype(np.float32), (0, 0), 1.5)
+    texture = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    steps = np.arange(14)
+    a = np.exp(1j * rate * steps)
+    b = 50.0 + 50.0j + speed * steps - a * (200.0 + 200.0j)
+    frames = [
+        cv2.warpAffine(texture, np.array([[x.real, -x.imag, y.real], [x.imag, x.real, y.imag]]), (100, 100))
+        for x, y in zip(a, b, strict=True)
+    ]
+    moving = np.ones((100, 100), bool)
+    motion = SimpleNamespace(deviation=rng.uniform(1.0, 2.0, moving.shape).astype(np.float32), moving=moving)
+    turn, moved, since = _hub_search.follow_features(iter(frames), motion, 9.0)
+    assert turn == pytest.approx(a, abs=0.02)
+    assert moved == pytest.approx(b - a * b[0], abs=1.0)
+    chosen = np.unique(since)
+    assert 1 < len(chosen) < 5
+    assert all(since[k - 1] < k <= since[k + 1] for k in chosen[1:])
+    assert _hub_search.follow_features(iter([frames[0], texture[:100, :100]]), motion, 9.0) is None
+    assert _hub_search.follow_features(iter([np.zeros((100, 100), np.uint8)] * 2), motion, 9.0) is None
+
+
 @pytest.mark.parametrize(("count", "step"), [(100, 1), (101, 2), (200, 2), (201, 3)])
 def test_at_most_a_hundred_frames_are_compared(count, step):
     assert every(count) == step

@@ -1,9 +1,13 @@
-"""The white part of a series of angles, evenly and unevenly sampled; doubts about a track."""
+"""The white part of a series of angles, evenly and unevenly sampled; doubts about a track; a recording."""
+
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gyrotrack import BodyTrack
+from gyrotrack.tracking import _extract as module
 from gyrotrack.tracking._extract import track_doubts
 from gyrotrack.tracking._tracked import white_noise
 
@@ -45,3 +49,70 @@ def test_a_track_with_lost_frames_or_a_gap_that_may_hide_a_turn_is_doubted():
     doubts = track_doubts("body", track_of(time[seen], turns[seen]), int(late.sum()), "it")
     assert len(doubts) == 1
     assert "not determined in 1 gap(s), the first of 0.533 s" in doubts[0]
+
+
+class TestRecording:
+    """A film of one or two bodies: what the recording takes from it, and the order of its warnings."""
+
+    @pytest.fixture(autouse=True)
+    def _parts(self, monkeypatch):
+        for name in ("_rest_warning", "_doubts", "_unseen", "_first_frame_warning", "speed_warnings"):
+            monkeypatch.setattr(module, name, lambda *_, _name=name, **__: (_name.strip("_"),))
+        monkeypatch.setattr(module, "marker_track", lambda *given: given)
+        monkeypatch.setattr(module, "body_track", lambda *given: given)
+        monkeypatch.setattr(module, "_extra", lambda *_: {"tilt": {}})
+        monkeypatch.setattr(module, "Recording", lambda **fields: SimpleNamespace(**fields))
+
+    @staticmethod
+    def recording(*bodies, stamped=False):
+        marker = {"casing": SimpleNamespace(name="red"), "rotor": SimpleNamespace(name="blue")}
+        times = SimpleNamespace(
+            place=np.arange(5) if stamped else None,
+            seconds=lambda fps: np.arange(5) / fps,
+            number=np.arange(5) + 2,
+            warnings=("times",),
+        )
+        seen = SimpleNamespace(
+            times=times, warnings=("seen",), size=(320, 240), pts_time=np.arange(5.0),
+            bodies={b: SimpleNamespace(markers={marker[b].name: f"{b} seen"}) for b in bodies},
+        )  # fmt: skip
+        joint = SimpleNamespace(
+            bodies=dict.fromkeys(bodies, "angles"), doubts=("joint doubt",), warnings=("joint",), sense=-1,
+            centre=SimpleNamespace(centre="centre", sigma="its sigma"),
+        )  # fmt: skip
+        scene = SimpleNamespace(of=lambda name: [marker[name]], disc=None, warnings=("scene",))
+        info = SimpleNamespace(path=Path("film.mp4"), container_fps=30.0, frames_declared=6)
+        rate = SimpleNamespace(fps=250.0, warnings=("rate",), source="tag")
+        return module._recording(info, "sum", rate, scene, seen, joint)
+
+    @pytest.mark.parametrize("stamped", [False, True])
+    def test_the_capture_rate_is_doubted_only_if_it_is_used(self, stamped):
+        found = self.recording("casing", stamped=stamped)
+        used = () if stamped else ("rate",)
+        doubts = ("joint doubt", "doubts")
+        others = ("seen", "times", "scene", "unseen", "joint", "first_frame_warning")
+        assert found.warnings == ("rest_warning", *used, *others, *doubts)
+        assert found.extra == {"tilt": {}, "doubts": list(doubts)}
+
+    def test_speeds_are_compared_and_bodies_named(self):
+        both = self.recording("casing", "rotor")
+        assert both.warnings[-3:] == ("speed_warnings", "joint doubt", "doubts")
+        assert [self.recording(*b).body for b in (("casing",), ("rotor",), ("casing", "rotor"))] == [
+            "casing",
+            "rotor",
+            "both",
+        ]
+        assert list(both.bodies) == ["casing", "rotor"]
+        assert {name: given[1] for name, given in both.markers.items()} == {
+            "red": "casing seen",
+            "blue": "rotor seen",
+        }
+
+    def test_sizes_and_times_are_those_of_the_film(self):
+        found = self.recording("casing")
+        assert (found.width, found.height) == (320, 240)
+        assert (found.frames_declared, found.frames_decoded) == (6, 5)
+        assert (found.capture_fps, found.container_fps, found.sense) == (250.0, 30.0, -1)
+        assert found.time.tolist() == pytest.approx([0.0, 0.004, 0.008, 0.012, 0.016])
+        assert found.frame_index.tolist() == [2, 3, 4, 5, 6]
+        assert (found.centre, found.centre_sigma) == ("centre", "its sigma")

@@ -9,10 +9,17 @@ import pytest
 from gyrotrack import TrackingError
 from gyrotrack.apps.cli._app import run
 from gyrotrack.tracking._acquisition import (
+    Extent,
     Rings,
     SampledMarker,
+    _body_angles,
+    _brightest,
+    _dwell,
+    _mean_in,
     _on_other_body,
+    _refined,
     acquire,
+    extent_of,
     find_coloured,
     find_white,
 )
@@ -218,3 +225,79 @@ def test_a_casing_that_is_faster_than_its_rotor_is_reported_with_the_commands_th
     (told,) = (text for text in extract(path).warnings if "faster than the rotor" in text)
     assert "90.0 and 20.0 rad/s" in told
     assert f"`gyrotrack extract {path.name} --profile P.toml`" in told
+
+
+STEP = 2 * np.pi / 360
+
+
+class TestExtent:
+    """A patch of 12 rows and 81 columns of one degree each, with the marker in rows 3 to 8."""
+
+    @pytest.mark.parametrize("lean", [-4, 0, 4])
+    def test_it_is_the_region_above_half_of_the_maximum(self, lean):
+        patch = np.zeros((12, 81))
+        patch[3:9, 40 + lean - 6 : 40 + lean + 7] = 1.0
+        found = extent_of(patch, Ring((0.0, 0.0), 40.0, 62.0, 12, 360))
+        assert np.flatnonzero(found.rows).tolist() == [3, 4, 5, 6, 7, 8]
+        assert found.lean == lean
+        assert found.half_width == pytest.approx(6.5 * STEP)
+        assert (found.inner, found.outer) == pytest.approx((45.0, 57.0))  # between two rows of 2 px
+        assert found.foot == pytest.approx(6.9 * STEP)
+        core = found.core(81, STEP)
+        assert np.flatnonzero(core.any(axis=1)).tolist() == [3, 4, 5, 6, 7, 8]
+        assert np.flatnonzero(core.any(axis=0)).tolist() == list(range(40 + lean - 3, 40 + lean + 4))
+
+    @pytest.mark.parametrize("lean", [-12, 3, 12])
+    def test_the_mean_well_inside_a_marker(self, lean):
+        """Beside its expected column; the surroundings are negative."""
+        columns = np.array([10, 200, 355])
+        strips = np.full((3, 12, 360), -9.0, dtype=np.float32)
+        for strip, column in zip(strips, columns, strict=True):
+            strip[3:9, (column + lean + np.arange(-5, 6)) % 360] = 2.0
+        rows = np.zeros(12, dtype=bool)
+        rows[3:9] = True
+        extent = Extent(rows, 45.0, 57.0, 9.0 * STEP, lean)
+        found = _mean_in(
+            strips, columns, np.ones(3, dtype=bool), extent, Ring((0.0, 0.0), 40.0, 62.0, 12, 360)
+        )
+        assert found == pytest.approx(2.0)
+
+    def test_a_patch_without_a_score_has_no_extent(self):
+        assert extent_of(np.full((12, 81), -1.0), Ring((0.0, 0.0), 40.0, 62.0, 12, 360)) is None
+
+
+def test_an_angle_is_refined_by_the_centroid_of_the_score():
+    ring = Ring((0.0, 0.0), 40.0, 62.0, 12, 360)
+    true = np.array([100.3, 359.6, 2.2])
+    apart = (np.arange(360) - true[:, None] + 180) % 360 - 180
+    profile = np.clip(6.0 - np.abs(apart), 0.0, 1.0) + 5.0  # above an even ground
+    coarse = np.array([101.4, 358.0, 2.4]) * STEP
+    assert _refined(profile, coarse, 6.0 * STEP, ring) == pytest.approx(true * STEP, abs=0.05 * STEP)
+
+
+def test_the_angle_of_a_body_is_that_of_its_clear_markers_without_their_mounts():
+    def seen(mount, clear):
+        marker = SimpleNamespace(mount=mount)
+        return SimpleNamespace(
+            marker=marker, angle=mount + np.array([0.3, 3.5, 1.0, 9.0]), clear=np.array(clear)
+        )
+
+    both = [seen(0.4, [True, True, False, True]), seen(-2.0, [True, False, False, True])]
+    assert _body_angles(both, 3)[:2] == pytest.approx([0.3, 3.5 - 2 * np.pi])
+    assert np.isnan(_body_angles(both, 3)[2])
+
+
+@pytest.mark.parametrize(("peak", "clear"), [(0.51, True), (0.49, False)])
+def test_a_marker_is_clear_with_half_of_its_typical_score(peak, clear):
+    profile = np.zeros((5, 60), dtype=np.float32)
+    height = np.array([1.0, 1.0, 1.0, peak, 1.0])
+    for row, column, h in zip(profile, (5, 59, 30, 17, 0), height, strict=True):
+        row[(column + np.arange(-2, 3)) % 60] = h
+    column, found = _brightest(profile, 2)
+    assert column.tolist() == [5, 59, 30, 17, 0]
+    assert found.tolist() == [True, True, True, clear, True]
+
+
+@pytest.mark.parametrize(("reach", "share"), [(0.09, 0.5), (0.11, 0.75)])
+def test_a_marker_dwells_where_most_of_its_angles_are(reach, share):
+    assert _dwell(np.array([3.1, 3.1, 3.2 - 2 * np.pi, 1.0]), reach) == share

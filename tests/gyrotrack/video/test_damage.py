@@ -1,12 +1,15 @@
 """Films as cameras and copies leave them: containers, gaps, cut tails, damage; each frame carries its number."""
 
+import math
+from types import SimpleNamespace
+
 import av
 import numpy as np
 import pytest
 
 from gyrotrack import VideoError
 from gyrotrack.video._container import probe, read_packets, read_raw_stamps
-from gyrotrack.video._decoder import Part, Reader, frames_at
+from gyrotrack.video._decoder import Part, Reader, film_warnings, frames_at
 from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings
 
 BITS = 9
@@ -177,3 +180,43 @@ def test_an_unknown_codec_is_reported(tmp_path):
     path.write_bytes(path.read_bytes().replace(b"V_MPEG4/ISO/AVC", b"V_MPEG9/ISO/AVC"))
     with pytest.raises(VideoError, match="no decoder for the codec"):
         probe(path)
+
+
+class TestWarnings:
+    """Ten frames that are shown for a period each; the last one ends at ten periods."""
+
+    @staticmethod
+    def warnings(declared=math.nan, *, frames=10, period=1 / 30, bad=0, corrupt=0, missing=()):
+        seconds = np.arange(10) * period
+        seconds[list(missing)] = np.nan
+        info = SimpleNamespace(frames_declared=frames, duration_declared=declared)
+        return film_warnings(info, seconds, bad, corrupt)
+
+    @pytest.mark.parametrize(("frames", "cut"), [(0, False), (10, False), (11, True)])
+    def test_of_a_film_that_declares_more_frames(self, frames, cut):
+        assert any("frames and 10 could be" in text for text in self.warnings(frames=frames)) is cut
+
+    @pytest.mark.parametrize(
+        ("beyond", "period", "cut"),
+        [
+            (0.45 / 30, 1 / 30, False),  # half a period is not a frame
+            (0.55 / 30, 1 / 30, True),
+            (1.9e-3, 1e-3, False),  # the duration is rounded to milliseconds
+            (2.1e-3, 1e-3, True),
+            (-0.2, 1 / 30, False),
+        ],
+    )
+    @pytest.mark.parametrize("missing", [(), (4,)])
+    def test_of_a_film_that_declares_a_longer_duration(self, beyond, period, cut, missing):
+        found = self.warnings(10 * period + beyond, period=period, missing=missing)
+        expected = f"declares {10 * period + beyond:.3f} s and its last frame ends at {10 * period:.3f} s"
+        assert any(expected in text for text in found) is cut
+
+    def test_of_a_film_without_timestamps(self):
+        assert any("ends at 0.000 s" in text for text in self.warnings(0.003, missing=range(10)))
+        assert not any("ends at" in text for text in self.warnings(0.001, missing=range(10)))
+
+    def test_of_damage(self):
+        assert self.warnings() == ()
+        assert self.warnings(bad=3) == ("3 damaged packets were skipped.",)
+        assert self.warnings(corrupt=2) == ("The decoder marks 2 frames as damaged.",)

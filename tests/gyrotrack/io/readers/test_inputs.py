@@ -94,6 +94,8 @@ def test_a_likely_input_is_named_and_not_recorded(tmp_path):
         ("sign=3", "cannot be the name"),
         ("current=3, cubic", "'cubic' is unknown"),
         ("current=3, delay=soon", "'delay=soon' is unknown"),
+        ("current=3, file=", "'file=' is unknown"),
+        ("current=3, file", "'file' is unknown"),
     ],
 )
 def test_a_wrong_option_is_refused(option, words):
@@ -136,3 +138,15 @@ def test_units_are_converted_to_si():
     assert UNITS["%"] == ("1", 0.01, 0.0)
     assert UNITS["degC"] == ("K", 1.0, 273.15)
     assert UNITS["rpm"].factor == pytest.approx(2 * np.pi / 60)
+
+
+@pytest.mark.parametrize(
+    ("word", "seconds"),
+    [("0.02", 0.02), ("-.5", -0.5), ("2e-3 s", 2e-3), ("3 [s]", 3.0), ("1e999", None), ("2 ms", None)],
+)
+def test_a_delay_is_a_finite_number_of_seconds(word, seconds):
+    if seconds is None:
+        with pytest.raises(UsageError, match="is unknown"):
+            read_input_options([f"u=3, delay={word}"])
+    else:
+        assert read_input_options([f"u=3, delay={word}"])[0].delay == seconds
