@@ -158,7 +158,7 @@ class TestVerdict(Answer):
         assert (found.upper_limits, found.without_limit) == ((limit,), ())
         assert found.sentence.endswith(f"95 % upper limits of the rms torque: {NAMED} 0.3 uN m.")
 
-    def test_effects_that_the_recordings_do_not_limit_are_told_beside_the_limits(self):
+    def test_effects_without_a_limit_follow_the_limits(self):
         limit = SimpleNamespace(effect=DRAG, torque_Nm=3e-7)
         found = self.answer(Found(), brief=False, largest_hidden=HiddenEffects((limit,), (DRAG, DRAG)))
         assert found.without_limit == (DRAG, DRAG)
