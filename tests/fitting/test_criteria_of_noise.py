@@ -154,9 +154,10 @@ def test_no_module_decides_by_a_default_that_a_caller_cannot_change():
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_parameter_is_undetermined_from_its_criterion_on(limit, u, listed, sign):
     """Of an uncertainty over the value; not a phase, an initial value, or one with a prior."""
-    names = ("a.k", "a.phi", "b.k@case2", "known.k", "known.k@case2", "initial.omega_c", "c.k")
+    names = ("a.k", "a.phi", "b.k@case2", "known.k", "known.k@case2", "initial.omega_c")
     estimates = {k: Estimate(2.0 * sign, 2.0 * u, "1", at_bound=False) for k in names}
     estimates["c.k"] = Estimate(2.0 * sign, math.nan, "1", at_bound=True)
+    estimates["d.k"] = Estimate(2.0 * sign, math.inf, "1", at_bound=False)
     priors = None, SimpleNamespace(names=("known.k",))
     found = SimpleNamespace(
         estimates=estimates,

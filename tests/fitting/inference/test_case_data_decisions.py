@@ -364,6 +364,30 @@ class TestAngleNoise:
             share = data.record.I_casing / data.record.I_rotor
             assert seen == [(pytest.approx(3.0 * share / math.sqrt(2)), 0.7)]
 
+    def test_bodies_of_a_chain_are_estimated_with_the_torques_of_their_joints(self, monkeypatch):
+        """Independent torques of one rms act in each joint, and on the main body from the ground as well."""
+        monkeypatch.setattr(module, "camera_columns", lambda samples: np.zeros((4, 1)))
+        monkeypatch.setattr(module, "_beyond_noise", lambda modes, samples: np.zeros((4, 1)))
+        monkeypatch.setattr(module, "estimate_window_noise", lambda w, n, level, time: (level, time))
+        joints = {"a": 2, "b": 3, "c": 1}
+        bodies = [
+            SimpleNamespace(state=s, part=p, inertia=i)
+            for s, p, i in ((1, "a", 2.0), (0, "b", 4.0), (2, "c", 0.5))
+        ]
+        record = SimpleNamespace(
+            generated=False, mechanism=SimpleNamespace(main="a", joints_of=joints.get), I_casing=2.0, bodies=bodies,
+            rotor=[SimpleNamespace(state=2), SimpleNamespace(state=0)], is_chain=True,
+        )  # fmt: skip
+        window = SimpleNamespace(z=np.zeros(20), samples=None)
+        data = SimpleNamespace(
+            record=record, is_angle=True, rotor=(window, window), noiseless=False, mode_columns=(None, [None, None]),
+            process_noise=SimpleNamespace(level=3.0, time=0.7),
+        )  # fmt: skip
+        level, time = CaseData._correlated_rotor_noise.func(data)
+        torque = 2.0 * 3.0 / math.sqrt(3.0)
+        assert level == pytest.approx([torque / 0.5, torque * math.sqrt(3.0) / 4.0])
+        assert time == 0.7
+
     def test_a_correlated_error_lowers_the_number_of_independent_samples(self):
         """The spectral density at low frequencies over that of the white noise, by integration of both kernels."""
         t = np.linspace(0.0, 10.0, 1001)

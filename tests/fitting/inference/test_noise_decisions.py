@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from fitting import Fit
 from fitting._criteria import DEFAULT
 from fitting.inference import _angle_noise as angle
+from fitting.inference import _problem as problem
 from fitting.inference import _process_noise as process
 from fitting.inference._compression import compress
 from fitting.inference._noise import (
@@ -122,6 +123,43 @@ class TestRemainingLevel:
         assert (
             remaining_level(whitener, 50.0 * column[:, 0], np.column_stack([column, np.zeros(20)]))[0] < 1.0
         )
+
+
+@pytest.mark.parametrize("joints", [1, 3])
+def test_the_torques_of_all_joints_and_of_the_ground_accelerate_the_main_body(monkeypatch, joints):
+    """All have the same rms; their sum has that of the acceleration times the moment of inertia."""
+    monkeypatch.setattr(
+        problem, "TorqueResponse", lambda *_: SimpleNamespace(whitener=lambda noise: (noise.rms, noise.time))
+    )
+    data = SimpleNamespace(
+        process_noise=SimpleNamespace(level=3.0, level_u=0.5, time=0.7),
+        record=SimpleNamespace(
+            I_casing=2.0, mechanism=SimpleNamespace(main="casing", joints_of=lambda part: joints)
+        ),
+        casing=SimpleNamespace(scale=1.2),
+    )
+    found = problem.recording_noise(data, SimpleNamespace(motion=None))
+    assert math.sqrt(1 + joints) * found.pure == pytest.approx(6.0)
+    assert math.sqrt(1 + joints) * found.pure_u == pytest.approx(1.0)
+    assert (found.level, found.time, found.scale) == (found.pure, 0.7, 1.2)
+    assert found.whitener == (found.pure, 0.7)
+
+
+@pytest.mark.parametrize(
+    ("cases", "unestablished"),
+    [
+        ([(True, 1.1)], True),
+        ([(True, 0.9)], False),
+        ([(False, 1.1)], False),
+        ([(True, 1.1), (False, 0.0)], True),
+        ([(True, 0.9), (False, 1.1)], False),
+    ],
+)
+def test_one_case_needs_a_random_torque_that_its_recording_may_not_have(cases, unestablished):
+    limit = DEFAULT.random_torque_evidence
+    noise = [SimpleNamespace(raised=raised, excess=share * limit) for raised, share in cases]
+    found = SimpleNamespace(noise=noise, criteria=DEFAULT)
+    assert Fit.needs_unestablished_torque(found) is unestablished
 
 
 def test_a_noise_has_no_excess_unless_it_is_measured():

@@ -93,6 +93,17 @@ def test_degenerate_parameters_are_named():
     assert degenerate_directions(["d", "f", "b"], theta, np.diag([9.0, 1e-6, 1e-6])) == []
 
 
+@pytest.mark.parametrize(("variance", "degenerate"), [(0.95, False), (1.05, True)])
+def test_a_direction_is_degenerate_beyond_one_relative_standard_error(variance, degenerate):
+    """Its relative changes are 1, -0.6, 0.21 and 0.19, of which the last is too small."""
+    change, theta = np.array([1.0, -0.6, 0.21, 0.19]), np.array([2.0, -5.0, 1e-6, 3.0])
+    relative = variance * np.outer(change, change) / (change @ change) + 1e-6 * np.eye(4)
+    found = degenerate_directions("abcd", theta, relative * np.outer(theta, theta))
+    assert len(found) == degenerate
+    if degenerate:
+        assert found[0] == pytest.approx({"a": 1.0, "b": -0.6, "c": 0.21}, rel=1e-3)
+
+
 def test_another_level_gives_another_width():
     result = fitted(seed=0, ou=1e-7)
     name = "touchpoint.constant.b1"

@@ -1,11 +1,12 @@
 import dataclasses
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 
 from gyrotrack import DatasetError, write_case, write_recording
-from gyrotrack.io._contents import describe_case, inspect_file
+from gyrotrack.io._contents import _time_problems, describe_case, describe_motion, inspect_file
 
 
 def test_recording_in_numbers(tmp_path, recording):
@@ -63,6 +64,36 @@ def test_problems_are_named(tmp_path, case, change, match):
             case = dataclasses.replace(case, **{name: value})
     found = inspect_file(write_case(tmp_path / "c.h5", case, command="c", settings={}))
     assert any(match in problem for problem in found.problems)
+
+
+@pytest.mark.parametrize(
+    ("time", "sample"),
+    [([0.0, 1.0, 1.0, 2.0], 3), ([0.0, 1.0, 2.0, 1.9], 4), ([0.0, 1e-9, 1.0], None), ([], None)],
+)
+def test_the_first_sample_that_is_not_later_is_named(time, sample):
+    words = [f"the times of it are not strictly increasing (sample {sample})"] if sample else []
+    assert _time_problems("it", np.array(time)) == words
+
+
+def test_the_summary_of_a_motion_has_the_extremes_and_the_middle():
+    values = {
+        "time": [1.0, 2.0, 4.0, 8.0],
+        "omega": [3.0, np.nan, -7.0, 5.0],
+        "sigma": [0.1, 0.4, np.nan, 0.3],
+    }
+    track = SimpleNamespace(**{k: np.array(v) for k, v in values.items()}, omega_sigma=np.full(4, 9.0))
+    assert describe_motion(track) == {
+        "samples": 4, "t_start": 1.0, "t_stop": 8.0, "omega_min": -7.0, "omega_max": 5.0, "median_sigma": 0.3,
+    }  # fmt: skip
+    first = describe_motion(track, slice(0, 2), "omega_sigma")
+    assert (first["samples"], first["t_stop"], first["omega_min"], first["median_sigma"]) == (
+        2,
+        2.0,
+        3.0,
+        9.0,
+    )
+    nothing = describe_motion(track, slice(0, 0))
+    assert nothing == {**dict.fromkeys(nothing), "samples": 0}
 
 
 def test_verify_reads_what_is_not_ours_too(tmp_path, recording):

@@ -225,6 +225,22 @@ def test_two_parts_within_one_radius_are_one_body(apart, bodies, monkeypatch):
     assert len(_silhouettes.spots_in(region.astype(np.uint8), 0.7, 3)) == bodies
 
 
+@pytest.mark.parametrize(("noise", "brightest", "limit"), [(6.0, 0.0, 12.0), (0.6, 200.0, 30.0)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_frame_differs_beyond_the_noise_and_a_part_of_the_largest_difference(noise, brightest, limit, sign):
+    """Of averages over nine pixels, whose noise is a third: six times that, and 15 % of the largest."""
+    background = np.full((60, 80), 100.0, np.float32)
+    frame = background.copy()
+    frame[40:50, 60:70] += sign * brightest
+    for column, share in ((10, 0.95), (30, 1.05)):
+        frame[10:20, column : column + 10] += sign * share * limit
+    found = _silhouettes.differs(frame, background, noise)
+    assert not found[:, :25].any()
+    assert found[11:19, 31:39].all()
+    assert not found[:, 41:55].any()
+    assert found[41:49, 61:69].all() == (brightest > 0)
+
+
 def test_the_depth_of_a_region_is_the_distance_from_its_edge():
     """The edge of the picture is one."""
     y, x = np.mgrid[0:9, 0:14]

@@ -632,6 +632,60 @@ class TestFollowing:
 class TestStrip:
     """The ring about a marker: the background under it, its rows and its windows."""
 
+    @staticmethod
+    def strip(monkeypatch, *, outer=80.0, keep_out=10.0, foot=0.15, columns=360, margin=0.1, colour="blue"):
+        monkeypatch.setattr(
+            windows.MarkerStrip,
+            "_background",
+            lambda self, samples: np.zeros((self.ring.rows, 9), np.float32),
+        )
+        luma, chroma = np.zeros((240, 320), np.uint8), np.zeros((120, 160), np.uint8)
+        samples = SimpleNamespace(frames=[SimpleNamespace(y=luma, u=chroma, v=chroma)])
+        marker = SimpleNamespace(
+            colour=colour,
+            inner=60.0,
+            outer=outer,
+            radius=70.0,
+            half_width=0.1,
+            foot=foot,
+            contrast=(3.0, -4.0),
+        )
+        return windows.MarkerStrip(marker, samples, (160.0, 120.0), keep_out, columns, margin, 5)
+
+    @pytest.mark.parametrize(
+        ("outer", "keep_out", "limits"),
+        [(70.0, 10.0, (54.0, 76.0)), (100.0, 10.0, (48.0, 112.0)), (70.0, 57.0, (57.0, 76.0))],
+    )
+    def test_its_ring_extends_by_a_part_of_the_length_of_the_marker(
+        self, monkeypatch, outer, keep_out, limits
+    ):
+        """Three tenths, 6 px at least, and not into the disc."""
+        ring = self.strip(monkeypatch, outer=outer, keep_out=keep_out).ring
+        assert (ring.inner, ring.outer) == limits
+
+    @pytest.mark.parametrize(
+        ("foot", "columns", "margin", "slack", "half"),
+        [
+            (0.15, 360, 0.1, 7, 20),  # 5.7 columns, and (0.15 + 4 columns) are 12.6
+            (0.05, 360, 0.1, 7, 18),  # 1.1 half widths at least
+            (0.3, 360, 0.1, 7, 23),  # 2 at most
+            (0.15, 1000, 0.1, 17, 51),  # 0.06 rad are more than 4 columns
+            (0.15, 360, 3.0, 173, 179),  # less than a turn
+        ],
+    )
+    def test_its_windows_contain_the_blurred_marker_within_the_margin(
+        self, monkeypatch, foot, columns, margin, slack, half
+    ):
+        found = self.strip(monkeypatch, foot=foot, columns=columns, margin=margin)
+        assert (found.slack, found.half, found.width) == (slack, half, 2 * half + 1)
+        assert found.windows.shape == (5, found.ring.rows, found.width)
+
+    @pytest.mark.parametrize(("colour", "weights"), [("white", (1 / 3, 0.0)), ("blue", (3 / 25, -4 / 25))])
+    def test_the_score_of_the_marker_itself_is_one(self, monkeypatch, colour, weights):
+        found = self.strip(monkeypatch, colour=colour)._score
+        assert found.weights == pytest.approx(weights)
+        assert found.buffer.shape == ((240, 320) if colour == "white" else (120, 160))
+
     @pytest.mark.parametrize("count", [4, 5])
     @pytest.mark.parametrize("white", [True, False])
     def test_the_background_is_the_median_of_the_samples(self, white, count):
@@ -692,3 +746,10 @@ class TestStrip:
         parts = [strip.windows[:, a:b].mean(axis=1) for a, b in ((1, 4), (4, 6), (6, 8))]
         assert found.layers == pytest.approx(np.stack(parts, axis=1), rel=1e-5)
         assert found.raw == pytest.approx(strip.windows[:, 1:8].mean(axis=1), rel=1e-5)
+        gain, offset = np.array([2.0, 0.5]), np.array([0.1, -0.3])
+        for light in (np.ones(10), np.linspace(0.5, 2.0, 10)):
+            found.apply_light(light)
+            lit = strip.windows[:2] / light[found.column(10)[:2]][:, None]
+            expected = (lit - offset[:, None, None]) / gain[:, None, None]
+            shaped = found.shaped(found.known, gain, offset).rows(np.eye(9))
+            assert shaped == pytest.approx(expected, rel=1e-5)

@@ -197,6 +197,32 @@ def test_new_features_continue_the_motion_of_those_that_are_lost(rate, speed):
     assert _hub_search.follow_features(iter([np.zeros((100, 100), np.uint8)] * 2), motion, 9.0) is None
 
 
+class TestMotion:
+    """A still texture of 70 by 100 px, with bars of 4, 9, 2 and 6 px at its sides."""
+
+    @staticmethod
+    def frames(change=0):
+        picture = np.full((70, 100), 16, np.uint8)
+        picture[2:64, 4:91] = np.random.default_rng(0).integers(60, 200, (62, 87))
+        frames = [picture.copy() for _ in range(6)]
+        for frame in frames[::2]:
+            frame[20:36, 40:60] += np.uint8(change)
+        return frames
+
+    def test_uniform_bars_are_left_out_of_the_area(self):
+        assert Motion.of(self.frames()).area == (4, 2, 91, 64)
+        assert Motion.of(self.frames(), 3).area == (7, 5, 88, 61)
+
+    @pytest.mark.parametrize(("change", "moves"), [(3, False), (5, True)])
+    def test_what_changes_by_four_times_the_noise_moves(self, change, moves):
+        """Its standard deviation is half of the change; the noise is half a grey level at least."""
+        found = Motion.of(self.frames(change))
+        assert found.noise == 0.5
+        assert found.deviation[28, 50] == pytest.approx(0.5 * change)
+        assert found.moving[22:34, 42:58].all() == found.moving.any() == moves
+        assert not found.moving[:19].any()
+
+
 @pytest.mark.parametrize(("count", "step"), [(100, 1), (101, 2), (200, 2), (201, 3)])
 def test_at_most_a_hundred_frames_are_compared(count, step):
     assert every(count) == step

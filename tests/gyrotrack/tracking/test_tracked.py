@@ -1,5 +1,6 @@
 """The white part of a series of angles, evenly and unevenly sampled; doubts about a track; a recording."""
 
+from dataclasses import make_dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import BodyTrack
+from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking import _extract as module
 from gyrotrack.tracking._extract import track_doubts
 from gyrotrack.tracking._tracked import white_noise
@@ -49,6 +51,78 @@ def test_a_track_with_lost_frames_or_a_gap_that_may_hide_a_turn_is_doubted():
     doubts = track_doubts("body", track_of(time[seen], turns[seen]), int(late.sum()), "it")
     assert len(doubts) == 1
     assert "not determined in 1 gap(s), the first of 0.533 s" in doubts[0]
+
+
+@pytest.mark.parametrize(("share", "hidden"), [(0.9, False), (1.1, True)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_turn_may_be_hidden_where_the_angles_differ_by_half_a_turn(share, hidden, sign):
+    """Before and after a gap of 0.5 s the speeds differ by this angle over the gap."""
+    before = np.arange(60) / 60
+    time = np.concatenate([before, before[-1] + 0.5 + before])
+    angle = np.concatenate([8.0 * before, 9.0 + (8.0 - sign * share * np.pi / 0.5) * before])
+    assert bool(track_doubts("body", track_of(time, angle), 120, "it")) == hidden
+
+
+@pytest.mark.parametrize(
+    ("first", "later", "frames", "omitted"),
+    [
+        (("lost", "lost"), 1, 10, True),
+        (("lost", "lost"), 5, 10, True),
+        (("lost", "lost"), 6, 10, False),
+        (("lost", "ok"), 1, 10, False),
+        (("lost", "lost"), 1, 9, False),
+    ],
+)
+def test_a_still_picture_before_a_film_is_omitted(first, later, frames, omitted):
+    """No marker is at its place in the first frame, and each is in one of the next five."""
+    markers = {}
+    for name in first:
+        status = np.full(frames, STATUS["lost"])
+        status[0], status[later] = STATUS[name], STATUS["ok"]
+        markers[len(markers)] = SimpleNamespace(status=status)
+    assert bool(module._first_frame_warning(markers)) == omitted
+
+
+@pytest.mark.parametrize(("share", "rests"), [(0.9, True), (1.1, False)])
+def test_a_film_without_rotation_is_reported(share, rests):
+    turn = share * module.LEAST_TURN
+    bodies = {"casing": [1.0, np.nan, 1.0 - turn], "rotor": [0.5, 0.5 + 0.2 * turn, 0.5]}
+    joint = SimpleNamespace(bodies={k: SimpleNamespace(angle=np.array(v)) for k, v in bodies.items()})
+    found = module._rest_warning(joint, Path("film.mp4"), marked=True)
+    assert len(found) == rests
+    if rests:
+        assert f"the casing by {turn:.2f} rad and the rotor by {0.2 * turn:.2f} rad in total" in found[0]
+        (other,) = module._rest_warning(joint, Path("film.mp4"), marked=False)
+        assert other == found[0] + " No disc marks the centre of rotation."
+
+
+def test_the_uncertainty_of_a_moving_camera_is_that_of_its_roll_and_shift():
+    """A shift turns a marker by its ratio to the radius: 50 px of the rotor, 80 px of the casing."""
+    body = make_dataclass("Body", ["markers", "sigma"])
+    angles = make_dataclass("Angles", ["sigma"])
+    joint = make_dataclass("Joint", ["centre", "bodies", "warnings"])(
+        make_dataclass("Centre", ["centre", "sigma"])(np.zeros(2), np.array([0.4])),
+        {n: body({"m": angles(np.array([2e-3]))}, np.array([1e-3])) for n in ("casing", "rotor")},
+        ("joint",),
+    )
+    scene = SimpleNamespace(
+        of=lambda n: [SimpleNamespace(radius=r) for r in {"casing": (80,), "rotor": (40, 60)}[n]]
+    )
+    shake = SimpleNamespace(
+        seen=lambda centre: centre + 3.0, shift_sigma=0.3, roll_sigma=4e-3, roll=np.array([2e-3, -2e-3]), rms=1.5,
+        features=70,
+    )  # fmt: skip
+    found = module._as_seen(joint, scene, shake)
+    assert found.centre.centre.tolist() == [3.0, 3.0]
+    assert found.centre.sigma == pytest.approx([0.5])
+    for name, radius in (("casing", 80.0), ("rotor", 50.0)):
+        own = np.hypot(4e-3, 0.3 / radius)
+        assert found.bodies[name].sigma == pytest.approx([np.hypot(1e-3, own)])
+        assert found.bodies[name].markers["m"].sigma == pytest.approx([np.hypot(2e-3, own)])
+    text, last = found.warnings
+    assert last == "joint"
+    assert "moves by 1.5 px rms and rolls by 2 mrad rms; 70 features" in text
+    assert f"uncertainty of {1e3 * np.hypot(4e-3, 6e-3):.2g} mrad is included" in text
 
 
 class TestRecording:

@@ -8,12 +8,14 @@ import pytest
 
 from gyrotrack import TrackingError
 from gyrotrack.apps.cli._app import run
+from gyrotrack.tracking import _acquisition
 from gyrotrack.tracking._acquisition import (
     Extent,
     Rings,
     SampledMarker,
     _body_angles,
     _brightest,
+    _brightest_place,
     _dwell,
     _mean_in,
     _on_other_body,
@@ -25,7 +27,7 @@ from gyrotrack.tracking._acquisition import (
 )
 from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._polar import Ring
-from gyrotrack.tracking._profile import PAPER
+from gyrotrack.tracking._profile import PAPER, chroma_direction
 from gyrotrack.tracking._scene import Marker, take_samples
 
 SMALL = {"width": 320, "height": 240, "radius": 105.0, "wobble": 0.3}
@@ -228,6 +230,96 @@ def test_a_casing_that_is_faster_than_its_rotor_is_reported_with_the_commands_th
 
 
 STEP = 2 * np.pi / 360
+RING = Ring((0.0, 0.0), 40.0, 62.0, 12, 360)
+
+
+class TestWhite:
+    """A white marker of 40 grey levels beside one of half width 6 degrees; rows 3 to 8 are at its radii."""
+
+    OTHER = SimpleNamespace(marker=SimpleNamespace(inner=45.0, outer=57.0, half_width=6.0 * STEP, mount=0.0))
+
+    def found(self, *, half=6, ground=0.0, least=6.0, height=40.0):
+        turned = np.zeros((12, 360))
+        # a ground of slow waves, away from the marker
+        turned[:] = ground * np.where(np.arange(360) // 60 % 2, 1.0, -1.0)
+        turned[:, 150:250] = 0.0
+        turned[3:9, 200 - half : 201 + half] = height
+        return _brightest_place(turned, RING, PAPER.marker[0], [self.OTHER], least)
+
+    @pytest.mark.parametrize(("half", "width"), [(6, True), (16, True), (19, False)])
+    def test_its_width_is_limited_by_that_of_the_others(self, half, width):
+        """2.5 times 6 degrees and 0.05 rad are 17.9 degrees."""
+        found = self.found(half=half)
+        assert (found is not None) == width
+        if width:
+            assert found.mount == pytest.approx(200 * STEP)
+            assert found.half_width == pytest.approx((half + 0.5) * STEP)
+            assert found.contrast == pytest.approx((40.0, 0.0))
+
+    @pytest.mark.parametrize(("least", "seen"), [(39.0, True), (41.0, False)])
+    def test_its_contrast_has_a_limit(self, least, seen):
+        assert (self.found(least=least) is not None) == seen
+
+    @pytest.mark.parametrize(("share", "clear"), [(0.9, True), (1.1, False)])
+    def test_it_is_five_times_the_scatter_of_the_ring(self, share, clear):
+        """That of the moving average over 13 columns, where the marker is not."""
+        assert (self.found(ground=share * 40.0 / 5.0 / 1.4826) is not None) == clear
+
+    @pytest.mark.parametrize(("count", "enough"), [(7, False), (8, True)])
+    def test_it_turns_with_the_body(self, monkeypatch, count, enough):
+        asked = []
+        monkeypatch.setattr(
+            _acquisition,
+            "_brightest_place",
+            lambda turned, *given: asked.append((turned, *given)) or "marker",
+        )
+        body = np.rint(np.linspace(0.0, 330.0, 10)).astype(int)
+        strips = np.full((10, 12, 360), 50, np.uint8)
+        for strip, column in zip(strips, body, strict=True):
+            strip[3:9, (column + 30 + np.arange(-3, 4)) % 360] = 200
+        samples = SimpleNamespace(luma_strips=lambda ring, frames: strips)
+        seen = SimpleNamespace(marker=self.OTHER.marker, angle=body * STEP, clear=np.arange(10) < count)
+        found = find_white(samples, range(10), RING, "wanted", [seen], 6.0)
+        assert found == ("marker" if enough else None)
+        if enough:
+            ((turned, ring, wanted, others, least),) = asked
+            assert (ring, wanted, others, least) == (RING, "wanted", [seen], 6.0)
+            expected = np.zeros((12, 360))
+            expected[3:9, 27:34] = 150.0
+            assert turned == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("noise", "peaks", "threshold"),
+    [(1.0, (9.0, 9.0, 9.0), 6.0), (2.0, (9.0, 9.0, 9.0), 8.0), (1.0, (20.0, 90.0, 30.0), 12.0)],
+)
+def test_blobs_exceed_the_noise_and_a_part_of_the_typical_peak(monkeypatch, noise, peaks, threshold):
+    monkeypatch.setattr(_acquisition, "find_blobs", lambda score, limit, most: (limit, most))
+    scores = []
+    for peak in peaks:
+        score = np.full((40, 50), noise, np.float32)
+        score[:5, :10] = peak
+        scores.append(score)
+    assert _acquisition._blobs_in(scores, 7) == [(pytest.approx(threshold), 7)] * 3
+
+
+@pytest.mark.parametrize(("contrast", "seen"), [(5.0, False), (8.0, True)])
+def test_a_coloured_marker_has_a_contrast_of_six_grey_levels(contrast, seen):
+    strips = np.full((2, 30, 12, 360), 128, np.uint8)
+    u, v = chroma_direction("blue")
+    wanted = next(m for m in PAPER.marker if m.colour == "blue")
+    for k in range(30):
+        columns = (np.arange(-6, 7) + 37 * k) % 360
+        strips[0, k, 3:9, columns] = np.rint(128 + contrast * u)
+        strips[1, k, 3:9, columns] = np.rint(128 + contrast * v)
+    found = find_coloured(Rings(strips, RING), wanted)
+    assert (found is not None) == seen
+    if seen:
+        assert np.hypot(*found.marker.contrast) == pytest.approx(contrast, abs=0.8)
+        assert found.clear.all()
+        assert np.exp(1j * found.angle) == pytest.approx(np.exp(37j * np.arange(30) * STEP), abs=0.1 * STEP)
+        # at most two of the thirty angles are within 1.3 half widths, 8.5 degrees, of one; three within twice that
+        assert found.marker.dwell == pytest.approx(2 / 30)
 
 
 class TestExtent:

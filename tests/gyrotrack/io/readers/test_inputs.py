@@ -1,5 +1,7 @@
 """Columns of tables as recorded inputs: the option, its units, files of their own, and what is proposed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,25 @@ def test_uncertainty_interpolation_and_delay_are_read(tmp_path):
     (found,) = imported(table(tmp_path / "a.csv"), "current=3 [mA] +- 15, linear, delay=0.02").inputs
     assert found.u == pytest.approx(0.015)
     assert (found.interpolation, found.delay) == ("linear", 0.02)
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [([3.0], "hold"), ([3.0, 4.0], "linear"), ([3.0, 3.0, 4.0], "linear"), ([3.0, 3.0, 3.0, 4.0], "hold")],
+)
+def test_few_values_hold_if_most_are_repeated(values, kind):
+    """Rows without a value or a time, and a second value at one time, are no part of an input."""
+    rows = [[0.5 * k, v] for k, v in enumerate(values)]
+    rows = np.array([*rows, [rows[0][0], 99.0], [np.nan, 99.0], [9.0, np.nan]])
+    raw = SimpleNamespace(
+        names=("T (degC)",), units=("",), path="a.csv", numbers=lambda index, name: rows[:, 1]
+    )
+    (option,) = read_input_options(["T=1 +- 0.5"])
+    found = option.made(raw, 0, rows[:, 0])
+    assert found.time == pytest.approx(rows[: len(values), 0])
+    assert found.value == pytest.approx(np.array(values) + 273.15)
+    assert found.u == pytest.approx(np.full(len(values), 0.5))
+    assert (found.unit, found.interpolation) == ("K", kind)
 
 
 @pytest.mark.parametrize(("repeated", "kind"), [(0.4, "linear"), (0.6, "hold")])
