@@ -55,6 +55,7 @@ from gyrotrack.tracking._orbit import CELL
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Scatter = dict[str, tuple[float, float]]  # of open and of partly occluded observations by marker [rad]
 
 TURN = 2.0 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
@@ -69,9 +70,9 @@ a marker too much weight, a larger one keeps the error of the times."""
 
 @dataclass(frozen=True)
 class Weights:
-    """The observations of each marker: scatter, factor on it, and use."""
+    """Scatter and outliers of the observations of each marker."""
 
-    scatter: dict[str, tuple[float, float]]  # of open and of partly occluded observations [rad]
+    scatter: Scatter
     weak: dict[str, Floats]  # factor on the scatter (n,) [1]
     use: dict[str, Mask]  # observations that are not outliers (n,)
 
@@ -89,9 +90,7 @@ class PlaceErrors(LearntErrors):
     """Errors of each marker by place, the sizes of their curves, and the displacement of the axis."""
 
     size: dict[str, float] = field(default_factory=dict)  # [rad]
-    common_kept: bool = (
-        True  # whether the common harmonics are part of the motion (see `without_common_motion`)
-    )
+    common_kept: bool = True  # whether common harmonics are motion (see `without_common_motion`)
     axis_off: dict[str, complex] = field(default_factory=dict)  # of a fast body, (x + i y) / radius
 
 
@@ -121,7 +120,7 @@ class Residuals:
     weights: Weights
     place: PlaceErrors
     neighbour: LearntErrors
-    view: ViewErrors | None = None  # replaces the errors by place
+    view: ViewErrors | None = None  # if known, its errors replace those by place
 
     @classmethod
     def of(
@@ -136,16 +135,14 @@ class Residuals:
         use = _columns(candidates, len(path), np.bool_)
         for name, c in candidates.items():
             use[name][:] = c.good & np.isfinite(path) & np.isfinite(c.angle)
-        release_pages()
-        weights = Weights(
-            dict.fromkeys(candidates, (0.01, 0.03)), {name: c.weak for name, c in candidates.items()}, use
-        )
+            release_pages()
+        weak = {name: c.weak for name, c in candidates.items()}
         nothing = dict.fromkeys(candidates, np.broadcast_to(0.0, len(path)))
         return cls(
             fps, time_base, path, bend, fast, candidates,
             mounts={name: c.mount for name, c in candidates.items()},
             turning=np.broadcast_to(np.False_, len(path)),
-            weights=weights,
+            weights=Weights(dict.fromkeys(candidates, (0.01, 0.03)), weak, use),
             place=PlaceErrors(nothing, nothing),
             neighbour=LearntErrors(nothing, nothing),
         )  # fmt: skip
@@ -177,8 +174,7 @@ class Residuals:
 
     def sigma(self, name: str, part: slice = ALL) -> Floats:
         """Return the uncertainty of each observation (n,) [rad]: its scatter times `weak`."""
-        clear, partly = self.weights.scatter[name]
-        scatter = np.where(self.candidates[name].open[part], clear, partly)
+        scatter = np.where(self.candidates[name].open[part], *self.weights.scatter[name])
         return np.asarray(scatter * self.weights.weak[name][part])
 
     def mean(self) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
@@ -272,7 +268,7 @@ def weights_about(state: Residuals, smooth: Floats, leverage: Floats) -> Weights
     return Weights(scatter, weak, use)
 
 
-def scatter_over_turns(state: Residuals, smooth: Floats, leverage: Floats) -> dict[str, tuple[float, float]]:
+def scatter_over_turns(state: Residuals, smooth: Floats, leverage: Floats) -> Scatter:
     """Return the scatter of each marker [rad] about a curve (n,) [rad] that is smooth over whole turns.
 
     The scatter then contains errors that repeat in each turn, except those removed by the curves. It is limited to
@@ -290,9 +286,7 @@ def scatter_over_turns(state: Residuals, smooth: Floats, leverage: Floats) -> di
     return scatter
 
 
-def without_time_scatter(
-    scatter: dict[str, tuple[float, float]], from_time: Floats
-) -> dict[str, tuple[float, float]]:
+def without_time_scatter(scatter: Scatter, from_time: Floats) -> Scatter:
     """Subtract from the scatter [rad] the part due to the times, which all markers share, `from_time` (n,) [rad]."""
     shared = float(np.nanmean(from_time**2))
     left = {}
@@ -632,6 +626,7 @@ def place_error(state: Residuals) -> float:
             error = state.by_place(name)[seen]
             noise = float(np.mean(state.absorbed(name, seen) * state.sigma(name)[seen] ** 2))
             learnt.append(float(np.sqrt(max(min(float(np.mean(error**2)), spread(error) ** 2) - noise, 0.0))))
+        release_pages()
     return min(learnt, default=float("nan"))
 
 
