@@ -23,13 +23,15 @@ frames; otherwise the common harmonics of orders 1 and 2 in the angle of the bod
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gyrotrack._column_store import in_file, release_pages, row_blocks
+from gyrotrack._column_store import in_file, new_columns, release_pages, row_blocks
 from gyrotrack._smoothing import (
     FAR,
     HALF_WINDOW,
@@ -52,6 +54,8 @@ from gyrotrack.tracking._marker_tracker import Candidate, spread_out, variance_i
 from gyrotrack.tracking._orbit import CELL
 
 Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+Scatter = dict[str, tuple[float, float]]  # of open and of partly occluded observations by marker [rad]
 
 TURN = 2.0 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
@@ -64,69 +68,123 @@ _LEFT = 0.2
 a marker too much weight, a larger one keeps the error of the times."""
 
 
-class Residuals:
-    """Residuals of markers about the coarse path of their body (n,) [rad], NaN where lost, and their errors."""
+@dataclass(frozen=True)
+class Weights:
+    """Scatter and outliers of the observations of each marker."""
 
-    def __init__(
-        self, coarse: Floats, candidates: dict[str, Candidate], fps: float, time_base: TimeBase | None = None
-    ) -> None:
-        self._fps, self._time_base = fps, time_base
+    scatter: Scatter
+    weak: dict[str, Floats]  # factor on the scatter (n,) [1]
+    use: dict[str, Mask]  # observations that are not outliers (n,)
+
+
+@dataclass(frozen=True)
+class LearntErrors:
+    """Repeatable errors of each marker: values (n,) [rad], and leverages of the residuals in their curve (n,) [1]."""
+
+    error: dict[str, Floats]
+    leverage: dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class PlaceErrors(LearntErrors):
+    """Errors of each marker by place, the sizes of their curves, and the displacement of the axis."""
+
+    size: dict[str, float] = field(default_factory=dict)  # [rad]
+    common_kept: bool = True  # whether common harmonics are motion (see `without_common_motion`)
+    axis_off: dict[str, complex] = field(default_factory=dict)  # of a fast body, (x + i y) / radius
+
+
+@dataclass(frozen=True)
+class ViewErrors:
+    """Errors of the view of each marker (n,), and the resulting uncertainty of the angle of the body (n,) [rad]."""
+
+    error: dict[str, Floats]
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of markers about the coarse path of their body (n,) [rad], NaN where lost, and their errors.
+
+    Arrays of a record are never modified: each step of `join` estimates a part of it, which replaces that part.
+    """
+
+    fps: float  # [1/s]
+    time_base: TimeBase | None
+    path: Floats  # smooth coarse path (n,) [rad]
+    bend: Floats  # path on a uniform grid of times, less a straight line [rad]
+    fast: Mask  # frames faster than `FAST` (n,)
+    candidates: dict[str, Candidate]
+    mounts: dict[str, float]  # mount angles [rad]
+    turning: Mask  # frames within whole turns (n,), see `turning_frames`
+    weights: Weights
+    place: PlaceErrors
+    neighbour: LearntErrors
+    view: ViewErrors | None = None  # if known, its errors replace those by place
+
+    @classmethod
+    def of(
+        cls, coarse: Floats, candidates: dict[str, Candidate], fps: float, time_base: TimeBase | None = None
+    ) -> Residuals:
+        """Return the residuals about a coarse path (n,) [rad] before anything is estimated."""
         path, even = (smooth_path(coarse),) * 2 if time_base is None else time_base.path(coarse)
         with np.errstate(invalid="ignore"):
-            fast = self.speed(path) > FAST
-        of_body = in_file({"path": path, "fast": fast, "turning": np.zeros_like(fast)})
-        self.path, self.fast, self.turning = of_body.values()
-        (self.bend,) = in_file({"bend": even - line_through(even)}).values()
-        self.candidates = candidates
-        self.mounts = {name: c.mount for name, c in candidates.items()}
-        self.scatter = dict.fromkeys(candidates, (0.01, 0.03))
-        self.axis_off: dict[str, complex] = {}
-        self.place_size: dict[str, float] = {}
-        self.common_kept = True
-        nothing = np.zeros(len(path))
-        kinds, own = ("weak", "place", "neighbour", "absorbed", "use"), {}
+            fast = speed(path, fps, time_base) > FAST
+        path, fast = in_file({"path": path, "fast": fast}).values()
+        (bend,) = in_file({"bend": even - line_through(even)}).values()
+        use = _columns(candidates, len(path), np.bool_)
         for name, c in candidates.items():
-            use = c.good & np.isfinite(path) & np.isfinite(c.angle)
-            own[name] = in_file(dict(zip(kinds, (c.weak, nothing, nothing, nothing, use), strict=True)))
-        self.weak, self.by_place, self.by_neighbour, self.absorbed, self.use = (
-            {name: columns[kind] for name, columns in own.items()} for kind in kinds
-        )
-
-    def speed(self, path: Floats) -> Floats:
-        """Return the magnitude of the angular rate of a path [rad/s], (n,)."""
-        step = np.gradient(path) if self._time_base is None else self._time_base.speed(path)
-        return np.asarray(np.abs(step) * self._fps)
+            use[name][:] = c.good & np.isfinite(path) & np.isfinite(c.angle)
+            release_pages()
+        weak = {name: c.weak for name, c in candidates.items()}
+        nothing = dict.fromkeys(candidates, np.broadcast_to(0.0, len(path)))
+        return cls(
+            fps, time_base, path, bend, fast, candidates,
+            mounts={name: c.mount for name, c in candidates.items()},
+            turning=np.broadcast_to(np.False_, len(path)),
+            weights=Weights(dict.fromkeys(candidates, (0.01, 0.03)), weak, use),
+            place=PlaceErrors(nothing, nothing),
+            neighbour=LearntErrors(nothing, nothing),
+        )  # fmt: skip
 
     def time_sigma(self) -> Floats | float:
-        """Return the uncertainty of the angle due to that of the time of a frame [rad]."""
-        if self._time_base is None or self._time_base.sigma == 0.0:
+        """Return the uncertainty of the angle due to that of the time of a frame, (n,) [rad]."""
+        if self.time_base is None or self.time_base.sigma == 0.0:
             return 0.0
-        return np.abs(self._time_base.speed(self.path)) * self._time_base.sigma
+        return np.abs(self.time_base.speed(self.path)) * self.time_base.sigma
 
     def residual(self, name: str, part: slice = ALL) -> Floats:
-        """Return the residual of the body's angle from a marker about the path [rad]."""
+        """Return the residual of the body's angle from a marker about the path, (n,) [rad]."""
         off = self.candidates[name].angle[part] - self.path[part]
         off -= self.mounts[name]
         off -= self.bias(name, part)
         return wrapped(off)
 
+    def by_place(self, name: str) -> Floats:
+        """Return the estimated error of a marker by place or by the view, (n,) [rad]."""
+        return (self.view or self.place).error[name]
+
     def bias(self, name: str, part: slice = ALL) -> Floats:
-        """Return the estimated repeatable error of a marker in each frame [rad]."""
-        return np.asarray(self.by_place[name][part] + self.by_neighbour[name][part])
+        """Return the estimated repeatable error of a marker in each frame, (n,) [rad]."""
+        return np.asarray(self.by_place(name)[part] + self.neighbour.error[name][part])
+
+    def absorbed(self, name: str, part: slice | Mask = ALL) -> Floats:
+        """Return the share of each residual of a marker that its curves absorb, (n,) [1]."""
+        return np.asarray(self.place.leverage[name][part] + self.neighbour.leverage[name][part])
 
     def sigma(self, name: str, part: slice = ALL) -> Floats:
-        """Return the uncertainty of each observation: scatter of open or partly occluded observations, times `weak`."""
-        clear, partly = self.scatter[name]
-        return np.asarray(np.where(self.candidates[name].open[part], clear, partly) * self.weak[name][part])
+        """Return the uncertainty of each observation (n,) [rad]: its scatter times `weak`."""
+        scatter = np.where(self.candidates[name].open[part], *self.weights.scatter[name])
+        return np.asarray(scatter * self.weights.weak[name][part])
 
     def mean(self) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
-        """Return the weighted mean residual, its uncertainty, and the number of markers in it."""
+        """Return the weighted mean residual, its uncertainty [rad], and the number of markers in it, (n,) each."""
         mean, sigma = np.zeros((2, len(self.path)))
         count = np.zeros(len(self.path), dtype=np.int64)
         for part in row_blocks(len(self.path)):
             weight = np.zeros(len(mean[part]))
             for name in self.candidates:
-                w = np.where(self.use[name][part], 1.0 / self.sigma(name, part) ** 2, 0.0)
+                w = np.where(self.weights.use[name][part], 1.0 / self.sigma(name, part) ** 2, 0.0)
                 mean[part] += np.where(w > 0, w * self.residual(name, part), 0.0)
                 weight += w
                 count[part] += w > 0
@@ -138,93 +196,116 @@ class Residuals:
         return mean, sigma, count
 
     def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
-        """Fit a smooth curve to the angle of the body; return its difference from the path, and leverages."""
+        """Fit a smooth curve to the angle of the body; return its difference from the path [rad] and leverages, (n,).
+
+        `half` is the half width of the window [frames], `degree` that of the local polynomials.
+        """
         mean, sigma, _ = self.mean()
-        if self._time_base is not None:
-            return self._time_base.smooth(mean, _weight(sigma), self.bend, half, degree)
+        if self.time_base is not None:
+            return self.time_base.smooth(mean, _weight(sigma), self.bend, half, degree)
         mean += self.bend
         fitted, leverage = local_fit(mean, _weight(sigma), half, degree)
         fitted -= self.bend
         return fitted, leverage
 
-    def replace_mounts(self, smooth: Floats) -> None:
-        """Update the mount angles of the markers; the first is fixed."""
-        shift = {name: self._median_off(name, smooth) for name in self.candidates}
-        zero = next(iter(shift.values()))
-        for name in self.candidates:
-            self.mounts[name] += shift[name] - zero
-
-    def _median_off(self, name: str, smooth: Floats) -> float:
-        off = self.residual(name)
-        off -= smooth
-        off = off[self.use[name] & np.isfinite(off)]
-        release_pages()
-        return median_of(off) if len(off) else 0.0
-
-    def reject_outliers(self, smooth: Floats, leverage: Floats) -> None:
-        """Measure the scatter of each marker about the smooth motion, and reject outliers."""
-        for name, c in self.candidates.items():
-            self._inflate_variance(name, smooth, leverage)
-            off = self._standardised(name, smooth, leverage)
-            clear = core_scatter(off[self.use[name] & c.open], self.scatter[name][0])
-            partly = max(core_scatter(off[self.use[name] & ~c.open], 3.0 * clear), clear)
-            self.scatter[name] = (clear, partly)
-            limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
-            self.use[name] &= ~(np.abs(off) > limit)
-            release_pages()
-
-    def _inflate_variance(self, name: str, smooth: Floats, leverage: Floats) -> None:
-        """Estimate the increase of the variance of a marker with its misfit (see `variance_inflation`)."""
-        c = self.candidates[name]
-        weak = self.weak[name]
-        weak[:] = c.weak
-        off = self._standardised(name, smooth, leverage)
-        for part in (c.open, ~c.open):
-            some = self.use[name] & part
-            share = variance_inflation(off[some], c.misfit_excess[some])
-            weak[part] = c.weak[part] * np.sqrt(1.0 + share * c.misfit_excess[part])
-
-    def measure_scatter(self, smooth: Floats, leverage: Floats) -> None:
-        """Measure the scatter again about a curve that is smooth over whole turns.
-
-        The scatter then contains errors that repeat in each turn, except those removed by the curves. It is limited to
-        2.5 times the scatter about the short curve, because a larger scatter is due to real motion.
-        """
-        for name, c in self.candidates.items():
-            off = self._standardised(name, smooth, leverage)
-            short = self.scatter[name]
-            clear, partly = (
-                float(np.clip(core_scatter(off[self.use[name] & part & self.turning], s), s, 2.5 * s))
-                for part, s in zip((c.open, ~c.open), short, strict=True)
-            )
-            self.scatter[name] = (clear, partly)
-
-    def subtract_time_scatter(self, from_time: Floats) -> None:
-        """Subtract from the scatter the part caused by the uncertainty of the times, which all markers share."""
-        shared = float(np.nanmean(from_time**2))
-        for name, scatter in self.scatter.items():
-            clear, partly = (float(np.sqrt(max(s**2 - shared, (_LEFT * s) ** 2))) for s in scatter)
-            self.scatter[name] = (clear, partly)
-
-    def _standardised(self, name: str, smooth: Floats, leverage: Floats) -> Floats:
+    def standardised(self, name: str, smooth: Floats, leverage: Floats, weak: Floats) -> Floats:
+        """Return the residuals of a marker about a smooth curve, over `weak` and what the curves leave, (n,) [rad]."""
         off = np.empty(len(self.path))
         for part in row_blocks(len(off)):
-            absorbed = leverage[part] / max(len(self.candidates), 1) + self.absorbed[name][part]
+            absorbed = leverage[part] / max(len(self.candidates), 1) + self.absorbed(name, part)
             share = np.clip(1.0 - absorbed, 0.1, 1.0)
             off[part] = self.residual(name, part) - smooth[part]
-            off[part] /= self.weak[name][part]
+            off[part] /= weak[part]
             off[part] /= np.sqrt(share)
         return off
 
-    def mark_whole_turns(self, short: Floats, smooth: Floats, half: int) -> None:
-        """Mark the frames in which errors that repeat with the turn can be distinguished from motion.
 
-        In these the long window contains a whole turn and its curve fits the motion, unlike at a sudden start.
-        """
-        usual = min(clear for clear, _ in self.scatter.values())
-        with np.errstate(invalid="ignore"):
-            self.turning[:] = whole_turns(self.path, half) & (np.abs(smooth - short) < 12.0 * usual)
+def _columns(names: Iterable[str], rows: int, kind: npt.DTypeLike = np.float64) -> dict[str, Any]:
+    """Return a new column with undefined values for each marker."""
+    return new_columns(rows, dict.fromkeys(names, ((), kind)))
+
+
+def speed(path: Floats, fps: float, time_base: TimeBase | None = None) -> Floats:
+    """Return the magnitude of the angular rate of a path (n,) [rad], (n,) [rad/s]; `fps` is the frame rate [1/s]."""
+    step = np.gradient(path) if time_base is None else time_base.speed(path)
+    return np.asarray(np.abs(step) * fps)
+
+
+def mount_angles(state: Residuals, smooth: Floats) -> dict[str, float]:
+    """Return the mount angles of the markers [rad] by their residuals about a curve (n,) [rad]; the first is fixed."""
+    shift = {}
+    for name in state.candidates:
+        off = state.residual(name)
+        off -= smooth
+        off = off[state.weights.use[name] & np.isfinite(off)]
         release_pages()
+        shift[name] = median_of(off) if len(off) else 0.0
+    zero = next(iter(shift.values()))
+    return {name: mount + (shift[name] - zero) for name, mount in state.mounts.items()}
+
+
+def weights_about(state: Residuals, smooth: Floats, leverage: Floats) -> Weights:
+    """Measure the scatter of each marker about a smooth curve (n,) [rad] with its leverages (n,); reject outliers.
+
+    The variance increases with the misfit (see `variance_inflation`).
+    """
+    scatter, n = {}, len(state.path)
+    weak, use = _columns(state.candidates, n), _columns(state.candidates, n, np.bool_)
+    for name, c in state.candidates.items():
+        used = state.weights.use[name]
+        off = state.standardised(name, smooth, leverage, c.weak)
+        for part in (c.open, ~c.open):
+            some = used & part
+            share = variance_inflation(off[some], c.misfit_excess[some])
+            weak[name][part] = c.weak[part] * np.sqrt(1.0 + share * c.misfit_excess[part])
+        off = state.standardised(name, smooth, leverage, weak[name])
+        clear = core_scatter(off[used & c.open], state.weights.scatter[name][0])
+        partly = max(core_scatter(off[used & ~c.open], 3.0 * clear), clear)
+        scatter[name] = (clear, partly)
+        limit = FAR * np.where(c.open, clear, min(partly, 5.0 * clear)) + 5e-4
+        use[name][:] = used & ~(np.abs(off) > limit)
+        release_pages()
+    return Weights(scatter, weak, use)
+
+
+def scatter_over_turns(state: Residuals, smooth: Floats, leverage: Floats) -> Scatter:
+    """Return the scatter of each marker [rad] about a curve (n,) [rad] that is smooth over whole turns.
+
+    The scatter then contains errors that repeat in each turn, except those removed by the curves. It is limited to
+    2.5 times the scatter about the short curve, because a larger scatter is due to real motion.
+    """
+    scatter = {}
+    for name, c in state.candidates.items():
+        off = state.standardised(name, smooth, leverage, state.weights.weak[name])
+        seen = state.weights.use[name] & state.turning
+        clear, partly = (
+            float(np.clip(core_scatter(off[seen & part], s), s, 2.5 * s))
+            for part, s in zip((c.open, ~c.open), state.weights.scatter[name], strict=True)
+        )
+        scatter[name] = (clear, partly)
+    return scatter
+
+
+def without_time_scatter(scatter: Scatter, from_time: Floats) -> Scatter:
+    """Subtract from the scatter [rad] the part due to the times, which all markers share, `from_time` (n,) [rad]."""
+    shared = float(np.nanmean(from_time**2))
+    left = {}
+    for name, both in scatter.items():
+        clear, partly = (float(np.sqrt(max(s**2 - shared, (_LEFT * s) ** 2))) for s in both)
+        left[name] = (clear, partly)
+    return left
+
+
+def turning_frames(state: Residuals, short: Floats, smooth: Floats, half: int) -> Mask:
+    """Return the frames (n,) in which errors that repeat with the turn can be distinguished from motion.
+
+    In these the long window of `half` frames to both sides contains a whole turn and its curve `smooth` fits the
+    motion, that is, the curve `short` (n,) [rad], unlike at a sudden start.
+    """
+    usual = min(clear for clear, _ in state.weights.scatter.values())
+    with np.errstate(invalid="ignore"):
+        turning = whole_turns(state.path, half) & (np.abs(smooth - short) < 12.0 * usual)
+    return in_file({"turning": turning})["turning"]
 
 
 def wrapped(angle: Floats) -> Floats:
@@ -339,66 +420,74 @@ LEAST_FAST = 0.2
 frames, a larger one uses slow frames, in which motion resembles errors."""
 
 
-def learn_places(state: Residuals, smooth: Floats) -> None:
-    """Estimate the error of each marker as a function of its place in the picture (see the module docstring)."""
+def errors_by_place(state: Residuals, smooth: Floats) -> PlaceErrors:
+    """Estimate the error of each marker as a function of its place in the picture (see the module docstring).
+
+    `smooth` is the curve of the motion (n,) [rad].
+    """
     fast = state.turning & state.fast
-    geometry_only = fast.sum() > LEAST_FAST * state.turning.sum()
+    geometry_only = bool(fast.sum() > LEAST_FAST * state.turning.sum())
     when = fast if geometry_only else state.turning
-    curves = {}
+    curves, size, n = {}, {}, len(state.path)
+    error, leverage = _columns(state.candidates, n), _columns(state.candidates, n)
     for name, c in state.candidates.items():
-        fit = state.use[name] & c.open & when
-        found = _curve(state, name, c.angle, state.by_neighbour[name], smooth, fit)
-        curves[name], state.place_size[name] = found.values, found.size
-        for part in row_blocks(len(state.path)):
+        fit = state.weights.use[name] & c.open & when
+        found = _curve(state, name, c.angle, state.neighbour.error[name], smooth, fit)
+        curves[name], size[name] = found.values, found.size
+        for part in row_blocks(n):
             weight = np.where(fit[part], 1.0 / state.sigma(name, part) ** 2, 0.0)
-            state.absorbed[name][part] = found.leverage(np.nan_to_num(c.angle[part]), weight)
-    state.common_kept = not geometry_only
+            leverage[name][part] = found.leverage(np.nan_to_num(c.angle[part]), weight)
+    axis_off = state.place.axis_off
     if geometry_only:
-        state.axis_off = {name: once_a_turn(curve) for name, curve in curves.items()}
+        axis_off = {name: once_a_turn(curve) for name, curve in curves.items()}
     else:
         curves = without_common_motion(curves, state.mounts)
     for name, curve in curves.items():
-        for part in row_blocks(len(state.path)):
+        for part in row_blocks(n):
             place = np.nan_to_num(state.candidates[name].angle[part])
-            state.by_place[name][part] = curve_at(curve - curve.mean(), place)
+            error[name][part] = curve_at(curve - curve.mean(), place)
+    return PlaceErrors(error, leverage, size, not geometry_only, axis_off)
 
 
-def learn_neighbours(
+def errors_by_neighbour(
     state: Residuals, smooth: Floats, other: Floats, window: tuple[int, int], *, above: bool, last: bool
-) -> None:
+) -> LearntErrors:
     """Estimate the error of each marker as a function of its angle to the other body (see the module docstring).
 
-    Markers below the other body have errors where they are partly occluded, in its shadow, and at its blurred edge.
-    Markers above it (`above`) have errors where its markers pass next to them. Errors of unoccluded markers are
-    estimated where the bodies pass each other too fast for a real motion. If they pass nearly in step with the frames,
-    the error may vary as slowly as a motion: the part that a local polynomial (`window`: half width and degree) fits is
-    treated as motion and not removed from markers above.
+    `smooth` is the curve of the motion, `other` the angle of the other body, (n,) [rad]. Markers below the other body
+    have errors where they are partly occluded, in its shadow, and at its blurred edge. Markers above it (`above`) have
+    errors where its markers pass next to them. Errors of unoccluded markers are estimated where the bodies pass each
+    other too fast for a real motion. If they pass nearly in step with the frames, the error may vary as slowly as a
+    motion: the part that a local polynomial (`window`: half width and degree) fits is treated as motion and not removed
+    from markers above.
     """
     with np.errstate(invalid="ignore"):
-        passing = state.turning & (state.speed(other - state.path) > FAST)
+        passing = state.turning & (speed(other - state.path, state.fps, state.time_base) > FAST)
     fast = bool(passing.sum() > LEAST_FAST * state.turning.sum())
+    n = len(state.path)
     if above and not fast:
-        return
+        return replace(state.neighbour, leverage=dict.fromkeys(state.candidates, np.broadcast_to(0.0, n)))
+    error, leverage = _columns(state.candidates, n), _columns(state.candidates, n)
     for name, c in state.candidates.items():
         difference = np.nan_to_num(c.angle - other)
-        near = state.use[name] & np.isfinite(other)
+        near = state.weights.use[name] & np.isfinite(other)
         when = near & (passing if above else state.turning)
-        found = _curve(state, name, difference, state.by_place[name], smooth, when)
-        curve = found.values
+        found = _curve(state, name, difference, state.by_place(name), smooth, when)
         clear = float(fast)
         if last and fast and not above:
             clear = _shown_share(found, difference, when & c.open)
-        for part in row_blocks(len(near)):
+        for part in row_blocks(n):
             share = np.where(c.open[part], clear, 1.0) * near[part]
             weight = np.where(when[part], share / state.sigma(name, part) ** 2, 0.0)
-            state.absorbed[name][part] += found.leverage(difference[part], weight)
-            state.by_neighbour[name][part] = share * curve_at(curve, difference[part])
+            leverage[name][part] = found.leverage(difference[part], weight)
+            error[name][part] = share * curve_at(found.values, difference[part])
         if above:
-            slow, _ = local_fit(state.by_neighbour[name], near.astype(np.float64), *window)
-            state.by_neighbour[name] -= np.where(near, np.nan_to_num(slow), 0.0)
+            slow, _ = local_fit(error[name], near.astype(np.float64), *window)
+            error[name] -= np.where(near, np.nan_to_num(slow), 0.0)
+    return LearntErrors(error, leverage)
 
 
-def _shown_share(curve: ClosedCurve, angle: Floats, use: npt.NDArray[np.bool_]) -> float:
+def _shown_share(curve: ClosedCurve, angle: Floats, use: Mask) -> float:
     """Return the share of a curve's mean square at some angles that its own uncertainty does not explain, 0 to 1.
 
     Multiplied by this factor (James-Stein), a curve that is hardly significant adds less error than it removes.
@@ -418,8 +507,8 @@ _VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 cost time, a smaller range limits the errors."""
 
 
-def learn_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> Floats | None:
-    """Estimate errors of the view from differences between markers; return the angle's uncertainty, (n,).
+def errors_of_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> ViewErrors | None:
+    """Estimate errors of the view from differences between markers.
 
     Within less than two turns errors by place look like motion, but motion is common to all markers of a body in each
     frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The coefficients of
@@ -470,15 +559,16 @@ def learn_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> Float
     normal = best[1]
     covariance = np.linalg.inv(normal)
     solution = (covariance @ right)[:size].reshape(count, orders)
-    effect, total = np.zeros((n, size)), np.zeros(n)
+    error, effect, total = _columns(names, n), np.zeros((n, size)), np.zeros(n)
     for k, name in enumerate(names):
         own, _, weight = _view_rows(state, name, np.arange(n), 0.0)
-        state.by_place[name][:] = own @ solution[k]
+        error[name][:] = own @ solution[k]
         effect[:, k * orders : (k + 1) * orders] = weight[:, None] * own
         total += weight
     effect /= np.where(total > 0.0, total, 1.0)[:, None]
     effect -= effect[total > 0.0].mean(axis=0) if (total > 0.0).any() else 0.0
-    return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", effect, covariance[:size, :size], effect)))
+    sigma = np.sqrt(np.einsum("ni,ij,nj->n", effect, covariance[:size, :size], effect))
+    return ViewErrors(error, in_file({"sigma": sigma})["sigma"])
 
 
 def _view_rows(
@@ -490,10 +580,10 @@ def _view_rows(
     own = np.stack([f(k * angle) for k in VIEW_ORDERS for f in (np.cos, np.sin)], axis=1)
     residual = wrapped(
         np.nan_to_num(
-            c.angle[frames] - state.path[frames] - state.mounts[name] - state.by_neighbour[name][frames]
+            c.angle[frames] - state.path[frames] - state.mounts[name] - state.neighbour.error[name][frames]
         )
     )
-    weight = np.where(state.use[name][frames], 1.0 / (state.sigma(name)[frames] ** 2 + more), 0.0)
+    weight = np.where(state.weights.use[name][frames], 1.0 / (state.sigma(name)[frames] ** 2 + more), 0.0)
     return own, residual, weight
 
 
@@ -531,16 +621,17 @@ def place_error(state: Residuals) -> float:
         return float("nan")
     learnt = []
     for name, c in state.candidates.items():
-        seen = state.use[name] & c.open & state.turning
+        seen = state.weights.use[name] & c.open & state.turning
         if len(np.unique(np.rint(c.angle[seen] * KNOTS / TURN))) >= KNOTS / 2:
-            error = state.by_place[name][seen]
-            noise = float(np.mean(state.absorbed[name][seen] * state.sigma(name)[seen] ** 2))
+            error = state.by_place(name)[seen]
+            noise = float(np.mean(state.absorbed(name, seen) * state.sigma(name)[seen] ** 2))
             learnt.append(float(np.sqrt(max(min(float(np.mean(error**2)), spread(error) ** 2) - noise, 0.0))))
+        release_pages()
     return min(learnt, default=float("nan"))
 
 
 def _curve(
-    state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: npt.NDArray[np.bool_]
+    state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: Mask
 ) -> ClosedCurve:
     """Fit a closed curve over an angle to the residuals of a marker about the smooth motion."""
     off, weight = np.empty((2, len(over)))
@@ -571,14 +662,14 @@ def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
     normal, rows, total = np.zeros((size, size)), np.zeros((n, size)), np.zeros(n)
     spline = _cubic_splines(n, motion)
     for k, name in enumerate(names):
-        weight = np.where(state.use[name], 1.0 / state.sigma(name) ** 2, 0.0)
+        weight = np.where(state.weights.use[name], 1.0 / state.sigma(name) ** 2, 0.0)
         low, high, part = _between_knots(np.nan_to_num(state.candidates[name].angle))
         row, own = np.zeros((n, size)), motion + k * KNOTS
         row[:, :motion] = spline
         row[np.arange(n), own + low], row[np.arange(n), own + high] = 1.0 - part, part
         weighted = weight[:, None] * row
         normal += row.T @ weighted
-        normal[own : own + KNOTS, own : own + KNOTS] += _precision(state.place_size[name])
+        normal[own : own + KNOTS, own : own + KNOTS] += _precision(state.place.size[name])
         rows, total = rows + weighted, total + weight
     seen = total > 0
     rows, noise = rows[seen] / total[seen, None], 1.0 / total[seen]
@@ -586,7 +677,7 @@ def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
     both = rows @ covariance
     curves = rows.copy()
     curves[:, :motion] = 0.0
-    if state.common_kept:
+    if state.place.common_kept:
         curves[:, motion:] = curves[:, motion:] @ _without_common(state.mounts)
     for _ in range(2):  # the zero of the angle is arbitrary; well-known frames determine it
         variance = noise + np.einsum("ni,ni->n", curves @ covariance - 2.0 * both, curves)
@@ -685,25 +776,26 @@ def join(
     `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost; `other` is that of the body
     that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are uncertainties
     [rad] that do not appear as scatter outside whole turns: unobserved errors by place, the displacement of the axis,
-    and the displacement of the orbits about it, which the markers determine together (`arcs`: see `learn_view`).
+    and the displacement of the orbits about it, which the markers determine together (`arcs`: see `errors_of_view`).
     """
-    state, arcs = Residuals(coarse, candidates, fps, time_base), arcs or {}
+    state, arcs = Residuals.of(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
     for number in range(ROUNDS):
         short, leverage = state.smooth(HALF_WINDOW)
-        state.replace_mounts(short)
-        state.reject_outliers(short, leverage)
+        state = replace(state, mounts=mount_angles(state, short))
+        state = replace(state, weights=weights_about(state, short, leverage))
         smooth, _ = state.smooth(half, degree)
-        state.mark_whole_turns(short, smooth, half)
-        learn_places(state, smooth)
-        learn_view(state, floor, arcs)
+        state = replace(state, turning=turning_frames(state, short, smooth, half))
+        state = replace(state, place=errors_by_place(state, smooth))
+        state = replace(state, view=errors_of_view(state, floor, arcs))
         if other is not None:
             last = number == ROUNDS - 1
-            learn_neighbours(state, smooth, other, (half, degree), above=above, last=last)
+            found = errors_by_neighbour(state, smooth, other, (half, degree), above=above, last=last)
+            state = replace(state, neighbour=found)
     short, leverage = state.smooth(HALF_WINDOW)
-    state.reject_outliers(short, leverage)
-    of_view = learn_view(state, floor, arcs)
-    axis = np.hypot(axis, orbit if of_view is None else of_view)
+    state = replace(state, weights=weights_about(state, short, leverage))
+    state = replace(state, view=errors_of_view(state, floor, arcs))
+    axis = np.hypot(axis, orbit if state.view is None else state.view.sigma)
     return _result(state, half, degree, floor, axis, ~(leverage <= UNCONFIRMED))
 
 
@@ -719,7 +811,7 @@ UNCONFIRMED = 0.9
 Chosen: a smaller value omits frames next to gaps, a larger one admits wrong matches."""
 
 
-def _mostly_hidden(sigma: Floats) -> npt.NDArray[np.bool_]:
+def _mostly_hidden(sigma: Floats) -> Mask:
     """Return the frames whose uncertainty exceeds that of their neighbours by the factor `WEAKEST_BODY`."""
     reach = min(_NEIGHBOURS // 2, len(sigma))
     # reflected at the ends, where a hand may hide the markers
@@ -734,13 +826,13 @@ def _result(
     degree: int,
     floor: float,
     axis: float | Floats,
-    alone: npt.NDArray[np.bool_],
+    alone: Mask,
 ) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
-    state.measure_scatter(smooth, leverage)
-    from_time = state.time_sigma()
+    scatter, from_time = scatter_over_turns(state, smooth, leverage), state.time_sigma()
     if isinstance(from_time, np.ndarray):
-        state.subtract_time_scatter(from_time)
+        scatter = without_time_scatter(scatter, from_time)
+    state = replace(state, weights=replace(state.weights, scatter=scatter))
     residual, sigma, count = state.mean()
     off = np.where(state.turning, np.nan, residual - smooth)
     absorbed = float(np.nansum(np.where(count > 0, np.minimum(leverage, 1.0), 0.0)))
@@ -772,7 +864,7 @@ def _result(
     angle, sigma, count = in_file(own).values()
     markers = {}
     for name, c in state.candidates.items():
-        use = state.use[name]
+        use = state.weights.use[name]
         own = {"angle": np.where(use, wrapped(c.angle - state.bias(name)), np.nan)}
         own["sigma"] = calibrated(
             np.where(use, state.residual(name), np.nan),
@@ -780,4 +872,6 @@ def _result(
             len(state.candidates),
         )
         markers[name] = MarkerAngles(mount=state.mounts[name], **in_file(own))
-    return BodyAngles(angle, sigma, count, markers, place_error=place_error(state), axis_off=state.axis_off)
+    return BodyAngles(
+        angle, sigma, count, markers, place_error=place_error(state), axis_off=state.place.axis_off
+    )

@@ -10,7 +10,7 @@ import pytest
 from gyrotrack.tracking import _fusion as module
 from gyrotrack.tracking._fusion import KNOTS, TURN, join, place_error, wrapped
 from gyrotrack.tracking._orbit import CELL
-from tests.gyrotrack.tracking.test_fusion_formulas import N, state
+from tests.gyrotrack.tracking.test_fusion_formulas import N, changed, state
 
 S = 2e-3
 BOTH = dict.fromkeys(("m0", "m1"), (S, S))
@@ -33,8 +33,10 @@ class TestResult:
         seen = SimpleNamespace(residuals=[], floors=[], tails=[])
         n = len(found.path)
         levers = np.broadcast_to(leverage, n).astype(float)
-        monkeypatch.setattr(found, "smooth", lambda half, degree: (np.full(n, smooth), levers))
-        monkeypatch.setattr(found, "measure_scatter", lambda *_: None)
+        monkeypatch.setattr(
+            module.Residuals, "smooth", lambda self, half, degree: (np.full(n, smooth), levers)
+        )
+        monkeypatch.setattr(module, "scatter_over_turns", lambda given, *_: given.weights.scatter)
         monkeypatch.setattr(
             module, "_variance_shares", lambda *_: (np.full(n, shares[0]), np.full(n, shares[1]))
         )
@@ -67,7 +69,7 @@ class TestResult:
 
     def test_leverages_beyond_one_and_frames_without_markers_absorb_no_place(self, monkeypatch):
         found = state(rate=0.003, scatter=BOTH)
-        found.use["m0"][:10] = found.use["m1"][:10] = False
+        found = changed(found, use=dict.fromkeys(BOTH, np.arange(N) >= 10))
         levers = np.full(N, 0.01)
         levers[:20] = 5.0
         _, seen = self.result(monkeypatch, found, floor=6e-3, leverage=levers)
@@ -75,7 +77,7 @@ class TestResult:
 
     def test_within_whole_turns_errors_by_place_are_known(self, monkeypatch):
         found = state([0.01, 0.01], rate=0.003, scatter=BOTH)
-        found.turning[100:] = True
+        found = changed(found, turning=np.arange(N) >= 100)
         body, seen = self.result(monkeypatch, found, floor=6e-3, axis=2e-3)
         assert body.sigma[100:] == pytest.approx(np.full(N - 100, S / math.sqrt(2)))
         assert (body.sigma[:100] > 2e-3).all()
@@ -86,7 +88,7 @@ class TestResult:
     def test_the_uncertainty_is_scaled_to_what_the_curves_leave_of_the_residuals(self, monkeypatch):
         """0.8 is left of the variance; the long curve absorbs (2 - 1) 0.1 more of correlated errors."""
         found = state([5e-3, 5e-3], rate=0.3, scatter=BOTH)
-        found.turning[:] = True
+        found = changed(found, turning=True)
         body, seen = self.result(
             monkeypatch, found, smooth=1e-3, leverage=0.1, shares=(4.0, 0.8), alike=2.0, scale=1.5, tail=1.2
         )
@@ -103,13 +105,13 @@ class TestResult:
     @pytest.mark.parametrize(("share", "left"), [(0.9, 0.9), (0.2, 0.3), (1.4, 1.0)])
     def test_at_least_three_tenths_of_a_residual_are_left(self, monkeypatch, share, left):
         found = state([4e-3, 4e-3], rate=0.3, scatter=BOTH)
-        found.turning[:] = True
+        found = changed(found, turning=True)
         _, seen = self.result(monkeypatch, found, shares=(1.0, share))
         assert seen.residuals[1] == pytest.approx(np.full(N, 2.0 / math.sqrt(left)))
 
     def test_residuals_outside_whole_turns_do_not_scale(self, monkeypatch):
         found = state([4e-3, 4e-3], rate=0.3, scatter=BOTH)
-        found.turning[50:] = True
+        found = changed(found, turning=np.arange(N) >= 50)
         _, seen = self.result(monkeypatch, found)
         assert np.isnan(seen.residuals[0][:50]).all()
         assert np.isfinite(seen.residuals[0][50:]).all()
@@ -117,15 +119,16 @@ class TestResult:
     def test_the_times_are_common_to_the_markers(self, monkeypatch):
         """0.3 rad a frame and 0.01 frames: of a scatter of 5 mrad 4 mrad are left, which the mean reduces."""
         found = state(rate=0.3, scatter=dict.fromkeys(BOTH, (5e-3, 5e-3)))
-        monkeypatch.setattr(found, "_time_base", SimpleNamespace(sigma=0.01, speed=np.gradient))
-        found.turning[:] = True
+        found = changed(
+            replace(found, time_base=SimpleNamespace(sigma=0.01, speed=np.gradient)), turning=True
+        )
         body, _ = self.result(monkeypatch, found)
         assert body.sigma == pytest.approx(np.full(N, math.hypot(4e-3 / math.sqrt(2), 3e-3)))
         assert body.markers["m0"].sigma == pytest.approx(np.full(N, 5e-3))
 
     def test_learnt_errors_are_not_in_the_angles_of_the_markers(self, monkeypatch):
         found = state([0.01, 0.0], rate=0.3, scatter=BOTH)
-        found.by_place["m0"][:], found.by_neighbour["m0"][:] = 7e-3, 1e-3
+        found = changed(found, by_place={"m0": 7e-3}, by_neighbour={"m0": 1e-3})
         body, _ = self.result(monkeypatch, found)
         true = 0.3 * np.arange(N)
         assert wrapped(body.markers["m0"].angle - true) == pytest.approx(np.full(N, 2e-3), abs=1e-9)
@@ -135,10 +138,11 @@ class TestResult:
     def test_frames_that_one_marker_or_a_poor_one_shows_have_no_angle(self, monkeypatch):
         """Three of which nothing confirms the angle; in the second both markers are seen."""
         found = state(rate=0.3, scatter=BOTH)
-        found.use["m0"][[5, 7, 9]] = False
+        k = np.arange(N)
+        weak = dict.fromkeys(BOTH, np.where(k == 20, 20.0, 1.0))
+        found = changed(found, use={"m0": ~np.isin(k, [5, 7, 9])}, weak=weak)
         alone = np.zeros(N, dtype=bool)
         alone[[5, 6, 7]] = True
-        found.weak["m0"][20], found.weak["m1"][20] = 20.0, 20.0
         body, _ = self.result(monkeypatch, found, alone=alone)
         lost = [5, 7, 20]
         assert np.flatnonzero(np.isnan(body.angle)).tolist() == lost
@@ -151,7 +155,8 @@ class TestRounds:
     def joined(self, monkeypatch, view, leverage=None, **options):
         """Return what the result is asked for, and the arguments of the fits of the view."""
         given, asked, views = state(), [], []
-        monkeypatch.setattr(module, "learn_view", lambda found, *args: views.append(args) or view)
+        view = view and module.ViewErrors(dict.fromkeys(BOTH, np.zeros(N)), np.full(N, view))
+        monkeypatch.setattr(module, "errors_of_view", lambda found, *args: views.append(args) or view)
         monkeypatch.setattr(module, "_result", lambda found, *args: asked.append((found, *args)))
         if leverage is not None:
             smooth = module.Residuals.smooth
@@ -184,16 +189,17 @@ class TestRounds:
         found = state(1e-3 * np.random.default_rng(1).standard_normal((2, N)))
         c = found.candidates["m0"]
         excess, open_ = np.where(np.arange(N) % 3 == 0, 8.0, 0.0), np.arange(N) < 300
-        found.candidates["m0"] = replace(c, misfit_excess=excess, open=open_, weak=np.full(N, 2.0))
+        c = replace(c, misfit_excess=excess, open=open_, weak=np.full(N, 2.0))
+        found = replace(found, candidates=found.candidates | {"m0": c})
         shares = {300: 0.375, 100: 1.875}
         monkeypatch.setattr(module, "variance_inflation", lambda off, excess: shares.get(len(off), 0.0))
-        found.reject_outliers(np.zeros(N), np.zeros(N))
+        weights = module.weights_about(found, np.zeros(N), np.zeros(N))
         expected = np.where(excess > 0, np.where(open_, 4.0, 8.0), 2.0)
-        assert found.weak["m0"] == pytest.approx(expected)
+        assert weights.weak["m0"] == pytest.approx(expected)
 
     def test_mounts_follow_the_residuals(self):
         found = state([0.01, -0.02])
-        found.replace_mounts(np.zeros(N))
+        found = replace(found, mounts=module.mount_angles(found, np.zeros(N)))
         assert found.residual("m1") == pytest.approx(found.residual("m0"), abs=1e-9)
 
     def test_the_curve_of_a_bent_path_is_that_of_its_angle(self):
@@ -201,10 +207,9 @@ class TestRounds:
         k = np.arange(N)
         motion = 0.3 * k + 2e-2 * np.sin(k / 25.0)
         found = state(rate=0.3, scatter=BOTH)
-        found.path[:] = 0.3 * k + 1e-2 * np.sin(k / 25.0)
-        found.bend[:] = found.path - 0.3 * k
-        for name, mount in found.mounts.items():
-            found.candidates[name].angle[:] = wrapped(motion + mount)
+        path = 0.3 * k + 1e-2 * np.sin(k / 25.0)
+        angle = {name: wrapped(motion + mount) for name, mount in found.mounts.items()}
+        found = changed(replace(found, path=path, bend=path - 0.3 * k), angle=angle)
         fitted, _ = found.smooth(12)
         assert (found.path + fitted)[20:-20] == pytest.approx(motion[20:-20], abs=2e-4)
 
@@ -217,11 +222,8 @@ class TestLearning:
         error = np.array([4e-3 * np.cos(3 * (turn + m)) for m in (0.0, 2.0)])
         hidden = np.arange(N) % 3 == 0
         found = state(error + 0.02 * hidden * np.sin(turn), scatter=dict.fromkeys(BOTH, (3e-4, 3e-4)))
-        for c in found.candidates.values():
-            c.open[hidden] = False
-        found.turning[:] = True
-        module.learn_places(found, np.zeros(N))
-        assert found.by_place["m1"] == pytest.approx(error[1], abs=6e-4)
+        found = changed(found, open=dict.fromkeys(BOTH, ~hidden), turning=True)
+        assert module.errors_by_place(found, np.zeros(N)).error["m1"] == pytest.approx(error[1], abs=6e-4)
 
     @pytest.mark.parametrize(("other_rate", "fast"), [(0.38, True), (0.36, False)])
     def test_beside_a_slow_body_only_partly_occluded_observations_are_corrected(self, other_rate, fast):
@@ -230,11 +232,10 @@ class TestLearning:
         error = np.array([3e-3 * np.cos(2 * (turn + m - other)) for m in (0.0, 2.0)])
         found = state(error, scatter=dict.fromkeys(BOTH, (2e-4, 2e-4)))
         hidden = np.arange(N) % 3 == 0
-        for c in found.candidates.values():
-            c.open[hidden] = False
-        found.turning[:] = True
-        module.learn_neighbours(found, np.zeros(N), other, (30, 2), above=False, last=False)
-        learnt = found.by_neighbour["m1"]
+        found = changed(found, open=dict.fromkeys(BOTH, ~hidden), turning=True)
+        learnt = module.errors_by_neighbour(
+            found, np.zeros(N), other, (30, 2), above=False, last=False
+        ).error["m1"]
         assert learnt[hidden] == pytest.approx(error[1][hidden], abs=5e-4)
         assert (np.abs(learnt[~hidden]).max() > 1e-3) is np.bool_(fast)
 
@@ -243,10 +244,10 @@ class TestLearning:
         turn, other = 0.3 * np.arange(N), 1.0 + 0.38 * np.arange(N)
         error = np.array([3e-3 * np.cos(2 * (turn + m - other)) for m in (0.0, 2.0)])
         found = state(error, scatter=dict.fromkeys(BOTH, (2e-4, 2e-4)))
-        found.turning[:] = True
+        found = changed(found, turning=True)
         monkeypatch.setattr(module, "_shown_share", lambda *_: 0.3)
-        module.learn_neighbours(found, np.zeros(N), other, (30, 2), above=False, last=last)
-        assert found.by_neighbour["m1"] == pytest.approx(share * error[1], abs=4e-4)
+        learnt = module.errors_by_neighbour(found, np.zeros(N), other, (30, 2), above=False, last=last)
+        assert learnt.error["m1"] == pytest.approx(share * error[1], abs=4e-4)
 
 
 class TestVariances:
@@ -255,9 +256,7 @@ class TestVariances:
         """Two markers, motion and two curves: e - b dx with cov(e, dx) = C a var(e), b without the common harmonics."""
         n, motion, size = 150, 5, 2e-3
         found = state(n=n, rate=2.5 * TURN / n, scatter=dict.fromkeys(BOTH, (1e-3, 1e-3)))
-        found.turning[:] = True
-        found.common_kept = common_kept
-        found.place_size = dict.fromkeys(BOTH, size)
+        found = changed(found, turning=True, common_kept=common_kept, size=dict.fromkeys(BOTH, size))
         error, left = module._variance_shares(found, motion)
         spline = module._cubic_splines(n, motion)
         each = []
@@ -299,9 +298,7 @@ class TestView:
         ]
         scatter = {"m0": (3e-4, 3e-4), "m1": (6e-4, 6e-4)}
         found = state(error, rate=1.5 / n, n=n, scatter=scatter)
-        found.use["m1"][:5] = False
-        found.by_neighbour["m0"][:] = 1e-3 * np.sin(5.0 * turn)
-        return found
+        return changed(found, use={"m1": k >= 5}, by_neighbour={"m0": 1e-3 * np.sin(5.0 * turn)})
 
     def reference(self, found, floor, arcs):
         """Return the errors of the markers and the uncertainty of their mean, the motion being one unknown a frame."""
@@ -315,12 +312,12 @@ class TestView:
             waves.append(np.stack([np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)], axis=1))
             rows = np.hstack([np.eye(n), np.zeros((n, 10))])
             rows[:, n + 4 * k : n + 4 * k + 4], rows[:, n + 8 + k] = waves[k], 1.0
-            sigma = found.scatter[name][0]
-            y = wrapped(a - found.path - found.mounts[name] - found.by_neighbour[name])
-            weight = found.use[name] / (sigma**2 + alike * floor**2)
+            sigma = found.weights.scatter[name][0]
+            y = wrapped(a - found.path - found.mounts[name] - found.neighbour.error[name])
+            weight = found.weights.use[name] / (sigma**2 + alike * floor**2)
             normal += rows.T @ (weight[:, None] * rows)
             right += rows.T @ (weight * y)
-            weights.append(found.use[name] / sigma**2)
+            weights.append(found.weights.use[name] / sigma**2)
         offsets, unit = np.zeros((8, 8)), floor / math.sqrt(6.0)
         for k, name in enumerate(names):
             if name in arcs:
@@ -360,26 +357,25 @@ class TestView:
     def test_the_most_likely_sizes_of_errors_are_those_of_all_data(self, size, arcs):
         found = self.film(size)
         errors, uncertainty = self.reference(found, 1e-3, arcs)
-        stated = module.learn_view(found, 1e-3, arcs)
+        view = module.errors_of_view(found, 1e-3, arcs)
         for name, expected in zip(found.candidates, errors, strict=True):
-            assert found.by_place[name] == pytest.approx(expected, abs=2e-2 * np.abs(expected).max())
-        assert stated == pytest.approx(uncertainty, rel=2e-2, abs=1e-6)
+            assert view.error[name] == pytest.approx(expected, abs=2e-2 * np.abs(expected).max())
+        assert view.sigma == pytest.approx(uncertainty, rel=2e-2, abs=1e-6)
 
 
 class TestPlaces:
     @pytest.mark.parametrize(("places", "known"), [(35, False), (36, True)])
     def test_a_marker_must_be_seen_at_half_of_the_knots(self, places, known):
         found = state(rate=TURN / places, scatter=BOTH, mounts=(0.0,))
-        found.candidates["m0"].angle[:] = wrapped(TURN / KNOTS * (np.arange(N) % places))
-        found.turning[:] = True
-        found.by_place["m0"][:] = 4e-3 * np.where(np.arange(N) % 2, 1, -1)
+        error = 4e-3 * np.where(np.arange(N) % 2, 1, -1)
+        angle = wrapped(TURN / KNOTS * (np.arange(N) % places))
+        found = changed(found, angle={"m0": angle}, turning=True, by_place={"m0": error})
         assert math.isfinite(place_error(found)) is known
 
     def test_large_errors_at_few_places_are_not_those_of_the_others(self):
         """One of ten frames errs by 50 mrad, the others by 3 mrad: 1.4826 times their median."""
         found = state(scatter=BOTH, mounts=(0.0,))
-        found.turning[:] = True
         error = 3e-3 * np.where(np.arange(N) % 2, 1, -1)
         error[::10] = 0.05
-        found.by_place["m0"][:] = error
+        found = changed(found, turning=True, by_place={"m0": error})
         assert place_error(found) == pytest.approx(1.4826 * 3e-3, rel=0.1)

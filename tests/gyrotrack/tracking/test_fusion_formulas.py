@@ -1,6 +1,7 @@
 """Parts of the fusion of markers against linear algebra and small cases on either side of each rule."""
 
 import math
+from dataclasses import fields, is_dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,17 +14,23 @@ from gyrotrack.tracking._fusion import (
     KNOTS,
     TURN,
     Residuals,
+    Weights,
     closed_curve,
     curve_at,
+    errors_by_neighbour,
+    errors_by_place,
+    errors_of_view,
     join,
-    learn_neighbours,
-    learn_places,
-    learn_view,
+    mount_angles,
     once_a_turn,
     place_error,
     places_passed,
+    scatter_over_turns,
+    turning_frames,
     variance_left,
+    weights_about,
     without_common_motion,
+    without_time_scatter,
     wrapped,
 )
 from gyrotrack.tracking._marker_tracker import Candidate
@@ -43,18 +50,60 @@ def state(off=None, *, rate=0.3, fps=1000.0, mounts=(0.0, 2.0), n=N, scatter=Non
             wrapped(path + mount + error), np.ones(n, dtype=bool) if good is None else good[k], np.ones(n, dtype=bool),
             np.ones(n), np.zeros(n), mount,
         )  # fmt: skip
-    found = Residuals(path.copy(), candidates, fps, time_base)
-    for name, s in (scatter or {}).items():
-        found.scatter[name] = s
-    return found
+    return changed(Residuals.of(path.copy(), candidates, fps, time_base), scatter=scatter or {})
+
+
+def changed(found, **parts):
+    """Return residuals with other parts, constant or (n,): of all markers, or by the names of some."""
+    n, one = len(found.path), {"turning": found.turning, "fast": found.fast} | parts
+
+    def columns(old, key):
+        return old | {name: np.broadcast_to(value, n) for name, value in parts.get(key, {}).items()}
+
+    weights, place = found.weights, found.place
+    candidates = {
+        name: replace(
+            c, **{key: np.broadcast_to(parts[key][name], n) for key in ("open", "angle") if name in parts.get(key, {})}
+        )
+        for name, c in found.candidates.items()
+    }  # fmt: skip
+    return replace(
+        found,
+        candidates=candidates,
+        turning=np.broadcast_to(one["turning"], n),
+        fast=np.broadcast_to(one["fast"], n),
+        weights=Weights(
+            weights.scatter | parts.get("scatter", {}),
+            columns(weights.weak, "weak"),
+            columns(weights.use, "use"),
+        ),
+        place=replace(
+            place,
+            error=columns(place.error, "by_place"),
+            leverage=columns(place.leverage, "absorbed"),
+            size=parts.get("size", place.size),
+            common_kept=parts.get("common_kept", place.common_kept),
+        ),
+        neighbour=replace(found.neighbour, error=columns(found.neighbour.error, "by_neighbour")),
+    )
+
+
+def leaves(record, at=""):
+    """Yield the path and value of everything in a record."""
+    if is_dataclass(record):
+        record = {f.name: getattr(record, f.name) for f in fields(record)}
+    if isinstance(record, dict):
+        for name, value in record.items():
+            yield from leaves(value, f"{at}.{name}")
+    else:
+        yield at, record
 
 
 class TestResiduals:
     def test_they_are_angles_less_path_mount_and_learnt_error(self):
         found = state([0.01, -0.02])
         assert found.residual("m0") == pytest.approx(np.full(N, 0.01), abs=1e-9)
-        found.by_place["m1"][:] = 0.003
-        found.by_neighbour["m1"][:] = 0.004
+        found = changed(found, by_place={"m1": 0.003}, by_neighbour={"m1": 0.004})
         assert found.bias("m1") == pytest.approx(np.full(N, 0.007))
         assert found.residual("m1") == pytest.approx(np.full(N, -0.027), abs=1e-9)
 
@@ -64,7 +113,7 @@ class TestResiduals:
         assert FAST == 70.0
         found = state(fps=fps)
         assert found.fast.all() == found.fast.any() == fast
-        assert found.speed(found.path) == pytest.approx(np.full(N, 0.3 * fps))
+        assert module.speed(found.path, fps) == pytest.approx(np.full(N, 0.3 * fps))
 
     def test_the_mean_has_the_weights_of_the_scatters(self):
         found = state([0.01, -0.02], scatter={"m0": (1e-3, 9.0), "m1": (2e-3, 9.0)})
@@ -72,8 +121,8 @@ class TestResiduals:
         assert mean == pytest.approx(np.full(N, (4 * 0.01 - 0.02) / 5), abs=1e-9)
         assert sigma == pytest.approx(np.full(N, 1e-3 / math.sqrt(1.25)))
         assert count.tolist() == [2] * N
-        found.use["m0"][:3] = False
-        found.use["m1"][1:3] = False
+        k = np.arange(N)
+        found = changed(found, use={"m0": k >= 3, "m1": (k < 1) | (k >= 3)})
         mean, sigma, count = found.mean()
         assert (mean[0], count[0]) == (pytest.approx(-0.02), 1)
         assert np.isnan(mean[1:3]).all()
@@ -82,28 +131,25 @@ class TestResiduals:
 
     def test_partly_occluded_and_weak_observations_are_less_certain(self):
         found = state(scatter={"m0": (1e-3, 4e-3), "m1": (1e-3, 4e-3)})
-        found.candidates["m0"].open[5] = False
-        found.weak["m0"][7] = 3.0
+        k = np.arange(N)
+        found = changed(found, open={"m0": k != 5}, weak={"m0": np.where(k == 7, 3.0, 1.0)})
         sigma = found.sigma("m0")
         assert (sigma[0], sigma[5], sigma[7]) == pytest.approx((1e-3, 4e-3, 3e-3))
 
     def test_the_mount_of_the_first_marker_is_fixed(self):
         found = state([0.01, -0.02])
-        found.replace_mounts(np.zeros(N))
-        assert found.mounts == {"m0": 0.0, "m1": pytest.approx(2.0 - 0.03)}
+        assert mount_angles(found, np.zeros(N)) == {"m0": 0.0, "m1": pytest.approx(2.0 - 0.03)}
 
     @pytest.mark.parametrize(("size", "used"), [(5.9, True), (6.1, False), (-6.1, False)])
     def test_outliers_are_beyond_six_scatters(self, size, used):
         rng = np.random.default_rng(1)
         error = 1e-3 * rng.standard_normal((2, N))
-        found = state(error)
         clear = 1.4826 * np.median(np.abs(error[0]))
         error[0, 50] = size * clear + math.copysign(5e-4, size)
-        found = state(error)
-        found.reject_outliers(np.zeros(N), np.zeros(N))
-        assert found.scatter["m0"][0] == pytest.approx(clear, rel=0.01)
-        assert found.use["m0"][50] == used
-        assert found.use["m0"].sum() >= N - 1
+        weights = weights_about(state(error), np.zeros(N), np.zeros(N))
+        assert weights.scatter["m0"][0] == pytest.approx(clear, rel=0.01)
+        assert weights.use["m0"][50] == used
+        assert weights.use["m0"].sum() >= N - 1
 
     @pytest.mark.parametrize(("size", "used"), [(29.0, True), (31.0, False), (-31.0, False)])
     def test_outliers_of_partly_occluded_ones_are_beyond_thirty_scatters_of_the_others(self, size, used):
@@ -112,63 +158,71 @@ class TestResiduals:
         clear = 1.4826 * np.median(np.abs(error[0, :300]))
         error[0, 300:] *= 12.0
         error[0, 350] = size * clear + math.copysign(5e-4, size)
-        found = state(error)
-        found.candidates["m0"].open[300:] = False
-        found.reject_outliers(np.zeros(N), np.zeros(N))
-        assert found.scatter["m0"][0] == pytest.approx(clear, rel=0.01)
-        assert found.scatter["m0"][1] > 8.0 * clear
-        assert found.use["m0"][350] == used
+        found = changed(state(error), open={"m0": np.arange(N) < 300})
+        weights = weights_about(found, np.zeros(N), np.zeros(N))
+        assert weights.scatter["m0"][0] == pytest.approx(clear, rel=0.01)
+        assert weights.scatter["m0"][1] > 8.0 * clear
+        assert weights.use["m0"][350] == used
 
     def test_the_scatter_of_partly_occluded_ones_is_at_least_that_of_the_others(self):
         rng = np.random.default_rng(1)
         error = 1e-3 * rng.standard_normal((2, N))
         error[0, 300:] *= 2.5
-        found = state(error)
-        found.candidates["m0"].open[300:] = False
-        found.reject_outliers(np.zeros(N), np.zeros(N))
-        clear, partly = found.scatter["m0"]
+        found = changed(state(error), open={"m0": np.arange(N) < 300})
+        weights = weights_about(found, np.zeros(N), np.zeros(N))
+        clear, partly = weights.scatter["m0"]
         assert partly / clear == pytest.approx(2.5, rel=0.25)
         error[0, 300:] /= 10
-        found = state(error)
-        found.candidates["m0"].open[300:] = False
-        found.reject_outliers(np.zeros(N), np.zeros(N))
-        assert found.scatter["m0"][0] == found.scatter["m0"][1]
+        found = changed(state(error), open={"m0": np.arange(N) < 300})
+        weights = weights_about(found, np.zeros(N), np.zeros(N))
+        assert weights.scatter["m0"][0] == weights.scatter["m0"][1]
 
     def test_leverage_is_shared_by_the_markers(self):
         """A residual of which the curve has absorbed a share s is larger by 1 / sqrt(1 - s / markers)."""
         found = state([0.01, 0.01])
-        leverage = np.full(N, 0.4)
-        assert found._standardised("m0", np.zeros(N), leverage) == pytest.approx(
+        leverage, once, twice = np.full(N, 0.4), np.ones(N), np.full(N, 2.0)
+        assert found.standardised("m0", np.zeros(N), leverage, once) == pytest.approx(
             np.full(N, 0.01 / math.sqrt(0.8))
         )
-        found.absorbed["m0"][:] = 0.3
-        found.weak["m0"][:] = 2.0
-        assert found._standardised("m0", np.full(N, 0.004), leverage) == pytest.approx(
+        found = changed(found, absorbed={"m0": 0.3})
+        assert found.standardised("m0", np.full(N, 0.004), leverage, twice) == pytest.approx(
             np.full(N, 0.003 / math.sqrt(0.5))
         )
-        found.absorbed["m0"][:] = 5.0
-        assert found._standardised("m0", np.zeros(N), leverage) == pytest.approx(
+        found = changed(found, absorbed={"m0": 5.0})
+        assert found.standardised("m0", np.zeros(N), leverage, twice) == pytest.approx(
             np.full(N, 0.005 / math.sqrt(0.1))
         )
+
+    def test_curves_by_place_and_by_the_neighbour_absorb_together(self):
+        found = changed(state(), absorbed={"m0": 0.3})
+        leverage = {"m0": np.full(N, 0.1), "m1": np.full(N, 0.2)}
+        found = replace(found, neighbour=replace(found.neighbour, leverage=leverage))
+        assert found.absorbed("m0") == pytest.approx(np.full(N, 0.4))
+        assert found.absorbed("m1", slice(3)) == pytest.approx(np.full(3, 0.2))
+
+    def test_errors_of_the_view_replace_those_by_place(self):
+        found = changed(state([0.01, 0.01]), by_place={"m0": 3e-3}, by_neighbour={"m0": 1e-3})
+        errors = {"m0": np.full(N, 5e-3), "m1": np.zeros(N)}
+        found = replace(found, view=module.ViewErrors(errors, np.zeros(N)))
+        assert found.bias("m0") == pytest.approx(np.full(N, 6e-3))
+        assert replace(found, view=None).bias("m0") == pytest.approx(np.full(N, 4e-3))
 
     @pytest.mark.parametrize(("growth", "expected"), [(1.8, 1.8), (4.0, 2.5), (0.5, 1.0)])
     def test_the_scatter_about_a_long_curve_is_limited(self, growth, expected):
         rng = np.random.default_rng(1)
         found = state(1e-3 * rng.standard_normal((2, N)))
-        found.reject_outliers(np.zeros(N), np.zeros(N))
-        short = found.scatter["m0"][0]
-        found.turning[:] = True
-        found.scatter["m0"] = (short / growth, short / growth)
-        found.measure_scatter(np.zeros(N), np.zeros(N))
-        assert found.scatter["m0"][0] == pytest.approx(expected * short / growth, rel=0.01)
+        short = weights_about(found, np.zeros(N), np.zeros(N)).scatter["m0"][0]
+        found = changed(found, turning=True, scatter={"m0": (short / growth, short / growth)})
+        assert scatter_over_turns(found, np.zeros(N), np.zeros(N))["m0"][0] == pytest.approx(
+            expected * short / growth, rel=0.01
+        )
 
     def test_the_scatter_of_the_times_is_subtracted(self):
-        found = state(scatter={"m0": (5e-3, 5e-3), "m1": (3.1e-3, 5e-3)})
-        found.subtract_time_scatter(np.full(N, 3e-3))
-        assert found.scatter["m0"] == pytest.approx((4e-3, 4e-3))
-        assert found.scatter["m1"][0] == pytest.approx(math.sqrt(3.1**2 - 9) * 1e-3)
-        found.subtract_time_scatter(np.full(N, 5e-3))
-        assert found.scatter["m0"][0] == pytest.approx(0.2 * 4e-3)
+        scatter = {"m0": (5e-3, 5e-3), "m1": (3.1e-3, 5e-3)}
+        left = without_time_scatter(scatter, np.full(N, 3e-3))
+        assert left["m0"] == pytest.approx((4e-3, 4e-3))
+        assert left["m1"][0] == pytest.approx(math.sqrt(3.1**2 - 9) * 1e-3)
+        assert without_time_scatter(left, np.full(N, 5e-3))["m0"][0] == pytest.approx(0.2 * 4e-3)
 
     def test_the_uncertainty_of_a_time_is_an_angle(self):
         assert state().time_sigma() == 0.0
@@ -180,9 +234,9 @@ class TestResiduals:
         found = state(scatter={"m0": (2e-3, 2e-3), "m1": (1e-3, 1e-3)})
         smooth = np.zeros(N)
         smooth[200] = size * 1e-3  # of the smaller scatter
-        found.mark_whole_turns(np.zeros(N), smooth, 30)
-        assert found.turning[150]
-        assert found.turning[200] == whole
+        turning = turning_frames(found, np.zeros(N), smooth, 30)
+        assert turning[150]
+        assert turning[200] == whole
 
     def test_weights_are_those_relative_to_the_median_uncertainty(self):
         found = module._weight(np.array([1.0, 2.0, 4.0, np.nan]))
@@ -191,6 +245,57 @@ class TestResiduals:
 
     def test_angles_are_wrapped(self):
         assert wrapped(np.array([3.5, -3.5, 7.0])) == pytest.approx([3.5 - TURN, TURN - 3.5, 7.0 - TURN])
+
+
+class TestSteps:
+    """No step modifies a record, even in part: all its arrays are read-only."""
+
+    OTHER, ZERO = 1.0 + 0.38 * np.arange(N), np.zeros(N)
+
+    @pytest.mark.parametrize("turning", [True, False])
+    @pytest.mark.parametrize(
+        "step",
+        [
+            lambda found, other, zero: found.smooth(30),
+            lambda found, other, zero: mount_angles(found, zero),
+            lambda found, other, zero: weights_about(found, zero, zero),
+            lambda found, other, zero: scatter_over_turns(found, zero, zero),
+            lambda found, other, zero: without_time_scatter(found.weights.scatter, zero),
+            lambda found, other, zero: turning_frames(found, zero, zero, 30),
+            lambda found, other, zero: errors_by_place(found, zero),
+            lambda found, other, zero: errors_of_view(found, 1e-3, {"m0": np.eye(2) * 1e-4}),
+            lambda found, other, zero: errors_by_neighbour(found, zero, other, (30, 2), above=True, last=False),
+            lambda found, other, zero: errors_by_neighbour(found, zero, other, (30, 2), above=False, last=True),
+            lambda found, other, zero: module._result(found, 30, 2, 1e-3, 1e-3, zero > 0.0),
+        ],
+    )  # fmt: skip
+    def test_a_step_leaves_its_record_unchanged(self, step, turning):
+        error = 3e-3 * np.random.default_rng(0).standard_normal((2, N))
+        found = changed(
+            state(error, rate=0.3 if turning else 0.005),
+            turning=turning,
+            size={"m0": 1e-3, "m1": 1e-3},
+            absorbed={"m0": 0.1},
+        )
+        before = list(leaves(found))
+        arrays = [(value, value.tobytes()) for _, value in before if isinstance(value, np.ndarray)]
+        assert len(arrays) > 20
+        for array, _ in arrays:
+            array.flags.writeable = False
+        step(found, self.OTHER, self.ZERO)
+        after = list(leaves(found))
+        assert [place for place, _ in after] == [place for place, _ in before]
+        for (_, one), (_, other) in zip(before, after, strict=True):
+            assert one is other
+        assert all(array.tobytes() == values for array, values in arrays)
+
+    def test_markers_are_joined_from_read_only_arrays(self):
+        given = state(1e-3 * np.random.default_rng(0).standard_normal((2, N)))
+        for _, value in leaves(given):
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+        body = join(given.path, given.candidates, 1000.0, self.OTHER)
+        assert body.count.tolist() == [2] * N
 
 
 class TestClosedCurve:
@@ -267,12 +372,11 @@ class TestLearning:
         turn = 0.3 * np.arange(N)
         error = [4e-3 * np.cos(3 * (turn + m)) + 1e-3 + 3e-4 * rng.standard_normal(N) for m in (0.0, 2.0)]
         found = state(error, scatter=dict.fromkeys(("m0", "m1"), (0.0003, 0.0003)))
-        found.turning[:] = True
-        learn_places(found, np.zeros(N))
-        assert found.by_place["m1"] == pytest.approx(4e-3 * np.cos(3 * (turn + 2.0)), abs=6e-4)
-        assert found.common_kept is False
-        assert (found.absorbed["m0"] > 0).all()
-        assert found.absorbed["m0"].sum() < KNOTS
+        learnt = errors_by_place(changed(found, turning=True), np.zeros(N))
+        assert learnt.error["m1"] == pytest.approx(4e-3 * np.cos(3 * (turn + 2.0)), abs=6e-4)
+        assert learnt.common_kept is False
+        assert (learnt.leverage["m0"] > 0).all()
+        assert learnt.leverage["m0"].sum() < KNOTS
 
     @pytest.mark.parametrize(("share", "geometry"), [(0.19, False), (0.21, True)])
     def test_curves_are_learnt_from_fast_frames_if_there_are_enough(self, share, geometry):
@@ -281,21 +385,19 @@ class TestLearning:
         e = 2e-3 + 1e-3j
         error = [e.imag * np.cos(turn + m) - e.real * np.sin(turn + m) for m in (0.0, 2.0)]
         found = state(error, scatter=dict.fromkeys(("m0", "m1"), (0.0001, 0.0001)))
-        found.turning[:] = True
-        found.fast[:] = np.arange(N) < share * N
-        learn_places(found, np.zeros(N))
-        assert found.common_kept is not geometry
-        assert (set(found.axis_off) == {"m0", "m1"}) is geometry
+        found = changed(found, turning=True, fast=np.arange(N) < share * N)
+        learnt = errors_by_place(found, np.zeros(N))
+        assert learnt.common_kept is not geometry
+        assert (set(learnt.axis_off) == {"m0", "m1"}) is geometry
         if geometry:
-            assert found.axis_off["m0"] == pytest.approx(e, rel=0.1)
+            assert learnt.axis_off["m0"] == pytest.approx(e, rel=0.1)
 
     def passed(self, *, above, other_rate, last=False):
         turn, other = 0.3 * np.arange(N), 1.0 + other_rate * np.arange(N)
         error = [3e-3 * np.cos(2 * (turn + m - other)) for m in (0.0, 2.0)]
         found = state(error, scatter=dict.fromkeys(("m0", "m1"), (0.0002, 0.0002)))
-        found.turning[:] = True
-        learn_neighbours(found, np.zeros(N), other, (30, 2), above=above, last=last)
-        return found, error
+        found = changed(found, turning=True)
+        return errors_by_neighbour(found, np.zeros(N), other, (30, 2), above=above, last=last), error
 
     @pytest.mark.parametrize(
         ("above", "other_rate", "learnt"),
@@ -304,11 +406,11 @@ class TestLearning:
     def test_errors_beside_another_body_are_learnt_where_it_passes_fast(self, above, other_rate, learnt):
         """80 and 60 rad/s beside 300 rad/s; below it, of partly occluded markers at any speed."""
         found, error = self.passed(above=above, other_rate=other_rate)
-        learnt_ = found.by_neighbour["m1"]
+        learnt_ = found.error["m1"]
         if learnt and not above:
             assert learnt_ == pytest.approx(error[1], abs=5e-4)
         assert learnt_.any() == learnt
-        assert found.absorbed["m1"].any() == learnt
+        assert found.leverage["m1"].any() == learnt
 
     def test_the_slow_part_of_an_error_from_above_is_motion(self, monkeypatch):
         windows = []
@@ -320,10 +422,10 @@ class TestLearning:
         monkeypatch.setattr(module, "local_fit", slow)
         size = 0.0
         whole, error = self.passed(above=True, other_rate=0.38)
-        assert whole.by_neighbour["m0"] == pytest.approx(error[0], abs=5e-4)
+        assert whole.error["m0"] == pytest.approx(error[0], abs=5e-4)
         size = 1e-3
         rest, _ = self.passed(above=True, other_rate=0.38)
-        assert whole.by_neighbour["m0"] - rest.by_neighbour["m0"] == pytest.approx(np.full(N, 1e-3))
+        assert whole.error["m0"] - rest.error["m0"] == pytest.approx(np.full(N, 1e-3))
         assert set(windows) == {(30, 2)}
 
     def test_the_shown_share_is_that_beyond_the_noise(self):
@@ -338,24 +440,24 @@ class TestLearning:
 
     def test_the_error_by_place_is_that_of_the_better_marker_without_noise(self):
         """Of 4 and 3 mrad rms, with a noise of 0.6 times 2 mrad: sqrt(9 - 2.4)."""
-        found = state(scatter=dict.fromkeys(("m0", "m1"), (0.002, 0.002)))
-        found.turning[:] = True
-        for name, size in (("m0", 4e-3), ("m1", 3e-3)):
-            found.by_place[name][:] = size * np.where(np.arange(N) % 2, 1, -1)
-            found.absorbed[name][:] = 0.6
+        sign = np.where(np.arange(N) % 2, 1, -1)
+        found = changed(
+            state(scatter=dict.fromkeys(("m0", "m1"), (0.002, 0.002))),
+            turning=True,
+            by_place={"m0": 4e-3 * sign, "m1": 3e-3 * sign},
+            absorbed=dict.fromkeys(("m0", "m1"), 0.6),
+        )
         assert place_error(found) == pytest.approx(math.sqrt(9 - 2.4) * 1e-3)
-        found.by_place["m1"][:] *= 0.1
+        found = changed(found, by_place={"m1": 3e-4 * sign})
         assert place_error(found) == 0.0
         for share, known in ((0.51, True), (0.49, False)):
-            found.turning[:] = np.arange(N) < share * N
-            assert math.isnan(place_error(found)) is not known
+            part = changed(found, turning=np.arange(N) < share * N)
+            assert math.isnan(place_error(part)) is not known
 
     def test_places_outside_whole_turns(self):
-        found = state()
-        found.turning[:] = np.arange(N) >= 100
+        found = changed(state(), turning=np.arange(N) >= 100)
         assert places_passed(found) == pytest.approx(99 * 0.3 / CELL)
-        found.turning[:] = True
-        assert places_passed(found) == 0.0
+        assert places_passed(changed(found, turning=True)) == 0.0
 
 
 class TestVariances:
@@ -380,8 +482,7 @@ class TestVariances:
     def test_after_thirty_turns_curves_are_known(self, turns, known):
         n = 260
         found = state(n=n, rate=turns * TURN / n, scatter=dict.fromkeys(("m0", "m1"), (0.001, 0.001)))
-        found.turning[:] = True
-        found.place_size = {"m0": 1e-3, "m1": 1e-3}
+        found = changed(found, turning=True, size={"m0": 1e-3, "m1": 1e-3})
         error, left = module._variance_shares(found, 6)
         assert (error != 1.0).any() == known
         assert (left < 1.0).any() == known
@@ -394,9 +495,7 @@ class TestVariances:
         """The variance of the angle after both are fitted, by the inverse of the whole normal matrix."""
         n, motion, size = 150, 5, 2e-3
         found = state(n=n, rate=2.5 * TURN / n, mounts=(0.0,), scatter={"m0": (1e-3, 1e-3)})
-        found.turning[:] = True
-        found.common_kept = False
-        found.place_size = {"m0": size}
+        found = changed(found, turning=True, common_kept=False, size={"m0": size})
         error, left = module._variance_shares(found, motion)
         spline = module._cubic_splines(n, motion)
         hats = TestClosedCurve().basis(found.candidates["m0"].angle)
@@ -437,26 +536,24 @@ class TestView:
         found = state(
             error, rate=3.5 / frames, n=frames, mounts=mounts, scatter=dict.fromkeys(names, (noise, noise))
         )
-        found.turning[:] = turning
-        return found, error, learn_view(found, floor, arcs or {})
+        return found, error, errors_of_view(changed(found, turning=turning), floor, arcs or {})
 
     @pytest.mark.parametrize("change", [{"mounts": (0.0,)}, {"floor": 0.0}, {"turning": True}])
     def test_it_needs_two_markers_that_cover_less_than_a_turn(self, change):
-        found, _, uncertainty = self.learnt(0.02 + 0.01j, **change)
-        assert uncertainty is None
-        assert not found.by_place["m0"].any()
+        _, _, view = self.learnt(0.02 + 0.01j, **change)
+        assert view is None
 
     def test_markers_that_disagree_show_the_axis(self):
         """The mean motion of both is not known; their difference is."""
-        found, error, uncertainty = self.learnt(0.02 - 0.01j)
+        _, error, view = self.learnt(0.02 - 0.01j)
         true = error[0] - error[1]
-        known = found.by_place["m0"] - found.by_place["m1"]
+        known = view.error["m0"] - view.error["m1"]
         assert np.std(true - known) < 0.1 * np.std(true)
-        assert np.median(uncertainty) > 0.0
+        assert np.median(view.sigma) > 0.0
         # the error of the mean of both is what is left after the motion
-        mean = 0.5 * (error[0] + error[1]) - 0.5 * (found.by_place["m0"] + found.by_place["m1"])
+        mean = 0.5 * (error[0] + error[1]) - 0.5 * (view.error["m0"] + view.error["m1"])
         mean -= mean.mean()
-        assert np.sqrt(np.mean((mean / uncertainty) ** 2)) < 2.5
+        assert np.sqrt(np.mean((mean / view.sigma) ** 2)) < 2.5
 
     def test_an_offset_of_an_arc_turns_by_a_quarter(self):
         """An offset e displaces a marker at the angle a by e_y cos a - e_x sin a: errors of e_x are of the sine."""
@@ -471,10 +568,10 @@ class TestView:
             n=300,
             scatter=dict.fromkeys(("m0", "m1"), (1e-05, 1e-05)),
         )
-        learn_view(moved, 1e-6, wide)
+        view = errors_of_view(moved, 1e-6, wide)
         a = found.candidates["m0"].angle
         wave = np.linalg.lstsq(
-            np.column_stack([np.sin(a), np.cos(a), np.ones(300)]), moved.by_place["m0"], rcond=None
+            np.column_stack([np.sin(a), np.cos(a), np.ones(300)]), view.error["m0"], rcond=None
         )[0]
         assert wave[0] == pytest.approx(5e-3, rel=0.1)
         assert abs(wave[1]) < 5e-4
@@ -511,8 +608,9 @@ class TestJoin:
 
         def learn(state, smooth, other, window, *, above, last):
             seen.append((other, window, above, last))
+            return state.neighbour
 
-        monkeypatch.setattr(module, "learn_neighbours", learn)
+        monkeypatch.setattr(module, "errors_by_neighbour", learn)
         given, other = state(), np.linspace(0.0, 9.0, N)
         found = join(given.path, given.candidates, 1000.0, other, above=above)
         window = module.learning_window(given.path)
