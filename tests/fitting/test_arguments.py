@@ -1,5 +1,7 @@
 """Wrong arguments of public functions and the repr of public results: one sentence, one screen."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from cases import fitted, searched
@@ -218,3 +220,23 @@ def test_a_plan_and_a_scan_print_within_a_screen():
     assert repr(scan).count("\n") == 19
     text = repr(Plan(found, False, 1e-7, (), (), None, "Only one recording."))
     assert text.splitlines() == ["plan: 0 effects, for an rms torque of 1e-07 N m", "Only one recording."]
+
+
+@pytest.mark.parametrize(
+    ("separate", "joint", "converged"),
+    [
+        ("adequate", "missing_effect", True),
+        ("adequate", "not_converged", False),
+        ("not_converged", "adequate", False),
+        ("adequate", None, True),
+        ("not_converged", None, False),
+    ],
+)
+def test_a_scan_converged_if_all_its_separate_and_joint_fits_did(separate, joint, converged):
+    from fitting import Scan
+    from fitting.study._scan import ModelFits
+
+    good, last = SimpleNamespace(verdict="adequate"), SimpleNamespace(verdict=separate)
+    both = SimpleNamespace(verdict=joint) if joint else None
+    models = (ModelFits("reduced", (good,), good, (), ()), ModelFits("general", (good, last), both, (), ()))
+    assert Scan(("case1",), ((),), ((),), models).converged == converged

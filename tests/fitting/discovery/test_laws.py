@@ -31,6 +31,7 @@ from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._laws import Law, Laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
 from fitting.dynamics._collocation import Sampler
+from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._library import find
 from fitting.effects._user import resolve
 from fitting.inference._fit import fit
@@ -381,3 +382,32 @@ def test_the_torque_of_a_law_is_the_rms_over_the_times_of_all_cases():
     expected = math.sqrt(np.mean(squares))
     assert _laws._torque_rms(found, [find(drag)]) == pytest.approx(expected, rel=1e-3)
     assert abs(np.mean(np.sqrt(squares)) / expected - 1) > 0.05
+
+
+def test_net_torques_are_along_the_motion_of_another_fit_with_the_own_further_states(monkeypatch):
+    """Speeds of the other fit, a temperature of the own one; torques are inertias times accelerations."""
+
+    class Sampler(SimpleNamespace):
+        def value(self, y):
+            return y
+
+    def made(y):
+        dynamics = SimpleNamespace(rates=lambda t, y, numbers: asked.append(y) or 10.0 * y)
+        return SimpleNamespace(
+            theta=None,
+            predictions=[SimpleNamespace(path=SimpleNamespace(mesh=None, y=np.array(y)))],
+            problem=SimpleNamespace(
+                layout=SimpleNamespace(numbers=lambda theta, case: {INERTIA_ROTOR: 2.0, INERTIA_CASING: 3.0}),
+                cases=[SimpleNamespace(dynamics=dynamics)],
+            ),
+        )
+
+    asked = []
+    monkeypatch.setattr(_laws, "Sampler", lambda mesh, times: Sampler())
+    found, along = (
+        made([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
+        made([[7.0, 8.0, 9.0, 0.5], [0.1, 0.2, 0.3, 0.4]]),
+    )
+    torques = _laws.net_torques(found, along, 0, np.arange(2.0))
+    assert asked[0].tolist() == [[7.0, 8.0, 3.0], [0.1, 0.2, 6.0]]
+    assert torques == pytest.approx(np.array([[140.0, 2.0], [240.0, 6.0]]))

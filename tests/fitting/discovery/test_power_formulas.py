@@ -487,6 +487,17 @@ def bare(**attributes):
     return made
 
 
+def test_the_cases_share_the_shapes_of_the_first():
+    class Case(SimpleNamespace):
+        def trials(self, effect, choices=None):
+            return [SimpleNamespace(shape=x, of=self.own) for x in choices or self.own]
+
+    first, second = [{"t0": 1.0}, {"t0": 2.0}], [{"t0": 7.0}, {"t0": 8.0}, {"t0": 9.0}]
+    found = bare(cases=[Case(own=first), Case(own=second)])._all_trials(STEP)
+    assert [[t.shape for t in case] for case in found] == [first, first]
+    assert [case[0].of for case in found] == [first, second]
+
+
 class TestThresholds:
     def test_a_law_of_each_case_is_also_tested_with_a_common_strength(self, monkeypatch):
         """Its p-value counts twice; BIC counts the parameters of each case."""

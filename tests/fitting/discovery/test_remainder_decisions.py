@@ -111,6 +111,14 @@ class TestTorques:
             1.0, abs=1e-4
         )
 
+    def test_a_torque_of_the_angle_in_the_base_is_subtracted(self):
+        base = lawful(UNBALANCE, unbalance=1e-5, phi=0.2)
+        end = lawful(DRAG, UNBALANCE, drag=K, unbalance=3e-5, phi=0.4)
+        ((_, harmonics),) = Torques(base, end, residual=False).unmodelled
+        assert harmonics == {(1, UNBALANCE): pytest.approx(3e-5 * np.exp(0.4j) - 1e-5 * np.exp(0.2j))}
+        ((_, removed),) = Torques(base, lawful(DRAG, drag=K), residual=False).unmodelled
+        assert removed == {(1, UNBALANCE): pytest.approx(-1e-5 * np.exp(0.2j))}
+
     def test_cases_count_by_their_mean(self):
         cases = ("a", "b")
         names = (*LINEAR, DRAG)

@@ -306,6 +306,7 @@ ARRAYS = {"t": T, "omega": OMEGA}
         ({"rotor": ARRAYS}, "'rotor' cannot be the name of a body alone"),
         ({"a b": ARRAYS}, "'a b' cannot be the name"),
         ({"wheel": T}, "wheel is a ndarray, not a mapping"),
+        ({"wheel": [ARRAYS, ARRAYS]}, "wheel is a list, not a mapping"),
         ({"wheel": {"t": T}}, "needs its times t and one of omega and angle"),
         ({"wheel": ARRAYS | {"angle": OMEGA}}, "one of omega and angle"),
         ({"wheel": ARRAYS | {"speed": OMEGA}}, "unknown entry 'speed'"),

@@ -57,6 +57,12 @@ class TestCurves:
         assert found.scaled(3.0).sigma == pytest.approx(np.full(4, 3e-3))
         assert found.keep(np.array([True, False, False, True])).time == pytest.approx([0.2, 0.5])
 
+    def test_selected_samples_keep_their_own_sigma(self):
+        given = Curve(np.arange(4.0), 10.0 + np.arange(4.0), np.array([0.1, 0.2, 0.3, 0.4]))
+        kept = given.keep(np.array([False, True, False, True]))
+        assert [kept.time.tolist(), kept.angle.tolist()] == [[1.0, 3.0], [11.0, 13.0]]
+        assert kept.sigma.tolist() == [0.2, 0.4]
+
     def test_the_clock_of_a_clip(self):
         assert Start(10.0, 0.5, 0.0).casing_times(np.array([0.0, 2.0])).tolist() == [10.0, 13.0]
 

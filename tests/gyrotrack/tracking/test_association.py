@@ -1,7 +1,10 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from gyrotrack.tracking._association import LONGEST_COAST, Motion, find_lock, follow
+from gyrotrack.tracking._film_tracker import BodyTracker
 
 COLUMNS = 256
 
@@ -62,3 +65,14 @@ def test_after_a_long_loss_it_gives_up():
     angle, _, motion = follow(_score(0.1 * np.arange(200), shown), Motion(0.0, 0.1), 0.4)
     assert np.isnan(angle[100 + LONGEST_COAST + 1 :]).all()
     assert motion.missed > LONGEST_COAST
+
+
+def test_a_search_of_whole_rings_begins_with_the_predicted_angle_and_speed():
+    tracker = BodyTracker.__new__(BodyTracker)
+    tracker._prediction = SimpleNamespace(at=lambda frame: (5.0 + 0.3 * frame - 0.01 * frame**2, 0.02))
+    tracker._missed = 4
+    motion = tracker._motion_at(10.0)
+    assert (motion.angle, motion.step, motion.missed) == pytest.approx((7.0, 0.3 - 0.21, 4))
+    assert tracker._motion_at(11.0) is None  # only once: the frames before were searched as a whole
+    tracker._missed, tracker._prediction = 0, SimpleNamespace(at=lambda frame: None)
+    assert tracker._motion_at(10.0) is None

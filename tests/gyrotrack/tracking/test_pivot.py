@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._pivot import STRAIGHT, Arc, angles_about, fit_arc
+from gyrotrack.tracking._pivot import STRAIGHT, Arc, Orbit, angles_about, fit_arc
 
 HUB = np.array([40.0, -170.0])
 
@@ -59,6 +59,14 @@ def test_a_pivot_is_determined_from_four_standard_uncertainties_of_the_curvature
     arc = Arc(np.zeros(2), np.eye(2), 100.0, 0.01, 0.01, 0.1, 0.0)
     for sigmas in (1.05, 0.95):
         assert dataclasses.replace(arc, curvature=sigmas * STRAIGHT * 0.01).determined == (sigmas > 1)
+
+
+def test_an_orbit_is_flattened_from_four_standard_uncertainties_of_the_stretch():
+    covariance = np.diag([9.0, 9.0, 9.0, 0.01**2, 0.02**2])
+    for stretch, sigmas in ((np.array([0.01, 0.0]), 1.0), (np.array([0.01, -0.02]), np.sqrt(2))):
+        for factor in (1.05, 0.95):
+            value = np.array([40.0, 60.0, 50.0, *(factor * STRAIGHT / sigmas * stretch)])
+            assert Orbit(value, covariance).flattened == (factor > 1)
 
 
 def test_outliers_do_not_move_the_pivot():

@@ -66,6 +66,23 @@ def test_a_screened_candidate_reaches_three_quarters_of_what_is_required(monkeyp
     assert not _candidates((), motion, None, share=_any_body._SCREENED).kept
 
 
+def test_the_picture_of_a_trial_is_learned_from_some_frames_with_the_angles_of_these(monkeypatch):
+    given = {}
+    monkeypatch.setattr(_any_body, "every", lambda count: 3)
+    monkeypatch.setattr(
+        _any_body,
+        "learn",
+        lambda polars, angle, *_, **__: given.update(zip(polars, angle, strict=True)) or "it",
+    )
+    monkeypatch.setattr(_any_body, "explained", lambda *compared: compared)
+    polars, angle = [f"frame {k}" for k in range(10)], 0.1 * np.arange(10)
+    compared = _any_body._score(polars, angle, np.ones(1, bool), None, separate=True)
+    assert given == {f"frame {k}": pytest.approx(0.1 * k) for k in (0, 3, 6, 9)}
+    assert compared[0] is polars
+    assert compared[1] is angle
+    assert compared[2] == "it"
+
+
 @pytest.mark.parametrize(("angles", "loose"), [(0.0051, True), (0.0049, False), (1.99, True), (2.01, False)])
 def test_a_loose_body_turns_measurably_in_reduced_frames(monkeypatch, angles, loose):
     turn = np.exp(1j * np.linspace(0.0, angles, 30))

@@ -29,6 +29,13 @@ def test_the_body_stops_where_it_stops(stop):
     assert -0.6 < T[found] - stop < 0.25
 
 
+@pytest.mark.parametrize("stop", [2011, 2015, 2020])
+def test_the_end_is_that_of_the_last_eighth_of_a_period_with_motion(stop):
+    """Eighths of 10 samples, counted from the end of the record; the body is stopped halfway between two reversals."""
+    angle = np.where(np.arange(len(T)) < stop, np.cos(2 * np.pi * T / 1.6), -1.0)
+    assert end(angle, 1e-9) == 2020
+
+
 @pytest.mark.parametrize(("rest", "cut"), [(1.4, False), (1.9, True)])
 def test_rest_lasts_for_a_period(rest, cut):
     """1.6 s; with the last deflections below the noise it is 1.5 s after the stop at the latest."""
