@@ -344,7 +344,7 @@ def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
         lines += _curves(d)
     shown = [c for c in d.candidates if c.score > 0][:_CANDIDATES]
     if shown:
-        head = "tested, not significant:" if d.verdict == "adequate" else "candidate effects:"
+        head = "tested, not established:" if d.verdict == "adequate" else "candidate effects:"
         lines += ["", head, *_candidate_lines(d, shown)]
     if d.next_experiment:
         lines += ["", *_wrapped(f"next experiment: {d.next_experiment}")]

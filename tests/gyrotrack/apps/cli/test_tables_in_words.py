@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import Case, fit
+from fitting import LIBRARY, Case, fit
 from gyrotrack.apps.cli._output import diagnosis_tables, fit_tables, ladder_tables
 from gyrotrack.apps.cli._parameters import key_beneath
 
@@ -66,6 +66,25 @@ def test_torques_of_an_undecided_answer_are_not_called_a_lack_of_fit(found, verd
     assert head in lines
     assert any(line.endswith(mark) for line in lines)
     assert ("lack of fit" in text) == (verdict == "unexplained")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "head"),
+    [("adequate", "tested, not established:"), ("missing_effect", "candidate effects:")],
+)
+def test_a_significant_candidate_without_enough_evidence_is_not_called_insignificant(found, verdict, head):
+    candidate = SimpleNamespace(
+        effect=LIBRARY["casing.unbalance"], score=26.8, delta_bic=-7.0, p_value=0.007, physical=True, fit=None,
+        significant=True, screened=SimpleNamespace(absorbed=False), indistinguishable_from=(),
+    )  # fmt: skip
+    answer = SimpleNamespace(
+        fit=found, verdict=verdict, sentence="A sentence.", failures=[], torques=[],
+        candidates=[candidate], differs=None, next_experiment="",
+    )  # fmt: skip
+    (text,) = diagnosis_tables(answer, "f1")
+    assert head in text.splitlines()
+    assert "not significant" not in text
+    assert "0.007" in text
 
 
 def _step(fit_id, bic, *, misfit=1.0, bic_noise=500.0):
