@@ -537,3 +537,17 @@ class TestFastBody:
         ]
         found = static_light(strips, angles, texture.LOWEST_LIGHT_ORDER)
         assert found == pytest.approx(np.tile(4.0 * np.cos(3.0 * THETA), (len(RADIUS), 1)), abs=0.4)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_ring_is_aligned_up_to_its_margin(sense):
+    """The angle that the ring shows is beyond the margin, where no samples are; the rest is a rotation of zones."""
+    step = sense * texture.STEP
+    angle, odd = np.linspace(0.0, 0.8 * TURN, 64), np.arange(64) % 2 == 1
+    tracker = TextureTracker(HUB, OUTER, SIZE, 64)
+    coarse = angle - np.where(odd, texture.MARGIN - 0.6, 3.0) * step
+    tracker.take(frames_of([picture(a) for a in angle]), 0, coarse)
+    _, found = tracker.measure(64, angle + np.where(odd, -0.8, 0.8) * step)
+    error = found.angle - angle
+    assert np.isfinite(error).all()
+    assert abs(error[odd].mean() - error[~odd].mean()) < 3e-3  # 28 mrad of the given angles
