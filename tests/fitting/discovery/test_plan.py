@@ -14,8 +14,9 @@ from scipy.stats import norm
 
 from fitting import LIBRARY, REDUCED, EstimationError, Model, make_record, plan, simulate
 from fitting._criteria import DEFAULT
+from fitting.discovery import _next_run
 from fitting.discovery._information import Information, Run, rivals, schur, simulated
-from fitting.discovery._next_run import Bounds, _RunSearch, next_run, separating_run
+from fitting.discovery._next_run import Bounds, _RunSearch, _Tried, next_run, separating_run
 from fitting.discovery._plan import read_planned
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._collocation import Sampler
@@ -301,7 +302,56 @@ class Hill(_RunSearch):
         self.tried.append(SimpleNamespace(x=x, sense=sense, value=-float(np.abs(x - self.best).sum())))
 
 
+class Survey(_RunSearch):
+    """A search whose first runs are listed; the separation of each pair of rivals in each run is given."""
+
+    def __init__(self, separations=(), evaluations=60, windows=3, start=45.0, *, reversible=True):
+        self._bounds = SimpleNamespace(omega_casing=(20.0, 70.0), reversible=reversible)
+        self._start, self._evaluations, self._windows = start, evaluations, windows
+        self._rivals, self._criteria, self.tried, self.runs = tuple(separations[:1]), DEFAULT, [], []
+        self._information = SimpleNamespace(present=100)
+        self._inseparable, self._separations = [], separations
+        self._criterion = SimpleNamespace(pairs=lambda total: separations[total - 100])
+
+    def _keep(self, x, sense):
+        self.runs.append((x, sense))
+        if len(self.tried) < len(self._separations):
+            self.tried.append(_Tried(math.nan, x, sense, None, len(self.tried), None))
+
+
 class TestNextRun:
+    @pytest.mark.parametrize(("evaluations", "count"), [(3, 4), (30, 10), (60, 20), (90, 20)])
+    def test_usual_runs_come_first_and_then_a_third_as_many_as_are_evaluated(self, evaluations, count):
+        search = Survey(evaluations=evaluations)
+        search.explore()
+        assert [x[:3].tolist() for x, _ in search.runs[:4]] == [
+            [1.0, 0.5, 0.5], [0.5, 0.5, 0.5], [1.0, 1.0, 0.5], [1.0, 0.0, 0.5]
+        ]  # fmt: skip
+        assert len(search.runs) == 4 + count
+        assert all(x[3:].tolist() == pytest.approx([0.03, 0.5, 0.97]) for x, _ in search.runs)
+        assert all(0.0 <= v <= 1.0 for x, _ in search.runs for v in x)
+
+    @pytest.mark.parametrize(("start", "share"), [(10.0, 0.0), (30.0, 0.2), (80.0, 1.0)])
+    def test_the_usual_speed_of_the_casing_is_that_of_the_recording_within_the_bounds(self, start, share):
+        search = Survey(start=start, windows=1)
+        search.explore()
+        assert search.runs[0][0].tolist() == pytest.approx([1.0, share, 0.5, 0.03])
+
+    @pytest.mark.parametrize("reversible", [True, False])
+    def test_every_third_of_the_further_runs_is_reversed_where_that_is_possible(self, reversible):
+        search = Survey(reversible=reversible)
+        search.explore()
+        backward = [i for i, (_, sense) in enumerate(search.runs) if sense < 0]
+        assert backward == ([5, 8, 11, 14, 17, 20, 23] if reversible else [])
+
+    def test_rivals_that_no_run_separates_are_ignored(self, monkeypatch):
+        """By a difference of deviance of 1 in one run at least."""
+        monkeypatch.setattr(_next_run, "_Criterion", lambda *given: lambda total: (total, given[-1]))
+        search = Survey([{(0, 1): 0.2, (1, 0): 0.9}, {(0, 1): 1.1, (1, 0): 0.8}])
+        search.explore()
+        assert search._inseparable == [(1, 0)]
+        assert [t.value for t in search.tried] == [(100, [(1, 0)]), (101, [(1, 0)])]
+
     @pytest.mark.parametrize("best", [(0.77, 0.3), (0.0, 1.0), (0.1, 0.1)])
     def test_steps_are_halved_only_when_no_setting_is_better(self, best):
         """They begin at a quarter of the range and end at a fiftieth: the last ones are 1 / 32."""

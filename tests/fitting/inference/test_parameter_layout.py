@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from cases import data
 
-from fitting import LINEAR, REDUCED, EffectError, Model, Record
+from fitting import LINEAR, REDUCED, EffectError, Input, Model, Record, effect, make_record
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._expression import Tape
 from fitting.inference._parameters import ParameterLayout
@@ -71,9 +71,31 @@ def test_each_case_gets_its_own_numbers(records):
 
 
 def test_unknown_names_are_refused(records):
-    for words in ({"share": ["touchpoint.rough"]}, {"per_case": ["nothing"]}):
+    for words in (
+        {"share": ["touchpoint.rough"]}, {"share": ["touchpoint.const"]}, {"per_case": ["bear"]},
+        {"per_case": ["nothing"]},
+    ):  # fmt: skip
         with pytest.raises(EffectError, match="is not a parameter of the model"):
             ParameterLayout.of(Model.of(LINEAR), records, **words)
+
+
+@pytest.mark.parametrize(
+    ("per_inertia", "gain", "friction"), [(True, "kg-1 m-2", "s-1"), (False, "1", "N m s")]
+)
+def test_only_the_gain_of_a_recorded_torque_has_the_unit_of_a_gain(per_inertia, gain, friction):
+    """Not the exponent of a law of the torque, which has no unit either."""
+    t = np.linspace(0.0, 2.0, 40)
+    drive = Input("drive", [0.0, 1.0], [0.0, 3.0], "N m", interpolation="hold")
+    record = make_record(
+        casing=(t, 5.0 - t, np.full(40, 0.01)), rotor=[], quantity="omega", inputs=[drive], I_rotor=1.0,
+        I_casing=1.0, per_inertia=per_inertia, single=True,
+    )  # fmt: skip
+    model = Model.of(["casing.air.linear"])
+    for law in ("casing: k*drive", "casing: q*drive**n"):
+        model = model + effect(law, [drive])
+    layout = ParameterLayout.of(model, [record])
+    names = ("casing: k*drive.k", "casing: q*drive**n.n", "casing.air.linear.b2", "initial.omega_c@case")
+    assert [layout.unit(name) for name in names] == [gain, "1", friction, "rad s-1"]
 
 
 def test_ranges_tighten_bounds_and_never_widen_them(records):

@@ -1,5 +1,6 @@
 """New recordings of a fit, against the errors that they must contain."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -180,6 +181,27 @@ def test_starts_of_windows_move_their_angles_by_speed_times_uncertainty(gyroscop
     assert np.std(shifts[0]) == pytest.approx(2e-3 * abs(speed), rel=0.4)
     assert np.std(shifts[1]) < 1e-3 * abs(speed) * 2e-1
     assert np.std(shifts[2]) < 1e-3 * abs(speed) * 2e-1
+
+
+def test_each_run_has_the_slow_errors_of_its_camera(gyroscope, monkeypatch):
+    data, drawn = copy(gyroscope.problem.data[0]), []
+    vars(data).update(angle_noise=AngleNoise(1e-3, time=1.0), rotor_angle_noise=AngleNoise(2e-3, time=2.0))
+
+    def slow_error(run, noise, random):
+        drawn.append((run, noise.sigma))
+        return np.full(len(run), noise.sigma * 1e3)
+
+    found = []
+    for error in (lambda run, *_: np.zeros(len(run)), slow_error):
+        monkeypatch.setattr(_replica, "_slow_error", error)
+        found.append(_replica._recording(FittedMotion(gyroscope, 0, data), np.random.default_rng(0)))
+    plain, shifted = found
+    record = data.record
+    assert [s for _, s in drawn] == [1e-3] + [2e-3] * len(record.rotor)
+    assert all(a is b for (a, _), b in zip(drawn, (record.casing, *record.rotor), strict=True))
+    np.testing.assert_allclose(shifted.casing.value - plain.casing.value, 1.0)
+    for a, b in zip(shifted.rotor, plain.rotor, strict=True):
+        np.testing.assert_allclose(a.value - b.value, 2.0)
 
 
 def test_no_random_torque_where_the_recording_has_none(speeds):

@@ -249,3 +249,22 @@ def test_the_depth_of_a_region_is_the_distance_from_its_edge():
     assert _silhouettes.depth_of(region) == pytest.approx(expected, abs=1e-3)
     whole = np.minimum.reduce([y + 1, 9 - y, x + 1, 14 - x])
     assert _silhouettes.depth_of(np.ones((9, 14), np.uint8)) == pytest.approx(whole, abs=1e-3)
+
+
+@pytest.mark.parametrize(("count", "step"), [(29, 1), (59, 1), (60, 2)])
+def test_every_second_frame_of_a_full_sample_is_compared(count, step):
+    seen = _silhouettes.Foreground(range(count), np.zeros((1, 1)), 1.0)
+    assert list(seen.few) == list(range(0, count, step))
+
+
+@pytest.mark.parametrize(("measured", "noise"), [(0.7, 0.7), (0.3, 0.5)])
+def test_the_background_is_the_median_of_sixty_usable_frames(monkeypatch, measured, noise):
+    asked = []
+    monkeypatch.setattr(_silhouettes, "spatial_noise", lambda frames: asked.append(len(frames)) or measured)
+    film = SimpleNamespace(some=lambda index: [np.full((40, 3), k % 256, np.uint8) for k in index])
+    found = _silhouettes.Foreground.of(film, np.arange(5, 125))
+    assert [int(f[0, 0]) for f in found.sample] == [int(5 + 119 * k / 59) for k in range(60)]
+    assert (asked, found.noise) == ([9], noise)
+    assert found.background == pytest.approx(np.full((40, 3), np.median([f[0, 0] for f in found.sample])))
+    few = _silhouettes.Foreground.of(film, np.arange(7))
+    assert (len(few.sample), asked) == (7, [9, 7])

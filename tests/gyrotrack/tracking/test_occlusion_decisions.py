@@ -119,6 +119,16 @@ class TestPlace:
         assert seen.outside(10.0, 240.5, 0.1, (640, 480)).tolist() == [True, True]
         assert seen.outside(10.0, 240.5, 0.01, (640, 480)).tolist() == [False, False]
 
+    @pytest.mark.parametrize("white", [True, False])
+    def test_of_a_white_marker_the_brightness_is_averaged_and_not_the_height(self, white):
+        """A brightness of 1 at every angle, above a ground that varies."""
+        ground = np.linspace(0.1, 0.5, 40)
+        strip = SimpleNamespace(white=white, ground=ground, ring=SimpleNamespace(columns=40))
+        light = tracker.MarkerTracker(SimpleNamespace(), strip).light
+        light.learn(0, np.arange(40), np.ones(40), 1.0 - ground)
+        ((*height,),) = light.heights(3)
+        assert (np.ptp(height / (1.0 - ground)) < 1e-9) == white
+
     def test_a_position_is_at_the_median_radius_where_it_is_not_known(self):
         seen = observed(4, angle=np.full(4, math.pi / 2), radius=np.array([50.0, 52.0, 54.0, 99.0]))
         found = seen.position(np.array([True, True, True, False]))

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import VideoError
-from gyrotrack.video._container import opened, probe
+from gyrotrack.video._container import Orientation, opened, planes_of, probe
 
 
 def _film(path, size=(64, 48), frames=3, rate=30, codec="libx264", fmt="yuv420p"):
@@ -76,3 +76,23 @@ def test_a_huge_picture_is_not_decoded(tmp_path, monkeypatch):
     monkeypatch.setattr("gyrotrack.video._container.MAX_PIXELS", 1000)
     with pytest.raises(VideoError, match="too large"), opened(path):
         pass
+
+
+@pytest.mark.parametrize(
+    ("aspect", "luma", "chroma"),
+    [
+        (1.0, (20, 30), (10, 15)),
+        (1.1, (20, 33), (10, 17)),
+        (1.2, (20, 36), (10, 18)),
+        (1 / 1.05, (21, 30), (11, 15)),
+    ],
+)
+@pytest.mark.parametrize("quarters", [0, 1])
+def test_planes_of_a_film_of_other_pixels_have_the_size_of_square_ones(aspect, luma, chroma, quarters):
+    """Colours are sampled at every second pixel, the last one included."""
+    frame = av.VideoFrame.from_ndarray(np.full((30, 30), 100, dtype=np.uint8), format="yuv420p")
+    found = planes_of(frame, 7, Orientation(quarters=quarters, aspect=aspect))
+    turned = slice(None, None, -1 if quarters else 1)
+    assert found.y.shape == luma[turned]
+    assert found.u.shape == found.v.shape == chroma[turned]
+    assert (found.index, int(found.y.min()), int(found.u.max())) == (7, 100, 100)

@@ -427,6 +427,36 @@ def test_rows_of_a_file_without_lines_are_counted_from_one():
     assert notes == ["a.mat: 1 rows without a value were excluded (first: line 3)"]
 
 
+def sysid(test, units="Rotations", width=4, **options):
+    """The table that is read from a file of SysId; column k of row i is 10 i + k."""
+    series = (10 * np.arange(12.0)[:, None] + np.arange(width)).tolist()
+    document = {"sysid": True, "units": units, "test": "Simple", "empty": [], **dict.fromkeys(test, series)}
+    return read_json(Path("a.json"), json.dumps(document).encode(), ReadOptions(**options))
+
+
+@pytest.mark.parametrize(
+    ("units", "unit"), [("Rotations", "turns"), ("Radians", "rad"), ("Degrees", "deg"), ("Feet", "Feet")]
+)
+def test_a_test_of_sysid_has_time_voltage_position_and_speed(units, unit):
+    raw = sysid(["slow-forward"], units)
+    assert raw.names == ("t", "voltage", "angle", "omega")
+    assert raw.units == ("s", "V", unit, f"{unit}/s")
+    assert [raw.numeric(k)[1] for k in range(4)] == [10.0, 11.0, 12.0, 13.0]
+
+
+@pytest.mark.parametrize(("side", "places"), [("left", [0, 1, 3, 5]), ("right", [0, 2, 4, 6])])
+def test_a_drive_train_of_sysid_has_two_sides(side, places):
+    raw = sysid(["slow-forward", "fast-forward"], width=9, marker=f"fast-forward {side}")
+    assert [raw.numeric(k)[1] for k in range(4)] == [10.0 + k for k in places]
+    with pytest.raises(DatasetError, match="contains 2 driven tests: slow-forward left, slow-forward right"):
+        sysid(["slow-forward"], width=9)
+
+
+def test_rows_of_sysid_of_another_width_are_refused():
+    with pytest.raises(DatasetError, match=r"have \[5\] numbers"):
+        sysid(["slow-forward"], width=5)
+
+
 def test_lists_of_a_json_table_that_are_shorter_are_not_columns(tmp_path):
     table = {"note": [1.0, 2.0], "t": TIME.tolist(), "angle": ANGLE.tolist(), "omega": [3.0], "empty": []}
     found = read_motion(write(tmp_path / "a.json", json.dumps(table)))

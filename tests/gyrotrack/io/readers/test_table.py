@@ -106,6 +106,18 @@ def test_a_title_with_as_many_words_as_columns_is_not_a_header(tmp_path):
         read_motion(table(tmp_path, "Schwingungsfrequenz ohne Kopplung\n\n" + samples))
 
 
+def test_a_header_whose_names_are_numbers_by_half_is_a_header(tmp_path):
+    read = read_motion(table(tmp_path, text("t,7")), ReadOptions(names=read_names(["t=t", "angle=7 [rad]"])))
+    np.testing.assert_allclose(read.value, [row[1] for row in ROWS], rtol=1e-5)
+
+
+def test_a_header_of_more_words_than_columns_is_refused_with_their_number(tmp_path):
+    """Words with units in brackets are five, but without a name for each column every word counts."""
+    samples = text("t angle sigma", " ").partition("\n")[2]
+    with pytest.raises(DatasetError, match="line 2: 3 cells where the header has 7"):
+        read_motion(table(tmp_path, "time of day [s] angle [rad] sigma\n" + samples))
+
+
 def test_sigma_shares_the_unit_of_the_angle(tmp_path):
     read = read_motion(table(tmp_path, text("t,angle [deg],sigma")))
     np.testing.assert_allclose(read.sigma, 0.01 * np.pi / 180)
