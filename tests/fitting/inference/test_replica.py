@@ -243,6 +243,19 @@ def test_stated_errors_have_their_level(stated, expected):
     assert np.std(error) == pytest.approx(expected, rel=0.25)
 
 
+@pytest.mark.parametrize(("rate", "few"), [(0.3, True), (60.0, False)])
+def test_errors_that_repeat_with_the_turn_are_in_blocks_of_few_turns(rate, few):
+    """In blocks of many turns they average out."""
+    t = np.arange(0, 100, 0.02)
+    run = (t, rate * t, np.full(len(t), 1e-3))
+    data = CaseData.of(
+        make_record(
+            casing=run, rotor=[], single=True, I_rotor=1, I_casing=1, correlated=(0.0, 0.0, 2e-3, 0.0)
+        )
+    )
+    assert _replica._stated_error(data, np.random.default_rng(0)).any() == few
+
+
 def test_stated_inertias_move_the_values_by_their_uncertainty(speeds):
     """A wheel that is lighter by 1 % decelerates faster by 1 %; the record keeps the stated value."""
     record = speeds.problem.data[0].record

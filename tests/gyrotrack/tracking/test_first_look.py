@@ -268,3 +268,23 @@ def test_the_background_is_the_median_of_sixty_usable_frames(monkeypatch, measur
     assert found.background == pytest.approx(np.full((40, 3), np.median([f[0, 0] for f in found.sample])))
     few = _silhouettes.Foreground.of(film, np.arange(7))
     assert (len(few.sample), asked) == (7, [9, 7])
+
+
+@pytest.mark.parametrize(("count", "met"), [(7, False), (8, True)])
+def test_eight_axes_show_where_they_meet(count, met):
+    frames = _lines([(70.0, 60.0)] * count, np.linspace(-1.5, 1.0, count))
+    assert (axes_meet(frames, Motion.of(frames)) is not None) == met
+
+
+def test_a_few_displaced_axes_do_not_move_the_point_in_which_the_others_meet():
+    ends = [(70.0, 60.0 + 4.0 * (k % 4 == 0)) for k in range(30)]
+    frames = _lines(ends, np.linspace(-1.5, 1.0, 30))
+    assert axes_meet(frames, Motion.of(frames)) == pytest.approx((70.0, 60.0), abs=0.3)
+
+
+def test_three_parts_from_a_third_of_the_radius_of_the_largest_may_be_the_body(monkeypatch):
+    asked, whole = [], _silhouettes.spots_in
+    monkeypatch.setattr(_silhouettes, "spots_in", lambda *given: asked.append(given[1:]) or whole(*given))
+    frames = _discs(_arc((80.0, -120.0), 180.0, 0.3, 5))
+    assert compact_body(frames, np.full(SHAPE, 150.0, np.float32), 1.0) is not None
+    assert asked == [(pytest.approx(0.35), 3)] * 5

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import DatasetError, UsageError, export_file, import_body, import_case, write_case
-from gyrotrack.io.readers._columnar import read_json
+from gyrotrack.io.readers._columnar import read_json, read_parquet
 from gyrotrack.io.readers._motion_table import ReadOptions, checked, only_one, read_names, resolution
 from gyrotrack.io.readers._raw_table import TURN, number_of, table_of
 from gyrotrack.io.readers._registry import read_motion
@@ -692,3 +692,17 @@ def test_a_message_lists_at_most_eight_names(count, listed):
         only_one(Path("drive.json"), names, "driven tests", ReadOptions())
     assert str(error.value.message) == f"drive.json contains {count} driven tests{listed}"
     assert only_one(Path("drive.json"), names, "driven tests", ReadOptions(marker="A3")) == "a3"
+
+
+@pytest.mark.parametrize("unit", ["ms", "us"])
+def test_dates_of_a_parquet_file_are_seconds(tmp_path, unit):
+    pa = pytest.importorskip("pyarrow")
+    pq = pytest.importorskip("pyarrow.parquet")
+    per_second = {"ms": 1000, "us": 1_000_000}[unit]
+    dates = pa.array([1_700_000_000 * per_second, 1_700_000_002 * per_second], pa.timestamp(unit))
+    table = pa.table({"time": dates, "word": ["a", "b"], "angle": [1.5, None]})
+    pq.write_table(table, tmp_path / "a.parquet")
+    raw = read_parquet(tmp_path / "a.parquet", (tmp_path / "a.parquet").read_bytes(), None)
+    assert raw.names == ("time", "word", "angle")
+    assert raw.numeric(0).tolist() == [1_700_000_000.0, 1_700_000_002.0]
+    np.testing.assert_array_equal(raw.numeric(2), [1.5, np.nan])
