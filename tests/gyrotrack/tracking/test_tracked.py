@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack import BodyTrack, UsageError, VideoError
+from gyrotrack import BodyTrack, TrackingError, UsageError, VideoError
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking import _extract as module
 from gyrotrack.tracking._extract import track_doubts
@@ -279,3 +279,77 @@ class TestExtraction:
     def test_an_unknown_body_is_refused(self, monkeypatch):
         with pytest.raises(UsageError, match="Unknown body 'wheel'"):
             self.extract(monkeypatch, body="wheel")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "seen", "refused"),
+    [
+        (None, "casing", ""), ("casing", "casing", ""), ("rotor", "casing", "The rotor is not visible"),
+        ("both", "casing", "The rotor is not visible"), ("both", "rotor", "The casing is not visible"),
+        (None, "", "No body can be tracked"),
+    ],
+)  # fmt: skip
+def test_a_body_that_is_wanted_must_be_tracked(wanted, seen, refused):
+    joint = SimpleNamespace(bodies={seen: None} if seen else {})
+    if not refused:
+        module._check_bodies(joint, wanted, Path("film.mp4"))
+        return
+    with pytest.raises(TrackingError, match=f"{refused} in film.mp4"):
+        module._check_bodies(joint, wanted, Path("film.mp4"))
+
+
+def test_the_uncertainty_of_the_paper_is_that_of_the_mean_of_its_markers():
+    found = module._paper_sigma([np.array([3.0, np.nan, np.nan]), np.array([4.0, 2.0, np.nan])])
+    assert found == pytest.approx([2.5, 2.0, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize(("body", "needed"), [("rotor", False), ("casing", True)])
+def test_a_body_without_a_marker_in_the_film_is_reported(body, needed):
+    other = {"rotor": "casing", "casing": "rotor"}[body]
+    scene = SimpleNamespace(
+        markers=[SimpleNamespace(body=other)], body_of={"red": other, "blue": body, "green": body}
+    )
+    (told,) = module._unseen(scene)
+    assert told.startswith(f"The {body} is not tracked: no blue and no green marker is found.")
+    assert ("Synchronisation needs the casing" in told) == needed
+
+
+def test_markers_that_are_missing_on_a_tracked_body_are_doubts(monkeypatch):
+    monkeypatch.setattr(module, "track_doubts", lambda name, track, count, _: [f"{name} {track} {count}"])
+    scene = SimpleNamespace(
+        doubts=("first",),
+        missing=("red", "blue", "cyan"),
+        body_of={"red": "casing", "cyan": "casing", "blue": "rotor"},
+    )
+    first, of_track, absent = module._doubts(scene, {"casing": "track"}, np.zeros(7))
+    assert (first, of_track) == ("first", "casing track 7")
+    assert absent.startswith("No red and no cyan marker is found on the casing.")
+
+
+@pytest.mark.parametrize(
+    ("workers", "parts", "told"),
+    [
+        (2, 2, ""), (3, 2, "2 parts at key frames and tracked by 2 of 3 processes"), (None, 1, ""),
+        (4, 1, "one part and tracked by 1 of 4 processes"),
+        (None, 5, "5 parts at key frames and tracked by 5 of 6 processes"), (None, 6, ""),
+    ],
+)  # fmt: skip
+def test_a_film_of_fewer_parts_than_processes_is_reported(monkeypatch, workers, parts, told):
+    """Of six cores."""
+    monkeypatch.setattr(module, "read_packets", lambda _: "packets")
+    monkeypatch.setattr(module, "split", lambda _: range(parts))
+    monkeypatch.setattr(module, "available_cores", lambda: 6)
+    job = module.ExtractionJob(Path("film.mp4"), Path("a.h5"), None, workers=workers)
+    found = job._limit_of_processes()
+    assert found == (f"The film is divided into {told}." if told else "")
+
+
+@pytest.mark.parametrize("again", [None, np.array([False, True, True])])
+def test_a_recording_states_its_repeated_frames_and_where_its_centre_is_from(again):
+    times = SimpleNamespace(place=again, again=again)
+    scene = SimpleNamespace(disc=again is not None and "disc", missing=("red",), markers=())
+    joint = SimpleNamespace(centre=SimpleNamespace(reach=7), flattening={})
+    found = module._extra(scene, joint, "tag", times)
+    stated = [found[k] for k in ("times_from", "repeated_frames", "capture_rate_from", "centre_from")]
+    assert stated == (["frames", 0, "tag", "orbit"] if again is None else ["stamps", 2, "tag", "disc"])
+    assert (found["centre_smoothing_reach"], found["missing_markers"]) == (7, ["red"])

@@ -1,9 +1,11 @@
+from types import SimpleNamespace
+
 import av
 import numpy as np
 import pytest
 
 from gyrotrack import VideoError
-from gyrotrack.video._container import Orientation, opened, planes_of, probe
+from gyrotrack.video._container import Orientation, opened, orientation_of, planes_of, probe
 
 
 def _film(path, size=(64, 48), frames=3, rate=30, codec="libx264", fmt="yuv420p"):
@@ -96,3 +98,17 @@ def test_planes_of_a_film_of_other_pixels_have_the_size_of_square_ones(aspect, l
     assert found.y.shape == luma[turned]
     assert found.u.shape == found.v.shape == chroma[turned]
     assert (found.index, int(found.y.min()), int(found.u.max())) == (7, 100, 100)
+
+
+@pytest.mark.parametrize(
+    ("stated", "coded", "used"),
+    [
+        (4 / 3, 1, 4 / 3), (None, 0.75, 0.75), (0, 0, 1), (4.0, 1, 4.0), (4.1, 1, 1), (0.25, 1, 0.25), (0.24, 1, 1)
+    ],
+)  # fmt: skip
+def test_pixels_are_at_most_four_times_as_wide_or_high(stated, coded, used):
+    """The film's own statement comes before that of its coding; others are errors of the header."""
+    stream = SimpleNamespace(
+        sample_aspect_ratio=stated, codec_context=SimpleNamespace(sample_aspect_ratio=coded)
+    )
+    assert orientation_of(SimpleNamespace(side_data={}), stream) == Orientation(aspect=used)
