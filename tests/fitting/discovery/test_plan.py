@@ -477,7 +477,7 @@ class TestSentence:
         assert "use a surface with 0.5 times the friction" in words(replace(run, surface=0.5))
 
     @pytest.mark.parametrize(("separation", "enough"), [(24.9, False), (25.1, True)])
-    def test_a_separation_of_less_than_five_sigma_is_told(self, separation, enough):
+    def test_a_separation_below_five_sigma_is_reported(self, separation, enough):
         text = words(Run(500.0, 5.0, 60.0, (), 0.0), separation=separation)
         assert "closest rivals 5.0 sigma (now 1.0; 2.0 after a repetition)" in text
         assert ("This is less than 5 sigma: repeat the run" in text) != enough

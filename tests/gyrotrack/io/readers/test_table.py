@@ -265,7 +265,7 @@ def test_wrapped_angles_are_within_a_turn_and_have_a_step_of_more_than_half(shar
     assert is_wrapped(2 * np.pi * np.array([0.0, step, share])) == wrapped
 
 
-def test_a_usual_interval_among_short_ones_is_no_gap():
+def test_a_usual_interval_among_short_ones_is_not_a_gap():
     """The interval is compared with the median of the eleven around it."""
     steps = [1.0] * 20 + [0.04, 0.04, 1.0, 0.04, 0.04] + [1.0] * 20
     assert pieces(np.cumsum(steps)) == [slice(0, 45)]
