@@ -177,6 +177,23 @@ class TestRuns:
         assert certify(adequate, 2, known=found.outcomes).n == 2
         assert len(certify(adequate, 2, known=found.outcomes).outcomes) == 2
 
+    def test_each_recording_of_each_effect_has_its_own_seed(self, monkeypatch):
+        items = [
+            ("null", "", 0),
+            ("null", "", 1),
+            ("rival", "bearing.load", 0),
+            ("rival", "casing.windage", 0),
+        ]
+        hypotheses_ = {item[:2]: SimpleNamespace(fit=item[:2]) for item in items}
+        drawn = []
+        monkeypatch.setattr(certificate, "replica", lambda *given: drawn.append(given) or "records")
+        monkeypatch.setattr(certificate, "_analysed", lambda _, *given: given)
+        for seed in (7, 8):
+            work = SimpleNamespace(seed=seed, hypotheses=hypotheses_)
+            assert [certificate._outcome(work, item) for item in items] == [(i, "records") for i in items]
+        assert [fit for fit, _ in drawn] == [item[:2] for item in items] * 2
+        assert len({seed for _, seed in drawn}) == 8
+
     def test_an_analysis_that_fails_is_counted(self, adequate, monkeypatch):
         def fails(*_, **__):
             raise EstimationError("nothing")

@@ -14,8 +14,9 @@ from scipy.stats import norm
 
 from fitting import LIBRARY, REDUCED, EstimationError, Model, make_record, plan, simulate
 from fitting._criteria import DEFAULT
-from fitting.discovery._information import Information, Run, rivals, schur, simulated
-from fitting.discovery._next_run import Bounds, _RunSearch, next_run, separating_run
+from fitting.discovery import _next_run
+from fitting.discovery._information import Information, Rival, Run, rivals, schur, simulated
+from fitting.discovery._next_run import Bounds, _RunSearch, _Tried, next_run, separating_run
 from fitting.discovery._plan import read_planned
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._collocation import Sampler
@@ -301,7 +302,245 @@ class Hill(_RunSearch):
         self.tried.append(SimpleNamespace(x=x, sense=sense, value=-float(np.abs(x - self.best).sum())))
 
 
+class Survey(_RunSearch):
+    """A search whose first runs are listed; the separation of each pair of rivals in each run is given."""
+
+    def __init__(self, separations=(), evaluations=60, windows=3, start=45.0, *, reversible=True):
+        self._bounds = SimpleNamespace(omega_casing=(20.0, 70.0), reversible=reversible)
+        self._start, self._evaluations, self._windows = start, evaluations, windows
+        self._rivals, self._criteria, self.tried, self.runs = tuple(separations[:1]), DEFAULT, [], []
+        self._information = SimpleNamespace(present=100)
+        self._inseparable, self._separations = [], separations
+        self._criterion = SimpleNamespace(pairs=lambda total: separations[total - 100])
+
+    def _keep(self, x, sense):
+        self.runs.append((x, sense))
+        if len(self.tried) < len(self._separations):
+            self.tried.append(_Tried(math.nan, x, sense, None, len(self.tried), None))
+
+
+def criterion(rivals=(), ignored=()):
+    """Of two parameters and two candidates, one with a phase; the information of the present runs is diagonal."""
+    places = [[2], [3, 4]]
+    known = SimpleNamespace(parameters=2, candidates=places, present=PRESENT, places=lambda i: places[i])
+    return _next_run._Criterion(known, rivals, DEFAULT, ignored)
+
+
+PRESENT = np.diag([1.0, 1.0, 4.0, 6.0, 10.0])
+TWO_RIVALS = (Rival(("a",), (2,), np.array([2.0])), Rival(("b",), (3,), np.array([3.0])))
+
+
+class TestCriterion:
+    def test_the_information_about_a_candidate_is_the_mean_of_its_columns_with_free_parameters(self):
+        coupled = PRESENT.copy()
+        coupled[0, 2] = coupled[2, 0] = 1.0
+        assert criterion().limits(PRESENT) == pytest.approx([4.0, 8.0])
+        assert criterion().limits(coupled) == pytest.approx([3.0, 8.0])
+
+    @pytest.mark.parametrize(("power", "value"), [(3.0, 2.0), (-1.0, 0.0), (120.0, 25.5)])
+    def test_without_rivals_a_run_has_the_mean_logarithm_of_its_gains(self, power, value):
+        """One candidate gains a factor e, the other a power of it, of which at most the fiftieth counts."""
+        total = PRESENT @ np.diag(np.exp([0.0, 0.0, 1.0, power, power]))
+        assert criterion()(total) == pytest.approx(value)
+
+    @pytest.mark.parametrize(
+        ("factor", "then"), [(2.0, 32.0), (0.5, 8.0), (6.0, 96.0), (7.0, 100.0), (90.0, 100.0)]
+    )
+    def test_the_separation_of_rivals_counts_up_to_four_times_the_wanted_one(self, factor, then):
+        """Four times 5^2; the closest pair has a separation of 16 now."""
+        total = PRESENT @ np.diag([1.0, 1.0, factor, factor, factor])
+        expected = math.log(factor) + math.log((1 + then) / 17.0)
+        assert criterion(TWO_RIVALS)(total) == pytest.approx(expected)
+
+    def test_separations_are_those_of_the_strengths_of_each_rival_beside_the_other(self):
+        assert criterion(TWO_RIVALS).pairs(PRESENT) == pytest.approx({(0, 1): 16.0, (1, 0): 54.0})
+        assert criterion(TWO_RIVALS, [(0, 1)]).separation(PRESENT) == pytest.approx(54.0)
+        assert math.isnan(criterion(TWO_RIVALS, [(0, 1), (1, 0)]).separation(PRESENT))
+        assert criterion(TWO_RIVALS, [(0, 1), (1, 0)])(PRESENT) == 0.0
+
+    def test_what_rivals_have_in_common_separates_nothing(self):
+        coupled = PRESENT.copy()
+        coupled[2, 3] = coupled[3, 2] = 2.0
+        both = Rival(("a", "b"), (3, 2), np.array([3.0, 2.0]))
+        found = criterion((both, TWO_RIVALS[1])).pairs(coupled)
+        assert found == pytest.approx({(0, 1): 4.0 * (4.0 - 4.0 / 6.0)})
+
+
+class Apparatus(Survey):
+    """A search of one run, of given values with other rings and surfaces."""
+
+    def __init__(self, gains):
+        super().__init__()
+        run = Run(500.0, 5.0, 60.0, (), 0.0)
+        self._bounds = Bounds((0.0, 1.0), (0.0, 1.0), (1.0, 2.0), (1.0, 1.5), (0.5, 3.0))
+        self.asked, self.gains = [], iter(gains)
+        self.tried = [_Tried(1.0, "x", -1.0, run, None, None)]
+
+    def _try(self, x, sense, run):
+        self.asked.append((x, sense, run.ring, run.surface))
+        gain = next(self.gains)
+        return gain and _Tried(1.0 + math.log(gain), x, sense, run, None, None)
+
+
+class TestRuns:
+    @pytest.mark.parametrize(
+        ("share", "duration", "starts", "length"),
+        [
+            (0.25, 20.0, (1.4, 9.0, 16.6), 2.0),
+            (0.0, 10.0, (0.4, 4.0, 7.6), 2.0),
+            (-0.125, 5.0, (0, 5 / 3, 10 / 3), 5 / 3),
+        ],
+    )
+    def test_a_point_of_the_search_is_a_run_within_the_bounds(self, share, duration, starts, length):
+        """Windows do not overlap, and are shorter if the run is short."""
+        search = Survey()
+        search._bounds = SimpleNamespace(
+            omega_rotor=(300.0, 900.0), omega_casing=(20.0, 70.0), duration=(10.0, 50.0)
+        )
+        search._length = 2.0
+        run = search._run(np.array([0.5, 0.2, share, 0.9, 0.1, 0.5]), -1.0)
+        assert (run.omega_rotor, run.omega_casing, run.duration) == pytest.approx((-600.0, 30.0, duration))
+        assert run.windows == pytest.approx(starts)
+        assert run.window_length == pytest.approx(length)
+        assert (run.ring, run.surface) == (1.0, 1.0)
+
+    def test_another_apparatus_must_gain_half_as_much_again(self):
+        search = Apparatus([1.49, 1.51, None])
+        search.vary_apparatus()
+        assert search.asked == [("x", -1.0, 1.5, 1.0), ("x", -1.0, 1.0, 0.5), ("x", -1.0, 1.0, 3.0)]
+        assert [(t.run.ring, t.run.surface) for t in search.tried] == [(1.0, 1.0), (1.0, 0.5)]
+
+    def test_the_result_compares_the_run_with_none_and_with_a_repetition(self, monkeypatch):
+        search = Apparatus([])
+        path = SimpleNamespace(mesh="mesh", y="y")
+        planned = SimpleNamespace(predictions=[SimpleNamespace(path=path)])
+        search.tried = [search.tried[0]._replace(added=5.0, planned=planned)]
+        candidates = [(SimpleNamespace(name=n), {}) for n in ("a", "b")]
+        fitted = SimpleNamespace(problem=SimpleNamespace(cases=["one", "two"]))
+        search._information = SimpleNamespace(present=10.0, candidates=candidates, fit=fitted)
+        search._rivals = [SimpleNamespace(names=n) for n in (("a",), ("a", "b"))]
+        search._inseparable = [(1, 0), (0, 1)]
+        search._criterion = SimpleNamespace(
+            limits=lambda x: np.array([x**2, 0.0]), separation=lambda x: 100.0 + x
+        )
+        monkeypatch.setattr(
+            _next_run,
+            "Sampler",
+            lambda mesh, times: SimpleNamespace(value=lambda y: np.stack([times, -times], axis=1)),
+        )
+        monkeypatch.setattr(_next_run, "_sentence", lambda *_: "in words")
+        found = search.result()
+        assert (found.separation, found.present, found.repeated) == (115.0, 110.0, 115.0)
+        assert found.gains["a"] == pytest.approx(10.0 / 15.0)
+        assert math.isnan(found.gains["b"])
+        assert found.inseparable == (("a", "a + b"),)
+        assert (found.omega_rotor[-1], found.omega_casing[-1], found.sentence) == (60.0, -60.0, "in words")
+
+
+def words(run, rivals=("a", "b"), separation=36.0, gains=None, inseparable=()):
+    """The sentence about a run of a gyroscope whose casing starts at 20 rad/s."""
+    bodies = [SimpleNamespace(role="casing"), SimpleNamespace(role="rotor")]
+    data = SimpleNamespace(
+        record=SimpleNamespace(bodies=bodies, body="casing"),
+        initial_speeds=(None, np.array([[600.0, -20.0]])),
+    )
+    found = SimpleNamespace(
+        run=run, rivals=rivals, separation=separation, present=1.0, repeated=4.0, gains=gains or {},
+        inseparable=inseparable,
+    )  # fmt: skip
+    return _next_run._sentence(found, SimpleNamespace(problem=SimpleNamespace(data=[data])), DEFAULT)
+
+
+class TestSentence:
+    @pytest.mark.parametrize(
+        ("rotor", "casing", "told"),
+        [
+            (500.0, 30.9, "start the casing at 30.9 rad/s"), (500.0, -30.9, "start the casing at -30.9 rad/s"),
+            (500.0, 31.1, "spin the casing by hand to 31 rad/s with the rotor"),
+            (500.0, -31.1, "spin the casing by hand to 31 rad/s against the rotor"),
+            (-500.0, -31.1, "spin the casing by hand to 31 rad/s with the rotor"),
+        ],
+    )  # fmt: skip
+    def test_a_casing_that_is_much_faster_than_usual_is_spun_by_hand(self, rotor, casing, told):
+        """1.5 times the usual speed and 1 rad/s."""
+        sense = " in the other sense of rotation" if rotor < 0 else ""
+        text = words(Run(rotor, casing, 60.0, (1.0, 20.0), 2.5))
+        assert text.startswith(f"Start the rotor at 500 rad/s{sense}; {told}; record for 60 s; ")
+        assert "film the rotor for 2.5 s from 1 s, 20 s" in text
+
+    def test_another_apparatus_is_described(self):
+        run = Run(500.0, 5.0, 60.0, (), 0.0)
+        assert "times" not in words(run)
+        assert "fix a ring to the casing that makes its moment of inertia 1.5 times" in words(
+            replace(run, ring=1.5)
+        )
+        assert "use a surface with 0.5 times the friction" in words(replace(run, surface=0.5))
+
+    @pytest.mark.parametrize(("separation", "enough"), [(24.9, False), (25.1, True)])
+    def test_a_separation_below_five_sigma_is_reported(self, separation, enough):
+        text = words(Run(500.0, 5.0, 60.0, (), 0.0), separation=separation)
+        assert "closest rivals 5.0 sigma (now 1.0; 2.0 after a repetition)" in text
+        assert ("This is less than 5 sigma: repeat the run" in text) != enough
+
+    def test_rivals_that_are_not_separated_and_limits_without_rivals(self):
+        run = Run(500.0, 5.0, 60.0, (), 0.0)
+        assert "No run within the bounds separates a from b + c." in words(run, inseparable=[("a", "b + c")])
+        assert words(run, separation=math.nan).startswith("No run within the bounds separates the rivals")
+        limits = words(run, (), gains={"a": 0.25, "b": 1.0, "c": math.nan})
+        assert limits.endswith("lowers the detection limits to 50 % (geometric mean).")
+
+    def test_a_law_with_a_phase_has_a_cosine_and_a_sine(self):
+        role = {"amplitude": "k", "phase": "phi"}
+        parameters = [SimpleNamespace(role=r, symbol=x) for r, x in role.items()]
+        values = {"k": 2.0, "phi": math.pi / 6}
+        both, one = (SimpleNamespace(parameters=p) for p in (parameters, parameters[:1]))
+        assert _next_run._strengths(both, values) == pytest.approx([math.sqrt(3.0), 1.0])
+        assert _next_run._strengths(one, values) == [2.0]
+
+    @pytest.mark.parametrize(("restoring", "larger"), [(0, False), (1, False), (2, True)])
+    def test_restoring_torques_of_an_oscillation_differ_at_larger_angles(self, restoring, larger):
+        laws = [SimpleNamespace(depends_on_angle=False, restoring=i < restoring) for i in range(3)]
+        data = SimpleNamespace(motion=SimpleNamespace(reversals=[1.0]))
+        found = separating_run(
+            SimpleNamespace(problem=SimpleNamespace(data=[data])), [("law", [e], {}) for e in laws], DEFAULT
+        )
+        assert found.startswith("Release the body from a larger angle") == larger
+        assert bool(found) == larger
+
+
 class TestNextRun:
+    @pytest.mark.parametrize(("evaluations", "count"), [(3, 4), (30, 10), (60, 20), (90, 20)])
+    def test_usual_runs_come_first_and_then_a_third_as_many_as_are_evaluated(self, evaluations, count):
+        search = Survey(evaluations=evaluations)
+        search.explore()
+        assert [x[:3].tolist() for x, _ in search.runs[:4]] == [
+            [1.0, 0.5, 0.5], [0.5, 0.5, 0.5], [1.0, 1.0, 0.5], [1.0, 0.0, 0.5]
+        ]  # fmt: skip
+        assert len(search.runs) == 4 + count
+        assert all(x[3:].tolist() == pytest.approx([0.03, 0.5, 0.97]) for x, _ in search.runs)
+        assert all(0.0 <= v <= 1.0 for x, _ in search.runs for v in x)
+
+    @pytest.mark.parametrize(("start", "share"), [(10.0, 0.0), (30.0, 0.2), (80.0, 1.0)])
+    def test_the_usual_speed_of_the_casing_is_that_of_the_recording_within_the_bounds(self, start, share):
+        search = Survey(start=start, windows=1)
+        search.explore()
+        assert search.runs[0][0].tolist() == pytest.approx([1.0, share, 0.5, 0.03])
+
+    @pytest.mark.parametrize("reversible", [True, False])
+    def test_every_third_of_the_further_runs_is_reversed_where_that_is_possible(self, reversible):
+        search = Survey(reversible=reversible)
+        search.explore()
+        backward = [i for i, (_, sense) in enumerate(search.runs) if sense < 0]
+        assert backward == ([5, 8, 11, 14, 17, 20, 23] if reversible else [])
+
+    def test_rivals_that_no_run_separates_are_ignored(self, monkeypatch):
+        """By a difference of deviance of 1 in one run at least."""
+        monkeypatch.setattr(_next_run, "_Criterion", lambda *given: lambda total: (total, given[-1]))
+        search = Survey([{(0, 1): 0.2, (1, 0): 0.9}, {(0, 1): 1.1, (1, 0): 0.8}])
+        search.explore()
+        assert search._inseparable == [(1, 0)]
+        assert [t.value for t in search.tried] == [(100, [(1, 0)]), (101, [(1, 0)])]
+
     @pytest.mark.parametrize("best", [(0.77, 0.3), (0.0, 1.0), (0.1, 0.1)])
     def test_steps_are_halved_only_when_no_setting_is_better(self, best):
         """They begin at a quarter of the range and end at a fiftieth: the last ones are 1 / 32."""

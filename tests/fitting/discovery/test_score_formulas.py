@@ -572,6 +572,21 @@ class TestShapes:
         assert has_phases(LIBRARY[name], cases) is phases
         assert module._is_per_case(LIBRARY[name], cases) is per_case
 
+    @pytest.mark.parametrize(("name", "shared"), [("casing.precession", True), ("touchpoint.step", False)])
+    def test_cases_that_share_a_shape_constant_are_tested_at_its_values_in_the_first(self, name, shared):
+        asked = []
+
+        def case(shape):
+            def trials(effect, choices=None):
+                asked.append((effect.name, choices))
+                return [Trial(shape, np.zeros((1, 1)))]
+
+            return SimpleNamespace(trials=trials)
+
+        found = module._all_trials(LIBRARY[name], [case({"w": 1.0}), case({"w": 2.0})])
+        assert [[t.shape for t in of_case] for of_case in found] == [[{"w": 1.0}], [{"w": 2.0}]]
+        assert asked == [(name, None), (name, [{"w": 1.0}] if shared else None)]
+
     @pytest.mark.parametrize(("margin", "own"), [(0.1, True), (-0.1, False)])
     def test_a_phase_of_each_case_needs_evidence_per_case(self, monkeypatch, margin, own):
         def best(context, effect, groups, levels, *, null=True):

@@ -1,11 +1,14 @@
 """What a fit says of a random torque that its model needs."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fitting import Model, fit, make_record
+from fitting._numbers import rounded
+from fitting.inference._params import report
 from fitting.inference._result import merit_lines
 
 TOLD = "the recording does not establish this random torque"
@@ -35,3 +38,44 @@ def test_a_lack_of_fit_says_enough(found, monkeypatch):
     monkeypatch.setattr(type(changed), "has_torque_of_the_angle", lambda _: True)
     assert changed.verdict == "lack_of_fit"
     assert TOLD not in "\n".join(merit_lines(changed))
+
+
+@pytest.mark.parametrize(
+    ("labels", "expected"),
+    [
+        (["one"], ("slipped", "late")),
+        (["one", "two"], ("one: slipped", "one: late", "two: slipped", "two: late")),
+    ],
+)
+def test_a_finding_names_its_recording_where_there_are_several(found, labels, expected):
+    data = [SimpleNamespace(record=SimpleNamespace(label=x), findings=("slipped", "late")) for x in labels]
+    assert type(found).findings.fget(SimpleNamespace(problem=SimpleNamespace(data=data))) == expected
+
+
+def test_a_report_has_correlations_of_either_sign(found, monkeypatch):
+    pairs = [("a", "b", -0.9), ("a", "cc", 0.1), ("b", "cc", -0.09)]
+    monkeypatch.setattr(type(found), "correlations", lambda _: pairs)
+    lines = found.fit_report().splitlines()
+    at = lines.index("[[Correlations]] (unreported correlations are < 0.100)")
+    assert lines[at + 1 :] == ["    C(a, b ) = -0.9000", "    C(a, cc) = +0.1000"]
+    assert "    C(b, cc) = -0.0900" in found.fit_report(0.05).splitlines()
+    assert "[[Correlations]]" not in found.fit_report(0.95)
+
+
+def test_a_report_counts_the_parameters_that_were_fitted(found):
+    held = replace(found.params["b1"], vary=False, value=-4.0, stderr=0.1)
+    free = replace(held, vary=True)
+    given = {
+        name: getattr(found, name) for name in ("verdict", "shown_model", "samples", "n_eff", "chi2", "aic")
+    }
+    shown = SimpleNamespace(
+        **given, bic=5.0, cases=found.cases, correlations=list, params={"k": free, "held": held, "c": free}
+    )
+    lines = report(shown).splitlines()
+    assert lines[3:5] == [
+        f"    verdict              = {found.verdict}",
+        f"    data points          = {found.samples}",
+    ]
+    assert "    variables            = 2" in lines
+    assert f"    k:    {rounded(-4.0, 0.1, held.unit)} (2.50%)" in lines
+    assert lines[-2] == f"    held: {rounded(-4.0, 0.1, held.unit)} (2.50%) (held)"

@@ -1,12 +1,51 @@
-"""Rough speeds against SciPy: the curve through the rotor's windows."""
+"""Rough speeds against SciPy: the curve through the rotor's windows, and into how many pieces a window is divided."""
+
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from fitting.inference._record import hermite
+from fitting.inference._record import Samples, _local, _pieces, _rotor_curve, hermite
 
 
 def test_cubics_agree_with_scipy():
     t, v, s = np.array([0.0, 1.5, 2.0, 7.0]), np.array([3.0, 1.0, 2.0, -4.0]), np.array([0.5, -2.0, 1.0, 0.0])
     times = np.linspace(0, 7, 113)
     np.testing.assert_allclose(hermite(t, v, s, times), CubicHermiteSpline(t, v, s)(times), atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("share", "samples", "pieces"),
+    [(0.6, 1201, 60), (0.6, 361, 30), (0.52, 1201, 52), (0.48, 1201, 1), (0.6, 720, 60), (0.6, 719, 59)],
+)
+def test_a_window_of_more_than_half_of_the_run_is_divided_like_the_run(share, samples, pieces):
+    """A run of 10 s with a hundred points; each piece has at least twelve samples."""
+    time = np.linspace(1.0, 1.0 + 10.0 * share, samples)
+    window = Samples(time, time, np.ones(samples))
+    assert _pieces(window, SimpleNamespace(span=(0.0, 10.0)), 100, 12) == pieces
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_rotor_continues_at_its_slopes_and_does_not_reverse(sense):
+    """Beyond the windows by their slopes, not below a twentieth of its slowest speed."""
+    windows = np.array([[20.0, sense * 80.0, sense * -1.0], [10.0, sense * 100.0, sense * -2.0]])
+    curve = sense * _rotor_curve(windows, np.array([5.0, 10.0, 20.0, 25.0, 500.0]))
+    assert curve == pytest.approx([110.0, 100.0, 80.0, 75.0, 4.0])
+    single = sense * _rotor_curve(windows[1:], np.array([0.0, 10.0, 57.0, 58.0]))
+    assert single == pytest.approx([120.0, 100.0, 6.0, 5.0])
+
+
+def test_an_unknown_slope_is_that_between_the_windows():
+    windows = np.array([[10.0, 100.0, np.nan], [20.0, 80.0, np.nan]])
+    assert _rotor_curve(windows, np.array([5.0, 15.0, 25.0])) == pytest.approx([110.0, 90.0, 70.0])
+
+
+@pytest.mark.parametrize("is_angle", [True, False])
+def test_pieces_have_speed_and_acceleration_at_their_middle(is_angle):
+    """A body of 50 rad/s that slows down by 4 rad/s2."""
+    time = np.linspace(1.0, 5.0, 41)
+    value = 7.0 + 50.0 * time - 2.0 * time**2 if is_angle else 50.0 - 4.0 * time
+    found = _local(Samples(time, value, np.ones(41)), 3, is_angle)
+    middle = np.array([time[p].mean() for p in np.array_split(np.arange(41), 3)])
+    assert found == pytest.approx(np.stack([middle, 50.0 - 4.0 * middle, np.full(3, -4.0)], axis=1))

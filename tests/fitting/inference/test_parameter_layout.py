@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 from cases import data
 
-from fitting import LINEAR, REDUCED, EffectError, Model, Record
+from fitting import LINEAR, REDUCED, EffectError, Input, Model, Record, effect, make_record
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._expression import Tape
-from fitting.inference._parameters import ParameterLayout
+from fitting.effects._user import resolve
+from fitting.inference._parameters import ParameterLayout, is_power_law
 from fitting.inference._ties import parse_tie
 
 
@@ -71,9 +72,31 @@ def test_each_case_gets_its_own_numbers(records):
 
 
 def test_unknown_names_are_refused(records):
-    for words in ({"share": ["touchpoint.rough"]}, {"per_case": ["nothing"]}):
+    for words in (
+        {"share": ["touchpoint.rough"]}, {"share": ["touchpoint.const"]}, {"per_case": ["bear"]},
+        {"per_case": ["nothing"]},
+    ):  # fmt: skip
         with pytest.raises(EffectError, match="is not a parameter of the model"):
             ParameterLayout.of(Model.of(LINEAR), records, **words)
+
+
+@pytest.mark.parametrize(
+    ("per_inertia", "gain", "friction"), [(True, "kg-1 m-2", "s-1"), (False, "1", "N m s")]
+)
+def test_only_the_gain_of_a_recorded_torque_has_the_unit_of_a_gain(per_inertia, gain, friction):
+    """Not the exponent of a law of the torque, which has no unit either."""
+    t = np.linspace(0.0, 2.0, 40)
+    drive = Input("drive", [0.0, 1.0], [0.0, 3.0], "N m", interpolation="hold")
+    record = make_record(
+        casing=(t, 5.0 - t, np.full(40, 0.01)), rotor=[], quantity="omega", inputs=[drive], I_rotor=1.0,
+        I_casing=1.0, per_inertia=per_inertia, single=True,
+    )  # fmt: skip
+    model = Model.of(["casing.air.linear"])
+    for law in ("casing: k*drive", "casing: q*drive**n"):
+        model = model + effect(law, [drive])
+    layout = ParameterLayout.of(model, [record])
+    names = ("casing: k*drive.k", "casing: q*drive**n.n", "casing.air.linear.b2", "initial.omega_c@case")
+    assert [layout.unit(name) for name in names] == [gain, "1", friction, "rad s-1"]
 
 
 def test_ranges_tighten_bounds_and_never_widen_them(records):
@@ -116,3 +139,29 @@ def test_start_speeds_have_no_bounds(records):
     layout = ParameterLayout.of(Model.of(LINEAR), records[:1])
     assert np.isneginf(layout.bounds()[0][layout.index["initial.omega_c@glass"]])
     assert layout.parameter("initial.omega_r@glass").unit == "rad s-1"
+
+
+@pytest.mark.parametrize(
+    ("name", "physical"),
+    [("bearing.linear.d", True), ("bearing.power.f", False), ("bearing.power.g", False)],
+)
+def test_a_strength_has_a_physical_bound_and_a_range_of_the_fit_is_none(records, name, physical):
+    layout = ParameterLayout.of(Model.of(REDUCED), records[:1], ranges={"bearing.power.f": (0.0, 1e-8)})
+    assert layout.is_physical_bound(name) == physical
+
+
+def test_the_choices_of_a_layout_are_what_differs_from_the_usual_one(records):
+    model, given = Model.of(LINEAR), {"share": ["touchpoint"], "per_case": ["bearing.linear"]}
+    layout = ParameterLayout.of(model, records, **given)
+    assert layout.choices == (("touchpoint.constant.b1",), ("bearing.linear.d",))
+    assert ParameterLayout.of(model, records).choices == ((), ())
+    assert ParameterLayout.of(model, records[:1], **given).choices == ((), ())
+    share, per_case = layout.choices
+    assert ParameterLayout.of(model, records, share, per_case).names == layout.names
+
+
+@pytest.mark.parametrize(("slowest", "power"), [(1.0, True), (-1.0, False)])
+def test_the_base_of_a_power_law_is_positive_at_every_speed(slowest, power):
+    time = np.linspace(0.0, 1.0, 50)
+    speeds = np.stack([np.full(50, 300.0), np.linspace(40.0, slowest, 50)], axis=1)
+    assert is_power_law(resolve("casing: -k*omega_c**n"), time, speeds) == power

@@ -1,5 +1,6 @@
 """New recordings of a fit, against the errors that they must contain."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -182,6 +183,27 @@ def test_starts_of_windows_move_their_angles_by_speed_times_uncertainty(gyroscop
     assert np.std(shifts[2]) < 1e-3 * abs(speed) * 2e-1
 
 
+def test_each_run_has_the_slow_errors_of_its_camera(gyroscope, monkeypatch):
+    data, drawn = copy(gyroscope.problem.data[0]), []
+    vars(data).update(angle_noise=AngleNoise(1e-3, time=1.0), rotor_angle_noise=AngleNoise(2e-3, time=2.0))
+
+    def slow_error(run, noise, random):
+        drawn.append((run, noise.sigma))
+        return np.full(len(run), noise.sigma * 1e3)
+
+    found = []
+    for error in (lambda run, *_: np.zeros(len(run)), slow_error):
+        monkeypatch.setattr(_replica, "_slow_error", error)
+        found.append(_replica._recording(FittedMotion(gyroscope, 0, data), np.random.default_rng(0)))
+    plain, shifted = found
+    record = data.record
+    assert [s for _, s in drawn] == [1e-3] + [2e-3] * len(record.rotor)
+    assert all(a is b for (a, _), b in zip(drawn, (record.casing, *record.rotor), strict=True))
+    np.testing.assert_allclose(shifted.casing.value - plain.casing.value, 1.0)
+    for a, b in zip(shifted.rotor, plain.rotor, strict=True):
+        np.testing.assert_allclose(a.value - b.value, 2.0)
+
+
 def test_no_random_torque_where_the_recording_has_none(speeds):
     silent = replace(speeds, noise=(speeds.noise[0].at(0.0),))
     (change,) = _replica._random_torque(motion(silent), np.random.default_rng(0))
@@ -219,6 +241,19 @@ def test_stated_errors_have_their_level(stated, expected):
     data = CaseData.of(record)
     error = [_replica._stated_error(data, np.random.default_rng(s)) for s in range(4)]
     assert np.std(error) == pytest.approx(expected, rel=0.25)
+
+
+@pytest.mark.parametrize(("rate", "few"), [(0.3, True), (60.0, False)])
+def test_errors_that_repeat_with_the_turn_are_in_blocks_of_few_turns(rate, few):
+    """In blocks of many turns they average out."""
+    t = np.arange(0, 100, 0.02)
+    run = (t, rate * t, np.full(len(t), 1e-3))
+    data = CaseData.of(
+        make_record(
+            casing=run, rotor=[], single=True, I_rotor=1, I_casing=1, correlated=(0.0, 0.0, 2e-3, 0.0)
+        )
+    )
+    assert _replica._stated_error(data, np.random.default_rng(0)).any() == few
 
 
 def test_stated_inertias_move_the_values_by_their_uncertainty(speeds):

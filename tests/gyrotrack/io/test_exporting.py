@@ -12,6 +12,7 @@ import pytest
 
 from gyrotrack import (
     DatasetError,
+    OutputError,
     UsageError,
     export_file,
     read_case,
@@ -92,6 +93,15 @@ def test_what_is_not_there_is_reported(file, tmp_path):
     with pytest.raises(DatasetError, match="does not exist"):
         export_file(tmp_path / "no.h5", tmp_path / "a.csv")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".parquet", ".nc"])
+def test_an_existing_file_is_not_replaced(file, tmp_path, suffix):
+    target = tmp_path / f"a{suffix}"
+    target.write_bytes(b"mine")
+    with pytest.raises(OutputError, match="exists"):
+        export_file(file, target)
+    assert target.read_bytes() == b"mine"
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])

@@ -249,3 +249,42 @@ def test_the_depth_of_a_region_is_the_distance_from_its_edge():
     assert _silhouettes.depth_of(region) == pytest.approx(expected, abs=1e-3)
     whole = np.minimum.reduce([y + 1, 9 - y, x + 1, 14 - x])
     assert _silhouettes.depth_of(np.ones((9, 14), np.uint8)) == pytest.approx(whole, abs=1e-3)
+
+
+@pytest.mark.parametrize(("count", "step"), [(29, 1), (59, 1), (60, 2)])
+def test_every_second_frame_of_a_full_sample_is_compared(count, step):
+    seen = _silhouettes.Foreground(range(count), np.zeros((1, 1)), 1.0)
+    assert list(seen.few) == list(range(0, count, step))
+
+
+@pytest.mark.parametrize(("measured", "noise"), [(0.7, 0.7), (0.3, 0.5)])
+def test_the_background_is_the_median_of_sixty_usable_frames(monkeypatch, measured, noise):
+    asked = []
+    monkeypatch.setattr(_silhouettes, "spatial_noise", lambda frames: asked.append(len(frames)) or measured)
+    film = SimpleNamespace(some=lambda index: [np.full((40, 3), k % 256, np.uint8) for k in index])
+    found = _silhouettes.Foreground.of(film, np.arange(5, 125))
+    assert [int(f[0, 0]) for f in found.sample] == [int(5 + 119 * k / 59) for k in range(60)]
+    assert (asked, found.noise) == ([9], noise)
+    assert found.background == pytest.approx(np.full((40, 3), np.median([f[0, 0] for f in found.sample])))
+    few = _silhouettes.Foreground.of(film, np.arange(7))
+    assert (len(few.sample), asked) == (7, [9, 7])
+
+
+@pytest.mark.parametrize(("count", "met"), [(7, False), (8, True)])
+def test_eight_axes_show_where_they_meet(count, met):
+    frames = _lines([(70.0, 60.0)] * count, np.linspace(-1.5, 1.0, count))
+    assert (axes_meet(frames, Motion.of(frames)) is not None) == met
+
+
+def test_a_few_displaced_axes_do_not_move_the_point_in_which_the_others_meet():
+    ends = [(70.0, 60.0 + 4.0 * (k % 4 == 0)) for k in range(30)]
+    frames = _lines(ends, np.linspace(-1.5, 1.0, 30))
+    assert axes_meet(frames, Motion.of(frames)) == pytest.approx((70.0, 60.0), abs=0.3)
+
+
+def test_three_parts_from_a_third_of_the_radius_of_the_largest_may_be_the_body(monkeypatch):
+    asked, whole = [], _silhouettes.spots_in
+    monkeypatch.setattr(_silhouettes, "spots_in", lambda *given: asked.append(given[1:]) or whole(*given))
+    frames = _discs(_arc((80.0, -120.0), 180.0, 0.3, 5))
+    assert compact_body(frames, np.full(SHAPE, 150.0, np.float32), 1.0) is not None
+    assert asked == [(pytest.approx(0.35), 3)] * 5

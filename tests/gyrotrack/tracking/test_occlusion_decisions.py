@@ -119,6 +119,16 @@ class TestPlace:
         assert seen.outside(10.0, 240.5, 0.1, (640, 480)).tolist() == [True, True]
         assert seen.outside(10.0, 240.5, 0.01, (640, 480)).tolist() == [False, False]
 
+    @pytest.mark.parametrize("white", [True, False])
+    def test_of_a_white_marker_the_brightness_is_averaged_and_not_the_height(self, white):
+        """A brightness of 1 at every angle, above a ground that varies."""
+        ground = np.linspace(0.1, 0.5, 40)
+        strip = SimpleNamespace(white=white, ground=ground, ring=SimpleNamespace(columns=40))
+        light = tracker.MarkerTracker(SimpleNamespace(), strip).light
+        light.learn(0, np.arange(40), np.ones(40), 1.0 - ground)
+        ((*height,),) = light.heights(3)
+        assert (np.ptp(height / (1.0 - ground)) < 1e-9) == white
+
     def test_a_position_is_at_the_median_radius_where_it_is_not_known(self):
         seen = observed(4, angle=np.full(4, math.pi / 2), radius=np.array([50.0, 52.0, 54.0, 99.0]))
         found = seen.position(np.array([True, True, True, False]))
@@ -302,6 +312,36 @@ class TestMeasured:
             assert again.misfit[1] < 0.1 * before
         else:
             assert again.misfit[1] > 0.5 * before
+
+    def test_light_is_learnt_where_a_marker_covers_two_fifths_of_a_sample(self):
+        learnt = []
+        given = SimpleNamespace(
+            strip=SimpleNamespace(ring=SimpleNamespace(columns=628)),
+            light=SimpleNamespace(learn=lambda *passages: learnt.append(passages)),
+        )
+        window = SimpleNamespace(column=lambda count: count, raw=np.array([[0.5, 0.5, 0.5, 0.5]]))
+        use = np.array([[True, True, True, False]])
+        expected = np.array([[0.39, 0.41, 1.0, 1.0]])
+        tracker.MarkerTracker._learn_light(given, window, expected, np.array([0.2]), use)
+        ((layer, column, height, value),) = learnt
+        assert (layer, column, height.tolist()) == (0, 628, [[0.0, 0.41, 1.0, 0.0]])
+        assert value == pytest.approx(np.full((1, 4), 0.3))
+
+    def test_the_radial_profile_is_the_mean_over_the_inner_half_of_the_width(self, monkeypatch):
+        asked = []
+        monkeypatch.setattr(tracker, "match", lambda *given: given[1])
+        given = SimpleNamespace(
+            strip=SimpleNamespace(ring=SimpleNamespace(step=0.01), half=30),
+            marker=SimpleNamespace(half_width=0.1), _along="known",
+        )  # fmt: skip
+        window = SimpleNamespace(
+            scores=np.zeros((2, 5, 61)), along=lambda weight: asked.append(weight) or np.zeros((2, 5))
+        )
+        found = matches(2, shift=np.array([0.0, 3.0]))
+        assert tracker.MarkerTracker._matched_along(given, window, found, np.ones(2, dtype=bool)) == "known"
+        (weight,) = asked
+        for row, middle in zip(weight, (0, 3), strict=True):
+            assert row == pytest.approx(np.clip(5.5 - np.abs(self.X - middle), 0.0, 1.0) / 10)
 
     @pytest.mark.parametrize(("before", "rounds", "after"), [(0.2, 1, 0.3), (None, 3, 0.4)])
     def test_a_known_template_moves_half_way_to_that_of_a_batch(self, monkeypatch, before, rounds, after):

@@ -13,7 +13,16 @@ from gyrotrack._column_store import StoredPictures
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, distant_hub, edge_hub, fit_circle
-from gyrotrack.tracking._registration import TURN, Ring, follow, learn, register, rolled, without_slips
+from gyrotrack.tracking._registration import (
+    TURN,
+    Ring,
+    Template,
+    follow,
+    learn,
+    register,
+    rolled,
+    without_slips,
+)
 from gyrotrack.tracking._tracked import hub_error
 
 
@@ -257,6 +266,24 @@ def test_halves_of_a_ring_show_a_displaced_hub():
     scaled = swing * (1 + 0.5 / np.array(radius))[:, None] + noise
     assert hub_error(swing, scaled, parts) == pytest.approx(0.5 / whole * swing.std(), rel=0.1)
     assert hub_error(10 * turns, halves, parts) == 0.0  # over many turns it resembles no motion
+
+
+@pytest.mark.parametrize(
+    ("known", "inner"),
+    [
+        ([1, 1, 1, 1, 1, 1, 1], 3),
+        ([8, 1, 1, 1, 1, 1, 1], 1),
+        ([0, 0, 0, 0, 0, 1, 8], 6),
+        ([1, 1, 6, 1, 1, 1, 2], 2),
+    ],
+)
+def test_halves_of_a_ring_have_equal_information(monkeypatch, known, inner):
+    """Within a row; each has at least one."""
+    ring = Ring((0.0, 0.0), 20, 60, 7, 64)
+    flat = np.ones((7, 64), np.float32)
+    template = Template(ring, flat, flat, flat, flat, 1.0, flat > 0)
+    monkeypatch.setattr(Template, "information", lambda _: np.array(known, dtype=float))
+    assert [part.rows for part in template.halves()] == [slice(0, inner), slice(inner, None)]
 
 
 @pytest.mark.slow

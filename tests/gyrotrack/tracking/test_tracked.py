@@ -1,13 +1,13 @@
 """The white part of a series of angles, evenly and unevenly sampled; doubts about a track; a recording."""
 
-from dataclasses import make_dataclass
+from dataclasses import make_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gyrotrack import BodyTrack
+from gyrotrack import BodyTrack, TrackingError, UsageError, VideoError
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking import _extract as module
 from gyrotrack.tracking._extract import track_doubts
@@ -190,3 +190,166 @@ class TestRecording:
         assert found.time.tolist() == pytest.approx([0.0, 0.004, 0.008, 0.012, 0.016])
         assert found.frame_index.tolist() == [2, 3, 4, 5, 6]
         assert (found.centre, found.centre_sigma) == ("centre", "its sigma")
+
+
+class TestExtraction:
+    """The order in which the parts of an extraction are called, and with what; nothing is tracked."""
+
+    @staticmethod
+    def extract(monkeypatch, frames=8, *, shaken=False, disc=None, fast=False, times=(), **options):
+        asked = {}
+
+        def told(name, answer):
+            def part(*given, **_):
+                asked.setdefault(name, []).append(given)
+                return answer(*given) if callable(answer) else answer
+
+            monkeypatch.setattr(module, name, part)
+
+        seen_type = make_dataclass("Seen", ["pts_time", "disc", "still"])
+        joint_type = make_dataclass("Joint", ["warnings"])
+        seen = seen_type(np.arange(frames), disc, False)
+        shake = SimpleNamespace() if shaken else None
+        told("probe", "info")
+        told("capture_rate", SimpleNamespace(fps=100.0))
+        told("_only_casing", SimpleNamespace(name="casing only"))
+        told("_observe", ("scene", seen, shake))
+        told("_stabilised", lambda seen, _: replace(seen, still=True))
+        told("judge_repeats", "repeats")
+        told("trusted_times", "times")
+        told("without_repeats", ("kept", SimpleNamespace(fps=50.0)))
+        told("left_out", lambda seen, when: replace(seen, pts_time=seen.pts_time[1:]))
+        told("moves_fast", fast)
+        told("join_bodies", joint_type(("joint",)))
+        told("_as_seen", lambda joint, *_: replace(joint, warnings=("shaken", *joint.warnings)))
+        told("_check_bodies", None)
+        told("file_sha256", "sum")
+        told("_recording", lambda *given: given)
+        profile = SimpleNamespace(capture_fps=None, name="whole")
+        return module.extract(Path("film.mp4"), profile, **options), asked
+
+    @pytest.mark.parametrize("shaken", [True, False])
+    def test_repeats_times_and_bodies_of_a_shaken_film_are_those_of_a_camera_at_rest(
+        self, monkeypatch, shaken
+    ):
+        (*_, rate, scene, seen, joint), asked = self.extract(monkeypatch, shaken=shaken)
+        for name, frames in (("judge_repeats", 8), ("trusted_times", 8), ("join_bodies", 7)):
+            ((judged, *_),) = asked[name]
+            assert (judged.still, len(judged.pts_time)) == (shaken, frames)
+        ((_, when),) = asked["left_out"]
+        assert (when, asked["without_repeats"][0][:2]) == ("kept", ("times", "repeats"))
+        assert (rate.fps, scene, seen.still, len(seen.pts_time)) == (50.0, "scene", False, 7)
+        ((_, *others, fps),) = asked["join_bodies"]
+        assert (others[0], others[1].name, fps) == ("scene", "whole", 50.0)
+        assert joint.warnings == (("shaken", "joint") if shaken else ("joint",))
+
+    @pytest.mark.parametrize(
+        ("shaken", "disc", "fast", "doubted"),
+        [
+            (False, "disc", True, True),
+            (False, "disc", False, False),
+            (False, None, True, False),
+            (True, "disc", True, False),
+        ],
+    )
+    def test_a_roll_of_a_shaking_camera_without_a_background_is_unknown(
+        self, monkeypatch, shaken, disc, fast, doubted
+    ):
+        (*_, joint), _ = self.extract(monkeypatch, shaken=shaken, disc=disc, fast=fast)
+        assert (module._UNKNOWN_ROLL in joint.warnings) == doubted
+
+    @pytest.mark.parametrize("enough", [True, False])
+    def test_a_film_needs_as_many_frames_as_its_samples(self, monkeypatch, enough):
+        frames = module.FEWEST - (not enough)
+        if enough:
+            self.extract(monkeypatch, frames)
+        else:
+            with pytest.raises(VideoError, match=f"Only {frames} frames of film.mp4"):
+                self.extract(monkeypatch, frames)
+
+    @pytest.mark.parametrize(
+        ("body", "profile"), [("casing", "casing only"), ("both", "whole"), (None, "whole")]
+    )
+    def test_only_the_casing_is_tracked_if_it_alone_is_wanted(self, monkeypatch, body, profile):
+        _, asked = self.extract(monkeypatch, body=body)
+        assert asked["_observe"][0][1].name == profile
+        assert asked["join_bodies"][0][2].name == profile
+        assert asked["_check_bodies"][0][1] == body
+
+    def test_an_unknown_body_is_refused(self, monkeypatch):
+        with pytest.raises(UsageError, match="Unknown body 'wheel'"):
+            self.extract(monkeypatch, body="wheel")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "seen", "refused"),
+    [
+        (None, "casing", ""), ("casing", "casing", ""), ("rotor", "casing", "The rotor is not visible"),
+        ("both", "casing", "The rotor is not visible"), ("both", "rotor", "The casing is not visible"),
+        (None, "", "No body can be tracked"),
+    ],
+)  # fmt: skip
+def test_a_body_that_is_wanted_must_be_tracked(wanted, seen, refused):
+    joint = SimpleNamespace(bodies={seen: None} if seen else {})
+    if not refused:
+        module._check_bodies(joint, wanted, Path("film.mp4"))
+        return
+    with pytest.raises(TrackingError, match=f"{refused} in film.mp4"):
+        module._check_bodies(joint, wanted, Path("film.mp4"))
+
+
+def test_the_uncertainty_of_the_paper_is_that_of_the_mean_of_its_markers():
+    found = module._paper_sigma([np.array([3.0, np.nan, np.nan]), np.array([4.0, 2.0, np.nan])])
+    assert found == pytest.approx([2.5, 2.0, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize(("body", "needed"), [("rotor", False), ("casing", True)])
+def test_a_body_without_a_marker_in_the_film_is_reported(body, needed):
+    other = {"rotor": "casing", "casing": "rotor"}[body]
+    scene = SimpleNamespace(
+        markers=[SimpleNamespace(body=other)], body_of={"red": other, "blue": body, "green": body}
+    )
+    (told,) = module._unseen(scene)
+    assert told.startswith(f"The {body} is not tracked: no blue and no green marker is found.")
+    assert ("Synchronisation needs the casing" in told) == needed
+
+
+def test_markers_that_are_missing_on_a_tracked_body_are_doubts(monkeypatch):
+    monkeypatch.setattr(module, "track_doubts", lambda name, track, count, _: [f"{name} {track} {count}"])
+    scene = SimpleNamespace(
+        doubts=("first",),
+        missing=("red", "blue", "cyan"),
+        body_of={"red": "casing", "cyan": "casing", "blue": "rotor"},
+    )
+    first, of_track, absent = module._doubts(scene, {"casing": "track"}, np.zeros(7))
+    assert (first, of_track) == ("first", "casing track 7")
+    assert absent.startswith("No red and no cyan marker is found on the casing.")
+
+
+@pytest.mark.parametrize(
+    ("workers", "parts", "told"),
+    [
+        (2, 2, ""), (3, 2, "2 parts at key frames and tracked by 2 of 3 processes"), (None, 1, ""),
+        (4, 1, "one part and tracked by 1 of 4 processes"),
+        (None, 5, "5 parts at key frames and tracked by 5 of 6 processes"), (None, 6, ""),
+    ],
+)  # fmt: skip
+def test_a_film_of_fewer_parts_than_processes_is_reported(monkeypatch, workers, parts, told):
+    """Of six cores."""
+    monkeypatch.setattr(module, "read_packets", lambda _: "packets")
+    monkeypatch.setattr(module, "split", lambda _: range(parts))
+    monkeypatch.setattr(module, "available_cores", lambda: 6)
+    job = module.ExtractionJob(Path("film.mp4"), Path("a.h5"), None, workers=workers)
+    found = job._limit_of_processes()
+    assert found == (f"The film is divided into {told}." if told else "")
+
+
+@pytest.mark.parametrize("again", [None, np.array([False, True, True])])
+def test_a_recording_states_its_repeated_frames_and_where_its_centre_is_from(again):
+    times = SimpleNamespace(place=again, again=again)
+    scene = SimpleNamespace(disc=again is not None and "disc", missing=("red",), markers=())
+    joint = SimpleNamespace(centre=SimpleNamespace(reach=7), flattening={})
+    found = module._extra(scene, joint, "tag", times)
+    stated = [found[k] for k in ("times_from", "repeated_frames", "capture_rate_from", "centre_from")]
+    assert stated == (["frames", 0, "tag", "orbit"] if again is None else ["stamps", 2, "tag", "disc"])
+    assert (found["centre_smoothing_reach"], found["missing_markers"]) == (7, ["red"])

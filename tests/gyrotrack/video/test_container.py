@@ -1,9 +1,11 @@
+from types import SimpleNamespace
+
 import av
 import numpy as np
 import pytest
 
 from gyrotrack import VideoError
-from gyrotrack.video._container import opened, probe
+from gyrotrack.video._container import Orientation, opened, orientation_of, planes_of, probe
 
 
 def _film(path, size=(64, 48), frames=3, rate=30, codec="libx264", fmt="yuv420p"):
@@ -76,3 +78,37 @@ def test_a_huge_picture_is_not_decoded(tmp_path, monkeypatch):
     monkeypatch.setattr("gyrotrack.video._container.MAX_PIXELS", 1000)
     with pytest.raises(VideoError, match="too large"), opened(path):
         pass
+
+
+@pytest.mark.parametrize(
+    ("aspect", "luma", "chroma"),
+    [
+        (1.0, (20, 30), (10, 15)),
+        (1.1, (20, 33), (10, 17)),
+        (1.2, (20, 36), (10, 18)),
+        (1 / 1.05, (21, 30), (11, 15)),
+    ],
+)
+@pytest.mark.parametrize("quarters", [0, 1])
+def test_planes_of_a_film_of_other_pixels_have_the_size_of_square_ones(aspect, luma, chroma, quarters):
+    """Colours are sampled at every second pixel, the last one included."""
+    frame = av.VideoFrame.from_ndarray(np.full((30, 30), 100, dtype=np.uint8), format="yuv420p")
+    found = planes_of(frame, 7, Orientation(quarters=quarters, aspect=aspect))
+    turned = slice(None, None, -1 if quarters else 1)
+    assert found.y.shape == luma[turned]
+    assert found.u.shape == found.v.shape == chroma[turned]
+    assert (found.index, int(found.y.min()), int(found.u.max())) == (7, 100, 100)
+
+
+@pytest.mark.parametrize(
+    ("stated", "coded", "used"),
+    [
+        (4 / 3, 1, 4 / 3), (None, 0.75, 0.75), (0, 0, 1), (4.0, 1, 4.0), (4.1, 1, 1), (0.25, 1, 0.25), (0.24, 1, 1)
+    ],
+)  # fmt: skip
+def test_pixels_are_at_most_four_times_as_wide_or_high(stated, coded, used):
+    """The film's own statement comes before that of its coding; others are errors of the header."""
+    stream = SimpleNamespace(
+        sample_aspect_ratio=stated, codec_context=SimpleNamespace(sample_aspect_ratio=coded)
+    )
+    assert orientation_of(SimpleNamespace(side_data={}), stream) == Orientation(aspect=used)

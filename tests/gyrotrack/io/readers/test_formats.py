@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import DatasetError, UsageError, export_file, import_body, import_case, write_case
-from gyrotrack.io.readers._columnar import read_json
+from gyrotrack.io.readers._columnar import read_json, read_parquet
 from gyrotrack.io.readers._motion_table import ReadOptions, checked, only_one, read_names, resolution
 from gyrotrack.io.readers._raw_table import TURN, number_of, table_of
 from gyrotrack.io.readers._registry import read_motion
@@ -427,6 +427,36 @@ def test_rows_of_a_file_without_lines_are_counted_from_one():
     assert notes == ["a.mat: 1 rows without a value were excluded (first: line 3)"]
 
 
+def sysid(test, units="Rotations", width=4, **options):
+    """The table that is read from a file of SysId; column k of row i is 10 i + k."""
+    series = (10 * np.arange(12.0)[:, None] + np.arange(width)).tolist()
+    document = {"sysid": True, "units": units, "test": "Simple", "empty": [], **dict.fromkeys(test, series)}
+    return read_json(Path("a.json"), json.dumps(document).encode(), ReadOptions(**options))
+
+
+@pytest.mark.parametrize(
+    ("units", "unit"), [("Rotations", "turns"), ("Radians", "rad"), ("Degrees", "deg"), ("Feet", "Feet")]
+)
+def test_a_test_of_sysid_has_time_voltage_position_and_speed(units, unit):
+    raw = sysid(["slow-forward"], units)
+    assert raw.names == ("t", "voltage", "angle", "omega")
+    assert raw.units == ("s", "V", unit, f"{unit}/s")
+    assert [raw.numeric(k)[1] for k in range(4)] == [10.0, 11.0, 12.0, 13.0]
+
+
+@pytest.mark.parametrize(("side", "places"), [("left", [0, 1, 3, 5]), ("right", [0, 2, 4, 6])])
+def test_a_drive_train_of_sysid_has_two_sides(side, places):
+    raw = sysid(["slow-forward", "fast-forward"], width=9, marker=f"fast-forward {side}")
+    assert [raw.numeric(k)[1] for k in range(4)] == [10.0 + k for k in places]
+    with pytest.raises(DatasetError, match="contains 2 driven tests: slow-forward left, slow-forward right"):
+        sysid(["slow-forward"], width=9)
+
+
+def test_rows_of_sysid_of_another_width_are_refused():
+    with pytest.raises(DatasetError, match=r"have \[5\] numbers"):
+        sysid(["slow-forward"], width=5)
+
+
 def test_lists_of_a_json_table_that_are_shorter_are_not_columns(tmp_path):
     table = {"note": [1.0, 2.0], "t": TIME.tolist(), "angle": ANGLE.tolist(), "omega": [3.0], "empty": []}
     found = read_motion(write(tmp_path / "a.json", json.dumps(table)))
@@ -662,3 +692,17 @@ def test_a_message_lists_at_most_eight_names(count, listed):
         only_one(Path("drive.json"), names, "driven tests", ReadOptions())
     assert str(error.value.message) == f"drive.json contains {count} driven tests{listed}"
     assert only_one(Path("drive.json"), names, "driven tests", ReadOptions(marker="A3")) == "a3"
+
+
+@pytest.mark.parametrize("unit", ["ms", "us"])
+def test_dates_of_a_parquet_file_are_seconds(tmp_path, unit):
+    pa = pytest.importorskip("pyarrow")
+    pq = pytest.importorskip("pyarrow.parquet")
+    per_second = {"ms": 1000, "us": 1_000_000}[unit]
+    dates = pa.array([1_700_000_000 * per_second, 1_700_000_002 * per_second], pa.timestamp(unit))
+    table = pa.table({"time": dates, "word": ["a", "b"], "angle": [1.5, None]})
+    pq.write_table(table, tmp_path / "a.parquet")
+    raw = read_parquet(tmp_path / "a.parquet", (tmp_path / "a.parquet").read_bytes(), None)
+    assert raw.names == ("time", "word", "angle")
+    assert raw.numeric(0).tolist() == [1_700_000_000.0, 1_700_000_002.0]
+    np.testing.assert_array_equal(raw.numeric(2), [1.5, np.nan])

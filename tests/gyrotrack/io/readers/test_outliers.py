@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack import import_body
-from gyrotrack.io.readers._motion_table import MotionTable
+from gyrotrack import ErrorMode, import_body
+from gyrotrack.io.readers._motion_table import Driver, MotionTable
 from gyrotrack.io.readers._outliers import outliers, without_outliers
 from gyrotrack.io.readers._run import Limits
 
@@ -93,3 +93,22 @@ def test_counts_and_steps_of_the_resolution_are_kept(changes, excluded):
     notes = []
     _, kept = without_outliers(table, value, notes)
     assert (len(kept) < N) == bool(notes) == excluded
+
+
+@pytest.mark.parametrize("chosen", [np.array([3, 0]), np.arange(5) % 2 == 0])
+def test_everything_that_belongs_to_a_sample_is_selected_with_it(chosen):
+    row = np.arange(5.0)
+    mode = ErrorMode("tilt", np.stack([row, -row], axis=1), np.eye(2), "", "tilt", "tilt of the axis")
+    table = MotionTable(
+        Path("a.csv"), "", "angle", row, 10 * row, 0.1 * row, np.arange(5) + 2, ("first",),
+        drivers=(Driver("u", "V", 3 * row),), modes=(mode,),
+    )  # fmt: skip
+    found = table.only(chosen, "second")
+    kept = row[chosen]
+    assert found.time.tolist() == kept.tolist()
+    assert found.value.tolist() == (10 * kept).tolist()
+    assert found.sigma.tolist() == (0.1 * kept).tolist()
+    assert found.line.tolist() == (kept + 2).tolist()
+    assert found.drivers[0].value.tolist() == (3 * kept).tolist()
+    assert found.modes[0].basis.tolist() == np.stack([kept, -kept], axis=1).tolist()
+    assert found.notes == ("first", "second")

@@ -1,13 +1,23 @@
 """Tables as they come, and each bad one refused by file and line."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gyrotrack import DatasetError
-from gyrotrack.io.readers._motion_table import ReadOptions, read_names, without_spikes
+from gyrotrack.io.readers._motion_table import (
+    MotionTable,
+    ReadOptions,
+    in_order,
+    is_wrapped,
+    pieces,
+    read_names,
+    without_spikes,
+)
 from gyrotrack.io.readers._registry import read_motion
+from gyrotrack.io.readers._text_table import _are_units, _header
 
 ROWS = [(0.1 * k, 1.5 * k, 0.01) for k in range(12)]
 
@@ -104,6 +114,18 @@ def test_a_title_with_as_many_words_as_columns_is_not_a_header(tmp_path):
     samples = text("t angle sigma", " ").partition("\n")[2]
     with pytest.raises(DatasetError, match="the 3 columns have no header"):
         read_motion(table(tmp_path, "Schwingungsfrequenz ohne Kopplung\n\n" + samples))
+
+
+def test_a_header_whose_names_are_numbers_by_half_is_a_header(tmp_path):
+    read = read_motion(table(tmp_path, text("t,7")), ReadOptions(names=read_names(["t=t", "angle=7 [rad]"])))
+    np.testing.assert_allclose(read.value, [row[1] for row in ROWS], rtol=1e-5)
+
+
+def test_a_header_of_more_words_than_columns_is_refused_with_their_number(tmp_path):
+    """Words with units in brackets are five, but without a name for each column every word counts."""
+    samples = text("t angle sigma", " ").partition("\n")[2]
+    with pytest.raises(DatasetError, match="line 2: 3 cells where the header has 7"):
+        read_motion(table(tmp_path, "time of day [s] angle [rad] sigma\n" + samples))
 
 
 def test_sigma_shares_the_unit_of_the_angle(tmp_path):
@@ -219,3 +241,52 @@ def test_a_unit_is_stated_behind_a_header_with_a_separate_unit(tmp_path):
 )
 def test_names_and_units_of_columns(given, read):
     assert read_names([given]) == read
+
+
+def test_samples_of_one_time_are_averaged_with_the_uncertainty_of_their_mean():
+    time, row = np.arange(12.0), np.arange(12)
+    time[5] = 4.0
+    sigma = np.where(row == 5, 0.4, 0.3)
+    notes = []
+    given = MotionTable(Path("a.csv"), "", "omega", time, 10.0 * row, sigma, row + 2, ())
+    found = in_order(given, notes)
+    assert found.time.tolist() == [*range(5), *range(6, 12)]
+    assert found.value[3:6].tolist() == [30.0, 45.0, 60.0]
+    assert found.sigma[3:6] == pytest.approx([0.3, 0.25, 0.3])
+    assert found.line.tolist() == [*range(2, 7), *range(8, 14)]
+    assert notes == ["a.csv: 1 repeated times (first: line 7); their values were averaged"]
+
+
+@pytest.mark.parametrize(
+    ("share", "step", "wrapped"),
+    [(1.04, 1.04, True), (1.06, 1.06, False), (0.9, 0.51, True), (0.9, 0.49, False)],
+)
+def test_wrapped_angles_are_within_a_turn_and_have_a_step_of_more_than_half(share, step, wrapped):
+    assert is_wrapped(2 * np.pi * np.array([0.0, step, share])) == wrapped
+
+
+def test_a_usual_interval_among_short_ones_is_not_a_gap():
+    """The interval is compared with the median of the eleven around it."""
+    steps = [1.0] * 20 + [0.04, 0.04, 1.0, 0.04, 0.04] + [1.0] * 20
+    assert pieces(np.cumsum(steps)) == [slice(0, 45)]
+
+
+@pytest.mark.parametrize(
+    ("cells", "units"),
+    [
+        (["s", "deg", "front", "back"], True),
+        (["s", "front", "back"], False),
+        (["[s]", "", ""], True),
+        ([""], False),
+    ],
+)
+def test_a_line_of_units_has_units_in_half_of_its_cells(cells, units):
+    assert _are_units(cells) is units
+
+
+@pytest.mark.parametrize(
+    ("above", "names", "line"),
+    [(["time,angle", "t,phi"], ["t", "phi"], 2), (["t,phi", "front,back"], ["t", "phi"], 1)],
+)
+def test_the_header_is_the_last_line_of_the_most_known_names(above, names, line):
+    assert _header(list(enumerate(above, start=1)), ",", 2) == (names, [], line)
