@@ -718,7 +718,12 @@ def _followed(
         texture = _best_ring(seen.bodies[name], math.hypot(flat.p, flat.q))
         if texture is None:
             continue
-        others = [b.angle for n, b in bodies.items() if n != name]
+        # the coarse angle of a blurred body suffices to recognise passages in step with the frames
+        others = [
+            np.where(np.isfinite(b.angle), b.angle, seen.bodies[n].coarse)
+            for n, b in bodies.items()
+            if n != name
+        ]
         bodies[name] = by_texture(
             body,
             texture,

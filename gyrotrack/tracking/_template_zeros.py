@@ -12,9 +12,11 @@ s_b is the scatter of the differences in the n_b frames. The error of a marker h
 marker, and of the angle relative to the other body, whose markers it passes. The amplitudes A_k are measured in
 batches in which the harmonics average out. If the frames are in step with a harmonic, it does not average out, and the
 markers contain little information about the zero. The blur of a template depends on the speed omega_b; p = 0 for a
-steady body. q, p and x maximise the likelihood, and the zeros are smoothed. Within a batch the zero is z_b + c_b
-(omega - omega_b). c_b is the slope of the differences, shrunk by its uncertainty with p as the prior standard
-deviation.
+steady body. q, p and x maximise the likelihood, and the zeros are smoothed.
+
+Within a batch the zero is z_b + c_b (omega - omega_b). c_b is the posterior mean of the slope of the differences, with
+p as the prior standard deviation, beside the harmonics with the prior variance A_k^2 / 2 of each coefficient. Frames
+that are in step with a harmonic would otherwise tilt the zero by the error of the marker.
 """
 
 from __future__ import annotations
@@ -100,18 +102,19 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
         return TemplateZeros(np.full(len(off), middle), np.zeros(len(off)))
     mean = np.array([float(off[batches[b]].mean()) for b in used])
     variance = np.array([float(off[batches[b]].var()) / len(batches[b]) for b in used])
-    variance += sum(
-        (_harmonic_variance(off, a, [batches[b] for b in used], variance) for a in angles),
-        np.zeros(len(used)),
-    )
+    squares = [_squared_amplitudes(off, a, [batches[b] for b in used], variance) for a in angles]
+    for angle, each in zip(angles, squares, strict=True):
+        variance = variance + [0.5 * float(each @ _left(angle, batches[b])) for b in used]
     speed = np.array([_mean_rate(angles[0][batches[b]], batches[b]) for b in used])
     change = np.diff(speed) ** 2
     if change.mean() < _STEADY**2 * np.mean(speed**2):
         change[:] = 0.0
     zero, left, per_speed = _smoothed(mean, variance, np.diff(used).astype(np.float64), change)
     each = np.interp(np.arange(count), used, zero)[template]
-    for b in used if per_speed > 0 else ():
-        each[parts[b]] += _within(off, angles[0], batches[b], parts[b], per_speed)
+    for i, b in enumerate(used if per_speed > 0 else ()):
+        within, of_slope = _within(off, angles, squares, batches[b], parts[b], per_speed)
+        each[parts[b]] += within
+        left[i] += of_slope
     return TemplateZeros(each, np.sqrt(np.interp(np.arange(count), used, left))[template])
 
 
@@ -132,24 +135,35 @@ def _without_outliers(off: Floats, frames: Integers) -> Integers:
     return frames[np.abs(apart) < _FAR * max(spread(apart), 1e-12)]
 
 
-def _harmonic_variance(off: Floats, angle: Floats, batches: Sequence[Integers], white: Floats) -> Floats:
-    """Return the variance of the mean of each batch caused by harmonics of an angle, (batches,) [rad^2]."""
-    total = np.zeros(len(batches))
-    for order in _ORDERS:
-        left, squares = np.zeros(len(batches)), []
-        for i, frames in enumerate(batches):
+def _squared_amplitudes(off: Floats, angle: Floats, batches: Sequence[Integers], white: Floats) -> Floats:
+    """Return the mean squared amplitude of each harmonic of an angle in the differences, (orders,) [rad^2].
+
+    Only batches in which a harmonic averages out are used for it; the amplitude is 0 if there are none.
+    """
+    total = np.zeros(len(_ORDERS))
+    for place, order in enumerate(_ORDERS):
+        found = []
+        for frames, variance in zip(batches, white, strict=True):
             frames = frames[np.isfinite(angle[frames])]
             if len(frames) < _FEWEST_FRAMES:
                 continue
             wave = np.exp(-1j * order * angle[frames])
-            left[i] = abs(complex(wave.mean())) ** 2
-            if left[i] < _AVERAGED_OUT**2:
+            if abs(complex(wave.mean())) < _AVERAGED_OUT:
                 apart = off[frames] - off[frames].mean()
                 # white noise of variance s^2 in n frames adds 4 s^2 / n to the square of an amplitude
-                squares.append(abs(complex(2.0 * np.mean(apart * wave))) ** 2 - 4.0 * float(white[i]))
-        if squares:
-            total += 0.5 * max(float(np.mean(squares)), 0.0) * left
+                found.append(abs(complex(2.0 * np.mean(apart * wave))) ** 2 - 4.0 * float(variance))
+        if found:
+            total[place] = max(float(np.mean(found)), 0.0)
     return total
+
+
+def _left(angle: Floats, frames: Integers) -> Floats:
+    """Return |<exp(i k a)>|^2 over some frames for each order k, (orders,)."""
+    frames = frames[np.isfinite(angle[frames])]
+    if len(frames) < _FEWEST_FRAMES:
+        return np.zeros(len(_ORDERS))
+    waves = np.exp(1j * np.outer(_ORDERS, angle[frames]))
+    return np.asarray(np.abs(waves.mean(axis=1)) ** 2)
 
 
 def _mean_rate(angle: Floats, frames: Integers) -> float:
@@ -157,21 +171,41 @@ def _mean_rate(angle: Floats, frames: Integers) -> float:
     return float(angle[-1] - angle[0]) / float(frames[-1] - frames[0])
 
 
-def _within(off: Floats, angle: Floats, frames: Integers, batch: slice, per_speed: float) -> Floats:
-    """Return the zero of a template in each frame of its batch, less the zero at the mean speed [rad].
+def _within(
+    off: Floats,
+    angles: Sequence[Floats],
+    squares: Sequence[Floats],
+    frames: Integers,
+    batch: slice,
+    per_speed: float,
+) -> tuple[Floats, float]:
+    """Return the zero of a template in the frames of its batch, less the zero at the mean speed [rad].
 
-    `frames` are the frames whose difference `off` is used; `per_speed` is the prior standard deviation of the slope
-    [rad per (rad per frame)].
+    The second result is the mean variance of this difference [rad^2]. `frames` are the frames whose difference `off` is
+    used, `squares` are the squared amplitudes of the harmonics of each angle [rad^2], and `per_speed` is the prior
+    standard deviation of the slope [rad per (rad per frame)].
     """
     middle = 0.5 * (frames[0] + frames[-1])
-    motion = np.polynomial.Polynomial.fit(frames - middle, angle[frames], _MOTION).deriv()
+    motion = np.polynomial.Polynomial.fit(frames - middle, angles[0][frames], _MOTION).deriv()
     faster = motion(frames - middle)
     apart = faster - faster.mean()
-    information = float(apart @ apart) / float(off[frames].var())
-    if not information > 0:
-        return np.zeros(batch.stop - batch.start)
-    slope = float(apart @ off[frames]) / float(apart @ apart) / (1.0 + 1.0 / (per_speed**2 * information))
-    return np.asarray(slope * (motion(np.arange(batch.start, batch.stop) - middle) - faster.mean()))
+    noise = float(off[frames].var())
+    if not float(apart @ apart) > 0 or not noise > 0:
+        return np.zeros(batch.stop - batch.start), 0.0
+    columns, prior = [np.ones(len(frames)), apart * per_speed], [0.0, 1.0]
+    for angle, each in zip(angles, squares, strict=True):
+        turn = np.nan_to_num(angle[frames])
+        for order, square in zip(_ORDERS, each, strict=True):
+            if square > 0:
+                size = math.sqrt(0.5 * square)
+                columns += [size * np.cos(order * turn), size * np.sin(order * turn)]
+                prior += [1.0, 1.0]
+    basis = np.stack(columns, axis=1)
+    # the noise includes the harmonics, which the coefficients may describe only in part
+    covariance = np.linalg.inv(basis.T @ basis / noise + np.diag(prior))
+    slope = per_speed * float(covariance[1] @ (basis.T @ off[frames])) / noise
+    variance = per_speed**2 * float(covariance[1, 1]) * float(np.mean(apart**2))
+    return np.asarray(slope * (motion(np.arange(batch.start, batch.stop) - middle) - faster.mean())), variance
 
 
 def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> tuple[Floats, Floats, float]:

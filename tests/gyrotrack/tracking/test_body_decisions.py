@@ -325,7 +325,7 @@ class TestFrames:
 
 
 class TestBodies:
-    def followed(self, monkeypatch, *, rotor=None, casing=None, disc=True, better=None):
+    def followed(self, monkeypatch, *, rotor=None, casing=None, disc=True, better=None, rings=False):
         """The joins of both bodies; `better` is that of the casing with the rotor known."""
         joined = []
         results = {"rotor": rotor, "casing": casing}
@@ -342,7 +342,7 @@ class TestBodies:
         views = {name: views[name] for name in views if results[name] is not None}
         coarse = np.linspace(0.0, 9.0, 400)
         seen = SimpleNamespace(
-            bodies={name: SimpleNamespace(coarse=coarse, texture=None) for name in views},
+            bodies={name: SimpleNamespace(coarse=coarse, texture=name if rings else None) for name in views},
             disc=np.zeros((400, 2)) if disc else None,
         )
         bodies, warnings = module._followed(
@@ -355,6 +355,27 @@ class TestBodies:
         monkeypatch.setattr(module, "harmonic_error", lambda angle: float(angle[-1]))
         bodies, *_ = self.followed(monkeypatch, rotor=turning, casing=still)
         assert {name: b.harmonic for name, b in bodies.items()} == {"rotor": 40.0, "casing": 20.0}
+
+    def test_a_ring_beside_a_blurred_body_knows_its_coarse_angle(self, monkeypatch):
+        """The rotor is too fast for its markers in the first 100 frames."""
+        rotor = np.linspace(0, 40, 400)
+        rotor[:100] = np.nan
+        told = []
+
+        def by_texture(body, texture, *rest):
+            told.append((texture, rest[-1]))
+            return body
+
+        monkeypatch.setattr(
+            module, "_best_ring", lambda seen, flattening: "ring" if seen.texture == "casing" else None
+        )
+        monkeypatch.setattr(module, "by_texture", by_texture)
+        casing = body(np.linspace(0, 20, 400))
+        self.followed(monkeypatch, rotor=body(rotor), casing=casing, rings=True)
+        ((texture, (other,)),) = told
+        assert texture == "ring"
+        np.testing.assert_allclose(other[:100], np.linspace(0.0, 9.0, 400)[:100])
+        np.testing.assert_allclose(other[100:], rotor[100:])
 
     def test_the_casing_is_joined_again_with_the_rotor_beneath(self, monkeypatch):
         turning, still = body(np.linspace(0, 40, 400)), body(np.linspace(0, 20, 400))
