@@ -566,10 +566,10 @@ class TestGrade:
         end = found(DRAG, UNBALANCE, deviance=60.0, theta=(0,) * 4)
         size = self.graded(monkeypatch, end=end, of_angle=2e-3)
         assert "of the mean square slow unmodelled torque" in size.remainder.sentence
-        assert "a torque of the angle of 2 mN m rms" in size.remainder.sentence
+        assert "an angle-dependent torque of 2 mN m rms" in size.remainder.sentence
         size = self.graded(monkeypatch, end=end)
         assert "slow" not in size.remainder.sentence
-        assert "torque of the angle" not in size.remainder.sentence
+        assert "angle-dependent torque" not in size.remainder.sentence
 
     @pytest.mark.parametrize(
         ("share", "shape", "explained", "whole"),

@@ -400,7 +400,7 @@ class TestKindsOfTorque:
         assert size.explained > 0.95
         assert size.form == "approximate"
         assert "second effect asymmetry of the body (asymmetry)" in size.remainder.sentence
-        assert "a torque of the angle of 1.41 mN m rms" in size.remainder.sentence
+        assert "an angle-dependent torque of 1.41 mN m rms" in size.remainder.sentence
 
     @pytest.mark.parametrize(("alone", "explained"), [(0.02, 0.98), (0.3, 0.7), (0.6, 0.6)])
     def test_the_smaller_estimate_of_what_remains_counts(self, monkeypatch, alone, explained):
