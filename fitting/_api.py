@@ -183,6 +183,6 @@ def _names(names: Iterable[str]) -> tuple[str, ...]:
     found = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, Iterable) else (names,)
     if not all(isinstance(n, str) for n in found):
         raise EffectError(
-            "share and per_case are names of parameters", 'write for example ["casing.air.linear"]'
+            "share and per_case are names of parameters", 'write, for example, ["casing.air.linear"]'
         )
     return found

@@ -240,7 +240,7 @@ CASE_ATTRIBUTES = (
 PLACEMENT_ATTRIBUTES = (
     Attribute("clock_offset", float, "s", "start of the clip on the casing camera's clock"),
     Attribute("clock_offset_sigma", float, "s", "standard uncertainty of clock_offset"),
-    Attribute("clock_rate", float, "1", "rate of the clip's clock on the casing camera's clock"),
+    Attribute("clock_rate", float, "1", "rate of the clip's clock relative to the casing camera's clock"),
     Attribute("clock_rate_sigma", float, "1", "standard uncertainty of clock_rate"),
     Attribute("angle_offset", float, "rad", "angle added to the clip's angles"),
     Attribute("sync_ambiguous", int, "", "1 if the data allow another start of the clip", field="ambiguous"),
@@ -259,7 +259,7 @@ FUSED = Table(
     (
         Field("time", _T, "s", "time on the clock of the case"),
         Field("value", _T, "rad or rad s-1", "angle, or angular velocity"),
-        Field("u", _T, "rad or rad s-1", "white standard uncertainty of the value"),
+        Field("u", _T, "rad or rad s-1", "standard uncertainty of the value from white noise"),
         Field(
             "segment", _T, "1", "clip or window of the sample; absent for the first body", "i8", optional=True
         ),
@@ -314,7 +314,7 @@ CLOCK = Table(
     (Field("covariance", ("parameter", "other_parameter"), "1", "covariance of offset [s] and rate [1]"),),
     attributes=(
         Attribute("offset", float, "s", "start of the clip on the clock of the case", math.nan),
-        Attribute("rate", float, "1", "rate of the clip's clock on that of the case", math.nan),
+        Attribute("rate", float, "1", "rate of the clip's clock relative to the clock of the case", math.nan),
     ),
 )
 JOINT_ATTRIBUTES = (

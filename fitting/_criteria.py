@@ -52,7 +52,7 @@ class Criteria:
     strong evidence against the worse one."""
     collinearity: float = 0.9999
     """Cosine of responses that no data separates [1]. Chosen: a smaller value joins effects that more data separate, a
-    larger one separates equal ones by rounding."""
+    larger one separates equal ones by rounding errors."""
     measurement_penalty: float = 3.2
     """BIC added to measurement effects [1]. Derived: prior odds 1:5, 2 ln 5; a smaller value blames the camera, a
     larger one invents torques."""
@@ -95,8 +95,8 @@ class Criteria:
     """P-value of a sinusoid that is not noise [1]. Source: Baluev 2008; its test; a larger value finds lines by chance,
     a smaller one leaves lines in the process noise."""
     periodic_torque: float = 0.001
-    """P-value of a torque of the angle that is not noise [1]. Chosen: a larger value finds torques by chance, a smaller
-    one counts torques as noise."""
+    """P-value of an angle-dependent torque that is not noise [1]. Chosen: a larger value finds torques by chance, a
+    smaller one counts torques as noise."""
     doubt_named: float = 0.01
     """Smooth-test p-value that contradicts a named effect [1]. Source: Hart 1997; its test; a larger value doubts right
     forms, a smaller one accepts wrong ones."""
@@ -188,7 +188,7 @@ class Criteria:
     def refits_through(self, reversals: int) -> int:
         """Return the largest number of refitted candidates, given the number of reversals of an oscillation.
 
-        A search through one reversal takes some 0.03 s of a core.
+        A search through one reversal takes about 0.03 s of a core.
         """
         return min(self.refit_least, max(1, self.refit_reversals // max(reversals, 1)))
 

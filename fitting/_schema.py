@@ -46,7 +46,7 @@ locked, refuse_special = _FILES.locked, _FILES.refuse_special
 
 
 def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda: True) -> None:
-    """Write a text file (UTF-8) atomically; a LedgerError says why the system refuses.
+    """Write a text file (UTF-8) atomically; a LedgerError states why this failed.
 
     The file is not replaced if it is no longer `unchanged`.
     """
@@ -608,7 +608,7 @@ _D = TypeVar("_D", LedgerDocument, SavedFitDocument)
 def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
     """Read a JSON file of a kind: a ledger or a saved fit.
 
-    A LedgerError says that the file is missing, of another kind, of a newer version, or damaged.
+    A LedgerError is raised if the file is missing, of another kind, of a newer version, or damaged.
     """
     refuse_special(path)
     try:

@@ -52,6 +52,18 @@ PATTERNS = {
     r"pulls? .{1,40} beyond": "prefers a value outside",
     r"no (?:physical )?reason to": "needs no",
     r"such as": "for example, like",
+    r"(?:is|are|than|out|by|fits|counts|shows) rounding(?! (?:errors?|of|up|down|to))": "rounding error",
+    r"(?:derivatives?|Jacobian|gradient) by (?!the (?:finite|chain)|finite|central)": "with respect to",
+    r"from which on": "the smallest ... for which",
+    r"(?:larger|smaller|difference|mean) of both": "of the two",
+    r"torques? of (?:the|an) angle": "angle-dependent torque",
+    r"write for example": "write, for example, ...",
+    r"some (?:\d+|ten|hundred|thousand)": "about, a few hundred, several thousand",
+    r"probability to": "probability of",
+    r"twice too \w+": "twice as ... as necessary",
+    r"(?:None|empty) also if": "the result is also ... if",
+    r"beside (?:a random|an? exponential|periodic noise|the sigma)": "in addition to",
+    r"errors? says? (?:that|why|what|whether)": "is raised if, states",
     r"mend\w*|excus\w*|guess\w*|swings?|swung|nobody|torn|twins?": "correct, absorb, initial value, oscillate",
 }
 # the first words of a sentence that is turned round: "Of a blank disc no rotation is measurable"
@@ -155,6 +167,14 @@ def test_exceptions_are_needed():
         ("Two films cannot be told from each other.", True),
         ("a time constant of its own", True),
         ("its own time constant", False),
+        ("A smaller value projects out rounding.", True),
+        ("A smaller value projects out rounding errors.", False),
+        ("The Jacobian by the free variables.", True),
+        ("The derivatives with respect to the free variables.", False),
+        ("It takes some ten fits.", True),
+        ("Some tests find ten fits.", False),
+        ("The larger of both counts.", True),
+        ("The probability to detect an effect.", True),
     ],
 )
 def test_the_linter_itself(text, found):

@@ -48,8 +48,8 @@ _SPEEDS: dict[str, tuple[str, ...]] = {
     "bearing": ("delta", "omega_r"),
 }
 _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
-"""Trial exponents of a power law [1]. Chosen: quarters and halves beside the integers of the library; fewer start far
-from the optimum, more cost time."""
+"""Trial exponents of a power law [1]. Chosen: quarters and halves in addition to the integers of the library; fewer
+start far from the optimum, more cost time."""
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
 """Trial speeds of a law over the largest speed [1]. Chosen: six per decade; fewer start far from the optimum, more cost
 time."""

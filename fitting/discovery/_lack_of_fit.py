@@ -96,7 +96,7 @@ _RANK = 1e-4
 rounding, a larger one omits deviations that are nearly absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
-projects out rounding, a larger one ignores some free columns."""
+projects out rounding errors, a larger one ignores some free columns."""
 _TINY = 1e-300
 """Smallest norm by which a column is divided [1]. Derived: it avoids a division by zero and is below any other norm."""
 _DRAWS = 2000

@@ -118,8 +118,8 @@ _STEPS = 8
 """Steps of the progress bar [1]. Chosen: the usual number of searches and refits; another value makes the bar jump or
 stop before its end."""
 _RANK = 1e-9
-"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
-rounding, a larger one ignores some nuisance columns."""
+"""Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one ignores some nuisance columns."""
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,8 @@ _RANK = 1e-4
 absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: as in
-`fitting.discovery._lack_of_fit`; a smaller value projects out rounding, a larger one ignores some free columns."""
+`fitting.discovery._lack_of_fit`; a smaller value projects out rounding errors, a larger one ignores some free
+columns."""
 _TINY = 1e-300
 """Smallest mean square torque by which a square is divided [1]. Derived: it avoids a division by zero and is below any
 other square."""

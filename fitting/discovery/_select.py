@@ -442,7 +442,7 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
 
 _TIE = 1
 """Decimal places of BIC for the order of candidates [1]. Chosen: fewer order different laws as the library does, more
-order equal laws by rounding."""
+order equal laws by rounding errors."""
 
 
 def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
@@ -456,7 +456,7 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
                 -c.score + (c.screened.columns + len(c.screened.shape[0])) * criteria.equivalence_width
             )
         penalised += 0.0 if c.physical else criteria.measurement_penalty
-        # laws that are equal in a recording differ by rounding; the more common one is first in the library
+        # laws that are equal in a recording differ by rounding errors; the more common one is first in the library
         return (not c.significant, round(penalised, _TIE), place.get(c.effect.name, len(place)))
 
     def indistinguishable(a: Candidate, b: Candidate) -> bool:

@@ -833,7 +833,7 @@ _PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
 
 
 def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Criteria) -> list[str]:
-    # an unmodelled torque of the angle changes the fitted camera effects, so their values are not reported
+    # an unmodelled angle-dependent torque changes the fitted camera effects, so their values are not reported
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [

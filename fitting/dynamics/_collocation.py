@@ -55,11 +55,11 @@ MAX_INTERVALS = 40_000
 """Intervals at most [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays the
 failure of stiff ones."""
 _SMALL = 1e-9
-"""Relative step of Newton's method after which the error is rounding [1]. Derived: convergence is quadratic, so the
-next step is about the square of this step."""
+"""Relative step of Newton's method after which the remaining error is rounding error [1]. Derived: convergence is
+quadratic, so the next step is about the square of this step."""
 _LARGEST_ERROR = 1e-13
 """Largest error after the last step, predicted from the convergence of the previous steps with a margin of ten [1].
-Chosen: a smaller value adds steps of the size of the rounding, a larger one stops before convergence."""
+Chosen: a smaller value adds steps of the size of rounding errors, a larger one stops before convergence."""
 _MEASURED = 1e-6
 """Smallest previous step from which the convergence is measured [1]. Chosen: smaller steps contain rounding; a larger
 value uses too few steps."""
@@ -181,7 +181,7 @@ class Path:
     newton_ratio: float = 1.0
     exact: bool = True  # True for a solution, False for the measured motion
     # smallest scale of the errors of a speed [rad/s]. In a stretch in which an oscillating casing hardly moves, its
-    # torques cancel, and errors relative to its own speed are rounding
+    # torques cancel, and errors relative to its own speed are rounding errors
     least_scale: float = 0.0
 
     @cached_property

@@ -30,8 +30,8 @@ _LAWS = ("casing.unbalance", "casing.asymmetry")
 _ANGLE_POINTS = 73
 """Points of a curve over one turn [1]. Chosen: steps of 5 degrees; fewer show corners, more make larger files."""
 _RANK = 1e-6
-"""Singular values, relative to the largest, below which a free direction is rounding [1]. Chosen: a smaller value
-projects out rounding, a larger one leaves a part of the free columns."""
+"""Singular values, relative to the largest, below which a free direction is rounding error [1]. Chosen: a smaller value
+projects out rounding errors, a larger one leaves a part of the free columns."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -115,7 +115,7 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
         size = np.linalg.norm(rows[:, :-1], axis=0)
         rows = orthogonal_to(basis, rows)
         response, residual = rows[:, :-1], rows[:, -1]
-        # what is left of a torque that is in the model is rounding
+        # what is left of a torque that is in the model is rounding error
         response[:, np.linalg.norm(response, axis=0) < _RANK * size] = 0.0
         turns = float(np.ptp(case.data.measured_angle)) / (2 * math.pi)
         covariance = np.linalg.pinv(response.T @ response, hermitian=True)

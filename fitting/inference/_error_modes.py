@@ -60,7 +60,7 @@ class ErrorMode:
         what = f"error mode {str(self.name)[:40]}"
         for key in ("name", "group", "origin"):
             if not isinstance(getattr(self, key), str):
-                raise RecordError(f"{what}: its {key} is not a text", "give a name")
+                raise RecordError(f"{what}: its {key} is not a string", "give a name")
         arrays: dict[str, Array] = {}
         for key in ("time", "basis", "covariance"):
             try:

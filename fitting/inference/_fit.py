@@ -444,7 +444,7 @@ def _jumps_at_rest(effect: Effect, speed: str) -> bool:
 
 _REST = 1e-12
 """Speed on either side of rest at which a law is evaluated [rad/s]. Chosen: continuous laws do not differ; a smaller
-value is rounding, a larger one takes a steep law for a jump."""
+value is rounding error, a larger one takes a steep law for a jump."""
 _JUMP = 1e-3
 """Smallest jump of a law with parameters of 1 [1]. Chosen: that of dry friction is 2; a smaller value takes a steep law
 for a jump, a larger one overlooks a part of the torque that jumps."""

@@ -6,10 +6,11 @@ The laws are linear in their strengths gamma_k, so along the rough speeds
 
 and the same for the rotor: a linear least-squares problem with bounds.
 
-At strength zero, chi-square has no gradient by the shape of a law, and with a wrong shape the search may end in a wrong
-minimum. So the model is fitted without the law; then, for every shape on a grid, the derivative of the rows by the
-strength gives the fall of the deviance (a score test), and the full search starts at the best shape. At the level of
-random torque of the model without the law, any shape would be consistent with the data: the level is optimised as well.
+At strength zero, chi-square has no gradient with respect to the shape of a law, and with a wrong shape the search may
+end in a wrong minimum. So the model is fitted without the law; then, for every shape on a grid, the derivative of the
+rows by the strength gives the fall of the deviance (a score test), and the full search starts at the best shape. At the
+level of random torque of the model without the law, any shape would be consistent with the data: the level is optimised
+as well.
 """
 
 from __future__ import annotations

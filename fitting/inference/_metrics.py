@@ -393,8 +393,8 @@ _RANK = 1e-4
 """Relative singular value below which a tested direction is one of the model [1]. Chosen: a smaller value tests
 rounding, a larger one omits torques that are nearly absorbed."""
 _RANK_FREE = 1e-7
-"""Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
-a larger one leaves a part of the free columns."""
+"""Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one leaves a part of the free columns."""
 _MANY = 4
 """Number of cases above which the slow torques of each case are projected out first [1]. Chosen: another value costs
 time and does not change the result."""
@@ -413,10 +413,10 @@ class LackOfFit:
 
 
 class FewRows(NamedTuple):
-    """Columns that are tested beside a fitted model, as the few rows R of a QR decomposition."""
+    """Columns that are tested in addition to a fitted model, as the few rows R of a QR decomposition."""
 
     tested: Array
-    free: Array  # derivatives by all variables of the fit
+    free: Array  # derivatives with respect to all variables of the fit
     residual: Array
     share: float  # share of the process noise in the variance of the tested columns
 

@@ -270,7 +270,7 @@ class Names:
     def __call__(self, name: str) -> str:
         """Return the key of a parameter; an EffectError if there is none."""
         if not isinstance(name, str):
-            raise EffectError(f"a {type(name).__name__} is not the name of a parameter", "use a text")
+            raise EffectError(f"a {type(name).__name__} is not the name of a parameter", "use a string")
         key = inward(name, self.body)
         if key.startswith("initial.") and "@" not in key:
             found = [k for k in self.keys if k.partition("@")[0] == key]

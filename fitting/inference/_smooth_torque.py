@@ -2,7 +2,7 @@
 
 A recording may not exclude a random torque that would hide a missing law: the residuals are then consistent with noise,
 although a law would describe them with few parameters and no random torque at all. Descriptions are compared, each with
-the free parameters of the fit: a random torque alone, and a random torque beside one of
+the free parameters of the fit: a random torque alone, and a random torque together with one of
 
 - a torque that is a parabola in time, on the casing and in the bearing;
 - a torque on the casing that is a sinusoid in time, of a frequency that changes linearly (a precession).
@@ -41,8 +41,8 @@ _DEGREE = 2
 """Degree of the smooth torques in time [1]. Chosen: a constant and a trend are nearly parameters of the model; more
 degrees describe more and need more evidence."""
 _TIMES = 5
-"""Trial correlation times of the random torque beside that of the recording [1]. Chosen: fewer pass over the maximum of
-the likelihood, more cost time."""
+"""Trial correlation times of the random torque in addition to that of the recording [1]. Chosen: fewer pass over the
+maximum of the likelihood, more cost time."""
 _FEWEST_TIMES = 6.0
 """Smallest length of a record, in correlation times of the random torque [1]. Chosen: as in
 `fitting.discovery._random_torque`; with fewer the torque is a trend, a larger value leaves slow torques untried."""
@@ -50,8 +50,9 @@ _LEVELS = np.geomspace(0.01, 4.0, 12)
 """Trial levels of the random torque over that of the fit [1]. Chosen: lower ones are none, with more freedom none is
 much larger; more cost time."""
 _RANK_FREE = 1e-7
-"""Relative singular value below which a free direction is rounding [1]. Chosen: as in `fitting.inference._metrics`; a
-smaller value projects out rounding, a larger one leaves a part of the free columns."""
+"""Relative singular value below which a free direction is rounding error [1]. Chosen: as in
+`fitting.inference._metrics`; a smaller value projects out rounding errors, a larger one leaves a part of the free
+columns."""
 _RANK = 1e-4
 """Relative singular value below which a smooth torque is one of the model [1]. Chosen: as in
 `fitting.inference._metrics`; a smaller value tests rounding, a larger one omits torques that are nearly absorbed."""
@@ -77,7 +78,7 @@ a larger number requires a larger fall."""
 
 @dataclass(frozen=True)
 class SmoothTorque:
-    """Fall of the deviance by torques beside a random one, their linear parameters, and the rows of the case.
+    """Fall of the deviance by torques in addition to a random one, their linear parameters, and the rows of the case.
 
     `searched` are further parameters, of which the best of `trials` independent values is taken.
     """
@@ -104,14 +105,14 @@ class SmoothTorque:
 def smooth_torques(
     data: CaseData, prediction: Prediction, noise: Noise, free: Array, criteria: Criteria
 ) -> tuple[SmoothTorque, SmoothTorque]:
-    """Compare a parabola and a sinusoid beside a random torque with a random torque alone, in the rows of one case.
+    """Compare a random torque plus a parabola or a sinusoid with a random torque alone, in the rows of one case.
 
     Parameters
     ----------
     data, prediction, noise : CaseData, Prediction, Noise
         A case, the prediction of the fitted model, and the noise with the random torque that it needs, above zero.
     free : ndarray, shape (rows, columns)
-        Derivatives by the free parameters and nuisance columns.
+        Derivatives with respect to the free parameters and nuisance columns.
     criteria : Criteria
         Range of correlation times of the random torque.
     """

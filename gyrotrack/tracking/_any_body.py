@@ -1,7 +1,7 @@
 """Tracking of one rotating body in any film, by its markers or by its texture.
 
 The moving part of the picture is found, and candidates for the hub are proposed. The ring about each candidate is
-tracked through some hundred frames, and the candidate that best explains the change of brightness is refined. See
+tracked through a few hundred frames, and the candidate that best explains the change of brightness is refined. See
 `_registration` for the measurement of the angle.
 """
 

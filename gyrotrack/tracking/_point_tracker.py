@@ -884,7 +884,7 @@ class _Layers:
 
 
 def _derivatives(picture: Picture) -> Picture:
-    """Return the derivatives by x, y, xx, xy, yy of a picture, (5, h, w)."""
+    """Return the derivatives of a picture with respect to x, y, xx, xy and yy, (5, h, w)."""
     by_y, by_x = np.gradient(picture)
     by_yx, by_xx = np.gradient(by_x)
     by_yy, _ = np.gradient(by_y)

@@ -124,7 +124,7 @@ class ViewResponse:
     """Response of the zones of a ring to a view (x, y, p, q, g_x, g_y, k_x, k_y), in coordinates of the body."""
 
     # shape (zones, samples, VIEW_SIZE); change of the grey levels per px of displacement, and per unit of the others,
-    # beside rotation, offset and gain
+    # in addition to rotation, offset and gain
     change: Singles
     rotation: Floats  # shape (zones, VIEW_SIZE); apparent rotation of each zone [rad] per unit of the view
     information: Floats  # shape (zones, VIEW_SIZE, VIEW_SIZE); information about the view in one frame

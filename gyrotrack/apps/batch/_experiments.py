@@ -284,7 +284,7 @@ class _Row(_Facts):
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
-    """Read a manifest in TOML or CSV; films are checked when opened, so that an unreadable one does not stop the batch."""
+    """Read a manifest in TOML or CSV; films are checked when opened, so an unreadable one does not stop the batch."""
     if path.suffix.lower() == ".csv":
         return with_folders(_from_rows(path), path)
     manifest = read_document(path, Manifest, what="manifest")

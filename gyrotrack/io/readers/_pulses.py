@@ -720,7 +720,8 @@ def mark_errors(
 
     The error of a mark is the median over all turns of its deviation from a cubic spline between the times of mark 0,
     minus the mean deviation of each turn. It is subtracted if the marks differ significantly. An unbalance or another
-    torque of the angle displaces the pulses in the same way, so the subtracted amount remains an uncertainty.
+    torque that depends on the angle displaces the pulses in the same way, so the subtracted amount remains an
+    uncertainty.
     """
     marks = round(per_turn)
     none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()
