@@ -145,8 +145,8 @@ class Criteria:
     """Smallest score at which a changepoint is moved to a distant time [1]. Derived: 5 sigma; a smaller value follows
     noise, a larger one leaves a wrong time."""
     equation_error: float = 3.0
-    """Error of the equation of motion, over the smallest, up to which a spring is fitted [1]. Chosen: a smaller value
-    may omit the right spring, a larger one costs time."""
+    """Largest error of the equation of motion, divided by the smallest error, for which a spring is fitted [1]. Chosen:
+    a smaller value may omit the right spring, a larger one costs time."""
     refit_reversals: int = 500
     """Largest number of reversals in all refits of a step [1]. Chosen: 15 s of one core; a smaller value may omit the
     right effect, a larger one costs time."""

@@ -203,7 +203,7 @@ def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
 
 
 def running_quantile(x: npt.NDArray[Any], width: int, rank: int) -> npt.NDArray[Any]:
-    """Return the value of a rank (from 0) among `width` (odd) neighbours of each point; the end values extend the series."""
+    """Return the value of a rank (from 0) among `width` (odd) neighbours of each point; the ends are extended."""
     if len(x) and x.min() == x.max():
         return x.copy()
     if len(x) > _MANY and np.isfinite(x).all():
@@ -295,9 +295,8 @@ def _median_table(width: int) -> tuple[Floats, Floats]:
         u = np.outer(trend[part], np.arange(-half, half + 1))
         p, density = np.interp(u, grid, table), np.exp(-(u**2) / 2) / np.sqrt(2 * np.pi)
         a, b = u[:, 2:], u[:, :-2]
-        series = (
-            -1 / 2 + a * b / 8 - (a**2 - 1) * (b**2 - 1) / 48
-        )  # tetrachoric series for the correlation -1/2
+        # tetrachoric series for the correlation -1/2
+        series = -1 / 2 + a * b / 8 - (a**2 - 1) * (b**2 - 1) / 48
         shared = 2 * np.sum(series * density[:, 2:] * density[:, :-2], axis=1)
         variance = np.sum(p * (1 - p), axis=1) + shared
         made[part] = np.sqrt(variance) / np.sum(density, axis=1)

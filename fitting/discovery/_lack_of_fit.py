@@ -199,7 +199,7 @@ rounding, a larger one omits torques that are nearly absorbed."""
 
 
 _NEAR_RESONANCE = 0.01
-"""Smallest difference of the squared frequencies of a drive and an oscillator, over that of the oscillator [1].
+"""Smallest difference of the squared frequencies of a drive and an oscillator, divided by that of the oscillator [1].
 Chosen: a smaller value gives unlimited angles, a larger one understates a resonance."""
 
 

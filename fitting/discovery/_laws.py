@@ -103,8 +103,9 @@ more cost time and change little."""
 _POINTS = 1000
 """Points of a curve along the motion [1]. Chosen: fewer blur narrow laws, more cost time."""
 _COMPARABLE_SHARE = 0.8
-"""Fall of deviance, over that of the best law, above which an effect of the library is fitted at the same noise [1].
-Chosen: a smaller value costs time, a larger one names a formula although a known effect describes the data as well."""
+"""Fall of deviance, divided by that of the best law, above which an effect of the library is fitted at the same noise
+[1]. Chosen: a smaller value costs time, a larger one names a formula although a known effect describes the data as
+well."""
 _EXPLAINED_TIE = 0.01
 """Difference of explained shares below which two variables count as equal [1]. Chosen: a smaller value prefers one by
 chance, a larger one hides the better one."""

@@ -41,8 +41,8 @@ _LEVELS = 21
 """Trial standard deviations of the start times, over two decades [1]. Chosen: fewer make the mean likelihood coarse,
 more cost time."""
 _REFITS = 3
-"""Fits with starts of a more and more accurate uncertainty at most [1]. Chosen: the second corrects what the bent base
-has spoiled; fewer leave its size, more cost time."""
+"""Largest number of fits with increasingly accurate uncertainties of the starts [1]. Chosen: the second corrects what
+the bent base has spoiled; fewer leave its size, more cost time."""
 _SAME_SIZE = math.log(2.0)
 """Change of the logarithm of the size of the start errors below which the fit is not repeated [1]. Derived: the size of
 n errors is known to 1 / sqrt(2 n), 40 % of three; a smaller value repeats fits that do not differ."""

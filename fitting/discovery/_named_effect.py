@@ -192,8 +192,8 @@ def _limit(response: Array, square: float, criteria: Criteria) -> float:
     """Return the rms deviation, as a share of the torque, that is detected with 90 % probability.
 
     `response` contains the responses to the piecewise linear functions of the knots. `square` is the sum of squares of
-    their torques over that of the torque of the effect. The limit is the rms at which nine in ten random deviations
-    have a noncentrality that the smooth test detects with 90 % probability.
+    their torques divided by that of the torque of the effect. The limit is the rms at which nine in ten random
+    deviations have a noncentrality that the smooth test detects with 90 % probability.
     """
     from scipy.special import chdtri, chndtrinc
 

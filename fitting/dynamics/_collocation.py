@@ -52,8 +52,8 @@ _MAX_NEWTON = 25
 """Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; fewer stop too early,
 more delay the failure."""
 MAX_INTERVALS = 40_000
-"""Intervals at most [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays the
-failure of stiff ones."""
+"""Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
+the failure of stiff ones."""
 _SMALL = 1e-9
 """Relative step of Newton's method after which the remaining error is rounding error [1]. Derived: convergence is
 quadratic, so the next step is about the square of this step."""

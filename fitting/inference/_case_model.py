@@ -208,8 +208,8 @@ _LEAST_INTERVALS = 600
 """Smallest limit of the number of intervals [1]. Chosen: the solution of stiff equations takes minutes to fail; a
 smaller value refuses short records, a larger one delays the failure."""
 _PER_SAMPLE = 2
-"""Intervals per sample at most [1]. Chosen: a motion with several changes between two samples is not measured; a
-smaller value refuses fast changes, a larger one delays the failure."""
+"""Largest number of intervals per sample [1]. Chosen: a motion with several changes between two samples is not
+measured; a smaller value refuses fast changes, a larger one delays the failure."""
 _MANY_REVERSALS = 3
 """Smallest number of reversals that are solved simultaneously [1]. Chosen: equal to `fitting.dynamics._events._MANY`; a
 smaller value does so although the number of events may still change, a larger one costs time."""

@@ -535,7 +535,7 @@ for normal noise."""
 _CAUCHY = 2.385
 """Scale of the Cauchy loss [standard deviations]. Derived: 95 % of the efficiency of least squares for normal noise."""
 _ITERATIONS = 12
-"""Iterations of a robust fit at most [1]. Chosen: fewer stop before convergence, more delay the failure."""
+"""Largest number of iterations of a robust fit [1]. Chosen: fewer stop before convergence, more delay the failure."""
 _CONVERGED = 0.01
 """Change of a parameter at convergence of a robust fit [standard errors]. Chosen: a smaller value costs iterations, a
 larger one leaves a bias."""

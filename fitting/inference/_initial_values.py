@@ -127,8 +127,8 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
     """Return the error of the equations of motion under a model, without a fit.
 
     Over many periods of an oscillation it is the rms error of the phase [rad]; otherwise the norm of the residuals of
-    the integrated equations of motion over that of the change of the speeds [1]. The strengths come from the linear
-    regression, the shape constants have their declared initial values.
+    the integrated equations of motion divided by that of the change of the speeds [1]. The strengths come from the
+    linear regression, the shape constants have their declared initial values.
     """
     layout = ParameterLayout.of(model, [d.record for d in data])
     slow = averaged_fit(model, data) if model.restoring else None
@@ -402,7 +402,7 @@ def _regress(
 
 
 def _longest_motion(omega_c: Array) -> NDArray[np.bool_]:
-    """Return which samples are in the longest interval without rest of the casing."""
+    """Return a mask of the samples that are in the longest interval without rest of the casing."""
     slow = np.abs(omega_c) < _AT_REST * np.abs(omega_c).max(initial=0.0)
     ends = np.flatnonzero(np.diff(np.concatenate([[True], slow, [True]]).astype(int)))
     if not len(ends):

@@ -151,7 +151,7 @@ class Params(Mapping[str, Estimate]):
 
 
 def note(e: Estimate) -> str:
-    """Return what a table says of a parameter that is not simply fitted, in brackets."""
+    """Return the remark, in brackets, of a table on a parameter that is not simply fitted."""
     if e.expr is not None:
         return f" (= {e.expr})"
     if not e.vary:

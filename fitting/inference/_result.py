@@ -111,7 +111,7 @@ class FitSummary:
 
     @property
     def misfit(self) -> float:
-        """Rms residual over that of the noise, of all rows that a model can describe; 1 is the noise limit.
+        """Rms residual divided by that of the noise, of all rows that a model can describe; 1 is the noise limit.
 
         Unlike the reduced chi-square of the samples, it does not depend on the sampling rate: further samples add
         noise, but no row.

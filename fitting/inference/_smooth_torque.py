@@ -47,8 +47,8 @@ _FEWEST_TIMES = 6.0
 """Smallest length of a record, in correlation times of the random torque [1]. Chosen: as in
 `fitting.discovery._random_torque`; with fewer the torque is a trend, a larger value leaves slow torques untried."""
 _LEVELS = np.geomspace(0.01, 4.0, 12)
-"""Trial levels of the random torque over that of the fit [1]. Chosen: lower ones are none, with more freedom none is
-much larger; more cost time."""
+"""Trial levels of the random torque divided by that of the fit [1]. Chosen: lower ones are none, with more freedom none
+is much larger; more cost time."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: as in
 `fitting.inference._metrics`; a smaller value projects out rounding errors, a larger one leaves a part of the free
@@ -69,8 +69,8 @@ _PERIOD_STEP = 0.25
 """Step of the trial numbers of periods [1]. Chosen: a sinusoid a quarter period off at the end of the record keeps
 0.95 of its power; a larger step misses some, a smaller one costs time."""
 _CHIRPS = np.linspace(-0.4, 0.4, 9)
-"""Trial changes of the frequency over half the record, over the mean frequency [1]. Chosen: a precession whose rotor
-loses half of its speed has 0.33; more would be trials of another law."""
+"""Trial changes of the frequency over half the record, divided by the mean frequency [1]. Chosen: a precession whose
+rotor loses half of its speed has 0.33; more would be trials of another law."""
 _CHIRP_TRIALS = 4
 """Independent trials among the changes of the frequency [1]. Chosen: neighbouring ones are correlated at few periods;
 a larger number requires a larger fall."""

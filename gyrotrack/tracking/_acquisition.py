@@ -692,8 +692,8 @@ _DISC_PEAK = 10.0
 """Smallest peak, the 99th percentile of the scores, of a disc [grey levels]. Chosen: a smaller value accepts
 reflections, a larger one loses faint discs."""
 _DISC_FILL = 0.7
-"""Smallest area of a disc without an orbit over that of the smallest circle about it [1]. Chosen: a full disc has 1; a
-smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
+"""Smallest area of a disc without an orbit divided by that of the smallest circle about it [1]. Chosen: a full disc has
+1; a smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
 
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:

@@ -349,7 +349,7 @@ class TwoMotions:
     spread: tuple[float, float]  # median distance of the fixed points of the pairs from these medians [px]
     places: tuple[complex, complex]  # centroids of the features of both bodies [px]
     shares: tuple[float, float]  # shares of the moving features
-    ratio: float  # rotation of the second over that of the first
+    ratio: float  # rotation of the second divided by that of the first
     joined: bool = False  # whether both move a joint, at a fixed distance from a hub, in the same way
 
     @property
@@ -460,7 +460,7 @@ def refuse_blurred(film: Film, frames: Sequence[Plane], ring: Ring, noise: float
 
 
 def detail(ring: Ring, frames: Sequence[Plane], noise: float) -> tuple[float, float]:
-    """Return the rms change of the picture in a ring over the noise, and the ratio of detail along and across circles.
+    """Return the rms change of a ring divided by the noise, and the ratio of the detail along and across circles.
 
     The detail is the rms gradient per px in each direction, less the gradient of the noise. If a body turns by several
     of its details during an exposure, its detail along the circles is smeared.

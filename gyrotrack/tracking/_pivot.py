@@ -116,8 +116,8 @@ _MOST_TRIALS = 100
 """Largest number of trial ellipses of the first fit of an orbit [1]. Derived: orbits of rendered films need 5 to 53;
 the fit of a short arc, which determines no ellipse, does not end after 500 either."""
 CELLS = 12
-"""Parts of an arc, each with one error by place [1]. Derived: a full orbit has 12 independent errors by place, see
-`_orbit.CELL`."""
+"""Parts of an arc, each with one position-dependent error [1]. Derived: a full orbit has 12 independent
+position-dependent errors, see `_orbit.CELL`."""
 _FEWEST_IN_CELL = 3
 """Smallest number of positions in a part of an arc that determine its error [positions]. Chosen: fewer give an error by
 chance, more leave short arcs without one."""
@@ -261,7 +261,7 @@ def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[n
 def _covariance(
     jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
 ) -> tuple[float, float, Floats]:
-    """Return noise, error by place, and the covariance of the parameters with both."""
+    """Return noise, position-dependent error, and the covariance of the parameters with both."""
     count = max(len(rest) - 3, 1)
     weight = 1.0 / sigma**2
     inverse = np.linalg.pinv((jacobian * weight[:, None]).T @ jacobian)
@@ -276,7 +276,8 @@ def _covariance(
     if len(members) > 4:
         mean = np.array([rest[m].mean() for m in members])
         expected = float(np.mean([noise**2 / len(m) for m in members]))
-        # the three parameters absorb a part of the errors by place; a scatter within two standard deviations is noise
+        # the three parameters absorb a part of the position-dependent errors; a scatter within two standard deviations
+        # is noise
         free = len(members) - 3
         scatter = float(np.sum(mean**2)) / free
         if scatter > expected * (1.0 + 2.0 * math.sqrt(2.0 / free)):

@@ -61,11 +61,11 @@ _STILL_NOISE = 12.0
 """Smallest extent of a path in standard deviations of its noise [1]. Chosen: a smaller value measures noise, a larger
 one refuses small oscillations."""
 _BY_PLACE = 0.005
-"""Smallest error by place of a learnt picture and background, by interpolation and blur [px]. Measured: rendered bobs:
-0.003 to 0.005 px."""
+"""Smallest position-dependent error of a learnt picture and background, by interpolation and blur [px]. Measured:
+rendered bobs: 0.003 to 0.005 px."""
 _LEARNT = 0.4
-"""Smallest error by place of a learnt picture and background over the noise of a position [1]. Measured: rendered bobs:
-0.3 to 0.8."""
+"""Smallest position-dependent error of a learnt picture and background divided by the noise of a position [1].
+Measured: rendered bobs: 0.3 to 0.8."""
 _CONTRADICTS = 3.0
 """Largest distance of the hub of the arc from the given hub without a warning, in standard deviations [1]. Chosen:
 three; a smaller value doubts accurate hubs, a larger one accepts biased angles."""

@@ -72,8 +72,8 @@ _ANCHORED = 0.5
 """Mean square difference of a match over its limit, up to which the template is not renewed [1]. Chosen: a smaller
 value lets the template drift, a larger one loses a patch that turns."""
 _PRESENT = 0.4
-"""Smallest mean square difference from the background of a match over that of the patch in the first frame [1]. Chosen:
-a smaller value matches the background, a larger one loses a patch in shadow."""
+"""Smallest mean square difference from the background of a match divided by that of the patch in the first frame [1].
+Chosen: a smaller value matches the background, a larger one loses a patch in shadow."""
 _TEMPLATE = 12.0
 """Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: time; a smaller one loses
 precision."""
@@ -138,8 +138,8 @@ noise."""
 _TURN_STEPS = 6
 """Steps of the rotation of a patch [iterations]. Chosen: fewer stop early, more cost time."""
 _ROUND = 0.7
-"""Smallest area of a round patch over that of the circle about it [1]. Chosen: a smaller value takes a rod for a bob, a
-larger one refuses blurred bobs."""
+"""Smallest area of a round patch divided by that of the circle about it [1]. Chosen: a smaller value takes a rod for a
+bob, a larger one refuses blurred bobs."""
 _LEAST_ROUND = 8
 """Smallest radius of a patch that has an interior [px]. Chosen: a smaller one has an edge only, a larger one ignores
 the detail of small bobs."""

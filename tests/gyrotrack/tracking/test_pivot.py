@@ -41,7 +41,7 @@ def test_errors_that_repeat_with_the_place_enlarge_the_uncertainty():
     assert abs(curved.curvature - 1 / 300.0) < 3 * curved.curvature_u
 
 
-def test_the_least_error_by_place_is_kept():
+def test_the_least_position_dependent_error_is_kept():
     arcs = [fit_arc(path(300.0, 0.3), np.full(200, 0.02), least) for least in (0.0, 0.03)]
     assert [arc.by_place for arc in arcs] == pytest.approx([0.0, 0.03])
     # noise of a mean 0.02 / sqrt(200 / 12) = 0.005 px
