@@ -65,6 +65,9 @@ PATTERNS = {
     r"errors? by place": "position-dependent error",
     r"at most \[\w+\]": "largest number of, largest",
     r"(?:None|empty) if hardly": "the condition as a number",
+    r"(?:body|law|marker|rotation|edge|drift|stop|hub|step|parameter) is (?:first )?searched(?! for)": "searched for",
+    r"tilted by [^.;]{1,30} against": "relative to",
+    r"read ``": "parse assignments like",
     r"beside (?:a random|an? exponential|periodic noise|the sigma)": "in addition to",
     r"errors? says? (?:that|why|what|whether)": "is raised if, states",
     r"mend\w*|excus\w*|guess\w*|swings?|swung|nobody|torn|twins?": "correct, absorb, initial value, oscillate",
@@ -140,6 +143,13 @@ def _name(path):
 def test_texts_are_plain_english(path):
     found = findings(texts_of(path), EXCEPTIONS.get(_name(path), ()))
     assert not found, found
+
+
+def test_sentences_of_pages_do_not_begin_with_a_block_of_code():
+    """A paragraph after a block of code has its own subject: "The command prints", not "prints"."""
+    begins = re.compile(r"^```\n\n([a-z][^\n]*)", re.MULTILINE)
+    found = {_name(page): begins.findall(page.read_text(encoding="utf-8")) for page in PAGES}
+    assert not any(found.values()), {name: lines for name, lines in found.items() if lines}
 
 
 def test_names_of_tests_are_plain_english():

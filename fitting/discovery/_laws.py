@@ -22,7 +22,7 @@
 
    where x and y are their predictions of the rows, and M projects out the nuisance parameters. Such formulas are
    grouped. The groups show how many torques the data cannot separate, and how many formulas describe each torque.
-4. If the best fit has a significant lack of fit, a second law is searched in the same way about it.
+4. If the best fit has a significant lack of fit, a second law is searched for in the same way, starting from it.
 
 An effect of the library that describes the data as well as a law is named first. A shared parameter of the base is also
 named first if separate values in the recordings describe the data better than any law.

@@ -318,7 +318,7 @@ class Segments:
     ) -> Path:
         """Return the path from the start of `span` until the casing comes to rest, or to the end of `span`.
 
-        The stop is first searched within `horizon` [s]: an oscillation with dry friction would otherwise be solved
+        The stop is first searched for within `horizon` [s]: an oscillation with dry friction would otherwise be solved
         beyond each of its reversals needlessly.
         """
         time, end = span

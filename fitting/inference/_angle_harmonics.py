@@ -79,7 +79,7 @@ class AngleHarmonics:
 
 
 class Solved(Protocol):
-    """The attributes of a `Fit` that the harmonics follow from."""
+    """The attributes of a `Fit` that determine the harmonics."""
 
     @property
     def model(self) -> Model: ...

@@ -705,7 +705,7 @@ class Fit(FitSummary):
         return any(d.record.generated for d in self.problem.data)
 
     def measured_speeds(self, case: int, body: int) -> list[tuple[Array, Array]]:
-        """Return times [s] and smoothed speeds [rad/s] of each run of a body, by its place in a state.
+        """Return times [s] and smoothed speeds [rad/s] of each run of a body, given its index in the state vector.
 
         Parameters
         ----------

@@ -366,8 +366,8 @@ def find_markers(
 ) -> tuple[dict[str, Marker], dict[str, tuple[float, float]], tuple[str, ...]]:
     """Find the visible markers of a profile; also `Scene.offsets` and `Scene.doubts`.
 
-    Each body is searched in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the centre
-    of its orbits if this differs. `radius` is that of the largest orbit [px], `where` the name of the film for
+    Each body is searched for in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the
+    centre of its orbits if this differs. `radius` is that of the largest orbit [px], `where` the name of the film for
     messages.
     """
     frames = samples.spread

@@ -167,8 +167,8 @@ _TILTED = 0.35
 """Smallest tilt of the axis that the result states [rad]. Chosen: cos 0.35 = 0.94; a smaller value reports noise, a
 larger one hides a tilt."""
 _ELSEWHERE = 0.2
-"""Smallest ratio of the moving area outside the best ring to that within it for which a second body is searched [1].
-Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
+"""Smallest ratio of the moving area outside the best ring to that within it for which a second body is searched for
+[1]. Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
 _COUPLED = 0.55
 """Smallest ratio of the moving area outside the best ring to that within it for which a second body may act on the
 first [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with one link tracked."""

@@ -52,7 +52,7 @@ _ON = 0.8
 """Smallest share of frames on the arc [1]. Chosen: a smaller value accepts other paths, a larger one refuses films with
 occlusions."""
 _COMPARED = 300
-"""Number of frames in which another rotation about the pivot is searched [frames]. Chosen: time; fewer show little
+"""Number of frames in which another rotation about the pivot is searched for [frames]. Chosen: time; fewer show little
 motion."""
 _STILL = 1.0
 """Smallest extent of a path [px]. Chosen: a smaller value measures a body at rest, a larger one refuses small

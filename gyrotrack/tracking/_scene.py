@@ -98,7 +98,7 @@ DECODED = 240
 FEWEST = 8
 """Smallest number of frames of a film [frames]. Chosen: fewer do not show a motion, more refuse excerpts."""
 _BLOB_WIDTH = 400
-"""Smallest width of the chroma plane for which blobs are searched at half size [px]. Chosen: time; a smaller value
+"""Smallest width of the chroma plane for which blobs are searched for at half size [px]. Chosen: time; a smaller value
 loses small markers."""
 
 

@@ -272,7 +272,7 @@ _STARTS = {"recording": _of_markers, "case": _of_whole_body}
 _MIDDLE = (
     1.15  # radius of the middle of a marker if the outer edge is not found [radius of the inner corners]
 )
-# number and spacing of the frames in which the outer edge of a marker is searched
+# number and spacing of the frames in which the outer edge of a marker is searched for
 _SAMPLED, _APART = 5, 8
 _FARTHEST = 3.0  # largest radius of the search for the outer edge [radius of the inner corners]
 _INSIDE = (1.04, 1.12)  # radii between which the colour of a marker is measured [radius of the inner corners]

@@ -49,7 +49,7 @@ from gyrotrack.io.readers._reading import Reading, Taken
 _CLOCKED = 0.01
 _REGULAR_EDGES = 0.3  # largest relative change (median) between intervals of pulses; noise has 0.7
 _LEVELS = 8  # least number of distinct values of a signal; states of a light gate have two
-_MOSTLY = 0.8  # smallest share of a record with regular pulses for which no drift is searched
+_MOSTLY = 0.8  # smallest share of a record with regular pulses for which no drift is searched for
 _MORE = (
     1.25  # smallest ratio of the numbers of pulses without and with a drift for which the drift is removed
 )
