@@ -65,7 +65,7 @@ PATTERNS = {
     r"errors? by place": "position-dependent error",
     r"at most \[\w+\]": "largest number of, largest",
     r"(?:None|empty) if hardly": "the condition as a number",
-    r"(?:body|law|marker|rotation|edge|drift|stop|hub|step|parameter) is (?:first )?searched(?! for)": "searched for",
+    r"(?:body|law|rotation|edge|drift|stop|hub|step) is (?:first )?searched(?! for)": "searched for",
     r"tilted by [^.;]{1,30} against": "relative to",
     r"read ``": "parse assignments like",
     r"beside (?:a random|an? exponential|periodic noise|the sigma)": "in addition to",

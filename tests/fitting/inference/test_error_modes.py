@@ -289,7 +289,7 @@ def test_a_negative_eigenvalue_beyond_rounding_is_refused(excess, refused):
 @pytest.mark.parametrize(
     ("modes", "words"),
     [
-        ("tilt", "not an ErrorMode"),
+        ("tilt", "not all ErrorMode objects"),
         (
             [ErrorMode("a", T, T, 1.0, group="g"), ErrorMode("b", T, T, 2.0, group="g")],
             "different covariances",
