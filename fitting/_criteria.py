@@ -102,8 +102,8 @@ class Criteria:
     """Smooth-test p-value that contradicts a named effect [1]. Source: Hart 1997 for the test; a larger value doubts
     right forms, a smaller one accepts wrong ones."""
     doubt_adequate: float = 0.001
-    """P-value of a test that contradicts an adequate fit [1]. Source: Baluev 2008 for one of the tests; a larger value
-    doubts right fits, a smaller one overlooks missing laws."""
+    """P-value of a test that contradicts an adequate fit [1]. Source: Baluev 2008 for one test; a larger value doubts
+    right fits, a smaller one overlooks missing laws."""
     inertia_sigma: float = 2.0
     """Largest error of an inertia that its uncertainty allows [sigma]. Chosen: a smaller value names effects that a
     wrong inertia imitates, a larger one explains effects by the inertia."""
@@ -117,7 +117,7 @@ class Criteria:
     """Smallest amplitude of a reported harmonic [sigma]. Derived: p = 1e-4, 2 dof; exp(-4.3^2 / 2); a smaller value
     reports noise, a larger one omits weak torques."""
     experiment_sigma: float = 5.0
-    """Smallest separation of rivals by one run for which no repetition is recommended [sigma]. Chosen: a smaller value
+    """Separation of rivals by a run below which repeating the run is advised [sigma]. Chosen: a smaller value
     proposes runs that may not decide, a larger one recommends needless repetitions."""
     shape_share: float = 0.1
     """Share of the best score above which shapes are refined [1]. Chosen: a smaller value costs time, a larger one may
@@ -146,8 +146,8 @@ class Criteria:
     """Smallest score at which a changepoint is moved to a distant time [1]. Derived: 5 sigma; a smaller value follows
     noise, a larger one leaves a wrong time."""
     equation_error: float = 3.0
-    """Largest error of the equation of motion, divided by the smallest error, for which a spring is fitted [1]. Chosen:
-    a smaller value may omit the right spring, a larger one costs time."""
+    """Largest error of the equation of motion of a fitted spring, relative to the best [1]. Chosen: a smaller value
+    may omit the right spring, a larger one costs time."""
     refit_reversals: int = 500
     """Largest number of reversals in all refits of a step [1]. Chosen: 15 s of one core; a smaller value may omit the
     right effect, a larger one costs time."""

@@ -1142,10 +1142,10 @@ def _finish(
     warnings = list(film.warnings)
     if (tilt := ring.tilt) is not None and tilt[0] > _TILTED:
         warnings.append(
-            f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees against the line of sight (the "
+            f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees relative to the line of sight (the "
             f"orbits are ellipses with the ratio {math.cos(tilt[0]):.2f} of their axes, the short one at "
             f"{math.degrees(tilt[1]):.0f} degrees): the angles are those in the plane of the body. The film does "
-            "not show which side of the body is nearer; the sense of rotation is that seen."
+            "not show which side of the body is nearer; the sense of rotation is the one seen."
         )
     repeated = int(film.selected.sum()) - len(usable)
     if repeated:

@@ -32,7 +32,7 @@ class Orbit:
     value : ndarray, shape (5,)
         Centre x, y [px], mean radius r / (1 + s) [px], p and q.
     covariance : ndarray, shape (5, 5)
-        Covariance of `value`, including errors that repeat with the place.
+        Covariance of `value`, including position-dependent errors.
     """
 
     value: Floats
@@ -143,7 +143,7 @@ class Arc:
     noise : float
         Standard deviation of the radial residuals [px].
     by_place : float
-        Standard deviation of the radial residuals that repeat with the place on the arc [px].
+        Standard deviation of the position-dependent part of the radial residuals [px].
     """
 
     hub: Floats
@@ -168,9 +168,9 @@ value rejects good positions, a larger one keeps other matches."""
 def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     """Fit a circle to positions (n, 2) with standard uncertainties (n,) [px]; at least 6 of them.
 
-    The covariance contains the noise of the residuals, and errors that repeat with the place (lens, view,
-    interpolation). These errors are independent in the `CELLS` parts of the arc. Their standard deviation is the
-    scatter of the means of the parts in excess of noise, at least `least` [px].
+    The covariance contains the noise of the residuals, and position-dependent errors (lens, view, interpolation). These
+    errors are independent in the `CELLS` parts of the arc. Their standard deviation is the scatter of the means of the
+    parts in excess of noise, at least `least` [px].
     """
     origin = place.mean(axis=0)
     x, y = (place - origin).T

@@ -85,7 +85,8 @@ class Scene:
 
 
 HEAD = 48
-"""Number of consecutive first frames [frames]. Derived: at 0.2 rad per frame they cover 9.6 rad, more than a turn."""
+"""Number of consecutive frames at the start of a film [frames]. Derived: at 0.2 rad per frame they cover 9.6 rad, more
+than a turn."""
 KEYS = 20
 """Smallest number of key frames for which the rest of a film is sampled by key frames alone [frames]. Chosen: key
 frames are decoded fastest; fewer give a poor background."""

@@ -57,7 +57,7 @@ def test_faults_are_left_out():
     assert (np.abs(error - np.nanmedian(error)) > 5 * body.sigma).mean() < 2e-3
 
 
-def test_errors_that_repeat_with_the_place_are_learnt():
+def test_position_dependent_errors_are_learnt():
     truth, coarse, markers = _scene(3, bias=6e-3)
     body = join(coarse, markers, 1000.0)
     assert np.nanstd(body.angle - truth) < 1.5e-3

@@ -222,7 +222,7 @@ class TestImport:
             ([], ["--joint", "belt=motor,wheel"], "its name is given twice"),
             ([], ["--inertia", "disc=1e-3"], "not the moment of inertia of one of the bodies"),
             ([], ["--inertia", "1e-3"], "not the moment of inertia of one of the bodies"),
-            ([], ["--body", "nameless.csv"], "need the names of their bodies"),
+            ([], ["--body", "nameless.csv"], "give the name of each body"),
             ([], ["--body-name", "disc"], "--body-name is the name of a single body"),
             ([], ["--casing", "casing.csv"], "either --casing and --rotor, or --body"),
         ],
