@@ -5,7 +5,7 @@
 1. All laws of the grammar, each at many values of its shape constants, are scored together about the base
    (`_score`: matrix products). Null data are searched in the same way. The smallest p-value of all laws in each null
    data set calibrates the family-wise p-value, so this p-value accounts for the number of laws.
-2. The laws of the highest scores are refitted with the base. A law of a few per cent of the torque changes the motion
+2. The laws with the highest scores are refitted with the base. A law of a few per cent of the torque changes the motion
    by more than the noise. Therefore all laws are scored again about the best refit, with its law removed from the
    model:
 

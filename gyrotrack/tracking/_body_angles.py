@@ -187,7 +187,7 @@ value overstates the significance, a larger one leaves few groups."""
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
-    """Select the path of the hub about which the radii of the markers vary least; the first unless it is worse.
+    """Select the path of the hub about which the radii of the markers vary least; the first one unless another is better.
 
     An error n of the centre changes the radius of a marker in the direction of the unit vector r by -n . r. Errors of
     the radii are independent of errors of the disc.
@@ -282,7 +282,7 @@ another one is an outlier; with a larger value it dominates the mean, a smaller 
 
 
 def _is_better(before: Floats, after: Floats) -> bool:
-    """Return whether squared residuals are significantly smaller than those before, on the mean over the markers."""
+    """Return whether squared residuals are significantly smaller than those before, on average over the markers."""
     gain = []
     for one, other in zip(before, after, strict=True):
         use = np.isfinite(one) & np.isfinite(other)
@@ -398,7 +398,7 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
 
 HEIGHT = 0.03
 """Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit [1]. Derived: 1
-mm over a radius of 35 mm."""
+mm divided by a radius of 35 mm."""
 LUMA_SHIFT = 0.5
 """Distance by which the luma of a marker may be displaced from the chroma [px]. Derived: conventions for the place of
 chroma samples differ by half a luma pixel."""
@@ -502,8 +502,8 @@ def separate_perspective(
 
 
 PERSPECTIVE = 0.05
-"""Radius of the casing's orbit over the distance of the camera if no fast rotor determines it [1]. Derived: 35 mm at a
-distance of 70 cm."""
+"""Radius of the casing's orbit divided by the distance of the camera, if no fast rotor determines it [1]. Derived: 35
+mm at a distance of 70 cm."""
 
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
@@ -883,8 +883,8 @@ _FEWEST_MEANS = 12
 """Smallest number of averages for a comparison [1]. Derived: the variance of 12 means is known within about 40 %,
 sqrt(2 / 11)."""
 _MOST_NOISE = 2.0
-"""Ratio of the standard uncertainties of two angles from which the noisier one is not used [1]. Chosen: a smaller value
-keeps angles with slow errors, a larger one accepts much noise."""
+"""Smallest ratio of the standard uncertainties of two angles for which the noisier angle is not used [1]. Chosen: a
+smaller value keeps angles with slow errors, a larger one accepts much noise."""
 
 
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
