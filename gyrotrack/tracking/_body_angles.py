@@ -187,7 +187,7 @@ value overstates the significance, a larger one leaves few groups."""
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
-    """Select the path of the hub about which the radii of the markers vary least; the first one unless another is better.
+    """Select the hub path about which the radii of the markers vary least; the first one unless another is better.
 
     An error n of the centre changes the radius of a marker in the direction of the unit vector r by -n . r. Errors of
     the radii are independent of errors of the disc.
