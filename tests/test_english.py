@@ -64,6 +64,7 @@ PATTERNS = {
     r"probability to": "probability of",
     r"twice too \w+": "twice as ... as necessary",
     r"(?:None|empty) also if": "the result is also ... if",
+    r"over the (?:length|duration|extent|radius)(?: of (?:a|the) \w+)? \[1\]": "divided by",
     r"errors? by place": "position-dependent error",
     r"at most \[\w+\]": "largest number of, largest",
     r"(?:None|empty) if hardly": "the condition as a number",
@@ -190,6 +191,8 @@ def test_exceptions_are_needed():
         ("Some tests find ten fits.", False),
         ("The larger of both counts.", True),
         ("The probability to detect an effect.", True),
+        ("Correlation time over the length of the record [1].", True),
+        ("Correlation time, divided by the length of the record [1].", False),
     ],
 )
 def test_the_linter_itself(text, found):

@@ -57,13 +57,13 @@ _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
 """Trial thresholds of a law over the largest speed [1]. Chosen: in steps of 0.05; fewer overlook narrow laws, more cost
 time."""
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
-"""Trial time constants over the length of the record [1]. Chosen: shorter ones affect few rows, longer ones give a
-straight line."""
+"""Trial time constants, divided by the length of the record [1]. Chosen: shorter ones affect few rows, longer ones give
+a straight line."""
 _NEAR_ZERO = 0.01
 """Speed, over the largest one, below which a speed is near zero and negative powers are not tried [1]. Chosen: a
 smaller value admits torques that diverge, a larger one excludes laws of slow bodies."""
 _COARSE_MOMENTS = MOMENTS[::3]
-"""Trial moments of a law with several shape constants, over the length of the record [1]. Chosen: every third of
+"""Trial moments of a law with several shape constants, divided by the length of the record [1]. Chosen: every third of
 `MOMENTS`; fewer start far from the optimum, more cost time."""
 _FEWEST_PERIODS = 0.5
 """Smallest number of periods of an oscillating law within a record [1]. Chosen: with fewer the law is a trend; a larger

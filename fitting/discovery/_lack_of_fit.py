@@ -188,8 +188,8 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods in a record at which a frequency is tried [1]. Chosen: fewer are a trend, which the test
 against slow torques covers; a larger value leaves a gap between both tests."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi over the length of the record [1]. Chosen: fewer overlook peaks, more
-cost time; the finer search follows."""
+"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: fewer overlook peaks,
+more cost time; the finer search follows."""
 _FINER = 16
 """Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: fewer understate the peak,
 more cost time."""
@@ -207,7 +207,7 @@ Chosen: a smaller value gives unlimited angles, a larger one understates a reson
 class PeriodogramPeak:
     """The highest peak of the periodogram of the residual torque on one body."""
 
-    rate: float  # its frequency, 2 pi over the period [rad/s]
+    rate: float  # its frequency, 2 pi divided by the period [rad/s]
     torque: float  # its amplitude [N m]
     angle: float  # amplitude of the angle that the torque causes [rad]; k / (I w^2) far above a resonance
     label: str  # the case

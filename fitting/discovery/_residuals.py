@@ -68,8 +68,8 @@ def whiteness(fit: Fit) -> list[Whiteness]:
 
 
 _SHARE = 1 / 30
-"""Correlation time of the unmodelled torque over the length of the record [1]. Chosen: a smaller value follows noise, a
-larger one blurs failing intervals."""
+"""Correlation time of the unmodelled torque, divided by the length of the record [1]. Chosen: a smaller value follows
+noise, a larger one blurs failing intervals."""
 _FLOOR = 3e-3
 """Smallest standard deviation of the unmodelled torque, over its prior value [1]. Chosen: it prevents negative
 variances by rounding errors; a larger value hides well-determined torques, a smaller one shows rounding errors."""

@@ -63,8 +63,8 @@ the run."""
 _DEAD_TIMES = 40
 """Dead times of an input that are tried [1]. Chosen: fewer start far from the optimum, more cost time."""
 _LONGEST_DEAD_TIME = 0.1
-"""Longest dead time over the length of a record [1]. Chosen: a smaller value overlooks slow drives, a larger one loses
-the start of the record."""
+"""Longest dead time, divided by the length of a record [1]. Chosen: a smaller value overlooks slow drives, a larger one
+loses the start of the record."""
 _FIRST_PERIODS = 2.0
 """Periods of the first search of an oscillation [1]. Chosen: fewer do not determine the frequency, more may start a
 period off."""

@@ -39,8 +39,8 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; a larger value
 leaves slow lines in the process noise."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi over the length of the record [1]. Chosen: fewer pass over peaks, more
-cost time; the finer search follows."""
+"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: fewer pass over peaks,
+more cost time; the finer search follows."""
 _FINER = 16
 """Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: with fewer, the height of
 the peak is underestimated; more cost time."""

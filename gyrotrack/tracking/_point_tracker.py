@@ -165,8 +165,8 @@ _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
 circle; a larger one reaches other parts."""
 _SLENDER = 1.6
-"""Radius of the circle of the same area, over the radius of the inscribed circle, above which a body is not compact
-[1]. Derived: sqrt(8 / pi) = 1.6 of a rectangle twice as long as wide."""
+"""Radius of the circle of the same area, divided by the radius of the inscribed circle, above which a body is not
+compact [1]. Derived: sqrt(8 / pi) = 1.6 of a rectangle twice as long as wide."""
 
 
 @dataclass(frozen=True)
