@@ -24,8 +24,8 @@ def correlated(size, memory):
 @shared
 def held(quantity, end=40.0, memory=0.0):
     """Return a fit of 10 rad/s exp(-t/30 s) with a dry friction that stops the body after 4 s."""
-    t = np.linspace(0.0, end, 2000)
-    u = 1e-3 if quantity == "angle" else 1e-2
+    t = np.linspace(0.0, end, 600)
+    u = 5e-4 if quantity == "angle" else 1e-2
     exact = 10.0 * (DECAY * -np.expm1(-t / DECAY) if quantity == "angle" else np.exp(-t / DECAY))
     noise = correlated(len(t), memory)
     case = Case.from_arrays(wheel={"t": t, quantity: exact + u * noise, "u": u, "inertia": INERTIA})

@@ -91,7 +91,7 @@ class TestEstimates:
         """A drift of the scale that resembles drag is named only where no such error is stated."""
         shape = np.exp(-T / 8.0)
         modes = {"warming": {"basis": shape, "covariance": s**2}} if s else None
-        answer = diagnose(fit("support.constant", wheel(0.2 * shape, modes=modes)))
+        answer = diagnose(fit("support.constant", wheel(0.2 * shape, modes=modes)), brief=True)
         assert answer.verdict == verdict
 
 

@@ -21,7 +21,7 @@ GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7
 
 def film(seed=0, stated=(SIGMA, TIME), added=0.0, profile=()):
     motion = twobody.simulate(GYROSCOPE, start=(566.0, 25.0), span=30.0, seed=seed)
-    cameras = twobody.Cameras(span=30.0, windows=(2.0, 12.0, 25.0), casing_rate=60.0, rotor_rate=200.0)
+    cameras = twobody.Cameras(span=30.0, windows=(2.0, 12.0, 25.0), casing_rate=30.0, rotor_rate=200.0)
     found = twobody.film(motion, seed=seed, cameras=cameras)
     t, y, s = found["casing"]
     rng = np.random.default_rng([seed, 7])
