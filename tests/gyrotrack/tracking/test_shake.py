@@ -1,5 +1,6 @@
 """A camera that shakes is compensated by the background that stands still; its share of the uncertainty is stated."""
 
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -30,11 +31,18 @@ def wall(rng):
     return 120 + 40 * coarse / coarse.std()
 
 
+@cache
+def plane():
+    """Direction from the middle of the disc, and where the disc covers the background."""
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]] - np.array([120.3, 159.7])[:, None, None]
+    edge = 1 / (1 + np.exp(np.hypot(x, y) - 60))
+    return np.arctan2(-y, x).astype(np.float32), edge.astype(np.float32)
+
+
 def disc(theta):
     """A disc with sectors that turns about its middle, and where it covers the background."""
-    y, x = np.mgrid[: SIZE[0], : SIZE[1]] - np.array([120.3, 159.7])[:, None, None]
-    angle = np.arctan2(-y, x) - theta
-    edge = 1 / (1 + np.exp(np.hypot(x, y) - 60))
+    angle, edge = plane()
+    angle = angle - np.float32(theta)
     return 128 + 60 * np.tanh(4 * np.sin(3 * angle)) * np.tanh(4 * np.sin(angle + 0.7)), edge
 
 
@@ -137,6 +145,7 @@ class TestBackgroundRoll:
             np.tile(self.BODY[:2], (112, 1))
         )
 
+    @pytest.mark.slow
     def test_a_camera_that_does_not_roll_is_left_alone(self):
         shift = np.random.default_rng(4).normal(0, 1.5, (112, 2))
         found = background_roll(grain(shift, np.zeros(112)), self.BODY)
