@@ -180,7 +180,7 @@ class TestWindows:
             for t, s in zip(windows, slow, strict=True)
         ]
         found = []
-        for count in (0, 40):
+        for count in (0, 20):
             modes = [
                 ErrorMode(f"{i}_{k}", t, np.cos(k * np.pi * (t - t[0]) / np.ptp(t)), 1e-18, "rotor", i)
                 for i, t in enumerate(windows)

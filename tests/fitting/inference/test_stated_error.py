@@ -367,7 +367,7 @@ class TestWindowsOfTheRotor:
     def test_simulated_recordings_have_it(self):
         data = self.data(0.0, self.LEVEL)
         run = data.rotor[1]
-        drawn = np.array([_harmonics(run, self.LEVEL, np.random.default_rng(s)) for s in range(300)])
+        drawn = np.array([_harmonics(run, self.LEVEL, np.random.default_rng(s)) for s in range(100)])
         # ten orders above the second one and two below it, each of variance 0.5 + 0.5
         assert drawn.std() == pytest.approx(self.LEVEL * np.sqrt(12.0), rel=0.1)
         assert not _harmonics(run, 0.0, np.random.default_rng(0)).any()
