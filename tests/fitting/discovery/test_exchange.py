@@ -177,8 +177,8 @@ def test_a_random_torque_is_an_alternative_without_a_lack_of_fit(monkeypatch, u,
 
 
 def test_a_law_per_recording_counts_for_each():
-    both = [slowed(u=1.0, seed=s, label=str(s)) for s in (1, 2)]
-    old, new = (fit([QUADRATIC, LINEAR, law], both) for law in (COOLING, CONSTANT))
+    both = [CaseData.of(slowed(u=1.0, seed=s, label=str(s)).record) for s in (1, 2)]
+    old, new = (fit(Model.of([QUADRATIC, LINEAR, law]), both) for law in (COOLING, CONSTANT))
     assert f"{CONSTANT}.b1@2" in new.estimates
     single = next(
         x for x in exchanges_of(old, COOLING, Criteria(evidence=0.0)) if x.laws == (LIBRARY[CONSTANT],)

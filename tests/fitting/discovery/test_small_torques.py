@@ -266,6 +266,7 @@ class TestDifference:
         assert not improves_on_difference(found, [drag], [0.0], DEFAULT)
         assert different_parameter(base, DEFAULT, least=1e12) is None
 
+    @pytest.mark.slow
     def test_a_step_in_both_recordings_does_not_differ(self):
         found = different_parameter(fitted("step", "step"), DEFAULT)
         assert found is None or found.fit.fails(DEFAULT)

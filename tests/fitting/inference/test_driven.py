@@ -26,6 +26,7 @@ from fitting.discovery._select import applicable_effects, needed_drives
 from fitting.inference import _result
 from fitting.inference._case_data import CaseData
 from fitting.inference._compression import cuts_at_steps, responses_to_inputs
+from fitting.inference._fit import fit as search
 
 TIME = np.arange(0.0, 4.0, 0.01)
 TAU, GAIN, NOISE = 0.2, 6.0, 0.014
@@ -394,9 +395,9 @@ def test_wrong_arguments_of_an_effect_are_refused_in_one_sentence(arguments, wor
 
 def test_inputs_that_not_all_recordings_have_are_not_candidates():
     records = [record(label="a"), record(label="b", inputs=(), seed=2)]
-    found = fit(Model.of(["casing.air.linear"]), records)
+    found = search(Model.of(["casing.air.linear"]), records, quick=True)
     assert not any(e.inputs for e in applicable_effects(found, ()))
-    both = fit(Model.of(["casing.air.linear"]), [record(label="a"), record(label="b", seed=2)])
+    both = search(Model.of(["casing.air.linear"]), [record(label="a"), record(label="b", seed=2)], quick=True)
     assert [e.name for e in applicable_effects(both, ()) if e.inputs] == ["casing.input.voltage"]
 
 

@@ -215,7 +215,7 @@ def test_a_path_without_a_pivot_is_still_a_path(bob):
         def angle(self, t):
             return (0.25 - 0.3 * t) * 1e-3
 
-    film = Sliding(hub=(80.0, -190000.0), length=190060.0)
+    film = Sliding(hub=(80.0, -190000.0), length=190060.0, frames=48)
     found = follow_path(Rendered(film.pictures()), tuple(film.place[0]))
     assert isinstance(found, PointPath)
     assert (found.place - film.place[found.frame]).std(axis=0).max() < 0.05
