@@ -320,9 +320,7 @@ class TestSlowBody:
         shade = 1.0 + 0.1 * (y if across else x) / 75.0
         start = angle + 2e-3 * np.sin(angle + 1.0)
         pictures = [p * shade for p in drawn(5, 0.0, turns * TURN, 70)]
-        plain, own = (
-            f.levelled(f.centre, 0.0, 0.0) - angle for f in both(angle, start, pictures)
-        )
+        plain, own = (f.levelled(f.centre, 0.0, 0.0) - angle for f in both(angle, start, pictures))
         assert (own - own.mean()).std() < min(0.4e-3, 0.7 * (plain - plain.mean()).std())
 
     @pytest.mark.parametrize(
@@ -334,13 +332,15 @@ class TestSlowBody:
         views, learn = [], texture._OwnView.learn
         monkeypatch.setattr(texture._OwnView, "learn", lambda *a: views.append(learn(*a)) or views[-1])
         rng = np.random.default_rng(1)
-        angle = np.linspace(0.0, turns * TURN, 70)
+        angle = np.linspace(0.0, turns * TURN, 90)
         pictures = [picture(a, stretch=(4e-3, 3e-3), grain=rng, arms=arms) for a in angle]
         found = measured(angle, angle - 4e-3 * np.sin(2.0 * angle), pictures, kind=1)
         assert views[-1].view.value[2:4] == pytest.approx([4e-3, 3e-3], abs=4e-4)
         assert np.std(found.angle - angle) < 0.3e-3
 
-    @pytest.mark.parametrize(("every", "known"), [pytest.param(8, True, marks=pytest.mark.slow), (31, True), (42, False)])
+    @pytest.mark.parametrize(
+        ("every", "known"), [pytest.param(8, True, marks=pytest.mark.slow), (31, True), (42, False)]
+    )
     def test_four_frames_determine_the_slopes_along_the_radius(self, monkeypatch, every, known):
         monkeypatch.setattr(texture, "_SLOPE_EVERY", every)
         views, learn = [], texture._OwnView.learn
@@ -525,9 +525,7 @@ class TestFastBody:
 
     def test_it_is_not_subtracted_from_a_slower_batch(self, monkeypatch):
         monkeypatch.setattr(texture, "LEARNT", 60)
-        angle = np.concatenate(
-            [np.linspace(0.0, 20.0 * TURN, 80), 20.0 * TURN + np.linspace(0.0, TURN, 80)]
-        )
+        angle = np.concatenate([np.linspace(0.0, 20.0 * TURN, 80), 20.0 * TURN + np.linspace(0.0, TURN, 80)])
         tracker = TextureTracker(HUB, OUTER, SIZE, 80)
         frames, lights = frames_of([picture(a) for a in angle]), []
         for part in (slice(0, 80), slice(80, 160)):

@@ -141,9 +141,7 @@ class TestBackgroundRoll:
         assert 0.3 < error.std() / found.roll_sigma < 1.5
         assert not found.shift.any()
         assert found.shift_sigma == 0.0
-        assert found.still(np.tile(self.BODY[:2], (96, 1))) == pytest.approx(
-            np.tile(self.BODY[:2], (96, 1))
-        )
+        assert found.still(np.tile(self.BODY[:2], (96, 1))) == pytest.approx(np.tile(self.BODY[:2], (96, 1)))
 
     @pytest.mark.slow
     def test_a_camera_that_does_not_roll_is_left_alone(self):
