@@ -69,7 +69,7 @@ BODY = Table(
     ),
     signal="omega",
     attributes=(
-        Attribute("smoothing_width", int, "", "points of the median that gave omega"),
+        Attribute("smoothing_width", int, "", "number of samples of the running median for omega"),
         *CORRELATED,
     ),
 )
