@@ -5,10 +5,10 @@ A setting is a constant of a module. The text below it, its attribute docstring,
     FOLDS = 6
     \"\"\"Folds of the cross-validation [1]. Chosen: fewer leave large gaps in the data, more cost time.\"\"\"
 
-The meaning ends with the unit in brackets. The origin begins with one of four words: "derived", with the formula or
-the reason; "measured", with the data; "source", with a publication or a standard; "chosen", a convention or a
-trade-off, with what happens at other values. A dataclass whose fields all have numbers as defaults, for example
-`fitting.Criteria`, is a table of settings, described in the same way. `settings_in` reads the texts.
+The meaning ends with the unit in brackets. The origin begins with one of four words: "derived", with the formula or the
+reason; "measured", with the data; "source", with a publication or a standard; "chosen", a convention or a trade-off,
+with the effect of other values. A dataclass whose fields all have numbers as defaults, for example `fitting.Criteria`,
+is a table of settings, described in the same way. `settings_in` reads the texts.
 """
 
 from __future__ import annotations

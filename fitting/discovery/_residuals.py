@@ -43,7 +43,7 @@ class Whiteness:
     """Ljung-Box test of the casing's whitened residuals, block by block."""
 
     label: str  #: Name of the case.
-    #: Probability of the Ljung-Box statistic, see G. Ljung, G. Box, Biometrika 65, 297 (1978) [1].
+    #: Probability of the Ljung-Box statistic; see G. Ljung, G. Box, Biometrika 65, 297 (1978) [1].
     p_value: float
 
 

@@ -104,7 +104,7 @@ class ConfigDocument(TypedDict):
 
 
 class NumbersDocument(TypedDict):
-    """The numbers by which the program decides."""
+    """The numbers on which the results of the program depend."""
 
     tracking: NotRequired[
         list[Setting]
