@@ -93,8 +93,8 @@ trusted, as its verdict or its warnings state; 130: interrupted (129 by SIGHUP, 
 Numbers are in SI units, also with `--rpm`. A number that is unknown or infinite is null; in the documents of `config`
 and `compare` an infinite number is the text `inf` or `-inf`. An object *by* something has a key for each, for example
 for each parameter. A key is always present unless its meaning begins with "Optional". In the column of units, 1 is a
-ratio or a count, and `unit` is the unit in the key of this name. "N m, or rad s⁻²" is N m; but rad s⁻² if no moment of
-inertia is known, because torques are then per unit of inertia, also in keys whose names contain `Nm`.
+ratio or a count, and `unit` is the unit in the key of this name. "N m, or rad s⁻²" means N m, but rad s⁻² if no moment
+of inertia is known: torques are then per unit of inertia, also in keys whose names contain `Nm`.
 """
 
 

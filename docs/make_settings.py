@@ -18,11 +18,11 @@ with `--json` as data.
 {what}
 
 The unit is 1 for a ratio or a count. The origin is one of four: *derived* from a formula or a reason; *measured* on
-{data}; a *source*, which is a publication or a standard; *chosen*, a convention or a trade-off, with what happens at
+{data}; a *source*, which is a publication or a standard; *chosen*, a convention or a trade-off, with the effect of
 other values.
 """
-_TRACKING = "Every number by which tracking, video and synchronisation decide is a constant of a module."
-_FITTING = """Every number by which fits, noise estimates, searches and verdicts decide is a constant of a module or a
+_TRACKING = "Every number on which tracking, video and synchronisation depend is a constant of a module."
+_FITTING = """Every number on which fits, noise estimates, searches and verdicts depend is a constant of a module or a
 field of `fitting.Criteria`, which can be changed in Python. [Method](../explanation/method.md) cites the paper."""
 _WORDS = {"derived": "derived", "measured": "measured", "source": "from a source", "chosen": "chosen"}
 
@@ -39,7 +39,10 @@ def pages() -> dict[Path, str]:
 
 def _page(head: str, settings: Settings) -> str:
     count = Counter(s.origin.partition(":")[0] for s in settings)
-    parts = [head, f"Of {count.total()} numbers {', '.join(f'{count[o]} are {_WORDS[o]}' for o in ORIGINS)}."]
+    parts = [
+        head,
+        f"Of {count.total()} numbers, {', '.join(f'{count[o]} are {_WORDS[o]}' for o in ORIGINS)}.",
+    ]
     for module, own in settings.by_module().items():
         title = f"\n## {module}\n\n| name | value | unit | meaning | origin |\n|---|---|---|---|---|"
         parts += [title, *map(_row, own)]

@@ -87,8 +87,8 @@ class Criteria:
     """Relative standard uncertainty above which a parameter is undetermined [1]. Chosen: a smaller value refuses
     parameters near zero, a larger one reports values without meaning."""
     correlated_noise: float = 8.0
-    """Smallest fall of the deviance by correlated angle noise [1]. Derived: chi2, 2 dof; noise exceeds it in 2 % of the
-    recordings; a smaller value adds noise that is absent, a larger one understates uncertainties."""
+    """Smallest fall of the deviance due to correlated angle noise [1]. Derived: chi2, 2 dof; noise exceeds it in 2 % of
+    the recordings; a smaller value adds noise that is absent, a larger one understates uncertainties."""
     excess_noise: float = 4.0
     """Excess process noise of a fit above which its form is not established [sigma]. Chosen: a smaller value doubts
     right forms, a larger one lets noise absorb a wrong form."""
@@ -155,8 +155,8 @@ class Criteria:
     """Family-wise p-value above which candidates of an oscillation are not refitted [1]. Chosen: a larger value costs
     time, a smaller one may omit the right effect."""
     gross_misfit: float = 0.7
-    """Smallest rms phase drift by the residual torque that is a gross lack of fit [rad]. Chosen: a smaller value takes
-    small deviations for a wrong motion, a larger one linearises about a wrong motion."""
+    """Smallest rms phase drift due to the residual torque that is a gross lack of fit [rad]. Chosen: a smaller value
+    takes small deviations for a wrong motion, a larger one linearises about a wrong motion."""
     quieter: float = 0.8
     """Ratio below which process noise counts as reduced [1]. Chosen: a larger value takes the uncertainty of the noise
     for an improvement, a smaller one overlooks improvements."""

@@ -45,7 +45,7 @@ class FittingError(Exception):
 
 
 class RecordError(FittingError):
-    """A case file of another format, damaged, or without a quantity that is needed."""
+    """A case file that has another format, is damaged, or lacks a required quantity."""
 
     code = "record"
 

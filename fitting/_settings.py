@@ -1,14 +1,14 @@
-"""Settings: every number that decides, with its unit, meaning and origin.
+"""Settings: every number on which a result depends, with its unit, meaning and origin.
 
 A setting is a constant of a module. The text below it, its attribute docstring, describes it::
 
     FOLDS = 6
     \"\"\"Folds of the cross-validation [1]. Chosen: fewer leave large gaps in the data, more cost time.\"\"\"
 
-The meaning ends with the unit in brackets. The origin begins with one of four words: "derived", with the formula or
-the reason; "measured", with the data; "source", with a publication or a standard; "chosen", a convention or a
-trade-off, with what happens at other values. A dataclass whose fields all have numbers as defaults, for example
-`fitting.Criteria`, is a table of settings, described in the same way. `settings_in` reads the texts.
+The meaning ends with the unit in brackets. The origin begins with one of four words: "derived", with the formula or the
+reason; "measured", with the data; "source", with a publication or a standard; "chosen", a convention or a trade-off,
+with the effect of other values. A dataclass whose fields all have numbers as defaults, for example `fitting.Criteria`,
+is a table of settings, described in the same way. `settings_in` reads the texts.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ Value: TypeAlias = "float | tuple[Value, ...] | Mapping[str, Value]"
 
 ORIGINS = ("derived", "measured", "source", "chosen")
 _SHOWN = 20
-"""Values of a grid up to which all are printed [1]. Chosen: a larger value fills the table, a smaller one hides short
-lists; a longer grid is printed by its ends, and in full as JSON."""
+"""Largest number of values of a grid that is printed in full [1]. Chosen: a larger value fills the table, a smaller one
+hides short lists; of a longer grid only the ends are printed; the JSON contains all values."""
 _DESCRIPTION = re.compile(rf"(.+?) \[([^\]]+)\]\. ({'|'.join(map(str.capitalize, ORIGINS))}): (.+)\.")
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A number, or several, by which a module decides."""
+    """One or several numbers on which the results of a module depend."""
 
     module: str  #: Module that uses it.
     name: str  #: Name in the module.
@@ -49,7 +49,7 @@ class Setting:
 
     @property
     def value_text(self) -> str:
-        """The value as text, to six digits; of a long grid the ends."""
+        """The value as text, to six digits; for a long grid, only its ends."""
         return _text(self.value)
 
     def __str__(self) -> str:

@@ -1,8 +1,8 @@
 """The reader of a case file, layout 1 or 2, for both packages.
 
-`/casing` and `/rotor` are those of layout 1, which older scripts read and change: where they exist, their values count.
-A file without them has its series in `/body`, as a chain of bodies always has. Clocks, inputs and error modes are read
-from the same places in both.
+`/casing` and `/rotor` are the groups of layout 1, which older scripts read and change: if they exist, their values are
+used. A file without them has its series in `/body`, as a chain of bodies always has. Clocks, inputs and error modes are
+read from the same places in both.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class TrackingError(GyrotrackError):
 
 
 class DatasetError(GyrotrackError):
-    """A data file of another program, damaged, or incomplete."""
+    """A data file that belongs to another program, is damaged, or is incomplete."""
 
     code = "dataset"
 

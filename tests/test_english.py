@@ -90,7 +90,6 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     "gyrotrack/io/_tracker_project.py": {
         "no times of its own": "a plain sentence: the project contains none"
     },
-    "fitting/effects/_user.py": {"no state of its own": "a plain sentence: the law has none"},
 }
 
 

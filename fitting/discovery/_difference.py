@@ -231,7 +231,7 @@ def _fit_per_recording(
 
 
 def _values(found: Fit, name: str) -> ValuesPerRecording:
-    """Return the values of a parameter with separate values, and their differences from the value of the first.
+    """Return the separate values of a parameter, and their differences from the value in the first recording.
 
     The standard uncertainty of a difference contains the covariance of the two values.
     """

@@ -86,7 +86,7 @@ def exchanges(
 ) -> list[Exchange]:
     """Return the removal of an effect of a fit and its exchanges for one or two others, if BIC falls enough.
 
-    An exchange for two laws must be better than the addition of a law as well, because a search adds all laws that are
+    An exchange for two laws must also be better than the addition of a law, because a search adds all laws that are
     significant.
     """
     context = context_without(about, [removed], cases)

@@ -74,7 +74,7 @@ _DRAWS = 4000
 """Random deviations from which the limit is computed [1]. Chosen: fewer make the limit random, more cost time."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
-`fitting.discovery._lack_of_fit`; a smaller value tests rounding, a larger one omits deviations that are nearly
+`fitting.discovery._lack_of_fit`; a smaller value tests rounding errors, a larger one omits deviations that are nearly
 absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: as in
@@ -98,7 +98,7 @@ class FormTest:
     any_in_time: bool  # whether any torque that changes slowly in time describes the data as well
 
     def is_strong(self, criteria: Criteria) -> bool:
-        """Return whether a deviation larger than an approximate answer may have would be detected.
+        """Return whether a deviation larger than that allowed for an approximate answer would be detected.
 
         False also if the fit significantly prefers values outside active bounds.
         """
@@ -147,7 +147,7 @@ def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, ...]:
 
 
 def _senses(effect: Effect, torques: Sequence[Array]) -> list[float]:
-    """Return the share of a torque in time on each body that an effect drives or brakes."""
+    """Return, for each body, its share of a torque in time; 0 for a body that an effect neither drives nor brakes."""
     shares = effect.mechanism.shares(effect.site)
     return [share if own.any() else 0.0 for share, own in zip(shares, torques, strict=True)]
 
@@ -252,7 +252,7 @@ def relative_uncertainty(found: Fit) -> float:
 
 @dataclass(frozen=True)
 class InertiaRival:
-    """An effect with which the data are described as well or better if the ratio of the moments of inertia is free."""
+    """An effect that describes the data as well or better if the ratio of the moments of inertia is free."""
 
     share: Estimate  # relative error of I_casing/I_rotor
     stated: float  # stated relative standard uncertainty of this ratio; 0 if none is stated

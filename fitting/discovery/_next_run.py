@@ -42,8 +42,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _RING = 1.5
-"""Moment of inertia of the casing with an inertia ring, over the present one [1]. Chosen: such a ring is easily made; a
-larger value proposes heavy rings, a smaller one gains little information."""
+"""Moment of inertia of the casing with an inertia ring, divided by the present one [1]. Chosen: such a ring is easily
+made; a larger value proposes heavy rings, a smaller one gains little information."""
 _SURFACE = 3.0
 """Largest ratio of the friction of another surface to that of the present one [1]. Chosen: usual surfaces differ by
 about this factor; a larger value proposes unknown surfaces, a smaller one gains little information."""
@@ -51,8 +51,8 @@ _APPARATUS_GAIN = 1.5
 """Smallest factor of the gain in information at which a change of the apparatus is proposed [1]. Chosen: a smaller
 value proposes changes of little use, a larger one hides useful changes."""
 _AMPLE = 4.0
-"""Largest separation that counts, over the square of `Criteria.experiment_sigma` [1]. Chosen: a smaller value accepts a
-narrow separation, a larger one neglects the detection limits."""
+"""Largest separation that counts, divided by the square of `Criteria.experiment_sigma` [1]. Chosen: a smaller value
+accepts a narrow separation, a larger one neglects the detection limits."""
 _CAP = 50.0
 """Largest logarithm of a gain in information that counts [1]. Chosen: the gain of a strength that is undetermined
 without the run is unlimited; a larger value lets this strength decide alone, a smaller one hides differences between
@@ -62,10 +62,10 @@ _RANDOM = 20
 maximum, more leave fewer runs for it."""
 _FINEST = 0.02
 """Step, as a share of the range between the bounds, at which the local search ends [1]. Chosen: a run cannot be
-prepared more finely than a smaller value, a larger one loses information."""
+prepared with finer steps; a larger value loses information."""
 _SEPARABLE = 1.0
-"""Difference of deviance that no run exceeds if two rivals count as inseparable [1]. Chosen: one standard deviation; a
-smaller value plans runs that decide nothing, a larger one gives up rivals that several runs separate."""
+"""Difference of deviance below which, in every run, two rivals count as inseparable [1]. Chosen: one standard
+deviation; a smaller value plans runs that decide nothing, a larger one gives up rivals that several runs separate."""
 _ELSE = "change a condition on which only one of them depends (air pressure, surface, lubricant)."
 
 
@@ -76,9 +76,9 @@ class Bounds:
     omega_rotor: tuple[float, float]  #: Initial angular velocity of the rotor [rad s-1].
     omega_casing: tuple[float, float]  #: That of the casing; negative values are against the rotor [rad s-1].
     duration: tuple[float, float]  #: Length of the recording [s].
-    #: Moment of inertia of the casing with an inertia ring, over the present one [1].
+    #: Moment of inertia of the casing with an inertia ring, divided by the present one [1].
     inertia_casing: tuple[float, float] = (1.0, _RING)
-    #: Friction of the support over the present one [1].
+    #: Friction of the support, divided by the present one [1].
     touchpoint: tuple[float, float] = (1 / _SURFACE, _SURFACE)
     reversible: bool = True  #: Whether the rotor can be started in the other sense of rotation.
 
@@ -118,7 +118,7 @@ class NextRun:
     )
     present: float  # the same difference without the run
     repeated: float  # the same difference after one more run like the present ones
-    gains: dict[str, float]  # by effect: detection limit after the run, over the present limit
+    gains: dict[str, float]  # by effect: detection limit after the run, divided by the present limit
     times: Array = field(repr=False)  # of the predicted motion [s]
     omega_rotor: Array = field(repr=False)  # predicted [rad/s]
     omega_casing: Array = field(repr=False)  # predicted [rad/s]
@@ -172,7 +172,7 @@ class _Criterion:
         value = float(np.mean(np.minimum(np.log(after / self._before), _CAP)))
         if not self._rivals:
             return value
-        # a separation of zero may be slightly negative by rounding errors
+        # a separation of zero may be slightly negative because of rounding errors
         now, then = (max(0.0, min(self.separation(x), self._enough)) for x in (self._present, total))
         return value + math.log((1 + then) / (1 + now)) if math.isfinite(then) else value
 

@@ -7,8 +7,8 @@ parameters. The noncentrality of the effect is
 
 Null data plus delta times the unit response go through the search's own score test: all candidates, all trials of their
 shape constants, the same null distributions, and the thresholds of `Criteria`. The power is the share of data sets in
-which at least one candidate is significant in the whole list and lowers BIC by the evidence that an added effect needs.
-The detection limit is the strength at which it is 90 %.
+which at least one candidate is significant in the whole list and lowers BIC by the evidence required for an added
+effect. The detection limit is the strength at which it is 90 %.
 
 If no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) +
 1.64 se for a friction, which is not negative). The upper limit of an amplitude with a phase is the amplitude for which
@@ -87,8 +87,8 @@ _LARGEST_SCORE = 2000.0
 """Upper end of the search for thresholds [1]. Chosen: a smaller value is below high thresholds, a larger one costs
 time."""
 _MOST_HIDDEN = 5
-"""Effects in the sentence of an adequate fit [1]. Chosen: fewer hide undetected effects, more make the sentence
-unreadable."""
+"""Largest number of effects named in the sentence on an adequate fit [1]. Chosen: fewer hide undetected effects, more
+make the sentence unreadable."""
 _RANK = 1e-6
 """Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value amplifies rounding errors,
 a larger one omits weakly determined strengths."""
@@ -432,7 +432,7 @@ class Search:
             tests, offset = self._tests, np.zeros(len(raw))
             if which >= 0:
                 tests, offset = self._tests_with_held(int(which) // 2), self._bounds.shift(int(which))
-            # the tests of the effect itself first: data sets that one test has detected skip further tests
+            # the tests of the effect itself first: data sets in which one test has found something skip further tests
             for name in sorted(tests, key=lambda name: name != effect.name):
                 for test in tests[name]:
                     signal, shift = test.basis.T @ raw, test.basis.T @ offset
@@ -543,7 +543,7 @@ class Search:
 
     @property
     def typical_torque(self) -> float:
-        """Rms torque of the bearing along the motion; of a single body the net torque [N m]."""
+        """Rms torque of the bearing along the motion; for a single body, of the net torque [N m]."""
         return float(np.sqrt(np.mean([np.mean(c.typical_torque**2) for c in self.cases])))
 
     def _upper(self, effect: Effect, group: int, *, planned: bool) -> float:
@@ -561,7 +561,7 @@ class Search:
         return self._bounds.largest_strength(response, data, limit, one_sided=common.one_sided)
 
     def _runs(self, effect: Effect, delta: float, needed: float) -> float:
-        """Return the number of runs that detect an effect with this noncentrality in the present runs together."""
+        """Return the number of runs that detect an effect with this noncentrality in all present runs together."""
         if delta <= 0 or not math.isfinite(needed):
             return np.inf
         cases = len(self.cases)
@@ -595,7 +595,7 @@ class Search:
 def largest_hidden(fit: Fit, extra: Sequence[Effect], criteria: Criteria) -> HiddenEffects:
     """Return the physical effects with the largest upper limits of the rms torque, and those without a limit.
 
-    An effect has no limit if the model absorbs it. A limit above the torque of the bearing (of a single body: the net
+    An effect has no limit if the model absorbs it. A limit above the torque of the bearing (for a single body: the net
     torque) contains no information.
     """
     search = Search(fit, extra, criteria, draws=1)
@@ -667,8 +667,8 @@ def delta_of_power(curve: Array, power: float = POWER) -> float:
 def upper_limit(projections: Array, *, one_sided: bool) -> float:
     """Return the 95 % upper limit of the noncentrality from projections on an orthonormal basis.
 
-    A projection is the estimate over its standard error; an amplitude with a phase has two, of sine and cosine. A
-    strength that cannot be negative is `one_sided`.
+    A projection is the estimate divided by its standard error; an amplitude with a phase has two, those of sine and
+    cosine. A strength that cannot be negative is `one_sided`.
     """
     if len(projections) == 1:
         p = float(projections[0])

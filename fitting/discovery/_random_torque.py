@@ -42,8 +42,8 @@ time."""
 _LEVELS = 16
 """Trial levels of a random torque [1]. Chosen: fewer overlook the maximum of the likelihood, more cost time."""
 _FEWEST_TIMES = 6.0
-"""Smallest length of a record over the correlation time of the random torque [1]. Chosen: at a smaller value the torque
-is a trend, which absorbs any effect; a larger value leaves slow torques untried."""
+"""Smallest length of a record, divided by the correlation time of the random torque [1]. Chosen: at a smaller value the
+torque is a trend, which absorbs any effect; a larger value leaves slow torques untried."""
 _CERTAIN = 3.0
 """Inflation of the deviance above which the inflation need not be simulated [1]. Measured: the inflation in all
 simulated recordings is 1.0 to 1.8."""
@@ -197,13 +197,13 @@ def is_established(
 
 
 def inflation(without: RandomTorque, named: Fit, criteria: Criteria) -> float:
-    """Return the Bartlett factor of the fall of the deviance by an effect, at least 1.
+    """Return the Bartlett factor of the fall of the deviance due to an effect, at least 1.
 
     Level and correlation time of the random torque are optimised without and with the effect. The fall under the null
     hypothesis is therefore larger than a chi-square with the same number of columns. Its mean is simulated to first
-    order from the most likely random torque of the fit without the effect. The factor is this mean over the number of
-    columns; the fall is divided by it (M. S. Bartlett, Proc. R. Soc. A 160, 268 (1937)). With several cases, the
-    largest factor counts.
+    order from the most likely random torque of the fit without the effect. The factor is this mean divided by the
+    number of columns; the fall is divided by the factor (M. S. Bartlett, Proc. R. Soc. A 160, 268 (1937)). With several
+    cases, the largest factor counts.
     """
     old = set(without.fit.problem.layout.names)
     added = np.array([n not in old for n in named.problem.layout.names])

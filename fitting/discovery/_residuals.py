@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 _LAGS = 12
 """Largest lag of the test of independence [blocks]. Chosen: fewer overlook slow correlations, more lower the power; the
-lag does not exceed a quarter of the blocks either."""
+lag is also at most a quarter of the number of blocks."""
 _POWERS = 4
 """Lowest rows of a block that are tested [1]. Chosen: fewer overlook correlations within a block, more lower the power
 for slow correlations."""
@@ -43,7 +43,7 @@ class Whiteness:
     """Ljung-Box test of the casing's whitened residuals, block by block."""
 
     label: str  #: Name of the case.
-    #: Probability of the Ljung-Box statistic, see G. Ljung, G. Box, Biometrika 65, 297 (1978) [1].
+    #: Probability of the Ljung-Box statistic; see G. Ljung, G. Box, Biometrika 65, 297 (1978) [1].
     p_value: float
 
 
@@ -71,7 +71,7 @@ _SHARE = 1 / 30
 """Correlation time of the unmodelled torque, divided by the length of the record [1]. Chosen: a smaller value follows
 noise, a larger one blurs failing intervals."""
 _FLOOR = 3e-3
-"""Smallest standard deviation of the unmodelled torque, over its prior value [1]. Chosen: it prevents negative
+"""Smallest standard deviation of the unmodelled torque, divided by its prior value [1]. Chosen: it prevents negative
 variances by rounding errors; a larger value hides well-determined torques, a smaller one shows rounding errors."""
 
 
@@ -116,7 +116,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
         covariance = covariance + level**2 * cross[name] @ w.T
     nuisance = data.nuisance[smooth]
     inverse = _inverse_without_nuisance(covariance, nuisance)
-    # angles of thousands of turns: if the constant is not removed first, rounding is as large as a torque
+    # angles of thousands of turns: if the constant is not removed first, rounding errors are as large as a torque
     weighted = inverse @ orthogonal_to(orthonormal(nuisance, _RANK), residual[smooth])
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
     curves = []
@@ -139,8 +139,8 @@ def _of_the_measured_motion(
 ) -> tuple[Array, Array, Array]:
     """Return speed, unmodelled torque I dw/dt - T(w), and its uncertainty, from the measured motion of the main body.
 
-    Speed and acceleration are those of the polynomial, of degree 3 in an angle and 2 in a speed, that fits the samples
-    within `width` [s] about each time; `y` are the states of the model. The variances of the samples are
+    Speed and acceleration are those of the polynomial, of degree 3 for an angle and 2 for a speed, that fits the
+    samples within `width` [s] about each time; `y` are the states of the model. The variances of the samples are
     multiplied by chi-square per degree of freedom and by (1 + r) / (1 - r), where r is the correlation of successive
     residuals, if these factors exceed 1.
     """
@@ -269,7 +269,7 @@ def find_failures(
     """Return at most `_MOST` intervals and harmonics with a significant unmodelled torque, most significant first.
 
     A harmonic is reported only if it is more significant than every interval of its case, because a torque that acts
-    for less than a turn has harmonics as well while the casing is slow.
+    for less than a turn while the casing is slow also has harmonics.
     """
     found = [f for curve in curves for f in _intervals(fit, curve, criteria.failure_sigma)]
     worst = {c.label: 0.0 for c in curves}
@@ -286,8 +286,8 @@ def find_failures(
 
 
 _SLOWEST = 1e-4
-"""Speed over the largest speed below which a body counts as at rest [1]. Chosen: a smaller value gives unlimited speed
-amplitudes of harmonics, a larger one understates these amplitudes for slow bodies."""
+"""Speed, divided by the largest speed, below which a body counts as at rest [1]. Chosen: a smaller value gives
+unlimited speed amplitudes of harmonics, a larger one understates these amplitudes for slow bodies."""
 
 
 def _harmonic(fit: Fit, found: AngleHarmonics, n: int, least: float) -> list[Failure]:
@@ -351,8 +351,8 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
 
 
 _AT_START = 0.02
-"""Share of a record before which its highest speed is that of its start [1]. Chosen: a smaller value takes noise at the
-start for a rise, a larger one overlooks a short rise."""
+"""Largest share of a record before its highest speed for which the body is taken to slow down only [1]. Chosen: a
+smaller value takes noise at the start for a rise, a larger one overlooks a short rise."""
 
 
 def _place(curve: ResidualTorque, a: int, b: int) -> str:

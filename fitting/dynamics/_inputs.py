@@ -30,11 +30,11 @@ MOST_CHANGES = 4000
 """Largest number of times at which an input changes value or slope [1]. Chosen: a smaller value averages over longer
 cells, a larger one costs time."""
 _ROUNDING = 1e-9
-"""Step of a held input, over its largest value, below which the step is rounding error [1]. Chosen: a smaller value
-splits the integration at rounding errors, a larger one overlooks steps."""
+"""Step of a held input, divided by its largest value, below which the step is rounding error [1]. Chosen: a smaller
+value splits the integration at rounding errors, a larger one overlooks steps."""
 _ROUNDED = 1e-7
-"""Change of the next sample by a change of slope, over the range of the input, below which the change is rounding error
-[1]. Derived: eight digits of a number in a file, with a margin of ten."""
+"""Change of the next sample due to a change of slope, divided by the range of the input, below which the change is
+rounding error [1]. Derived: eight digits of a number in a file, with a margin of ten."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,8 +52,8 @@ class Input:
     unit : str
         Unit in the style of CF: ``A``, ``V``, ``N m``, ``K``, ``1``.
     u : ndarray, shape (n,), or None
-        Standard uncertainty of the values by the calibration of the instrument [unit]: a common error of all samples,
-        proportional to `u`. It does not include the noise of the samples.
+        Standard uncertainty of the values due to the calibration of the instrument [unit]: a common error of all
+        samples, proportional to `u`. It does not include the noise of the samples.
     interpolation : {"linear", "hold"}
         Value between two samples: linear interpolation, or the value of the earlier sample.
     delay : float
@@ -187,7 +187,7 @@ class Input:
             # before the first and after the last sample the value is constant
             step = np.diff(self.time)
             slope = np.concatenate([[0.0], np.diff(self.value) / step, [0.0]])
-            # change of the value within one sample by the change of the slope
+            # change of the value within one sample due to the change of the slope
             size = np.abs(np.diff(slope)) * np.minimum(np.append(step, step[-1]), np.append(step[0], step))
             at = self._acting[size > _ROUNDED * max(float(np.ptp(self.value)), 1e-300)]
         at = at + late

@@ -1,12 +1,12 @@
 """A model: a set of effects, its equations of motion, and their derivatives.
 
-With the torque tau_j of each joint j (all laws between its bodies, times all factors), which drives its second body and
-brakes its first one,
+The torque tau_j of each joint j (all laws between its bodies, multiplied by all factors) drives its second body and
+brakes its first one. The equations of motion are
 
     I_b d(omega_b)/dt = sum of the torques on the body b + sum of tau_j (b second) - sum of tau_j (b first),
 
-and one more equation for each effect with its own state. In a gyroscope the rotor is the first and the casing the
-second body of the bearing. The structure is frozen; numbers are passed separately as a mapping from
+and there is one more equation for each effect with its own state. In a gyroscope the rotor is the first and the casing
+the second body of the bearing. The structure is frozen; numbers are passed separately as a mapping from
 ``<effect>.<symbol>`` to a value.
 """
 
@@ -195,7 +195,7 @@ class Model:
         return self.with_only(_holding(e, held) for e in self.effects)
 
     def of_bodies(self, bodies: Set[str]) -> Model:
-        """Return the model of the effects that act on, and depend on, these bodies of the library only."""
+        """Return the model with only the effects that act on and depend on these bodies of the library."""
         return self.with_only(e for e in self.effects if e.bodies <= bodies)
 
     @cached_property
@@ -345,12 +345,12 @@ SENSE = "sense"
 class Dynamics:
     """The equations of motion of a model and their derivatives, compiled for evaluation.
 
-    `angles`: the angles are states, as for laws of an angle. Measurement effects are left out: they do not change
-    the motion. `states` are the speeds of the bodies of the `mechanism` (``omega_r, omega_c``), then ``deflection`` if
-    a torque depends on it, then states of effects, then the angles; the initial values of the first `free_starts`
-    belong to the recording. `ratio` is the key of the ratio of a contact without slip: the initial omega_r is then
-    ratio times that of the casing. If `dry`, a torque jumps where the main body (the casing) stops, and rates are given
-    for one sense of its motion; the others turn in one sense. `inputs` are those of the recording.
+    With `angles`, the angles are states, as laws of an angle require. Measurement effects are left out: they do not
+    change the motion. `states` are the speeds of the bodies of the `mechanism` (``omega_r, omega_c``), then
+    ``deflection`` if a torque depends on it, then states of effects, then the angles; the initial values of the first
+    `free_starts` belong to the recording. `ratio` is the key of the ratio of a contact without slip: the initial
+    omega_r is then ratio times that of the casing. If `dry`, a torque jumps where the main body (the casing) stops, and
+    rates are given for one sense of its motion; the others turn in one sense. `inputs` are those of the recording.
     """
 
     def __init__(self, model: Model, *, angles: bool = False, inputs: Iterable[Input] = ()) -> None:
@@ -517,15 +517,13 @@ class Dynamics:
         return found
 
     def by_input(self, i: Input, t: Array, y: Array, numbers: Mapping[str, float]) -> Array:
-        """Return the derivative of the accelerations of the bodies by an input, (times, bodies)."""
+        """Return the derivative of the accelerations of the bodies with respect to an input, (times, bodies)."""
         slopes = Tape([derivative(rate, i.symbol) for rate in self._equations[: self.speeds]])
         values = self._values(t, y, numbers) | {SENSE: self._sense(y, None)}
         return np.stack([np.asarray(s) * np.ones(len(t)) for s in slopes(values)], axis=1)
 
     def by_delay(self, name: str, t: Array, edges: Array, y: Array, numbers: Mapping[str, float]) -> Array:
-        """Return the derivative of the accelerations by the dead time of an input, -d(rate)/du du/dt.
-
-        Its shape is (cells, bodies).
+        """Return the derivative of the accelerations with respect to the dead time of an input, (cells, bodies).
 
         The derivative is -d(rate)/du du/dt at the times `t`; du/dt is the mean between the edges of each cell.
         """
@@ -553,7 +551,7 @@ class Dynamics:
         return decay, slopes
 
     def constraint(self, numbers: Mapping[str, float]) -> Array | None:
-        """Return the matrix (2, 2) from the accelerations of free bodies to those of bodies that roll on each other.
+        """Return the matrix (2, 2) that converts accelerations of free bodies to those of rolling bodies.
 
         Torques tau_r and tau_c give omega_c' = (tau_c + n tau_r) / (I_c + n^2 I_r) and omega_r' = n omega_c'.
         None if the bodies may slip.
@@ -571,7 +569,8 @@ class Dynamics:
     ) -> Array:
         """Return dy/dt, with the shape of y (..., states).
 
-        `sense` is +1 or -1 where the main body turns that way, 0 where friction holds it; from y, if not given.
+        `sense` is +1 or -1 where the main body turns that way, 0 where friction holds it; by default, it follows from
+        y.
         """
         sense = self._sense(y, sense)
         outputs = self._rates_tape(self._values(t, y, numbers) | {SENSE: sense})

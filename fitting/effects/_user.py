@@ -56,7 +56,7 @@ _COARSE = 5
 """Step through the trial changepoints if a law has other shape constants as well [1]. Chosen: a smaller value costs
 time, a larger one starts far from the optimum."""
 _GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-"""Trial values of a shape constant over its initial value [1]. Chosen: two per decade; fewer start far from the
+"""Trial values of a shape constant, divided by its initial value [1]. Chosen: two per decade; fewer start far from the
 optimum, more cost time."""
 _EDITS = 2
 """Largest number of edits by which a misspelt name differs from a variable [1]. Chosen: a smaller value suggests
@@ -97,7 +97,7 @@ def formula(
     hidden = NOT_FOR_USERS | {c.tau for c in mechanism.couplings}
     for forbidden in sorted((used & hidden) - ({"lag"} if rate else set())):
         raise EffectError(
-            f"{forbidden!r} is not known to a law that has no state of its own", _hint(mechanism)
+            f"{forbidden!r} is not available in a law without a state variable", _hint(mechanism)
         )
     if not own:
         main = mechanism.main
@@ -369,7 +369,7 @@ def dead_time(name: str, unit: str, mechanism: Mechanism = GYROSCOPE) -> Effect:
         (Parameter("T", "s", lower=0.0, meaning=f"time after which {name} acts"),),
         kind="measurement",
         words=f"dead time of the input {name}",
-        signature=f"every change of the motion follows the recorded input {name} late by the same time",
+        signature=f"every change of the motion follows the recorded input {name} with the same delay",
         inputs=((name, unit),),
         mechanism=mechanism,
     )

@@ -1,7 +1,7 @@
 """Correlated angle noise of a recording, estimated once and used for every fit.
 
-Tracking errors are not white: a hub that is estimated from neighbouring frames, a hand-held camera or a codec shift the
-measured angle for a time. The angle noise of a run has the covariance
+Tracking errors are not white: a hub that is estimated from neighbouring frames, a hand-held camera or a codec shifts
+the measured angle temporarily. The angle noise of a run has the covariance
 
     cov[n(t), n(t')] = a^2 exp(-|t - t'| / T),
 
@@ -11,12 +11,12 @@ stretches of time. Projected rows with unit white noise have
 
     C = 1 + a^2 (P R P' - f 1) + s^2 K,
 
-P the projection, f the mean of P R P' in the band in which the white noise is measured (it is not counted twice), K the
-response to a random acceleration of rms s. a maximises the likelihood with process noise of any level and correlation
-time integrated out; angle noise is included if twice the log-likelihood ratio exceeds `Criteria.correlated_noise`. Rows
-that are slower than T depend only on a^2 T, faster ones only on a^2 / T, so that T is known much less well than the
-noise of either: the covariance that every fit uses is the mean over the posterior of a and T, with priors uniform in
-ln a and ln T, which adds their uncertainty to that of all parameters.
+where P is the projection, f is the mean of P R P' in the band in which the white noise is measured (this part is not
+counted twice), and K is the response to a random acceleration of rms s. a maximises the likelihood after integration
+over level and correlation time of the process noise; angle noise is included if twice the log-likelihood ratio exceeds
+`Criteria.correlated_noise`. Rows that are slower than T depend only on a^2 T, and faster rows only on a^2 / T. T is
+therefore known much less well than the noise of the rows. Every fit uses the mean covariance over the posterior of a
+and T, with priors uniform in ln a and ln T; this adds their uncertainty to that of all parameters.
 
 In a short record both kinds of noise may fit equally well. Then process noise is accepted as long as its torque is
 smaller than the mean torque on the body; a random torque larger than the one that slows the body is not credible, and
@@ -28,10 +28,10 @@ varies,
 
     cov[n(t), n(t')] = b^2 cos(psi - psi') exp(-|t - t'| / T).
 
-They are included, instead of the noise above or with it, by the same likelihood. In longer blocks they are orthogonal
-to the polynomials.
+The same likelihood decides whether they are included, instead of the noise above or in addition to it. In longer blocks
+they are orthogonal to the polynomials.
 
-The windows of the rotor are estimated together, (a, T) of one camera, given the process noise of the casing.
+The noise of all windows of the rotor is estimated together, with one (a, T), given the process noise of the casing.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ from fitting.inference._process_noise import (
 Array = NDArray[np.float64]
 
 _UNLIKELY = 0.25
-"""Share of `Criteria.correlated_noise` that a coarse search, or the sum of two kinds alone, does not reach where there
-is no angle noise [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine search would
-find."""
+"""Share of `Criteria.correlated_noise` that the gain in a coarse search, or the sum of the gains of both kinds, must
+reach for a further search [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine search
+would find."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
 """Trial correlation times [lengths of a block]. Chosen: shorter ones are white for the rows, longer ones are part of
 the polynomials."""
@@ -67,13 +67,13 @@ _LEVELS = np.geomspace(0.3, 300.0, 13)
 """Trial levels, in units of the white noise of the rows [1]. Chosen: lower ones change nothing, higher ones do not
 occur; a coarser grid rounds the most likely level."""
 _FIRST_LEVELS = (2, 5, 8)
-"""Places in `_LEVELS` of a first, coarse search [1]. Chosen: fewer may overlook noise, more cost time."""
+"""Indices in `_LEVELS` of a first, coarse search [1]. Chosen: fewer may overlook noise, more cost time."""
 _HALF_WIDTH = 0.3
 """Half width of the parabola at the most likely level, in its logarithm [1]. Chosen: a smaller value is sensitive to
-rounding, a larger one to the asymmetry of the likelihood."""
+rounding errors, a larger one to the asymmetry of the likelihood."""
 _FEWEST_BLOCKS = 4
-"""Blocks of the shortest stretch, in which the motion is a cubic [1]. Chosen: fewer rows do not separate motion and
-noise, more refuse short records."""
+"""Smallest number of blocks of a stretch, in which the motion is a cubic [1]. Chosen: fewer rows do not separate motion
+and noise, more refuse short records."""
 _TORQUE_TIMES = (0.1, 0.3, 1.0)
 """Trial correlation times of the process noise [lengths of a block]. Chosen: fewer take process noise for angle noise,
 more cost time."""
@@ -85,7 +85,7 @@ _NEGLIGIBLE = 0.01
 variance; a smaller value costs time, a larger one understates uncertainties."""
 _LARGEST_RELATIVE_U = 0.7
 """Largest standard deviation of the logarithm of a level that the data hardly determine [1]. Chosen: a factor of two; a
-smaller value claims too much, a larger one gives the mean to improbable high levels."""
+smaller value understates the uncertainty, a larger one lets improbable high levels dominate the mean."""
 TURNS_PER_BLOCK = 3.0
 """Largest number of turns per block with which noise periodic in the angle affects the rows [1]. Chosen: in longer
 blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
@@ -120,7 +120,7 @@ class AngleNoise:
     turn_sigma_u: float = 0.0
     turn_time: float = 0.0  # correlation time of the amplitude of this part [s]
     gain: float = 0.0  # twice the logarithm of the likelihood ratio of this noise against white noise
-    needed: float = DEFAULT.correlated_noise  # the gain from which it is significant
+    needed: float = DEFAULT.correlated_noise  # smallest significant gain
     # shape (rows, rows); C^(1/2) and C^(-1/2) of the polynomial rows, or empty for white noise
     root: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     inverse: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
@@ -259,7 +259,7 @@ class _Kind(NamedTuple):
         return max(p.gain for p in self.peaks)
 
     def points(self, factors: Sequence[float], least: float = math.inf) -> list[tuple[float, float, Array]]:
-        """Return time, level and covariance at factors of the most likely level of each time."""
+        """Return time, level and covariance at multiples of the most likely level of each time."""
         return [
             (float(t), f * p.level, k)
             for t, k, p in zip(self.times, self.covariances, self.peaks, strict=True)
@@ -305,17 +305,17 @@ def stated_error_rows(
     harmonic: float = 0.0,
     profile: Sequence[tuple[float, float]] = (),
 ) -> Array:
-    """Return B, (rows, columns), with B B' the covariance of the polynomial rows by stated errors of the angle.
+    """Return B, (rows, columns); B B' is the covariance of the polynomial rows due to stated errors of the angle.
 
-    The one is an Ornstein-Uhlenbeck process of standard deviation `sigma` [rad] and correlation time `time` [s]; its
-    mean is the zero of the angle, which is free. With a `profile` of times [s] and standard deviations [rad] its
+    One error is an Ornstein-Uhlenbeck process of standard deviation `sigma` [rad] and correlation time `time` [s]; its
+    mean is the zero of the angle, which is free. With a `profile` of times [s] and standard deviations [rad], its
     standard deviation changes (see `profile_at`).
 
-    The other are harmonics of orders 1 and 2 of the angle with amplitudes of standard deviation `periodic` [rad],
-    independent in each block of few turns; over more turns they are orthogonal to the polynomials. Those of orders 3 to
-    12 have amplitudes of standard deviation `harmonic` [rad], independent in each block: they are slow where the order
-    times the rate of turn is close to a multiple of the frame rate. For orders 1 and 2 over more turns see
-    `stated_harmonic_scale`.
+    The other errors are harmonics of the angle. Those of orders 1 and 2 have amplitudes of standard deviation
+    `periodic` [rad], independent in each block of few turns; over more turns they are orthogonal to the polynomials.
+    Those of orders 3 to 12 have amplitudes of standard deviation `harmonic` [rad], independent in each block: they are
+    slow where the order times the rate of rotation is close to a multiple of the frame rate. For orders 1 and 2 over
+    more turns, see `stated_harmonic_scale`.
     """
     found = [np.zeros((len(run.z), 0))]
     if sigma > 0 and time > 0:
@@ -344,7 +344,7 @@ def stated_error_rows(
 
 
 def profile_at(times: Array, sigma: float, profile: Sequence[tuple[float, float]]) -> Array:
-    """Return the standard deviation of the slowly varying error at times (n,) [rad], linear between those stated."""
+    """Return the standard deviation of the slowly varying error at times (n,) [rad], linearly interpolated."""
     if not profile:
         return np.full(len(times), sigma)
     at, size = np.transpose(profile)
@@ -374,7 +374,7 @@ def _unit(covariance: Array) -> float:
 def _with_periodic_part(
     exponential: _Kind, periodic: _Kind, gain: Callable[[Array], float], needed: float
 ) -> AngleNoise | None:
-    """Return the angle noise with a part periodic in the angle; None where the other kind alone is as likely.
+    """Return the angle noise with a part periodic in the angle; None if exponential noise alone is as likely.
 
     A second kind must raise the gain by at least `needed`.
     """
@@ -386,7 +386,7 @@ def _with_periodic_part(
     best = 2 * float(log.max())
     if best - needed * (int(np.argmax(log)) >= len(alone)) <= exponential.gain:
         return None
-    # the prior probability of two kinds is that of one
+    # both kinds together have the same prior probability as one kind
     weights = np.exp(log - log.max()) / np.repeat([len(alone), len(both)], [len(alone), len(both)])
     weights /= weights.sum()
     total = np.eye(len(points[0][2]))
@@ -408,7 +408,7 @@ def _fine_posterior(kind: _Kind) -> tuple[Array, Array, Array, Array]:
     """Return correlation times [s], levels [rad] and relative uncertainties at each, and the probability of each time.
 
     The prior is uniform in the logarithms of time and level; the integral over the level is that of a normal
-    distribution in its logarithm. Between the times of the grid gain and level are interpolated by cubic splines.
+    distribution in its logarithm. Between the times of the grid, gain and level are interpolated by cubic splines.
     """
     x = np.log(kind.times)
     fine = np.linspace(x[0], x[-1], _FINER * (len(x) - 1) + 1)
@@ -438,7 +438,7 @@ def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
 
 
 def _row_covariance(run: Compressed, time: float, size: Callable[[Array], Array] = np.ones_like) -> Array:
-    """Return P R P' of the polynomial rows of a run, for a process whose standard deviation is `size` of the time.
+    """Return P R P' of the polynomial rows of a run, for a process with the standard deviation `size(time)`.
 
     Between two blocks the kernel is a product of functions of one time each, so its cost is linear in the samples.
     """
@@ -476,7 +476,7 @@ def _spectrum(frequency: Array, time: float) -> Array:
 
 
 _WINDOW_DEGREE = 5
-"""Degree of the polynomial of a window of one block [1]. Chosen: a smooth torque adds little to the rows beyond; a
+"""Degree of the polynomial of a window of one block [1]. Chosen: a smooth torque adds little to higher degrees; a
 smaller value takes motion for noise, a larger one absorbs noise."""
 _GROUPS = 128
 """Groups of samples per block [1]. Chosen: fewer average short correlations, more cost time."""
@@ -490,10 +490,10 @@ _WINDOW_TIMES = 15
 """Number of trial correlation times in the windows [1]. Chosen: fewer make the posterior mean coarse, more cost
 time."""
 _SHORTEST = 64.0
-"""Length of a block over the shortest correlation time in the windows [1]. Chosen: shorter correlations are white for
-the rows; a larger value costs time, a smaller one overlooks fast noise."""
+"""Length of a block divided by the shortest correlation time in the windows [1]. Chosen: shorter correlations are white
+for the rows; a larger value costs time, a smaller one overlooks fast noise."""
 _LONGEST = 3.0
-"""Length of a block over the longest correlation time in the windows [1]. Chosen: slower noise is a polynomial; a
+"""Length of a block divided by the longest correlation time in the windows [1]. Chosen: slower noise is a polynomial; a
 smaller value estimates what the rows do not show, a larger one overlooks slow noise."""
 _RATIOS = np.geomspace(1e-3, 1e6, 91)
 """Variances of angle noise divided by that of the white noise of a group [1]. Chosen: lower ones change nothing, higher
@@ -518,19 +518,20 @@ def estimate_window_noise(
 ) -> AngleNoise:
     """Estimate the correlated angle noise that all windows of the rotor have in common.
 
-    No test decides whether there is any, as for the process noise: a few windows of seconds miss noise that doubles the
-    errors of their speeds. The posterior distribution contains levels far below the white noise, and where the data
-    show none it adds little.
+    As for the process noise, no test decides whether there is any: in a few windows of some seconds, a test would miss
+    noise that doubles the errors of the speeds. The posterior distribution contains levels far below the white noise;
+    it adds little if the data show no angle noise.
 
-    The few rows of a window hardly determine a correlation time. So the means of groups of samples are compared,
-    many in each window, orthogonal to a polynomial and the nuisance functions (samples, columns): white noise of
-    variance s^2 sigma^2 and angle noise of variance rho s^2 and time T. s is integrated out with the prior 1 / s,
+    The few rows of a window hardly determine a correlation time. The data are therefore the means of many groups of
+    samples in each window, orthogonal to a polynomial and the nuisance functions (samples, columns). They contain white
+    noise of variance s^2 sigma^2 and angle noise of variance rho s^2 and correlation time T. s is integrated out with
+    the prior 1 / s,
 
         log L = -1/2 [log det V + n log(r'V^-1 r)],   V = 1 + rho R_T + process noise,
 
-    and the covariance of the rows is the mean over the posterior of s, rho and T, with priors uniform in ln rho and
-    ln T. A window is too short to separate angle noise from process noise, whose rms [rad/s2], the same `level` for all
-    windows or one for each, and correlation `time` [s] follow from those of the casing.
+    and the covariance of the rows is the mean over the posterior of s, rho and T, with priors uniform in ln rho and ln
+    T. A window is too short to separate angle noise from process noise. The rms `level` [rad/s2] of the process noise
+    (one for all windows, or one for each) and its correlation `time` [s] follow from those of the casing.
     """
     levels = np.broadcast_to(level, len(windows))
     groups = [_WindowGroups(*one, time) for one in zip(windows, nuisance, levels, strict=True)]
@@ -572,8 +573,8 @@ def estimate_window_noise(
 class _WindowGroups:
     """Means of groups of samples of one window, `width` [s] apart, in units of the stated uncertainty.
 
-    `white` is the variance of each mean by the stated uncertainties [rad2], `projected` the part of the means that is
-    orthogonal to what is free, whitened by the process noise.
+    `white` is the variance of each mean due to the stated uncertainties [rad2]. `projected` is the part of the means
+    that is orthogonal to the free functions, whitened by the process noise.
     """
 
     def __init__(self, window: Compressed, nuisance: Array, level: float, time: float) -> None:

@@ -51,10 +51,10 @@ class Averaged(NamedTuple):
 
     theta: Array  # shape (variables,); values of all variables
     phase_error: float  # largest rms error of the phase [rad]
-    # of each case the strengths, and in units of the errors their columns and the residuals: first of the
-    # amplitudes, then of the phases
+    # for each case, the strengths, their columns and the residuals in units of the errors: first those of the
+    # amplitudes, then those of the phases
     rows: tuple[tuple[list[str], Array, Array], ...]
-    scales: tuple[Array, ...]  # of each case the errors of amplitudes and phases [rad]
+    scales: tuple[Array, ...]  # for each case, the errors of amplitudes and phases [rad]
 
 
 def averaged(
@@ -67,10 +67,10 @@ def averaged(
 ) -> Averaged | None:
     """Fit the averaged equations of motion to the amplitudes and phases; None if a case has too few periods.
 
-    `linear` selects the parameters in which the equations are linear, `regress` fits the strengths of all cases
-    within their bounds; `errors` are `Averaged.scales` of another model, so that both are comparable (from the
-    residuals if not given). A phase error above `LARGEST_PHASE_ERROR` shows that a law does not describe the
-    frequency, or that the amplitude is so large that higher harmonics change it.
+    `linear` selects the parameters in which the equations are linear, `regress` fits the strengths of all cases within
+    their bounds; `errors` are `Averaged.scales` of another model, so that both are comparable (by default, they follow
+    from the residuals). A phase error above `LARGEST_PHASE_ERROR` shows that a law does not describe the frequency, or
+    that the amplitude is so large that higher harmonics change it.
     """
     theta = theta.copy()
     found = [d.motion.slow_motion for d in data]
@@ -91,7 +91,7 @@ def averaged(
         rows = []
         for case, (keys, design, target) in enumerate(equations):
             rest = (target - design @ theta[layout.places(case, keys)]).reshape(2, -1)
-            # the error of a phase is that of the deflection over the amplitude
+            # the error of a phase is that of the deflection divided by the amplitude
             relative = slow[case].amplitude / slow[case].amplitude.max()
             rest -= np.array([rest[0].mean(), np.average(rest[1], weights=relative**2)])[:, None]
             amplitude = max(float(np.sqrt(np.mean(rest[0] ** 2))), 1e-9)

@@ -1,8 +1,8 @@
 """Uncertainty budget of the parameters of a fit, after the GUM (JCGM 100:2008).
 
-About its optimum a fit is linear in its data. With the whitened residuals P W (m - z), where W whitens the noise and P
-projects nuisance parameters out, and their Jacobian J, the noise contributes G V_i G' with G = (J'J)^-1 J' P W and the
-covariance V_i of each of its sources; a nuisance parameter that is fitted from the same data contributes the increase
+About its optimum, a fit is linear in its data. Let P W (m - z) be the whitened residuals, where W whitens the noise and
+P projects the nuisance parameters out, and let J be their Jacobian. With G = (J'J)^-1 J' P W, each source of noise with
+the covariance V_i contributes G V_i G'. A nuisance parameter that is fitted from the same data contributes the increase
 of the variance when it is freed (type A). These contributions add up to the square of the standard error of the fit.
 
 A relative rate error eps of the clock changes the rows of the model by eps dm/d(eps) and the parameters by
@@ -39,8 +39,8 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 CRYSTAL = 50e-6 / math.sqrt(3)
-"""Relative standard uncertainty of a camera's clock [1]. Derived: crystals are specified to 50 ppm; a rectangular
-distribution has 1 / sqrt(3) of its half width."""
+"""Relative standard uncertainty of a camera's clock [1]. Derived: crystals are specified to 50 ppm; the standard
+deviation of a rectangular distribution is 1 / sqrt(3) of its half width."""
 
 _NODES = (-math.sqrt(3), 0.0, math.sqrt(3))
 """Nodes of a quadrature rule for a normal distribution [standard uncertainties]. Derived: the Gauss-Hermite rule of
@@ -103,7 +103,7 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.
     ----------
     fit : Fit
         The fit. Moments of inertia contribute where their uncertainties are known (`Record.I_rotor_u`,
-        `Record.I_casing_u`); those of one value are taken as one input of all cases.
+        `Record.I_casing_u`); equal moments of inertia of several cases are one input.
     clock_rate_u : float
         Relative standard uncertainty of the time base that all recordings share.
     speed_scale_u : float
@@ -113,9 +113,8 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.
     Returns
     -------
     Budget
-        A dict of str to ParameterBudget.
-        By parameter, as `fit.estimates`. Calibrations of recorded inputs contribute where their uncertainties are
-        known.
+        The budgets of the parameters, with the keys of `fit.estimates`. Calibrations of recorded inputs contribute
+        where their uncertainties are known.
 
     Raises
     ------
@@ -125,7 +124,7 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.
     measured_speeds = [not d.is_angle and not d.record.gradients for d in fit.problem.data]
     if speed_scale_u > 0 and not any(measured_speeds):
         raise EstimationError(
-            "The recordings hold angles, which have no scale that a sensor could get wrong.",
+            "The recordings contain angles, and the scale of an angle has no error.",
             "The speed scale applies to measured angular velocities.",
         )
     names = fit.problem.layout.names
@@ -169,7 +168,7 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.
 def combined_uncertainties(fit: Fit) -> dict[str, float]:
     """Return the combined standard uncertainty of every parameter, with the moments of inertia to first order.
 
-    That of `budget` without its refits, for the numbers of a sentence.
+    This is the uncertainty of `budget` without its refits, for the numbers in sentences.
     """
     linear = _Linearised(fit)
     cases = list(zip(fit.problem.cases, fit.predictions, strict=True))
@@ -217,7 +216,7 @@ def _input_rows(case: CaseModel, prediction: Prediction, theta: Array, name: str
 
 
 def _inertia_rows(case: CaseModel, prediction: Prediction, theta: Array, body: str, value: float) -> Array:
-    """Return the derivative of the rows of a case by the relative error of a moment of inertia of this value."""
+    """Return the derivative of the rows of a case with respect to the relative error of a moment of inertia."""
     rows = np.zeros(len(case.data.z))
     state = case.dynamics.mechanism.bodies.index(body)
     if case.data.record.inertias[state] != value:
@@ -299,8 +298,8 @@ class _Linearised:
 def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
     """Yield the moments of inertia of known uncertainty: source, body, value and uncertainty [kg m2].
 
-    If their ratio is a parameter with a prior, its uncertainty is part of the standard errors; that of the rotor is
-    then one of both.
+    If their ratio is a parameter with a prior, its uncertainty is part of the standard errors; the moment of inertia of
+    the rotor then stands for both.
     """
     records = fit.problem.layout.records
     parts = [b.part for b in reversed(records[0].bodies)]
@@ -318,9 +317,9 @@ def _ratio_has_prior(fit: Fit) -> bool:
 
 
 def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
-    """Return the standard uncertainty of all variables, and their mean slope, by each moment of inertia."""
+    """Return the standard uncertainty of all variables due to each moment of inertia, and their mean slope."""
     inputs = list(_inertias(fit))
-    # two inputs are propagated jointly; of more, which several instruments have, each separately
+    # up to two inputs are propagated jointly; more inputs, as from several instruments, are propagated separately
     groups = [inputs] if len(inputs) < 3 else [[i] for i in inputs]
     found: dict[str, tuple[Array, Array | None]] = {}
     for group in groups:
@@ -336,7 +335,7 @@ def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
 
 
 def propagated(values: Array, inputs: Sequence[tuple[str, float]]) -> dict[str, tuple[Array, Array | None]]:
-    """Return the standard uncertainty by each input, its mean slope, and the uncertainty by their interaction.
+    """Return the standard uncertainty due to each input, its mean slope, and the uncertainty due to their interaction.
 
     `values` (3, ..., results) are results at the nodes of the Gauss-Hermite rule, one axis for each (name, u) of
     `inputs`.
@@ -378,7 +377,7 @@ def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
 
 
 def _clock_rows(data: CaseData, prediction: Prediction) -> Array:
-    """Return the derivative of the rows of a case by the relative rate of the clock: t becomes t (1 + eps)."""
+    """Return the derivative of the rows of a case with respect to the clock rate eps: t becomes t (1 + eps)."""
     start = data.record.span[0]
 
     def change(t: Array, omega: Array) -> Array:
@@ -392,7 +391,7 @@ def _clock_rows(data: CaseData, prediction: Prediction) -> Array:
 
 
 def _speed_rows(data: CaseData, prediction: Prediction) -> Array:
-    """Return the derivative of the rows of a case by the relative error eps of the scale of its speeds."""
+    """Return the derivative of the rows of a case with respect to the relative error of the scale of its speeds."""
     return _changed_rows(data, prediction, lambda _, omega: omega)
 
 

@@ -2,8 +2,8 @@
 
 An error dt of the start time of a camera causes an error psi'(t) dt of its angles. Apart from the free phase of the
 window this is c dt with c = alpha (t - mean t), where alpha is the rotor's acceleration; for a measured speed c =
-alpha. With the standard uncertainty s of the start, the rows of a window, otherwise white, have the covariance 1 + s^2
-c c'. Its symmetric inverse root, which whitens the rows, changes only one direction:
+alpha. For a standard uncertainty s of the start, the otherwise white rows of a window have the covariance 1 + s^2 c c'.
+Its symmetric inverse root, which whitens the rows, changes only one direction:
 
     A = 1 - (1 - 1 / sqrt(1 + |s c|^2)) u u',   u = c / |c|.
 
@@ -159,8 +159,8 @@ _RISE = 0.1
 """Smallest rise of the speed of a driven body, relative to its largest speed [1]. Chosen: a smaller value mistakes
 noise for a drive, a larger one overlooks weak drives."""
 _INDEPENDENT = 1e-6
-"""Smallest relative singular value of independent responses to inputs [1]. Chosen: a smaller value keeps rounding, a
-larger one drops weak responses."""
+"""Smallest relative singular value of independent responses to inputs [1]. Chosen: a smaller value keeps rounding
+errors, a larger one drops weak responses."""
 SPEED_BLOCKS = 30
 """Number of blocks of a record of smoothed speeds [1]. Chosen: they are long compared with the smoothing; more contain
 correlated noise, fewer do not resolve the motion."""
@@ -178,11 +178,11 @@ class Block(NamedTuple):
 
 
 class OscillationBlocks(NamedTuple):
-    """The blocks of records with at most a number of periods.
+    """The blocks of records with at most `periods` periods.
 
-    cos(x) over a block of half width h is a polynomial of degree h and a few more (Bessel functions J_n(h) fall steeply
-    beyond n = h). In short records the model includes the third harmonic, in long records only the fundamental; in both
-    cases the noise is measured beyond the third harmonic.
+    Over a block of half width h, cos(x) is almost a polynomial of a degree slightly above h (Bessel functions J_n(h)
+    fall steeply beyond n = h). In short records the model includes the third harmonic, in long records only the
+    fundamental; in both cases the noise is measured beyond the third harmonic.
     """
 
     periods: float
@@ -305,7 +305,7 @@ class CaseData:
         return self._of_same_samples(record=replace(self.record, start_sigma=start_sigma))
 
     def with_inertia(self, rotor: float, casing: float, further: Sequence[float] = ()) -> CaseData:
-        """Return the same data with other moments of inertia [kg m2], `further` of later bodies of a chain."""
+        """Return the same data with other moments of inertia [kg m2]; `further` is for the later bodies of a chain."""
         later = tuple((x, u) for x, (_, u) in zip(further, self.record.further, strict=True))
         return self._of_same_samples(
             record=replace(self.record, I_rotor=rotor, I_casing=casing, further=later)
@@ -358,7 +358,7 @@ class CaseData:
 
     @cached_property
     def measured_angle(self) -> Array | None:
-        """The angle of the casing [rad], measured or integrated from its speeds; None if these do not determine it.
+        """The angle of the casing [rad], measured or integrated; None if the speeds do not determine the angle.
 
         The error of an integral is a random walk. It is far smaller than the error of the angle of a model with a lack
         of fit.
@@ -423,8 +423,8 @@ class CaseData:
         """Integral of the squared response of each row of a harmonic to an acceleration, and its frequency [rad/s].
 
         A random acceleration of the spectral density S, constant near this frequency, gives the row the variance S
-        times the integral. In a block with few turns, the covariance with the polynomial rows, up to 0.4 of both
-        standard deviations, is neglected.
+        times the integral. In a block with few turns, the correlation with the polynomial rows, a coefficient of up to
+        0.4, is neglected.
         """
         psi = self.measured_angle
         if psi is None or not len(self.casing.harmonic):
@@ -449,7 +449,7 @@ class CaseData:
 
     @cached_property
     def _times_of_bodies(self) -> tuple[tuple[int, list[int], Array], ...]:
-        """Place in a state, numbers of the runs, and times of the nodes of all runs, of each body."""
+        """Index in the state, indices of the runs, and node times of all these runs, for each body."""
         runs = {MAIN: [0]}
         for i, run in enumerate(self.rotor, 1):
             runs.setdefault(run.samples.state, []).append(i)
@@ -458,7 +458,7 @@ class CaseData:
 
     @cached_property
     def z(self) -> Array:
-        """Return the measured rows."""
+        """The measured rows."""
         return self.whitened(
             np.concatenate([self.casing.z, *(w.z for w in self.rotor), self._tail(self.casing.harmonic)])
         )
@@ -581,7 +581,7 @@ class CaseData:
             or min(len(w.z) for w in self.rotor) < _WINDOW_ROWS
         ):
             return AngleNoise()
-        # only the random torques of its joints act on the rotor, but that of the ground acts on the casing as well
+        # only the random torques of its joints act on the rotor; a random torque of the ground also acts on the casing
         mechanism, process = record.mechanism, self.process_noise
         torques = math.sqrt(1 + mechanism.joints_of(mechanism.main))
         levels = {
@@ -616,10 +616,10 @@ class CaseData:
 
     @cached_property
     def spectral_lines(self) -> tuple[SpectralLine, ...]:
-        """Sinusoidal torques that are not taken as noise; none for an oscillation.
+        """Sinusoidal torques that are not treated as noise; none for an oscillation.
 
-        A camera may have systematic errors at some frequencies, smaller than the noise of one angle: on film they are
-        noise.
+        A camera may have systematic errors at some frequencies. On film, a line smaller than the noise of one angle is
+        therefore treated as noise.
         """
         if not self.motion.is_smooth:
             return ()
@@ -760,7 +760,7 @@ class CaseData:
 
     @property
     def n_effective(self) -> float:
-        """Number of samples, reduced by their correlation: N / (1 + 2 a^2 T / (sigma^2 dt)) of a slow function."""
+        """Number of samples, reduced by their correlation: N / (1 + 2 a^2 T / (sigma^2 dt)) for a slow function."""
         casing = self.casing.n_effective / _correlation(self.casing, self.angle_noise)
         return casing + sum(w.n_effective / _correlation(w, self.rotor_angle_noise) for w in self.rotor)
 
@@ -910,7 +910,7 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
 
 
 def _reverses(record: Record) -> bool:
-    """Return whether a body turns in both senses by more than a share of its path, so it has no steady turns."""
+    """Return whether the net rotation is less than `_ONE_SENSE` of the path, so that the body has no steady turns."""
     value = record.casing.value
     way = np.diff(value) if record.quantity == "angle" else value[1:] * np.diff(record.casing.time)
     path = float(np.abs(way).sum())
@@ -967,11 +967,13 @@ errors, a larger one drops slowly turning bodies."""
 
 
 def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:
-    """Return cos and sin of the angle, of twice the angle, of the angle times the speed and its square, (n, 8).
+    """Return the functions of the angle for the nuisance parameters of a camera, (n, 8).
 
-    The speed is in units of the largest speed. Columns are zero if a harmonic is the same in all samples: pulses once
-    per turn contain no information on harmonics of the angle, and the rounding errors of their sines increase with the
-    angle. Only frames are `blurred` by the motion; for other samples the last two columns are zeros.
+    The columns are cos and sin of the angle, cos and sin of twice the angle, and cos and sin of the angle multiplied by
+    the speed and by its square. The speed is in units of the largest speed. Columns are zero if a harmonic is the same
+    in all samples: pulses once per turn contain no information on harmonics of the angle, and the rounding errors of
+    their sines increase with the angle. Only frames are `blurred` by the motion; for other samples, the last two
+    columns are zeros.
     """
     psi = samples.value
     knots, speed = _rough_speeds(samples)

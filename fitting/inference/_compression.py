@@ -27,14 +27,14 @@ from fitting.inference._record import Samples
 Array = NDArray[np.float64]
 
 HARMONICS = 4
-"""Rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which the camera's centre and
-tilt cause."""
+"""Rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which a displaced centre and a
+tilt of the camera cause."""
 _MIN_INDEPENDENCE = 0.2
 """Smallest amplitude orthogonal to the polynomials for which a harmonic has rows, relative to its amplitude [1].
 Chosen: a smaller value adds rows of slow blocks that contain motion, a larger one drops information about harmonics."""
 _SMALL_CHANGE = 1e-3
-"""Change of an angle below which the integrals of its harmonics are series [rad]. Derived: the neglected fourth power
-is 1e-12."""
+"""Change of an angle below which the integrals of its harmonics are computed as series [rad]. Derived: the neglected
+fourth power is 1e-12."""
 _MIN_RESPONSE = 1e-6
 """Smallest share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than
 rounding error [1]. Chosen: a smaller value adds rows of rounding errors, a larger one drops weak responses."""
@@ -47,7 +47,7 @@ def _harmonics(y: Array) -> Array:
 def independent_harmonics(y: Array, polynomials: Array) -> Array:
     """Return cos y, sin y, cos 2y, sin 2y, with zeros for harmonics that are nearly polynomials.
 
-    In less than a turn a harmonic contains no further information: its part orthogonal to the polynomials would be
+    In less than a turn, a harmonic contains no further information: its part orthogonal to the polynomials would be
     noise of y. For a casing at rest the whole harmonic is noise.
     """
     waves = _harmonics(y)
@@ -65,9 +65,10 @@ def integrated(time: Array, values: Array) -> Array:
 def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
     """Return speeds and angles due to accelerations cos(m psi) and sin(m psi), m = 1 and 2, (samples, 4) each.
 
-    Between samples the angle is interpolated linearly: over a step h with the change x of m psi the speed gains h Re or
-    Im of exp(i m psi) (exp(i x) - 1) / (i x), and the angle h^2 exp(i m psi) (1 + i x - exp(i x)) / x^2 beyond h times
-    the speed. The initial state gives no drift, up to an error of the order of amplitude / number of turns.
+    Between samples, the angle is interpolated linearly. Over a step h in which m psi changes by x, the speed increases
+    by h exp(i m psi) (exp(i x) - 1) / (i x), and the angle by h times the speed plus h^2 exp(i m psi) (1 + i x - exp(i
+    x)) / x^2 (real and imaginary parts). The initial state is chosen so that there is no drift, up to an error of the
+    order of amplitude / number of turns.
     """
     step = np.diff(time)[:, None]
     phase = psi[:, None] * [1, 2]
@@ -97,7 +98,7 @@ not resolved, a larger one leaves fast responses in the noise."""
 
 
 def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) -> Array:
-    """Return speeds, or angles, of bodies of the first order that inputs drive, (samples, columns).
+    """Return the speeds, or angles, of first-order systems that inputs drive, (samples, columns).
 
     d(y)/dt = (u - y) / tau, for time constants from twice the sampling interval to the length of the record: sums of
     these responses are close to the response for any time constant in between. The input is averaged over intervals.
@@ -200,10 +201,10 @@ _SAME = 1e-7
 """Smallest range of a harmonic that is more than rounding error [1]. Chosen: a smaller value adds rows of rounding
 errors, a larger one drops slowly turning bodies."""
 _CLIP = 3.0
-"""Standard deviations at which outliers are cut off in the scale of the noise [standard deviations]. Chosen: a smaller
+"""Deviation beyond which values are excluded from the estimate of the noise [standard deviations]. Chosen: a smaller
 value loses efficiency, a larger one includes outliers."""
 _CLIPPED_VARIANCE = 0.9733
-"""Variance of a standard normal variable cut off at 3 [1]. Derived: 1 - 6 phi(3) / (2 Phi(3) - 1), at `_CLIP`."""
+"""Variance of a standard normal variable truncated at 3 [1]. Derived: 1 - 6 phi(3) / (2 Phi(3) - 1), at `_CLIP`."""
 
 
 @dataclass(frozen=True)
@@ -279,7 +280,7 @@ def compress(
     the noise of neighbouring samples is correlated. Without `noisy` the sigma of the samples is used. `blocks` is the
     largest number of blocks, `samples_per_block` the smallest number of samples in one. Further blocks begin at the
     samples `cuts`; `driven` (samples, columns) are responses to recorded inputs, and `modes` (samples, columns) errors
-    with amplitudes of variance 1; both are not noise.
+    with amplitudes of variance 1; neither is noise.
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
@@ -298,7 +299,7 @@ def compress(
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
-    # without noise, as in a computed table, only rounding and the error of the integration remain
+    # without noise, as in a computed table, only rounding errors and the error of the integration remain
     least = (TOLERANCE * float(np.abs(samples.value).max()) / float(np.median(samples.sigma))) ** 2
     variance, fast = max(variance, least), max(fast, least)
     scale = float(np.sqrt(variance)) if variance > 0 else 1.0
@@ -347,9 +348,10 @@ def _without_modes(samples: Samples, modes: Array, edges: NDArray[np.int_], degr
 def _cut_where_slow(time: Array, angles: Array, edges: NDArray[np.int_]) -> NDArray[np.int_]:
     """Divide blocks in which the speed changes by a large factor.
 
-    A torque periodic in the angle changes it by an amplitude proportional to 1 / speed^2: nearly all information about
-    it is in the few turns in which the casing is slowest, a small part of a block. The blocks of a record in which the
-    casing comes to rest are not divided: in such a block the ratio of speeds diverges within less than a turn.
+    A torque periodic in the angle changes the angle by an amplitude proportional to 1 / speed^2: nearly all information
+    about this torque is in the few turns in which the casing is slowest, a small part of a block. The blocks of a
+    record in which the casing comes to rest are not divided: in such a block the ratio of speeds diverges within less
+    than a turn.
     """
     pieces = np.arange(0, len(time) - _MIN_SAMPLES + 1, _MIN_SAMPLES)
     last = pieces + _MIN_SAMPLES - 1
@@ -439,20 +441,20 @@ def _block(
 
 
 _INDEPENDENT = 1e-4
-"""Smallest relative singular value of independent responses and polynomials [1]. Chosen: with a smaller value rounding
-of the times is part of the noise, a larger one loses rows of the noise."""
+"""Smallest relative singular value of independent responses and polynomials [1]. Chosen: with a smaller value, rounding
+errors of the times are part of the noise; a larger one loses rows of the noise."""
 _TINY = 1e-300
-"""Smallest norm of a column [1]. Derived: the quotient of zero and it is zero."""
+"""Smallest norm of a column [1]. Derived: zero divided by this norm is zero."""
 _DEPENDENT = 1e-6
 """Smallest share of a response to an input that is orthogonal to the others and to the model [1]. Chosen: a smaller
-value keeps rounding, a larger one leaves a part of the response in the noise."""
+value keeps rounding errors, a larger one leaves a part of the response in the noise."""
 
 
 def _independent(model: Array, responses: Array, higher: Array, skipped: int) -> tuple[Array, Array]:
     """Return responses and higher polynomials of a block as independent columns; the last ones measure the noise.
 
-    In a few turns a response is nearly a polynomial, and rounding would determine the directions of a QR decomposition.
-    Such a response is replaced by the first `skipped` higher polynomials.
+    In a few turns, a response is nearly a polynomial, and rounding errors would determine the directions of a QR
+    decomposition. Such a response is replaced by the first `skipped` higher polynomials.
     """
     columns = np.concatenate([model, responses, higher], axis=1)
     values = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), _TINY), compute_uv=False)

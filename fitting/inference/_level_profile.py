@@ -22,8 +22,8 @@ _PRECISION = 0.05
 """Precision of the logarithms of time and level at the maximum of the likelihood [1]. Chosen: a smaller value costs
 time, a larger one leaves deviance."""
 _EVALUATIONS = 8
-"""Largest number of evaluations of a one-dimensional search of the maximum [1]. Chosen: fewer stop before `_PRECISION`,
-more cost time."""
+"""Largest number of evaluations of a one-dimensional search for the maximum [1]. Chosen: fewer stop before
+`_PRECISION`, more cost time."""
 
 
 class LevelProfile:
@@ -54,7 +54,7 @@ class LevelProfile:
 
 
 def least_between(f: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
-    """Return where a function is least between two bounds, and its value."""
+    """Return the position of the minimum of a function between two bounds, and its value."""
     from scipy.optimize import minimize_scalar
 
     found = minimize_scalar(

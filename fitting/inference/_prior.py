@@ -1,18 +1,19 @@
 """Prior knowledge of parameters: values and covariance from another study.
 
-A Gaussian prior of mean m and covariance C = L L' adds to the rows of a case, in units of their noise, the rows
+A Gaussian prior with mean m and covariance C = L L' adds the following rows, in units of their noise, to those of a
+case:
 
     L^-1 (theta - m),
 
-a measurement of the parameters themselves. The sum of squares is then minus twice the logarithm of the posterior
-density, and (J'J)^-1 its covariance; in a linear model (J'J + C^-1)^-1 (J'z + C^-1 m), the combination of both studies
-by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8). Because they are rows, the
-score test, the test for lack of fit and every refit take them into account.
+like a measurement of the parameters themselves. The sum of squares is then minus twice the logarithm of the posterior
+density, and (J'J)^-1 is its covariance. In a linear model, the estimate is (J'J + C^-1)^-1 (J'z + C^-1 m), the
+combination of both studies by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8).
+Because they are rows, the score test, the test for lack of fit and every refit take them into account.
 
-Where each case of a joint fit has its own value of a parameter, the prior applies to each of them: its uncertainty then
-has to include the spread between runs.
+If each case of a joint fit has its own value of a parameter, the prior applies to each of them; its uncertainty must
+then include the spread between runs.
 
-The studies have to be independent: with a prior from the same data, these would count twice.
+The studies must be independent: with a prior from the same data, the data would count twice.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from fitting.inference._linear_algebra import block_diagonal
 Array = NDArray[np.float64]
 
 _SINGULAR = 1e-13
-"""Relative eigenvalue below which a covariance is singular [1]. Chosen: a smaller value accepts rounding, a larger one
-refuses strongly correlated parameters."""
+"""Relative eigenvalue below which a covariance is singular [1]. Chosen: a smaller value accepts rounding errors, a
+larger one refuses strongly correlated parameters."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Prior:
     ) -> Self:
         """Return the prior of a fit: all parameters of its effects that it determines within their bounds.
 
-        Initial speeds, and parameters with a value for each case, are those of that study's own runs.
+        Initial speeds, and parameters with a value for each case, belong to the runs of that study and are left out.
         """
         kept = [
             i
@@ -119,8 +120,8 @@ class Prior:
     ) -> tuple[tuple[str, ...], Array, Array]:
         """Return the variables to which the prior applies, their means (k,), and L^-1 (k, k) of their covariance.
 
-        With a `label` a prior of a parameter with a value for each case applies to ``name@label``. Parameters that
-        all cases share are included if `shared`; each must be counted once.
+        With a `label`, a prior of a parameter with a value for each case applies to ``name@label``. Parameters that all
+        cases share are included if `shared`; each must be counted once.
         """
         found = {}
         for i, name in enumerate(self.names):

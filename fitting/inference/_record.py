@@ -1,7 +1,7 @@
 """Measured angles or angular velocities of one experiment.
 
 A `Record` is made from arrays (`make_record`) or a case file (`fitting.inference._case_file`). Times are on one clock
-[s], angles in rad and unwrapped, speeds in rad/s. The `quantity` is the measured one: angles, or angular velocities.
+[s], angles in rad and unwrapped, speeds in rad/s. `quantity` states what was measured: angles or angular velocities.
 
 Angular velocities are computed from angles and smoothed as in the paper; between its windows the rotor's speed is
 interpolated with the slopes measured in the windows.
@@ -68,7 +68,7 @@ PRECISION = 1e18
 class Samples:
     """An uninterrupted run of measured values: time [s], value [rad or rad/s], sigma (same unit).
 
-    `state` is the place of the speed of its body in the state of the motion, for a body that is not the main one;
+    `state` is the index of the speed of the body in the state of the motion, for any body except the main one;
     `harmonic` is the standard deviation of the amplitudes of an error of 1 to 12 periods per turn of its angle [rad].
     """
 
@@ -123,8 +123,8 @@ class Body:
 class Record:
     """One experiment on one clock.
 
-    Of a chain of bodies, `casing` is the main body, the second one of its `mechanism`, and `rotor` are the runs of all
-    others, each with the place of its body in a state.
+    In a chain of bodies, `casing` is the main body (the second one of the `mechanism`), and `rotor` contains the runs
+    of all other bodies, each with the index of its body in the state.
 
     Parameters
     ----------
@@ -311,10 +311,10 @@ class Record:
 
     @cached_property
     def largest_speeds(self) -> dict[str, float]:
-        """Largest speeds by symbol [rad/s]; that of the fastest body if a body is at rest or not measured.
+        """Largest speed by symbol [rad/s]; for a body that is at rest or not measured, the speed of the fastest body.
 
-        To limit outliers and noise, the quantile 0.95 of mean speeds over a few samples is used. A body is at rest if
-        this quantile is not larger than noise alone would give.
+        To limit outliers and noise, the quantile 0.95 of mean speeds over a few samples is used. A body is taken to be
+        at rest if this quantile is not larger than noise alone would give.
         """
         found = {}
         for i, symbol in enumerate(self.mechanism.speeds):
@@ -393,7 +393,7 @@ def make_record(
     tracked : bool
         The data come from film.
     single : bool
-        Not needed: without a film of a rotor `casing` is the only body.
+        Not needed: without a film of a rotor, `casing` is the only body.
     start_sigma : sequence of float
         Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact, NaN if
         unknown.
@@ -417,7 +417,7 @@ def make_record(
     mechanism : Mechanism
         The bodies and joints of a chain: `casing` is its second body, and `rotor` are the runs of all others.
     states : sequence of int
-        The number of the body of each run of `rotor` in the mechanism; all are of the first one if empty.
+        Index in the mechanism of the body of each run of `rotor`; if empty, all runs are those of the first body.
     further : sequence of (float, float)
         Moments of inertia of its third and later bodies and their standard uncertainties [kg m2].
     harmonics : sequence of float
@@ -492,7 +492,7 @@ def _refuse_wrong(casing: object, rotor: object, quantity: object) -> None:
 
 
 def _covering(inputs: Sequence[Input], casing: Samples, windows: Sequence[Samples]) -> tuple[Input, ...]:
-    """Return the inputs of a record; a RecordError if a name repeats or one does not cover the record."""
+    """Return the inputs of a record; a RecordError if two have the same name or one does not cover the record."""
     if not isinstance(inputs, Iterable) or not all(isinstance(i, Input) for i in inputs):
         raise RecordError("an input is not an Input", 'use fitting.Input("current", time, value, "A")')
     names = [i.name for i in inputs]
@@ -602,7 +602,8 @@ def speeds(
 ) -> tuple[Array, Array]:
     """Return times [s] and angular velocities [rad/s]: median of the angle, gradient, median, ends dropped.
 
-    The paper has a `width` of 51 points and drops 50 at each end; short runs drop a tenth of their samples at most.
+    The paper has a `width` of 51 points and drops 50 at each end; in short runs, at most a tenth of the samples is
+    dropped at each end.
     """
     width = median_width(len(samples), width)
     value = samples.value
@@ -621,7 +622,7 @@ def median_width(count: int, width: int = WIDTH) -> int:
 
 
 def running_median(value: Array, width: int) -> Array:
-    """Return the median of `width` points (odd) about each; beyond the ends the end values are repeated."""
+    """Return the running median over `width` points (odd); beyond the ends, the end values are repeated."""
     half = width // 2
     padded = np.concatenate([np.full(half, value[0]), value, np.full(half, value[-1])])
     windows = np.lib.stride_tricks.sliding_window_view(padded, width)
@@ -713,9 +714,9 @@ def hermite(
     slopes: bool = False,
     interval: Indices | None = None,
 ) -> Array:
-    """Return the cubics through values and slopes (n, ...), or their slopes, at times within.
+    """Evaluate the cubics through values and slopes (n, ...), or with `slopes` their derivatives, at some times.
 
-    `interval` are the indices of the intervals that contain the times, if known.
+    `interval` contains the indices of the intervals around the times, if known.
     """
     if interval is None:
         interval = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
@@ -733,7 +734,7 @@ def hermite(
 
 
 class PiecewiseCubics:
-    """Least-squares cubics in pieces of equal numbers of samples at some times."""
+    """Piecewise least-squares cubics at given times; all pieces have the same number of samples, or one more."""
 
     def __init__(self, time: Array) -> None:
         self._time = time
@@ -751,7 +752,7 @@ class PiecewiseCubics:
         return counts[int(np.argmin(bic))]
 
     def smooth(self, values: Array, pieces: int) -> Array:
-        """Return values (n,) smoothed in some number of pieces."""
+        """Return values (n,) smoothed with a given number of pieces."""
         if pieces not in self._known:
             self._known[pieces] = self._basis(pieces)
         basis, first, length = self._known[pieces]
@@ -769,7 +770,7 @@ class PiecewiseCubics:
         powers = legvander((self._time - middle[piece]) / half[piece], _CUBIC - 1)
         gram = np.add.reduceat(powers[:, :, None] * powers[:, None, :], first)
         size, vectors = np.linalg.eigh(gram)
-        # fewer than four samples leave directions without a size
+        # with fewer than four samples in a piece, some eigenvalues are zero
         inverse = np.where(size > 1e-12 * size[:, -1:], 1 / np.sqrt(np.maximum(size, 1e-300)), 0.0)
         basis = (powers[:, None, :] @ (vectors * inverse[:, None, :])[piece])[:, 0]
         return np.ascontiguousarray(basis.T), first, length

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Random = np.random.Generator
 
 _CELLS_PER_TIME = 5
-"""Least number of cells of a random torque per correlation time [1]. Chosen: fewer give a series of steps, more cost
+"""Smallest number of cells of a random torque per correlation time [1]. Chosen: fewer give a series of steps, more cost
 time."""
 _FEWEST_CELLS = 400
 """Smallest number of cells of a random torque [1]. Chosen: fewer do not resolve the record, more cost time."""
@@ -186,7 +186,7 @@ def _random_torque(motion: FittedMotion, random: Random) -> list[Array]:
 
 
 def _state(number: int, run: Samples) -> int:
-    """Return the place in a state of the body of a run, the main body's first."""
+    """Return the index in the state of the body of a run; the first run is that of the main body."""
     return run.state if number else MAIN
 
 

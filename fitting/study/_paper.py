@@ -66,7 +66,7 @@ class CurveBias:
 
     @property
     def errors(self) -> float:
-        """Shift of the parameter by the curve, divided by the standard error from the curve.
+        """Shift of the parameter due to the curve, divided by the standard error from the curve.
 
         At a bound, the standard error from the windows is used.
         """
@@ -75,7 +75,7 @@ class CurveBias:
 
 
 def curve_bias(found: Fit) -> dict[str, CurveBias]:
-    """Return the shift of each parameter by a generated rotor curve, relative to a fit of the model to the windows.
+    """Return the shift of each parameter due to a generated rotor curve, relative to a fit of the model to the windows.
 
     The shift arises because the law of the curve differs from the model, and its values between the windows are not
     measured. The largest shift comes first; empty if no rotor curve was generated.

@@ -50,13 +50,13 @@ class NextRunDocument(TypedDict):
     rivals: list[list[str]]  #: The explanations that the run separates, each a set of effects.
     inseparable: list[list[str]]  #: Pairs of explanations that no run within the bounds separates.
     sentence: str  #: The proposal in words.
-    inertia_casing_ratio: float  #: Moment of inertia of the casing over the present one [1].
-    touchpoint_ratio: float  #: Friction at the touch point over the present one [1].
+    inertia_casing_ratio: float  #: Moment of inertia of the casing, divided by the present one [1].
+    touchpoint_ratio: float  #: Friction at the touch point, divided by the present one [1].
     separation_sigma: float  #: Expected separation of the rivals after the run [standard uncertainties].
     present_sigma: float  #: Their separation without the run [standard uncertainties].
     #: Their separation after one more run like the present ones [standard uncertainties].
     repeated_sigma: float
-    #: Detection limit after the run over the present one, by effect [1].
+    #: Detection limit after the run, divided by the present one, by effect [1].
     detection_limit_ratio: dict[str, float]
     bounds: Bounds  #: Bounds of the runs that are possible.
 

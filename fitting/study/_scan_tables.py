@@ -214,7 +214,7 @@ _UNITS = (
     r"SI units: $[b_1]=[c]=\mathrm{N\,m}$, $[a_1]=[b_2]=[d]=\mathrm{N\,m\,s}$, $[a_2]=[e]=\mathrm{N\,m\,s^2}$, "
     r"$[f]=\mathrm{N\,m\,s}^{g}$."
 )
-_ERRORS = "In brackets the standard error in units of the last digit."
+_ERRORS = "The standard error in units of the last digit is given in brackets."
 _SPEED = r"$R^2$ of the casing's speed."
 _SHADING = r"White: $R^2\ge 0.99$; light gray: $0.99>R^2\ge 0.90$; gray: $0.90>R^2\ge 0$; dark gray: $R^2<0$."
 

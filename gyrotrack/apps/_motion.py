@@ -52,9 +52,8 @@ _MAX_LOG_AMPLITUDE = 50.0
 # number of passages, hysteresis [range], smallest range [standard uncertainties of an angle]
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
 # largest share of the variance of an angle in the residuals of a damped oscillation, without noise; for few and for
-# several periods. The harmonics of a pendulum with an amplitude of 176 degrees have 0.023. Through few periods the
-# first links of two double pendulums have 0.06 and 0.11; an oscillation that was disturbed within eight periods has
-# 0.07
+# several periods. The harmonics of a pendulum with an amplitude of 176 degrees have 0.023. Over few periods, the first
+# links of two double pendulums have 0.06 and 0.11; an oscillation that was disturbed within eight periods has 0.07
 _UNEXPLAINED, _SEVERAL_PERIODS, _UNEXPLAINED_OF_SEVERAL = 0.04, 4.0, 0.2
 
 
@@ -103,9 +102,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects this degree. Period,
     amplitude and decay rate are given for the middle of the record. A motion that passes the middle of its range
     repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. A motion that
-    turns back, but is recorded through too few periods for these decisions, is "reversing". A rotation whose speed
-    rises and falls repeatedly, without explanation by friction or by the view, is "fluctuating": the speeds at its
-    ends are local slopes, and the mean speed is the turned angle over the time.
+    turns back, but is recorded over too few periods for these decisions, is "reversing". A rotation whose speed rises
+    and falls repeatedly, without explanation by friction or by the view, is "fluctuating": the speeds at its ends are
+    local slopes, and the mean speed is the angle of rotation divided by the time.
     """
     if len(time) < _FEWEST_SAMPLES:
         what = f"The motion has {len(time)} samples; {_FEWEST_SAMPLES} are needed."
@@ -193,7 +192,7 @@ def _slope_at(t: Floats, angle: Floats, place: int) -> Value:
 
 
 def _mean_speed(time: Floats, angle: Floats, sigma: Floats) -> Value:
-    """Return the turned angle over the time, with the uncertainties of the first and the last angle."""
+    """Return the angle of rotation divided by the time, with the uncertainties of the first and the last angle."""
     length = float(time[-1] - time[0])
     error = math.hypot(sigma[0], sigma[-1], math.sqrt(2.0) * VIEW[0])
     return Value(float(angle[-1] - angle[0]) / length, error / length)

@@ -295,7 +295,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
         unit = entry.model.parameters[name].unit
         expected = units.of(unit)
         if entry.estimates[name].unit != expected:
-            what = f"{path} gives {name} in {entry.estimates[name].unit}, these cases need {expected}."
+            what = f"{path} gives {name} in {entry.estimates[name].unit}, but these cases need {expected}."
             raise UsageError(what, "Give --inertia for both studies, or for neither.")
     if not rotor:
         return prior

@@ -5,7 +5,7 @@
 Auxiliary files next to an output are opened without following links and have a header. A file without this header was
 not made by this package and is not changed.
 
-A checkpoint is a file from which a killed run resumes, an append-only log::
+A checkpoint is an append-only log from which a killed run resumes::
 
     line            "gyrotrack journal 1" and a line feed
     record          length (8 bytes), CRC-32 (4 bytes), content       little endian
@@ -43,7 +43,7 @@ open_side_file, foreign, refusal, busy = _FILES.open_side_file, _FILES.foreign, 
 
 @contextmanager
 def locked(path: Path, timeout: float | None = None) -> Iterator[Path]:
-    """Hold the lock of `path`, see `fitting._files.Files.locked`."""
+    """Hold the lock of `path`; see `fitting._files.Files.locked`."""
     with _FILES.locked(path, LOCK_TIMEOUT if timeout is None else timeout) as own:
         yield own
 

@@ -105,14 +105,14 @@ class BodySummary(WindowsSummary):
 
 
 class InputSummary(TypedDict):
-    """A recorded input of the motion; numbers are null if none is known."""
+    """A recorded input of the motion; a number is null if it is not known."""
 
     samples: int  #: Number of samples.
     t_start: float | None  #: Time of the first sample [s].
     t_stop: float | None  #: Time of the last sample [s].
     min: float | None  #: Smallest value [`unit`].
     max: float | None  #: Largest value [`unit`].
-    median_u: float | None  #: Median standard uncertainty by calibration [`unit`].
+    median_u: float | None  #: Median standard uncertainty due to calibration [`unit`].
 
 
 class RecordingSummary(TypedDict):
@@ -348,9 +348,9 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 class ExportDocument(TypedDict):
     """The size of an exported table, or the groups of a netCDF file."""
 
-    rows: NotRequired[int]  #: Number of rows; not of netCDF.
-    columns: NotRequired[dict[str, str]]  #: Unit of each column; not of netCDF.
-    groups: NotRequired[list[str]]  #: Groups with variables, of netCDF only.
+    rows: NotRequired[int]  #: Number of rows; absent for netCDF.
+    columns: NotRequired[dict[str, str]]  #: Unit of each column; absent for netCDF.
+    groups: NotRequired[list[str]]  #: Groups with variables; only for netCDF.
 
 
 def export_file(source: Path, target: Path, *, table: str = "motion", force: bool = False) -> ExportDocument:
@@ -378,7 +378,7 @@ def export_file(source: Path, target: Path, *, table: str = "motion", force: boo
     Raises
     ------
     DatasetError, OutputError
-        The source cannot be read, or the target not written.
+        The source cannot be read, or the target cannot be written.
     UsageError
         The suffix or the table is unknown, or a library for it is not installed.
     """

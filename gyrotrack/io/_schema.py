@@ -69,7 +69,7 @@ BODY = Table(
     ),
     signal="omega",
     attributes=(
-        Attribute("smoothing_width", int, "", "points of the median that gave omega"),
+        Attribute("smoothing_width", int, "", "number of samples of the running median for omega"),
         *CORRELATED,
     ),
 )
@@ -114,7 +114,7 @@ GROUPS = (
     ("`/frame`: the clip, frame by frame", FRAME),
     ("`/marker/<name>`: one marker", MARKER),
     ("`/body/<name>`: casing or rotor, from all its markers", BODY),
-    ("`/point/<name>`: one point, only of films in which points were followed", POINT),
+    ("`/point/<name>`: one point, only for films in which points were followed", POINT),
     *layout.GROUPS,
 )
 ATTRIBUTES = (("Attributes of a recording", RECORDING_ATTRIBUTES), *layout.ATTRIBUTES)

@@ -72,7 +72,7 @@ class AddedTorque:
 
 @dataclass(frozen=True)
 class CaseModel:
-    """One case with one model; the motion of each body is in runs: windows, of the main body a single one."""
+    """One case with one model; each body has one or several runs: windows, and a single run of the main body."""
 
     speeds: dict[
         str, tuple[Curve, ...]
@@ -85,7 +85,7 @@ class CaseModel:
 class CaseView:
     """One case with the first and the last model of a history of fits.
 
-    The key of a body is its role, "casing" (also of a single body) or "rotor", and its name in a chain.
+    The key of a body is its role, "casing" (also for a single body) or "rotor"; in a chain, the key is the name.
     """
 
     label: str

@@ -55,10 +55,10 @@ RATE_SIGMA = 1e-3
 nominal rate, a larger one leaves a constant speed undetermined."""
 ONE_CLOCK = 2e-4
 """Smallest difference of the rates of clips that proves two cameras [1]. Chosen: a crystal changes by 1e-6 in a run,
-and slow errors of tracking imitate some 1e-5; a larger value joins two cameras."""
+and slow errors of tracking imitate about 1e-5; a larger value joins two cameras."""
 UNLIKELY = 1e-4
-"""Probability of a larger difference of rates due to white errors, below which the rates differ [1]. Chosen: a larger
-value separates clips of one camera, a smaller one joins two."""
+"""Probability that white errors cause a larger difference of rates, below which the rates are taken to differ [1].
+Chosen: a larger value separates clips of one camera, a smaller one joins two."""
 MAX_LENGTH = 3.0
 """Largest length of the part of a clip that is compared in the search [s]. Chosen: a cubic describes the motion over
 it; a longer part needs a higher degree, a shorter one is noisy."""
@@ -92,7 +92,7 @@ MAX_MISFIT = 0.015
 """Largest difference of the cameras beyond noise [rad]. Chosen: a smaller value refuses oblique cameras, a larger one
 accepts clips of another run."""
 RATE_LIMIT = 5 * RATE_SIGMA
-"""Largest clock rate of a solution [1]. Derived: five prior standard deviations."""
+"""Largest deviation of the clock rate of a solution from 1 [1]. Derived: five prior standard deviations."""
 RIVAL = 60.0
 """Largest increase of chi2 of alternative starts for the joint solution [1]. Chosen: above `EXCLUDED`; a smaller value
 omits rivals, a larger one costs time."""
@@ -247,7 +247,7 @@ def _mismatch(casing: Curve, clip: Curve, name: str, why: str) -> SyncError:
     return SyncError(
         f"{name} does not belong to this casing recording: {why} "
         f"(casing at {a:.1f} to {b:.1f} rad/s in the clip, {c:.1f} to {d:.1f} rad/s in the record).",
-        "Check that both films show the same run, and the capture rates of both cameras.",
+        "Check that both films show the same run, and that both capture rates are correct.",
     )
 
 
@@ -471,7 +471,7 @@ def _solve(
 
 
 def _are_two_clocks(free: Solution) -> bool:
-    """Return whether separate rates of clips differ by more than one clock and their uncertainties allow."""
+    """Return whether the separate rates of clips differ by more than one clock and their uncertainties explain."""
     rate = np.array([s.eps for s in free.starts])
     sigma = np.array([free.sigma(k)[1] for k in range(len(rate))])
     best = int(np.argmin(sigma))
@@ -634,7 +634,7 @@ def _rotor(recording: Recording, name: str) -> BodyTrack:
 
 
 def _on_clock(body: BodyTrack, match: Match) -> BodyTrack:
-    """Transform the rotor of a clip to clock and direction of the casing camera."""
+    """Transform the rotor of a clip to the clock and the direction of the casing camera."""
     rate = 1 + match.start.eps
     return replace(
         body,

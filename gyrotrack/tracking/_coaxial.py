@@ -18,11 +18,11 @@ _COARSE = 48.0
 """Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
 marks of the second body."""
 _OF_REST = 0.4
-"""Smallest share that a second rotation explains of the change not explained by the first one [1]. Measured: one body
-with light fixed in the image, or a displaced hub: less than 0.2."""
+"""Smallest share that a second rotation explains of the change not explained by the first one [1]. Measured: less than
+0.2 for one body with light fixed in the image or a displaced hub."""
 _OF_ALL = 0.05
-"""Smallest explained share of the whole change, for a second rotation [1]. Measured: one body with light fixed in the
-image, or a displaced hub: less than 0.03."""
+"""Smallest explained share of the whole change, for a second rotation [1]. Measured: less than 0.03 for one body with
+light fixed in the image or a displaced hub."""
 _LESS_OF_REST = 0.2
 """As `_OF_REST`, for a rotation that explains at least `_MORE_OF_ALL` of the whole change [1]. Measured: 0.22 for a
 rendered rotor in a slowly turning casing."""

@@ -34,7 +34,7 @@ _STEP = 1.0
 """Smallest displacement of a feature in motion [px]. Chosen: a smaller value includes noise, a larger one needs
 longer lags."""
 _AT_REST = 0.3
-"""Largest displacement of a feature at rest [px]. Measured: features at rest in noisy films: up to 0.1 px."""
+"""Largest displacement of a feature at rest [px]. Measured: up to 0.1 px in noisy films."""
 _FEWEST = 12
 """Smallest number of features of a pair, and of one motion [features]. Chosen: fewer agree by chance, more leave bodies
 without texture undiagnosed."""
@@ -55,8 +55,8 @@ _NO_HUB = 0.3
 about a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held by
 hand."""
 MOSTLY_TRANSLATES = 0.7
-"""Limit as `_NO_HUB`, if the hub moves less than the rim, as the hub of a suspended body does [1]. Measured: a real
-trifilar table that fills 40 % of the picture: 0.40; drawn and real cameras held by hand: 0.94 to 0.97."""
+"""Limit as `_NO_HUB`, if the hub moves less than the rim, as the hub of a suspended body does [1]. Measured: 0.40 for a
+real trifilar table that fills 40 % of the picture, 0.94 to 0.97 for drawn and real cameras held by hand."""
 _SECOND = 0.25
 """Smallest share of the moving features that are outliers of the first motion, for a second body [1]. Chosen: a
 smaller value finds a second body in outliers, a larger one overlooks a small one."""

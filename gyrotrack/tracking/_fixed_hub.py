@@ -28,17 +28,17 @@ fewer stop early, more cost time."""
 _SETTLED = 0.05
 """Step that ends the iterations [px]. Chosen: a larger value stops early, a smaller one costs time."""
 _DRIFT = 2.3
-"""Largest displacement of a body on an axle, in four frames of five [px]. Measured: real films: up to 0.7 px; drawn
-hubs that wobble by 1 to 2 px: 1.8; a ball that is thrown again and again: 2.5; a block on a spring: 3.1."""
+"""Largest displacement of a body on an axle, in four frames of five [px]. Measured: up to 0.7 px in real films, 1.8 px
+for drawn hubs that wobble by 1 to 2 px, 2.5 px for a ball that is thrown repeatedly, 3.1 px for a block on a spring."""
 _DRIFT_SHARE = 0.015
-"""Largest displacement of a body on an axle, relative to the mean radius of the ring [1]. Measured: a block on a
-spring: 0.02; three bodies of changing size: 0.09."""
+"""Largest displacement of a body on an axle, relative to the mean radius of the ring [1]. Measured: 0.02 for a block on
+a spring, 0.09 for three bodies of changing size."""
 _MOST_FRAMES = 0.8
 """Quantile of the displacements of a body that is compared with `_DRIFT` and `_DRIFT_SHARE` [1]. Chosen: a larger value
 is dominated by bad frames, a smaller one hides short motions."""
 REFUSED = 2.0
-"""Displacement over its limit above which a body is not on an axle [1]. Chosen: a smaller value refuses wobbling hubs,
-a larger one measures bodies that translate."""
+"""Displacement divided by its limit, above which a body is not on an axle [1]. Chosen: a smaller value refuses wobbling
+hubs, a larger one measures bodies that translate."""
 
 
 def drift(
@@ -63,13 +63,13 @@ def drift(
 
 
 _RIGID = 0.02
-"""Error of the angles by the difference between the two halves of a ring (`hub_error`), divided by the standard
-deviation of the angles, above which the halves do not turn as one body [1]. Measured: real discs, drawn rods, bobs and
-wheels: up to 0.007; double pendulums within one ring: 0.037 and 0.074; a block on a spring: 0.11."""
+"""Error of the angles due to the difference between the two halves of a ring (`hub_error`), divided by the standard
+deviation of the angles, above which the halves do not turn as one body [1]. Measured: up to 0.007 for real discs, drawn
+rods, bobs and wheels, 0.037 and 0.074 for double pendulums within one ring, 0.11 for a block on a spring."""
 
 
 def halves_differ(angle: Floats, error: float) -> float | None:
-    """Return the `error` by both halves [rad] divided by the standard deviation of the angle (n,), or None if small.
+    """Return the `error` from the two halves [rad], divided by the standard deviation of the angle (n,); None if small.
 
     Over more than three turns the error is 0 (see `apart_beyond_harmonics`).
     """
@@ -78,11 +78,11 @@ def halves_differ(angle: Floats, error: float) -> float | None:
 
 
 _FALLS = 0.15
-"""Share of the change explained by rotation in the frames of the search, less the share in the whole film, above which
-the hub is not fixed [1]. Measured: real films on an axle: up to 0.07; a drawn pole on a cart: 0.23."""
+"""Share of the change explained by rotation in the frames of the search, minus the share in the whole film, above which
+the hub is not fixed [1]. Measured: up to 0.07 for real films on an axle, 0.23 for a drawn pole on a cart."""
 _FALLEN = 0.2
-"""Decrease of this share above which the film is refused [1]. Measured: a public film of a pole on a cart: 0.23; real
-films on an axle: up to 0.07."""
+"""Decrease of this share above which the film is refused [1]. Measured: 0.23 for a public film of a pole on a cart, up
+to 0.07 for real films on an axle."""
 
 
 def fallen(searched: float, film: float) -> bool:

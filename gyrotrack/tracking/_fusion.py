@@ -87,7 +87,7 @@ class LearntErrors:
 
 @dataclass(frozen=True)
 class PlaceErrors(LearntErrors):
-    """Errors of each marker by place, the sizes of their curves, and the displacement of the axis."""
+    """Position-dependent errors of each marker, the sizes of their curves, and the displacement of the axis."""
 
     size: dict[str, float] = field(default_factory=dict)  # [rad]
     common_kept: bool = True  # whether common harmonics are motion (see `without_common_motion`)
@@ -112,7 +112,7 @@ class Residuals:
     fps: float  # [1/s]
     time_base: TimeBase | None
     path: Floats  # smooth coarse path (n,) [rad]
-    bend: Floats  # path on a uniform grid of times, less a straight line [rad]
+    bend: Floats  # path on a uniform grid of times, minus a straight line [rad]
     fast: Mask  # frames faster than `FAST` (n,)
     candidates: dict[str, Candidate]
     mounts: dict[str, float]  # mount angles [rad]
@@ -120,7 +120,7 @@ class Residuals:
     weights: Weights
     place: PlaceErrors
     neighbour: LearntErrors
-    view: ViewErrors | None = None  # if known, its errors replace those by place
+    view: ViewErrors | None = None  # if known, its errors replace those of `place`
 
     @classmethod
     def of(
@@ -154,14 +154,14 @@ class Residuals:
         return np.abs(self.time_base.speed(self.path)) * self.time_base.sigma
 
     def residual(self, name: str, part: slice = ALL) -> Floats:
-        """Return the residual of the body's angle from a marker about the path, (n,) [rad]."""
+        """Return the deviation from the path of the body's angle according to a marker, (n,) [rad]."""
         off = self.candidates[name].angle[part] - self.path[part]
         off -= self.mounts[name]
         off -= self.bias(name, part)
         return wrapped(off)
 
     def by_place(self, name: str) -> Floats:
-        """Return the estimated error of a marker by place or by the view, (n,) [rad]."""
+        """Return the estimated position-dependent error of a marker, or that of the view if it is known, (n,) [rad]."""
         return (self.view or self.place).error[name]
 
     def bias(self, name: str, part: slice = ALL) -> Floats:
@@ -209,7 +209,10 @@ class Residuals:
         return fitted, leverage
 
     def standardised(self, name: str, smooth: Floats, leverage: Floats, weak: Floats) -> Floats:
-        """Return the residuals of a marker about a smooth curve, over `weak` and what the curves leave, (n,) [rad]."""
+        """Return the residuals of a marker about a smooth curve, (n,) [rad], scaled to equal variance.
+
+        They are divided by `weak` and by the square root of the share that the curves do not absorb.
+        """
         off = np.empty(len(self.path))
         for part in row_blocks(len(off)):
             absorbed = leverage[part] / max(len(self.candidates), 1) + self.absorbed(name, part)
@@ -226,13 +229,13 @@ def _columns(names: Iterable[str], rows: int, kind: npt.DTypeLike = np.float64) 
 
 
 def speed(path: Floats, fps: float, time_base: TimeBase | None = None) -> Floats:
-    """Return the magnitude of the angular rate of a path (n,) [rad], (n,) [rad/s]; `fps` is the frame rate [1/s]."""
+    """Return the magnitude (n,) [rad/s] of the angular rate of a path (n,) [rad]; `fps` is the frame rate [1/s]."""
     step = np.gradient(path) if time_base is None else time_base.speed(path)
     return np.asarray(np.abs(step) * fps)
 
 
 def mount_angles(state: Residuals, smooth: Floats) -> dict[str, float]:
-    """Return the mount angles of the markers [rad] by their residuals about a curve (n,) [rad]; the first is fixed."""
+    """Return the mount angles of the markers [rad] from residuals about a curve (n,) [rad]; the first is fixed."""
     shift = {}
     for name in state.candidates:
         off = state.residual(name)
@@ -287,7 +290,7 @@ def scatter_over_turns(state: Residuals, smooth: Floats, leverage: Floats) -> Sc
 
 
 def without_time_scatter(scatter: Scatter, from_time: Floats) -> Scatter:
-    """Subtract from the scatter [rad] the part due to the times, which all markers share, `from_time` (n,) [rad]."""
+    """Subtract from the scatter [rad] the part `from_time` (n,) [rad] due to the times, which all markers share."""
     shared = float(np.nanmean(from_time**2))
     left = {}
     for name, both in scatter.items():
@@ -299,8 +302,8 @@ def without_time_scatter(scatter: Scatter, from_time: Floats) -> Scatter:
 def turning_frames(state: Residuals, short: Floats, smooth: Floats, half: int) -> Mask:
     """Return the frames (n,) in which errors that repeat with the turn can be distinguished from motion.
 
-    In these the long window of `half` frames to both sides contains a whole turn and its curve `smooth` fits the
-    motion, that is, the curve `short` (n,) [rad], unlike at a sudden start.
+    In these frames, the long window (`half` frames on each side) contains a whole turn, and its curve `smooth` agrees
+    with the curve `short` (n,) [rad]. At a sudden start, the curves differ.
     """
     usual = min(clear for clear, _ in state.weights.scatter.values())
     with np.errstate(invalid="ignore"):
@@ -350,7 +353,7 @@ class ClosedCurve:
 
 
 def closed_curve(angle: Floats, residual: Floats, weight: Floats) -> ClosedCurve:
-    """Fit a smooth closed curve to residuals over an angle [rad], weight 1 / variance (see the module docstring)."""
+    """Fit a smooth closed curve to residuals as a function of an angle [rad]; `weight` is 1 / variance."""
     low_low, high_high, both = np.zeros((3, KNOTS))
     right = np.zeros(KNOTS)
     for some in row_blocks(len(angle)):
@@ -514,10 +517,10 @@ def errors_of_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> V
     in each frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The
     coefficients of the harmonics `VIEW_ORDERS` of each marker's angle have a common part and a separate part. They are
     fitted, together with the mount angles, to the residuals minus their mean in each frame. Position-dependent errors
-    of standard deviation `floor` [rad] are independent once per `CELL`. The standard deviations of both parts are the
-    most likely of a few multiples of a harmonic's share in `floor`. For markers that cover only an arc, the covariances
-    of the offsets, `arcs` (2, 2) [rad^2], are added. None for a single marker, or if position-dependent errors are
-    estimated from whole turns.
+    of standard deviation `floor` [rad] have one independent value per `CELL`. The standard deviations of both parts are
+    the most likely ones among a few multiples of a harmonic's share in `floor`. For markers that cover only an arc, the
+    covariances of the offsets, `arcs` (2, 2) [rad^2], are added. The result is None for a single marker, or if
+    position-dependent errors are estimated from whole turns.
     """
     names, n = list(state.candidates), len(state.path)
     known = np.isfinite(state.path)
@@ -600,7 +603,7 @@ orders shorten the correlation length `CELL`, fewer lengthen it."""
 
 
 def variance_left(angle: Floats, orders: range, frames: int | None = None) -> float:
-    """Return the share of the variance of an error by angle that remains without its mean over the film.
+    """Return the share of the variance of an angle-dependent error that remains if its mean over the film is removed.
 
     The zero of an angle is arbitrary, so an error that hardly changes along a short arc has no effect. The harmonics of
     the error, of the given orders, have random phases, constant over `frames` frames, by default all.
@@ -634,7 +637,7 @@ def place_error(state: Residuals) -> float:
 def _curve(
     state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: Mask
 ) -> ClosedCurve:
-    """Fit a closed curve over an angle to the residuals of a marker about the smooth motion."""
+    """Fit a closed curve, as a function of the angle `over`, to the residuals of a marker about the smooth motion."""
     off, weight = np.empty((2, len(over)))
     for part in row_blocks(len(over)):
         ahead = state.candidates[name].angle[part] - state.path[part] - state.mounts[name] - known[part]
@@ -644,8 +647,8 @@ def _curve(
 
 
 MOST_TURNS = 30.0
-"""Number of turns above which the uncertainty of the curves is neglected [turns]. Chosen: it decreases with this
-number; fewer understate the uncertainty, more cost time."""
+"""Number of turns above which the uncertainty of the curves is neglected [turns]. Chosen: the uncertainty decreases
+with this number; fewer understate it, more cost time."""
 
 
 def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
@@ -653,8 +656,8 @@ def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
 
     Within a few turns, a motion and a curve over the angle can hardly be distinguished, least of all at the ends of the
     film. Motion (cubic B-splines with `motion` >= 4 parameters) and curves are one linear model r = a x + e with the
-    covariance C of x, given that the curves have the size that is observed. The angle minus the curves b x has the
-    error e - b dx, and the residual from the motion is e - a dx; cov(e, dx) = C a var(e).
+    covariance C of x, given the observed size of the curves. The angle minus the curves b x has the error e - b dx, and
+    the residual from the motion is e - a dx; cov(e, dx) = C a var(e).
     """
     names, n = list(state.candidates), len(state.path)
     if not state.turning.any() or np.nanmax(state.path) - np.nanmin(state.path) > MOST_TURNS * TURN:
@@ -802,15 +805,15 @@ def join(
 
 
 WEAKEST_BODY = 10.0
-"""Smallest uncertainty, relative to the median of its neighbours, of a frame without an angle [1]. Chosen: such a frame
-shows a small part of one marker and has 1/100 of the information; errors at the occluding edge are not normally
+"""Smallest uncertainty, relative to the median of its neighbours, for which a frame is given no angle [1]. Chosen: such
+a frame shows a small part of one marker and has 1/100 of the information; errors at the occluding edge are not normally
 distributed; a larger value admits these, a smaller one omits angles."""
 _NEIGHBOURS = 101
 """Width of the running median of the uncertainty [frames]. Chosen: fewer follow a hand, more ignore a change of
 light."""
 UNCONFIRMED = 0.9
-"""Smallest leverage in the short curve of a frame whose angle no other frame confirms, so one marker is not enough [1].
-Chosen: a smaller value omits frames next to gaps, a larger one admits wrong matches."""
+"""Smallest leverage of a frame in the short curve for which no other frame confirms its angle, so that one marker is
+not enough [1]. Chosen: a smaller value omits frames next to gaps, a larger one admits wrong matches."""
 
 
 def _mostly_hidden(sigma: Floats) -> Mask:

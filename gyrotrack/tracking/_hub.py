@@ -7,7 +7,7 @@ chosen by cross-validation on points at least `HOLE` frames away.
 
 An error n of the centre changes the radius of a marker by -n . r, with r the unit vector towards the marker. Video
 encoders keep a slowly moving disc fixed in the picture. The image of the disc then does not show the motion of the
-centre, but the radii of all markers over some dozen frames do (`refine_centre`).
+centre, but the radii of all markers over a few dozen frames do (`refine_centre`).
 
 Without a disc, the position of a marker is c(t) + rho A (cos theta, sin theta) (see `_orbit`). Each observation
 constrains c(t) along its radius; over half a turn both coordinates are determined. c(t) is piecewise linear with about
@@ -332,7 +332,8 @@ centre; one turn has a reserve."""
 _MOST_KNOTS = 400
 """Largest number of knots [1]. Chosen: time; fewer smooth the path of a long film."""
 _RIDGE = 1e-9
-"""Ridge of the normal equations [1]. Derived: rounding; the ridge prevents changes of undetermined knots."""
+"""Ridge of the normal equations [1]. Derived: above rounding errors; the ridge prevents changes of undetermined
+knots."""
 
 
 _FEWEST_PLACES = 12
@@ -436,11 +437,11 @@ def _rows(
 
 
 _REFINED_HALF = 18
-"""Half width of the window in which the error of the centre is assumed to be constant [frames]. Chosen: some dozen
+"""Half width of the window in which the error of the centre is assumed to be constant [frames]. Chosen: a few dozen
 frames determine this error; a smaller value is noisy, a larger one smooths a wobble."""
 EXPECTED_ERROR = 0.1
-"""Standard deviation of the prior of the error of the centre [px]. Measured: centre of a red disc in rendered clips
-(H.264, crf 20): 0.09 to 0.10 px per axis."""
+"""Standard deviation of the prior of the error of the centre [px]. Measured: 0.09 to 0.10 px per axis for the centre of
+a red disc in rendered clips (H.264, crf 20)."""
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ FEWEST = 30
 a share by chance."""
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
 """Grid of shares of the excess misfit in the variance [1]. Chosen: steps of 26 %; finer ones do not change the
-uncertainty by more than some percent."""
+uncertainty by more than a few percent."""
 _FAULT = 5.0
 """Largest residual of a valid angle, in standard deviations [1]. Chosen: a smaller value discards good angles, a
 larger one lets faults raise the share."""
@@ -153,11 +153,11 @@ class Candidate:
 
 
 _LOWEST = 0.5
-"""Smallest plausible height of a marker over its median [1]. Chosen: a smaller value keeps half-covered markers, a
-larger one omits shaded ones."""
+"""Smallest plausible height of a marker, divided by its median height [1]. Chosen: a smaller value keeps half-covered
+markers, a larger one omits shaded ones."""
 _HIGHEST = 2.0
-"""Largest plausible height of a marker over its median [1]. Chosen: a larger value keeps glare, a smaller one omits
-markers in bright light."""
+"""Largest plausible height of a marker, divided by its median height [1]. Chosen: a larger value keeps glare, a smaller
+one omits markers in bright light."""
 _POOR = 6.0
 """Largest misfit of a plausible profile, in robust standard deviations above the typical misfit [1]. Chosen: a
 smaller value omits good angles, a larger one keeps disturbed ones."""
@@ -265,7 +265,7 @@ def _with_ends(rows: Floats, reach: int) -> Floats:
 
 
 def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
-    """Return the mean open samples of frames in `use`, scaled to 0 to 1 (NaN: no sample); None for few frames."""
+    """Average the unoccluded samples of the frames in `use`, scaled to 0 to 1 (NaN: no sample); None for few frames."""
     if use.sum() < 3:
         return None
     aligned = shifted(profile[use], found.shift[use])
@@ -509,15 +509,15 @@ _FEWEST_WHOLE = 6
 """Number of unoccluded profiles that make the use of other profiles unnecessary [frames]. Chosen: fewer give a noisy
 template, more admit covered markers."""
 _OF_TYPICAL = 0.6
-"""Smallest height of a profile that enters a template over the median of all [1]. Chosen: a smaller value admits shaded
-markers, a larger one leaves few profiles."""
+"""Smallest height of a profile that enters a template, divided by the median height [1]. Chosen: a smaller value admits
+shaded markers, a larger one leaves few profiles."""
 _OF_MISFIT = 1.2
-"""Largest misfit of a profile that enters a template over the median of all [1]. Chosen: a larger value admits
+"""Largest misfit of a profile that enters a template, divided by the median misfit [1]. Chosen: a larger value admits
 disturbed profiles, a smaller one leaves few."""
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:
-    """Return a mask of the frames that may enter a template: gain is large and misfit is not above typical."""
+    """Return a mask of the frames that may enter a template: those with a large gain and no more than usual misfit."""
     usable = (
         known & (found.gain > _LEAST_GAIN) & (found.gain < _MOST_GAIN) & (found.weakness < _MOST_WEAKNESS)
     )

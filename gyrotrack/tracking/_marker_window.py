@@ -345,7 +345,7 @@ _COLUMNS = 360
 """Columns of the map of the occlusion [columns per turn]. Chosen: one degree; fewer blur the edge of the bar, more are
 seen less often."""
 _SCALE = _COLUMNS / (2.0 * np.pi)
-"""Columns of the map per angle [columns per rad]. Derived: `_COLUMNS` over a turn."""
+"""Columns of the map per angle [columns per rad]. Derived: `_COLUMNS` divided by a turn."""
 
 
 class Occlusion:

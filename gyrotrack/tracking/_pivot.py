@@ -23,9 +23,10 @@ Floats = npt.NDArray[np.float64]
 class Orbit:
     """The ellipse in the picture of a point that moves on a circle about a tilted axis.
 
-    With the centre h, the long semi-axis r, and the stretch (p, q) = s (cos 2 beta, sin 2 beta), beta the direction of
-    the long axis in the picture (y down), positions are h + r / (1 + s) M u, with M = [[1 + p, q], [q, 1 - p]] and a
-    unit vector u at the angle in the plane of the body. The ratio of the axes is (1 - s) / (1 + s) = cos(tilt).
+    With the centre h, the long semi-axis r, and the stretch (p, q) = s (cos 2 beta, sin 2 beta), where beta is the
+    direction of the long axis in the picture (y down), the positions are h + r / (1 + s) M u, with M = [[1 + p, q], [q,
+    1 - p]] and a unit vector u at the angle in the plane of the body. The ratio of the axes is (1 - s) / (1 + s) =
+    cos(tilt).
 
     Attributes
     ----------
@@ -76,8 +77,8 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
     """Fit the ellipse of positions (n, 2) with standard uncertainties (n,) [px] that cover most of it.
 
     The residual is the deviation of the radius in the plane of the body, times the local scale of the picture, so that
-    its standard uncertainty is the standard uncertainty of a position. The covariance is computed as in `fit_arc`.
-    ValueError if the fit does not converge: the positions do not determine an ellipse.
+    its standard uncertainty is the standard uncertainty of a position. The covariance is computed as in `fit_arc`. A
+    ValueError is raised if the fit does not converge: the positions do not determine an ellipse.
     """
     middle, size = place.mean(axis=0), float(np.hypot(*(place - place.mean(axis=0)).T).mean())
     values, axes = np.linalg.eigh(np.cov(place.T))
@@ -207,7 +208,7 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     noise, by_place, covariance = _covariance(
         jacobian, rest[use], s[use], _cell(x[use], y[use], hub, straight=abs(a) < 1e-6), least / scale
     )
-    # derivatives of the hub by (a, phi, d)
+    # derivatives of the hub with respect to (a, phi, d)
     root_a, root_d = 2.0 * d / root, 2.0 * a / root
     unit, across = np.array([math.cos(phi), math.sin(phi)]), np.array([-math.sin(phi), math.cos(phi)])
     curve = 2.0 * a if a else 1e-12

@@ -61,11 +61,11 @@ _STILL_NOISE = 12.0
 """Smallest extent of a path in standard deviations of its noise [1]. Chosen: a smaller value measures noise, a larger
 one refuses small oscillations."""
 _BY_PLACE = 0.005
-"""Smallest position-dependent error of a learnt picture and background, by interpolation and blur [px]. Measured:
-rendered bobs: 0.003 to 0.005 px."""
+"""Smallest position-dependent error of a learnt picture and background, by interpolation and blur [px]. Measured: 0.003
+to 0.005 px for rendered bobs."""
 _LEARNT = 0.4
 """Smallest position-dependent error of a learnt picture and background divided by the noise of a position [1].
-Measured: rendered bobs: 0.3 to 0.8."""
+Measured: 0.3 to 0.8 for rendered bobs."""
 _CONTRADICTS = 3.0
 """Largest distance of the hub of the arc from the given hub without a warning, in standard deviations [1]. Chosen:
 three; a smaller value doubts accurate hubs, a larger one accepts biased angles."""
@@ -248,11 +248,11 @@ _RIGID = 0.05
 value refuses views beside the axis, a larger one joins two bodies."""
 OFF_AXIS = 1.0
 """Standard deviation of the displacement of a followed point from the axis of the joint, per axis [px].
-Measured: markers of drawn links: 0.2 to 1.6 px."""
+Measured: 0.2 to 1.6 px for markers of drawn links."""
 _ON_LINK = 0.05
 """Standard uncertainty per axis of the position of a point on a link, due to other rods in its patch that turn relative
-to the link [px]. Measured: 15 drawn double pendulums with marks of 6 to 10 px: 0.07 px at the joint, 0.03 px at the
-end."""
+to the link [px]. Measured: 0.07 px at the joint and 0.03 px at the end, for 15 drawn double pendulums with marks of 6
+to 10 px."""
 _LINEAR_STEPS = 3
 """Number of linear fits of the displacement of a point from the joint [iterations]. Chosen: the displacement is not
 small compared with the first link; fewer stop before they agree, more cost time."""

@@ -1,8 +1,8 @@
 """Tracking of one point of a body through a film: a ball, a bob, a dot, or any patch with detail.
 
 First the patch is followed by template matching, which finds the patch again after an occlusion; its rotation is
-determined by Gauss-Newton steps. Then the picture of the patch is averaged and registered in every frame. In the
-picture of the patch, at u from its position p and turned by theta,
+determined by Gauss-Newton steps. Then the picture of the patch is averaged and registered in every frame. If the patch
+is at the position p and rotated by theta, the picture at the point u of the patch is
 
     I(p + R(theta) u) = s(u) B(p + R(theta) u) + q(u)
 
@@ -51,8 +51,8 @@ Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
 _CORE = 0.7
-"""Distance from the edge, over the largest distance, above which pixels are averaged for the middle of a part [1].
-Chosen: a smaller value includes joined rods, a larger one averages few pixels."""
+"""Distance from the edge, divided by the largest distance, above which pixels are averaged for the middle of a part
+[1]. Chosen: a smaller value includes joined rods, a larger one averages few pixels."""
 _LATE = 0.1
 """Largest share of the frames before the first frame that shows a spot [1]. Chosen: a smaller value refuses films
 with a hand at the start, a larger one skips motion."""
@@ -66,13 +66,13 @@ _SHARP = 0.05
 """Largest standard uncertainty of the position of a patch [px]. Chosen: a smaller value selects large patches, a
 larger one follows patches without detail."""
 _MATCHED = 0.35
-"""Largest mean square difference of a match over the contrast of the patch [1]. Chosen: a smaller value loses a patch
-that turns, a larger one matches other objects."""
+"""Largest mean square difference of a match, divided by the contrast of the patch [1]. Chosen: a smaller value loses a
+patch that turns, a larger one matches other objects."""
 _ANCHORED = 0.5
-"""Mean square difference of a match over its limit, up to which the template is not renewed [1]. Chosen: a smaller
-value lets the template drift, a larger one loses a patch that turns."""
+"""Largest mean square difference of a match, divided by its limit, for which the template is not renewed [1]. Chosen: a
+smaller value lets the template drift, a larger one loses a patch that turns."""
 _PRESENT = 0.4
-"""Smallest mean square difference from the background of a match divided by that of the patch in the first frame [1].
+"""Smallest mean square difference of a match from the background, divided by that of the patch in the first frame [1].
 Chosen: a smaller value matches the background, a larger one loses a patch in shadow."""
 _TEMPLATE = 12.0
 """Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: time; a smaller one loses
@@ -113,9 +113,9 @@ _ROBUST = 4.0
 """Residual above which the weight of a pixel is reduced, in standard deviations [1]. Source: weights of P. Huber, Ann.
 Math. Statist. 35, 73 (1964); a smaller limit costs precision, a larger one admits disturbed pixels."""
 _TURNS_WITH = 0.95
-"""Largest residual with rotation about the hub, over the residual without rotation, of a patch that turns with its
-direction [1]. Chosen: a smaller value keeps the orientation of a bob on a rod, a larger one turns round bobs by
-noise."""
+"""Largest residual with a rotation about the hub, divided by the residual without rotation, for which a patch is taken
+to rotate about the hub [1]. Chosen: a smaller value keeps the orientation of a bob on a rod, a larger one lets noise
+rotate round bobs."""
 _UNSEEN = 1e9
 """Variance of a pixel that is visible in no frame [grey levels squared]. Chosen: large against any other variance, so
 that the pixel has no weight."""
@@ -123,18 +123,18 @@ _ROUGH = 0.5
 """Standard uncertainty of a rough position [px]. Chosen: a smaller value refuses rough paths, a larger one accepts
 other motions."""
 _ROUGHLY_ROUND = 0.06
-"""Largest radial scatter of a rough path over its extent [1]. Chosen: twice `_point_motion._ROUND`; a smaller value
-refuses blurred bobs, a larger one costs time on other paths."""
+"""Largest radial scatter of a rough path, divided by its extent [1]. Chosen: twice `_point_motion._ROUND`; a smaller
+value refuses blurred bobs, a larger one costs time on other paths."""
 HIDDEN = 6.0
-"""Largest mean square residual, over its median, of a frame that shows the patch [1]. Chosen: a smaller value omits
-frames of uneven light, a larger one keeps frames with a hand."""
+"""Largest mean square residual of a frame that shows the patch, divided by the median of all frames [1]. Chosen: a
+smaller value omits frames of uneven light, a larger one keeps frames with a hand."""
 _SILHOUETTE = 15.0
 """Largest radius of a patch that the silhouette about it suggests [px]. Chosen: a smaller value discards the edge of a
 large bob, a larger one includes the background."""
 _TURN_SEEN = 0.05
 """Largest standard uncertainty of the rotation of a patch in one frame for which the rotation is followed, and prior
-of a followed rotation [rad]. Chosen: a smaller value holds the orientation of faint patches, a larger one turns by
-noise."""
+standard deviation of a followed rotation [rad]. Chosen: a smaller value keeps the orientation of faint patches, a
+larger one follows noise."""
 _TURN_STEPS = 6
 """Steps of the rotation of a patch [iterations]. Chosen: fewer stop early, more cost time."""
 _ROUND = 0.7
@@ -150,23 +150,23 @@ _TURN_STARTS = 5
 """Number of additional initial angles of a rotation on each side, tried if the residual is unusual [1]. Chosen: fewer
 lose a fast rotation, more cost time."""
 _TURN_STEP = 1.5
-"""Distance of these angles, times the radius of the patch [px]. Chosen: the width of an edge; a larger one misses the
-minimum, a smaller one costs time."""
+"""Distance between these angles, multiplied by the radius of the patch [px]. Chosen: the width of an edge; a larger one
+misses the minimum, a smaller one costs time."""
 _UNUSUAL = 1.5
-"""Smallest residual, over its running mean, for which these angles are tried [1]. Chosen: a smaller value costs time,
-a larger one keeps a lost rotation."""
+"""Smallest residual, divided by its running mean, for which these angles are tried [1]. Chosen: a smaller value costs
+time, a larger one keeps a lost rotation."""
 _UPDATE = 0.1
 """Weight of a frame in the running mean of the residual [1]. Chosen: a smaller value follows the light late, a larger
 one follows a lost rotation."""
 _NECK = 0.7
-"""Largest depth of a body at the distance `_NECK_AT` from the middle of a part, over the depth of the part, if only
-rods join the part [1]. Chosen: a smaller value joins the rod to the part, a larger one divides a compact body."""
+"""Largest depth of a body at the distance `_NECK_AT` from the middle of a part, divided by the depth of the part, if
+only rods join the part [1]. Chosen: a smaller value joins the rod to the part, a larger one divides a compact body."""
 _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
 circle; a larger one reaches other parts."""
 _SLENDER = 1.6
 """Radius of the circle of the same area, divided by the radius of the inscribed circle, above which a body is not
-compact [1]. Derived: sqrt(8 / pi) = 1.6 of a rectangle twice as long as wide."""
+compact [1]. Derived: sqrt(8 / pi) = 1.6 for a rectangle twice as long as wide."""
 
 
 @dataclass(frozen=True)
@@ -186,11 +186,11 @@ class PointPath:
     searched : int
         Number of frames in which the point was searched.
     turns : bool
-        Whether the patch turns with its direction from the hub.
+        Whether the patch rotates with the line from the hub to the patch.
     picture : ndarray
         The learnt picture of the patch, in grey levels.
     keeps : bool
-        Whether the picture certainly does not turn with the direction from the hub.
+        Whether the picture certainly does not rotate with this line.
     """
 
     frame: Frames
@@ -502,9 +502,9 @@ def _several(
 
 
 def _linked(region: Plane, one: Spot, other: Spot) -> bool:
-    """Return whether a thin part, a rod or a string, joins two compact parts of a region.
+    """Return whether a thin part (a rod or a string) joins two compact parts of a region.
 
-    The thin part vanishes by a morphological opening with a disc of half the size of the smallest body.
+    A morphological opening with a disc of half the size of the smallest body removes the thin part.
     """
     size = max(round(0.5 * AS_LARGE * min(one.radius, other.radius)), 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
@@ -810,7 +810,7 @@ class _Layers:
         return np.where(outside, np.float32(np.nan), found)
 
     def _pixels(self, shape: tuple[int, ...], place: Floats, turn: float) -> tuple[Picture, Picture, Bools]:
-        """Return the pixels x, y of the patch about a place, and which of them are outside a frame."""
+        """Return the pixels x, y of the patch about a place, and a mask of those outside the frame."""
         c, s = math.cos(turn), math.sin(turn)
         x = (place[0] + c * self.grid[0] - s * self.grid[1]).astype(np.float32)
         y = (place[1] + s * self.grid[0] + c * self.grid[1]).astype(np.float32)

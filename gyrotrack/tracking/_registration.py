@@ -92,7 +92,7 @@ class Ring:
 
     @property
     def tilt(self) -> tuple[float, float] | None:
-        """Tilt of the axis from the stretch, direction of the short axis (counter-clockwise) [rad]; None for an arc."""
+        """Tilt of the axis from the stretch, and angle of the short axis, counter-clockwise [rad]; None for an arc."""
         size = math.hypot(*self.stretch)
         if self.span < TURN or size >= 1.0:
             return None
@@ -117,7 +117,7 @@ class Ring:
 
     @property
     def area(self) -> Floats:
-        """Area of a sample of each row in px2, at most 1 px2 of information, shape (rows, 1)."""
+        """Area of a sample in each row [px2], to which its information is proportional, shape (rows, 1)."""
         return ((self.outer - self.inner) / self.rows * self.radius * self.step)[:, None]
 
     def grid(self, shift: Sequence[float] = (0.0, 0.0)) -> tuple[Picture, Picture]:
@@ -168,7 +168,7 @@ def _phase(size: int, columns: float) -> npt.NDArray[np.complex64]:
 
 
 def _slope(picture: Picture) -> Picture:
-    """Return the derivative along the columns, per column."""
+    """Return the derivative with respect to the number of the column."""
     size = picture.shape[1]
     factor = 2j * np.pi * np.fft.rfftfreq(size)
     if size % 2 == 0:
@@ -218,7 +218,7 @@ class Template:
         return replace(self, rows=ALL)
 
     def information(self) -> Floats:
-        """Return the information of each row about the angle, of arbitrary unit, shape (rows,)."""
+        """Return the information of each row about the angle, in arbitrary units, shape (rows,)."""
         each = self.ring.area * _slope(self.body) ** 2 / self.body_variance
         known: Floats = each.sum(axis=1, dtype=np.float64)
         used: Floats = np.zeros(len(known))
@@ -226,7 +226,7 @@ class Template:
         return used
 
     def halves(self) -> tuple[Template, Template]:
-        """Return this template for the inner and for the outer half of the ring, of equal information."""
+        """Return this template for the inner and for the outer half of the ring; both halves have equal information."""
         known = np.cumsum(self.information())
         row = int(np.clip(np.searchsorted(known, 0.5 * known[-1]), 1, len(known) - 1))
         return replace(self, rows=slice(0, row)), replace(self, rows=slice(row, None))
@@ -432,7 +432,7 @@ value the next spoke may be followed, a larger one refuses true jumps."""
 
 
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
-    """Track a body by weighted correlation, without `fixed`, with the mean of earlier frames, (n,) [rad]."""
+    """Return angles (n,) [rad] from weighted correlations, without `fixed`, with the mean of earlier frames."""
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)

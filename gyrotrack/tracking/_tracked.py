@@ -17,7 +17,8 @@ _MANY_TURNS = 3.0
 understate the uncertainty, more overstate it."""
 _APART = 5.0
 """Largest slow difference between the two halves of a rigid body, divided by the standard uncertainty of the angle [1].
-Measured: real wheels and discs: up to 3; a drawn rim with an oscillation of 10 to 30 mrad relative to its disc: 10."""
+Measured: up to 3 for real wheels and discs, 10 for a drawn rim with an oscillation of 10 to 30 mrad relative to its
+disc."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,9 @@ class Tracked:
     hub_path: Floats  # shape (m, 2); displacement of the hub [px]
     explained: float  # share of the change of brightness that the motion explains, 0 to 1
     way: str  # method by which the hub was found
-    scale: float  # measured scatter of the angles over the Cramer-Rao bound
+    scale: float  # measured scatter of the angles divided by the Cramer-Rao bound
     # shape (2, m); the angle from the inner half and from the outer half of the ring alone [rad]; their difference is
-    # due to the view (perspective, a hub that is displaced) and to what is fixed in the image
+    # due to the view (perspective, a displaced hub) and to parts that are fixed in the image
     halves: Floats
     # correlated uncertainty from the difference of two methods of measurement [rad]; 0 for one method
     correlated: float
@@ -47,12 +48,12 @@ class Tracked:
 
     @property
     def hub_leverage(self) -> float:
-        """Error by a displaced hub, over the difference between the halves of the ring by the displacement."""
+        """Error due to a displaced hub, divided by the difference that it causes between the halves of the ring."""
         return hub_leverage(self.template.halves())
 
 
 def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
-    """Return the standard deviation of the white noise in a series: the least by its differences of order 2 to 6.
+    """Return the standard deviation of the white noise in a series: the least from its differences of order 2 to 6.
 
     A divided difference of order m over the increasing places `at` has the weights 1 / prod_k (x_j - x_k), which
     cancel polynomials up to order m - 1. Scaled to unit norm, this difference has the variance of the noise. The
@@ -73,16 +74,16 @@ def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
 
 
 _SIGNIFICANT = 3.0
-"""Smallest significant error by a displaced hub, in standard errors [1]. Chosen: a smaller value states noise as an
+"""Smallest significant error due to a displaced hub, in standard errors [1]. Chosen: a smaller value states noise as an
 error, a larger one hides a displaced hub."""
 
 
 def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -> float:
-    """Return the rms error of the angles that a displaced hub causes [rad], by the two `halves` (2, n) of the ring.
+    """Return the rms error of the angles due to a displaced hub [rad], from the two `halves` (2, n) of the ring.
 
     A hub displaced by e causes an error e / r once per turn at radius r. The halves at r1 and r2 therefore differ by e
-    (1 / r1 - 1 / r2); perspective causes a similar difference. The difference is fitted by a first harmonic, a mean
-    and a trend. Over less than half a turn the harmonic resembles mean and trend, and the difference is fitted by a
+    (1 / r1 - 1 / r2); perspective causes a similar difference. The difference is fitted by a first harmonic, a mean and
+    a trend. Over less than half a turn, the harmonic resembles mean and trend, and the difference is fitted by a
     multiple of the angle: if the hub is too near, all angles of a pendulum are too large. Values below three standard
     errors are set to 0. Over `_MANY_TURNS` the error does not resemble a motion (fits include it as a nuisance
     parameter), and the result is 0.
@@ -123,7 +124,7 @@ def apart_beyond_harmonics(
 
 
 def hub_leverage(parts: tuple[Template, Template]) -> float:
-    """Return 1 / r over |1 / r1 - 1 / r2| for the radii of a ring and of its halves."""
+    """Return 1 / r divided by |1 / r1 - 1 / r2| for the radii of a ring and of its halves."""
     r1, r2, r = (_radius_of(part) for part in (*parts, parts[0].whole()))
     return 1.0 / r / max(abs(1.0 / r1 - 1.0 / r2), 1e-9)
 

@@ -62,7 +62,7 @@ class Orientation:
 
     quarters: int = 0
     mirrored: bool = False
-    aspect: float = 1.0  # width of a coded pixel over its height
+    aspect: float = 1.0  # width of a coded pixel divided by its height
 
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Return the size of a picture with square pixels, before rotation; no side becomes smaller."""
@@ -107,12 +107,12 @@ def orientation_of(frame: Any, stream: Any) -> Orientation:
 
 
 _WIDEST_PIXEL = 4.0
-"""Most extreme width of a pixel over its height, or the inverse, with which a film is shown [1]. Chosen: anamorphic
-films have 4:3; a larger value accepts damaged headers, a smaller one distorts films."""
+"""Largest ratio of width to height of a pixel, or of height to width, with which a film is shown [1]. Chosen:
+anamorphic films have 4:3; a larger value accepts damaged headers, a smaller one distorts films."""
 
 
 def _pixel_aspect(stream: Any) -> float:
-    """Return the width of a pixel over its height; 1 without a plausible value in the film."""
+    """Return the ratio of width to height of a pixel; 1 without a plausible value in the film."""
     stated = float(stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio or 1)
     return stated if 1 / _WIDEST_PIXEL <= stated <= _WIDEST_PIXEL else 1.0
 
@@ -171,7 +171,7 @@ class ClipInfo:
     container_fps: float  # frames per second of the container; NaN if it declares none
     frames_declared: int  # number of frames in the header; 0 if it declares none
     tag_fps: float | None  # capture rate from a tag of the camera (slow motion); None without a tag
-    # names of both
+    # names of the codec and of the pixel format
     codec: str
     pixel_format: str
     time_base: Fraction  # unit of the timestamps in s
@@ -379,11 +379,11 @@ def _stated_rate(path: Path, container: Any, stream: Any) -> float | None:
 
 
 _SLOWEST = 1.0
-"""Smallest capture rate of a tag that is plausible [1/s]. Chosen: a smaller value accepts empty tags, a larger one
-ignores time lapses."""
+"""Smallest plausible capture rate in a tag [1/s]. Chosen: a smaller value accepts empty tags, a larger one ignores time
+lapses."""
 _FASTEST = 1.0e6
-"""Largest capture rate of a tag that is plausible [1/s]. Chosen: a larger value accepts damaged tags, a smaller one
-ignores fast cameras."""
+"""Largest plausible capture rate in a tag [1/s]. Chosen: a larger value accepts damaged tags, a smaller one ignores
+fast cameras."""
 
 
 def _tagged_rate(metadata: Any) -> float | None:

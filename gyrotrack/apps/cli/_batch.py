@@ -104,7 +104,7 @@ class ConfigDocument(TypedDict):
 
 
 class NumbersDocument(TypedDict):
-    """The numbers by which the program decides."""
+    """The numbers on which the results of the program depend."""
 
     tracking: NotRequired[
         list[Setting]
@@ -269,7 +269,7 @@ def config_command(
 ) -> None:
     """Show the settings in use and the origin of each: a file or the default.
 
-    An option on the command line overrides the file, the file overrides the default. The file is the first of:
+    An option on the command line overrides the file; the file overrides the default. The file is the first of:
     --config, $GYROTRACK_CONFIG, gyrotrack.toml in this folder, the settings file of the user. A gyrotrack.toml in this
     folder may not set addresses, ports, certificates, --force or paths outside of the folder.
 

@@ -80,8 +80,8 @@ def import_command(
         list[str] | None,
         option(
             "--body FILE",
-            "The same quantities of a single body, instead of casing and rotor; of several bodies with joints, "
-            "NAME=FILE for each, the first of which may come to rest.",
+            "The same quantities of a single body, instead of casing and rotor. For several bodies with joints, "
+            "NAME=FILE for each; the first of them may come to rest.",
         ),
     ] = None,
     joint: Annotated[
@@ -94,8 +94,8 @@ def import_command(
         list[str] | None,
         option(
             "--inertia I",
-            "Moment of inertia of the single body, for example '5.5e-5 +- 0.1e-5' (kg m2), without which torques are "
-            "per unit of inertia; of several bodies, NAME=I for each.",
+            "Moment of inertia of the single body, for example '5.5e-5 +- 0.1e-5' (kg m2); without it, torques are "
+            "per unit of inertia. For several bodies, NAME=I for each.",
         ),
     ] = None,
     output: shared.OptionalOutputFile = None,
@@ -108,7 +108,8 @@ def import_command(
     inputs: shared.Inputs = None,
     likelihood: shared.Likelihood = 0.6,
     casing_fps: Annotated[
-        float | None, option("--casing-fps N", "Capture rate of a file without times, casing or body [1/s].")
+        float | None,
+        option("--casing-fps N", "Capture rate of a file of the casing or body without times [1/s]."),
     ] = None,
     rotor_fps: Annotated[
         float | None, option("--rotor-fps N", "Capture rate of a rotor file without times [1/s].")
@@ -210,7 +211,7 @@ def import_command(
         case = import_case(casing, rotor, I_rotor=r.value, I_casing=c.value, options=options, **named)
         case = replace(case, I_rotor_u=r.u, I_casing_u=c.u, start_u=math.nan if start_u is None else start_u)
     else:
-        what = "A case needs either --casing and --rotor, or --body, and --inertia applies to a single body."
+        what = "A case needs either --casing and --rotor, or --body; --inertia and --joint need --body."
         raise UsageError(what, "Give --casing and --rotor with their inertias, or --body.")
     if alone is None and body_name:
         raise UsageError("--body-name is the name of a single body.", "Use it with --body, or omit it.")

@@ -214,10 +214,11 @@ def plan_command(
     force: shared.Force = False,
     out: shared.Out,
 ) -> int:
-    """Compute detection and upper limit of every effect, the runs needed, and the best next run.
+    """Compute the detection limit and the upper limit of every effect, the runs needed, and the best next run.
 
     A description of recordings is a TOML file; see the guide "Plan an experiment". With --friction the command also
-    shows which friction laws of a contact the recording separates, and which reversals or a slow ramp would separate.
+    shows which friction laws of a contact the recording separates, and which laws a recording with reversals or a slow
+    ramp would separate.
 
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """

@@ -33,7 +33,7 @@ class Tracking:
     makes: str = "recording"
 
     def words(self, x: Source, _state: State) -> list[str]:
-        """Return the command without the capture rate."""
+        """Return the command."""
         profile = ["--profile", argument(x.profile)] if x.profile else []
         return ["extract", argument(x.file), *_rate(x), *profile, "-o", x.output]
 

@@ -66,7 +66,7 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
-_JUMP = 20.0  # change of the angle above which it is not a motion [changes before, after and usual]
+_JUMP = 20.0  # smallest change of the angle that is not a motion [neighbouring and usual changes]
 _CLEAR_JUMP, _UNSTEADY = (
     3.0,
     40.0,
@@ -204,7 +204,7 @@ class ImportSummary(TypedDict):
     casing: ImportedSeries  #: The casing, or the single or first body.
     rotor: ImportedWindows  #: The rotor; without windows if there is none.
     further: dict[str, ImportedWindows]  #: Further bodies of a chain, by name.
-    sense: int  #: Factor applied to the angles, by which the motion is positive: 1 or -1.
+    sense: int  #: Factor applied to the angles so that the motion is positive: 1 or -1.
     warnings: list[str]  #: Repairs and doubts.
 
 
@@ -425,7 +425,7 @@ def modes_of(tables: list[MotionTable], series: Series) -> tuple[ErrorMode, ...]
 
 
 def _from_origin(tables: list[MotionTable]) -> list[MotionTable]:
-    """Return tables with dates (seconds since 1970) converted to times from the first second of the first table."""
+    """Return tables with dates (seconds since 1970) converted to times from the first second of the earliest table."""
     first = min(float(table.time[0]) for table in tables)
     if first < _DATES:
         return tables

@@ -17,7 +17,7 @@ from gyrotrack.io._records import Case, Floats, Series
 # the same limits as in `fitting.inference._record`, so that every written case can be fitted
 LARGEST = 1e20  # largest angle [rad], rate [rad/s], time [s] and uncertainty: products of several values remain finite
 SMALLEST = 1e-20  # smallest maximum of the angle or rate of a moving body [rad, rad/s]
-PRECISION = 1e18  # largest value over its uncertainty; floating-point numbers have 1e16
+PRECISION = 1e18  # largest ratio of a value to its uncertainty; floating-point numbers have 1e16
 SHORTEST = 1e-12  # shortest sampling step [s]
 _HINT = "Check the units and the columns."
 

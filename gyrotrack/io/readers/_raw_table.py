@@ -113,7 +113,7 @@ def refuse_long_names(path: Path, names: Sequence[str]) -> None:
 
 
 def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
-    """Return the number in a cell (with `times` also clock and ISO 8601), NaN if empty, else None."""
+    """Return the number in a cell (with `times` also clock and ISO 8601), NaN if it is empty, None if it is text."""
     text = cell.replace(",", ".") if decimal_comma else cell
     if text.casefold() in _MISSING:
         return math.nan

@@ -60,7 +60,7 @@ def test_a_law_with_a_state_variable_is_read_from_a_file(tmp_path):
     assert effect.state.start == 0
     assert {p.symbol: p.role for p in effect.parameters} == {"T": "shape", "k": "amplitude"}
     file.write_text('[[effect]]\nname = "film"\nbody = "bearing"\nlaw = "k*lag"\n')
-    with pytest.raises(EffectError, match="state of its own"):
+    with pytest.raises(EffectError, match="without a state variable"):
         read_effects(file)
 
 

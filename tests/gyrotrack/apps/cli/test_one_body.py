@@ -186,7 +186,7 @@ def test_a_prior_in_other_units_is_refused(gyrotrack, wheel, tmp_path):
     assert gyrotrack("fit", ratio).code == 0
     said = gyrotrack("fit", case, "--prior", ratio)
     assert said.code == 2
-    assert "in s-1, these cases need N m s" in said.err
+    assert "in s-1, but these cases need N m s" in said.err
 
 
 def pulses(path, per_turn, rng, start=60.0, slowing=1.5, last=20.0, jitter=1e-5):
