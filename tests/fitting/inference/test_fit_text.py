@@ -8,7 +8,7 @@ import pytest
 
 from fitting import Model, fit, make_record
 from fitting._numbers import rounded
-from fitting.inference._params import report
+from fitting.inference._params import _of_estimate, report
 from fitting.inference._result import merit_lines
 
 TOLD = "the recording does not establish this random torque"
@@ -79,3 +79,17 @@ def test_a_report_counts_the_parameters_that_were_fitted(found):
     assert "    variables            = 2" in lines
     assert f"    k:    {rounded(-4.0, 0.1, held.unit)} (2.50%)" in lines
     assert lines[-2] == f"    held: {rounded(-4.0, 0.1, held.unit)} (2.50%) (held)"
+
+
+@pytest.mark.parametrize(
+    ("expr", "vary", "expected"),
+    [
+        (None, True, {"expr": None}),
+        (None, False, {"expr": None, "vary": False}),
+        ("8*b2", False, {"expr": "8*b2"}),
+    ],
+)
+def test_settings_of_an_estimate_hold_it_if_it_was_held_and_not_tied(expr, vary, expected):
+    given = SimpleNamespace(value=2.0, expr=expr, vary=vary, min=0.0, max=3.0)
+    assert _of_estimate(given, changed=False) == {"value": 2.0, **expected}
+    assert _of_estimate(given, changed=True) == {"value": 2.0, **expected, "min": 0.0, "max": 3.0}

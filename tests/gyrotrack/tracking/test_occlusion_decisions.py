@@ -313,6 +313,24 @@ class TestMeasured:
         else:
             assert again.misfit[1] > 0.5 * before
 
+    @pytest.mark.parametrize(("height", "excluded"), [(0.2, False), (0.36, True)])
+    def test_a_disturbance_beside_a_marker_is_twice_the_largest_misfit(self, height, excluded):
+        """An object over six columns; a quarter of the height of the marker."""
+        profile = self.profile()[None].copy()
+        profile[0, 48:54] += height
+        every = np.ones((1, 61), dtype=bool)
+        found = tracker.match(profile, self.profile(), np.zeros(1), every)
+        before = found.misfit[0]
+        found.misfit[0] = 0.2
+        given = SimpleNamespace(
+            marker=SimpleNamespace(body="casing"),
+            template=lambda count: self.profile(),
+            _matters=lambda window: (np.abs(self.X) <= 12)[None],
+        )
+        window = SimpleNamespace(known=np.ones(1, dtype=bool), profile=profile)
+        again = tracker.MarkerTracker._without_neighbours(given, window, found, every)
+        assert again.misfit[0] == pytest.approx(0.0 if excluded else before, abs=1e-3)
+
     def test_light_is_learnt_where_a_marker_covers_two_fifths_of_a_sample(self):
         learnt = []
         given = SimpleNamespace(
