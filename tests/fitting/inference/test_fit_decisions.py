@@ -12,9 +12,10 @@ from linearised import covariance, gyroscope, least_squares
 from fitting import LIBRARY, Estimate, EstimationError, Model, SimulationError
 from fitting.effects._user import resolve
 from fitting.inference import _fit as module
+from fitting.inference import _optimisation as optimisation
 from fitting.inference._fit import cauchy, deviance_at_noise_of, fit, huber
 from fitting.inference._optimisation import _FAR, is_far
-from fitting.inference._parameters import ParameterLayout
+from fitting.inference._parameters import ParameterLayout, PowerLaw
 from fitting.inference._record import Samples
 
 
@@ -648,3 +649,46 @@ def test_one_recording_with_other_noise_repeats_the_fit(monkeypatch, same, repea
     found = SimpleNamespace(problem=problem, model=SimpleNamespace(name="model", free=("x.k", "y.k")))
     again = "model", [("a", "other"), ("b", "other")], ["x.k"], ["y.k"], "ranges", "ties"
     assert module.measured_with(found, "other") == (again if repeated else found)
+
+
+@pytest.mark.parametrize("best", [0, 1, 2])
+def test_of_several_active_bounds_that_of_the_smallest_chi_square_is_kept(monkeypatch, best):
+    cost = {i: 3.0 if i == best else 5.0 + i for i in range(3)}
+    sides = [(optimisation.ActiveBounds((), (i,)), np.array([0.1 * i])) for i in range(3)]
+
+    def along(problem, theta, active, enough, most):
+        minimum = SimpleNamespace(cost=cost[active.held[0]], converged=True)
+        return optimisation.Solution(theta, minimum, active)
+
+    beyond = SimpleNamespace(x=np.array([2.0]), converged=True, cost=1.0)
+    monkeypatch.setattr(optimisation, "minimise", lambda *_, **__: beyond)
+    monkeypatch.setattr(optimisation, "_out_of_bounds", lambda laws, theta, *_: [1] if theta > 1 else [])
+    monkeypatch.setattr(optimisation, "_choices_of_bound", lambda *_: iter(sides))
+    monkeypatch.setattr(optimisation, "_minimum_at_bounds", along)
+    model = SimpleNamespace(angle_dependent=(), measurement=())
+    layout = SimpleNamespace(bounds=lambda: (np.zeros(1), np.ones(1)), model=model)
+    problem = SimpleNamespace(
+        layout=layout, cases=[], power_laws=(), rows=10, transformed_bounds=lambda *limits: limits,
+        transformed=lambda theta: theta, physical=lambda x: x,
+    )  # fmt: skip
+    found = optimisation.search(problem, np.array([0.5]))
+    assert found.active.held == (best,)
+    assert found.theta.tolist() == [0.1 * best]
+
+
+def test_at_a_bound_of_d_the_torque_and_its_slope_at_the_reference_speed_are_those_beyond_it():
+    """T = d x + f x^g with d below its bound, and then with f at its own bound, where only the torque is the same."""
+    theta, reference = np.array([0.01, 0.02, 1.6]), 10.0
+    lower, upper = np.array([0.02, 0.005, 0.3]), np.array([np.inf, np.inf, 2.5])
+
+    def torque_and_slope(d, f, g):
+        return d * reference + f * reference**g, d * reference + g * f * reference**g
+
+    law = PowerLaw(0, 1, 2, reference)
+    found = list(optimisation._choices_of_bound(optimisation.ActiveBounds((law,)), theta, lower, upper))
+    assert [(side.held, side.power_laws[0].held) for side, _ in found] == [((0,), "d"), ((1,), "f")]
+    (_, at_d), (_, at_f) = found
+    assert at_d[0] == 0.02
+    assert torque_and_slope(*at_d) == pytest.approx(torque_and_slope(*theta))
+    assert at_f[1] == 0.005
+    assert torque_and_slope(*at_f) == pytest.approx(torque_and_slope(*theta), rel=5e-3)

@@ -7,7 +7,7 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._expression import Tape
 from fitting.effects._user import resolve
 from fitting.inference._parameters import ParameterLayout, _order, _variables, is_power_law
-from fitting.inference._ties import parse_tie
+from fitting.inference._ties import chain, follow, parse_tie
 
 
 @pytest.fixture(scope="module")
@@ -185,3 +185,18 @@ def test_in_a_rigid_contact_the_rotor_starts_at_the_ratio_times_the_speed_of_the
     for name, value in given.items():
         theta[layout.index[name]] = value
     assert layout.start(theta, 0).tolist() == [75.0, 30.0, 0.2]
+
+
+def test_a_tied_parameter_changes_with_each_of_its_sources(records):
+    """b2 = b1^2 d; each case has its own b1 and b2."""
+    layout = ParameterLayout.of(Model.of(LINEAR), records, ties={"casing.air.linear.b2": "b1**2*d"})
+    theta = np.linspace(1.0, 2.0, len(layout.names))
+    slope, followed = chain(theta, layout.tied), follow(theta, layout.tied)
+    d = layout.index["bearing.linear.d"]
+    for label in ("glass", "steel"):
+        b1, b2 = (layout.index[f"{k}@{label}"] for k in ("touchpoint.constant.b1", "casing.air.linear.b2"))
+        expected = np.zeros(len(theta))
+        expected[[b1, d]] = 2 * theta[b1] * theta[d], theta[b1] ** 2
+        np.testing.assert_allclose(slope[b2], expected)
+        assert not slope[:, b2].any()
+        assert followed[b2] == pytest.approx(theta[b1] ** 2 * theta[d])

@@ -361,6 +361,22 @@ class TestMeasured:
         for row, middle in zip(weight, (0, 3), strict=True):
             assert row == pytest.approx(np.clip(5.5 - np.abs(self.X - middle), 0.0, 1.0) / 10)
 
+    def test_the_first_radial_template_extends_over_the_marker(self, monkeypatch):
+        """From 103 to 109 px in a strip from 100 to 120 px, with edges of three samples."""
+        tried = []
+        monkeypatch.setattr(tracker, "match", lambda *given: tried.append(given[1]) or matches(2))
+        monkeypatch.setattr(tracker, "mean_profile", lambda *_, **__: None)
+        radii = np.linspace(100.0, 120.0, 41)
+        given = SimpleNamespace(
+            strip=SimpleNamespace(ring=SimpleNamespace(step=0.01, radii=radii), half=30), _along=None,
+            marker=SimpleNamespace(half_width=0.1, inner=103.0, outer=109.0, radius=106.0),
+        )  # fmt: skip
+        window = SimpleNamespace(scores=np.zeros((2, 5, 61)), along=lambda weight: np.zeros((2, 41)))
+        tracker.MarkerTracker._matched_along(given, window, matches(2), np.ones(2, dtype=bool))
+        (template,) = tried
+        edge = np.clip((7.5 - 2.0 * np.abs(radii - 106.0)) / 3.0, 0.0, 1.0)
+        assert template == pytest.approx(edge)
+
     @pytest.mark.parametrize(("before", "rounds", "after"), [(0.2, 1, 0.3), (None, 3, 0.4)])
     def test_a_known_template_moves_half_way_to_that_of_a_batch(self, monkeypatch, before, rounds, after):
         fitted, reaches = [], set()
