@@ -41,7 +41,7 @@ PANELS: tuple[tuple[str, Scene, Camera, Light], ...] = (
 
 
 def measured(folder: Path, number: int, scene: Scene, camera: Camera, light: Light) -> str:
-    """Return what tracking makes of a film: standard deviation of the error, share of frames with an angle."""
+    """Return the result of tracking a film: standard deviation of the error, share of frames with an angle."""
     path = folder / f"{number}.mp4"
     truth = render_clip(path, scene, MOTION, camera, light, frames=FRAMES, seed=number)
     try:

@@ -73,14 +73,14 @@ USES = (
     Use(
         "a light gate with states 0 and 1",
         "of a rotation: add `--pulses-per-turn N`; of a pendulum: `gyrotrack spindown "
-        "FILE` measures period and decay, there are no angles to import",
+        "FILE` measures period and decay; a gate gives no angles to import",
         (names.TEXT,),
     ),
     Use(
         "phyphox (CSV, `.xls` or zipped)",
         "no option: the axis of the gyroscope with the largest signal; another with `--column "
         "'omega=Gyroscope z (rad/s)'`; the error of its scale (1 to 3 % in phones, see the data sheet) "
-        "enters by `gyrotrack budget --speed-scale 0.02`",
+        "is taken into account by `gyrotrack budget --speed-scale 0.02`",
         (names.TEXT, names.ARCHIVE, names.EXCEL_97),
     ),
     Use(
@@ -139,9 +139,9 @@ def tables() -> str:
     parts += [
         "",
         "`profile`, `extract` and `spindown` read films. The header of a Photron camera states the capture rate; its",
-        "frames are shown in grey, also those of a Bayer sensor. A TIFF stack states it if ImageJ or an OME program",
-        "wrote it; grey values are scaled by the darkest and the brightest one. `spindown` reads interlaced film as",
-        "two fields.",
+        "frames are shown in grey, also those of a Bayer sensor. A TIFF stack states its rate if ImageJ or an OME",
+        "program wrote it; grey values are scaled by the darkest and the brightest one. `spindown` reads interlaced",
+        "film as two fields.",
         "",
         *("| film | usual suffixes |", "|---|---|", *_suffixes(names.FILMS)),
     ]

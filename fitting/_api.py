@@ -1,4 +1,4 @@
-"""Reading a case, and fitting models to cases; what needs SciPy or h5py is imported on first use."""
+"""Reading a case, and fitting models to cases; modules that need SciPy or h5py are imported on first use."""
 
 from __future__ import annotations
 
@@ -73,13 +73,13 @@ def fit(
     ----------
     model : Model, str or sequence of str
         The model; names of laws or formulas (``"support.constant + air.linear"``); or one of the paper's models:
-        "reduced", "general", "linear" (for a record of a single body: the part of it that acts on this body).
+        "reduced", "general", "linear". For a record of a single body, only the laws that act on this body are used.
     cases : Case or Record, or a sequence of them
-        The experiments. With several, touch point, casing drag and initial angular rates have a value for each.
+        The experiments. For several cases, touch point, casing drag and initial angular rates have one value per case.
     params : Params, or mapping of str to mapping, optional
-        Settings of parameters by name: ``{"k": {"value": 0.7, "vary": False}}``, with value (initial, or held), vary,
-        min, max, and expr, an expression of other parameters that it follows: ``{"k": {"expr": "2*d"}}``. The
-        `params` of an earlier fit are such settings.
+        Settings of parameters by name: ``{"k": {"value": 0.7, "vary": False}}``, with the keys value (initial or
+        fixed), vary, min, max, and expr (an expression of other parameters that gives the value): ``{"k": {"expr":
+        "2*d"}}``. The `params` of an earlier fit are such settings.
     fixed : mapping of str to float, optional
         Parameters held at a value [SI]: ``{"bearing.power.g": 0.7}``.
     loss : {"linear", "huber", "cauchy"}
@@ -91,7 +91,7 @@ def fit(
     ranges : mapping of str to (float, float), optional
         Bounds by name [SI], within the declared ones.
     criteria : Criteria, optional
-        What counts as noise in the recordings, and the thresholds of the verdict and of a search from this fit.
+        Criteria of the noise in the recordings, and thresholds of the verdict and of searches that start from this fit.
 
     Returns
     -------
@@ -183,6 +183,7 @@ def _names(names: Iterable[str]) -> tuple[str, ...]:
     found = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, Iterable) else (names,)
     if not all(isinstance(n, str) for n in found):
         raise EffectError(
-            "share and per_case are names of parameters", 'write for example ["casing.air.linear"]'
+            "share and per_case must be lists of names of parameters",
+            'write, for example, ["casing.air.linear"]',
         )
     return found

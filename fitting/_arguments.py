@@ -1,7 +1,7 @@
-"""Arguments of public functions: a wrong one is one sentence that names it, what it is, and what it must be.
+"""Check of the arguments of public functions; an error message names the argument, its value, and what it must be.
 
-Functions are checked where they leave the package (`fitting.__getattr__`), so that internal calls pay nothing; methods
-of public classes call `require`.
+The check is added where functions are exported (`fitting.__getattr__`), so that internal calls are not slowed down;
+methods of public classes call `require`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ the message with arrays."""
 
 
 class Kind(NamedTuple):
-    """What an argument must be, in words, the test for it, and what to do otherwise."""
+    """Requirement on an argument: its description, its test, and a hint for the error message."""
 
     words: str
     fits: Callable[[Any], bool]
@@ -58,7 +58,7 @@ def _is_integer(x: Any) -> bool:
 
 
 def instance(name: str, hint: str = "") -> Kind:
-    """Return the kind of the instances of a class of this package, by the name of the class."""
+    """Return the kind for instances of the class with this name in this package."""
 
     def fits(x: Any) -> bool:
         return any(c.__name__ == name and c.__module__.startswith("fitting.") for c in type(x).__mro__)
@@ -74,7 +74,7 @@ INTEGER = Kind("an integer", _is_integer)
 COUNT = Kind("a positive integer", lambda x: _is_integer(x) and x > 0)
 SEED = Kind("an integer that is not negative", lambda x: _is_integer(x) and x >= 0)
 BOOLEAN = Kind("True or False", lambda x: isinstance(x, bool))
-TEXT = Kind("a text", lambda x: isinstance(x, str))
+TEXT = Kind("a string", lambda x: isinstance(x, str))
 PATH = Kind("a path", lambda x: isinstance(x, str | Path) and str(x) != "", "give a str or a Path")
 CALLABLE = Kind("a function", callable)
 MAPPING = Kind("a mapping", lambda x: isinstance(x, Mapping))
@@ -83,7 +83,7 @@ NUMBERS = Kind(
     lambda x: isinstance(x, Mapping) and all(isinstance(k, str) and _is_number(v) for k, v in x.items()),
     'for example {"bearing.power.g": 0.7}',
 )
-# a saved fit has no data
+# a fit loaded from a file has these attributes too, but no data
 FIT = Kind(
     "a Fit",
     lambda x: all(hasattr(x, n) for n in ("model", "estimates", "converged")),

@@ -16,8 +16,8 @@ MOST_AMPLITUDES = 400
 """Largest number of amplitudes of a record [1]. Chosen: each is a parameter of every fit; a larger value makes fits
 slow, a smaller one refuses recordings of many windows."""
 _ROUNDING = 1e-9
-"""Asymmetry and negative eigenvalues of a correlation matrix that are rounding [1]. Chosen: a smaller value refuses
-computed covariances, a larger one accepts invalid ones."""
+"""Asymmetry and negative eigenvalues of a correlation matrix that are rounding errors [1]. Chosen: a smaller value
+refuses computed covariances, a larger one accepts invalid ones."""
 
 
 _BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")

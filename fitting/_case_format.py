@@ -41,10 +41,10 @@ class Field:
 class Attribute:
     """One attribute of a group.
 
-    It is required unless it has a default. `field` is its name in memory. Its value is a scalar, but pairs of numbers
-    if its kind is tuple, and texts if it is list. `choices` are its values, if they are limited. A number is finite.
-    NaN is allowed if NaN is the default. NaN and () are not written. A reader takes NaN as the default if
-    `nan_is_default`.
+    It is required unless it has a default. `field` is its name in memory. Its value is a scalar, or an array of pairs
+    of numbers if `kind` is tuple, or a list of strings if `kind` is list. `choices` are its allowed values; any value
+    is allowed if there are none. A number is finite. NaN is allowed if NaN is the default. NaN and () are not written.
+    With `nan_is_default`, a reader replaces NaN by the default.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Table:
 
 
 def stated_attributes(record: Any, attributes: Iterable[Attribute]) -> dict[str, Any]:
-    """Return the attributes of `record` by their names in a file, without those that are not written: NaN and ()."""
+    """Return the attributes of `record` that are written, by their names in a file; NaN and () are not written."""
     found = ((a, a.kind(getattr(record, a.key))) for a in attributes)
     return {
         a.name: value
@@ -102,7 +102,7 @@ LENGTHS = {"side": 2, "xy": 2, "parameter": 2}
 
 _T = ("time",)
 
-# an error of the angle with the covariance s^2 exp(-|t - t'| / T) of two samples, beside the sigma of each
+# errors of the angle in addition to the sigma of each sample; two samples have the covariance s^2 exp(-|t - t'| / T)
 CORRELATED = (
     Attribute(
         "correlated_sigma",
@@ -117,14 +117,14 @@ CORRELATED = (
         "correlated_profile",
         tuple,
         "s, rad",
-        "times and the standard uncertainty of this error at each, (k, 2); absent where it is constant",
+        "times, and the standard uncertainty of this error at each time, (k, 2); absent if the uncertainty is constant",
         (),
     ),
     Attribute(
         "periodic_sigma",
         float,
         "rad",
-        "standard uncertainty of an error once and twice per turn",
+        "standard uncertainty of an error with one and two periods per turn",
         0.0,
         nan_is_default=True,
     ),
@@ -178,8 +178,8 @@ INTERPOLATIONS = ("linear", "hold")
 INPUT = Table(
     (
         Field("time", _T, "s", "time on the clock of the casing's camera"),
-        Field("value", _T, "1", "value of the input; its unit is that of the attribute `unit`"),
-        Field("u", _T, "1", "standard uncertainty of the value by calibration; NaN if it is not given"),
+        Field("value", _T, "1", "value of the input, in the unit of the attribute `unit`"),
+        Field("u", _T, "1", "standard uncertainty of the value from its calibration; NaN if not given"),
     ),
     signal="value",
     attributes=(
@@ -232,7 +232,7 @@ CASE_ATTRIBUTES = (
         "body_name",
         str,
         "",
-        "name of a single body or of the first one of a chain, for example wheel; empty without one",
+        "name of the single body or of the first body of a chain, for example wheel; empty if not given",
         "",
     ),
 )
@@ -240,10 +240,10 @@ CASE_ATTRIBUTES = (
 PLACEMENT_ATTRIBUTES = (
     Attribute("clock_offset", float, "s", "start of the clip on the casing camera's clock"),
     Attribute("clock_offset_sigma", float, "s", "standard uncertainty of clock_offset"),
-    Attribute("clock_rate", float, "1", "rate of the clip's clock on the casing camera's clock"),
+    Attribute("clock_rate", float, "1", "rate of the clip's clock relative to the casing camera's clock"),
     Attribute("clock_rate_sigma", float, "1", "standard uncertainty of clock_rate"),
     Attribute("angle_offset", float, "rad", "angle added to the clip's angles"),
-    Attribute("sync_ambiguous", int, "", "1 if another start of the clip is not excluded", field="ambiguous"),
+    Attribute("sync_ambiguous", int, "", "1 if the data allow another start of the clip", field="ambiguous"),
     Attribute("sync_method", str, "", "method that gave the start of the clip", field="method"),
 )
 
@@ -254,13 +254,15 @@ QUANTITIES = {"angle": "angle", "speed": "omega"}
 # series of a body that is fitted
 FITTED_SERIES = "fused"
 
-# `/body/<name>` of a case: the same numbers under names that do not depend on the body and the quantity
+# `/body/<name>` of a case: the same numbers under names that depend neither on the body nor on the quantity
 FUSED = Table(
     (
         Field("time", _T, "s", "time on the clock of the case"),
         Field("value", _T, "rad or rad s-1", "angle, or angular velocity"),
-        Field("u", _T, "rad or rad s-1", "white standard uncertainty of the value"),
-        Field("segment", _T, "1", "clip or window of the sample; not of the first body", "i8", optional=True),
+        Field("u", _T, "rad or rad s-1", "standard uncertainty of the value from white noise"),
+        Field(
+            "segment", _T, "1", "clip or window of the sample; absent for the first body", "i8", optional=True
+        ),
     ),
     signal="value",
     attributes=(
@@ -271,7 +273,7 @@ FUSED = Table(
             "clock",
             str,
             "",
-            "clock of the times: case, that of the casing's camera",
+            "clock of the times: case (the clock of the casing's camera)",
             "case",
             choices=("case",),
         ),
@@ -312,7 +314,7 @@ CLOCK = Table(
     (Field("covariance", ("parameter", "other_parameter"), "1", "covariance of offset [s] and rate [1]"),),
     attributes=(
         Attribute("offset", float, "s", "start of the clip on the clock of the case", math.nan),
-        Attribute("rate", float, "1", "rate of the clip's clock on that of the case", math.nan),
+        Attribute("rate", float, "1", "rate of the clip's clock relative to the clock of the case", math.nan),
     ),
 )
 JOINT_ATTRIBUTES = (

@@ -1,7 +1,8 @@
 """Every threshold that determines a result, in one record.
 
 `fit`, `diagnose`, `improve`, `laws`, `certify` and `plan` accept a `Criteria`. A fit stores the criteria with which the
-noise of its recordings was measured. A search with other criteria of the noise (`NOISE`) repeats the fit with these.
+noise of its recordings was measured. A search with different noise criteria (`NOISE`) first repeats the fit with the
+criteria of the search.
 
 >>> from dataclasses import replace
 >>> strict = replace(Criteria(), significance=0.001)
@@ -22,7 +23,7 @@ from fitting._settings import settings_of
 
 @dataclass(frozen=True)
 class Criteria:
-    """Thresholds of the search for a missing effect; immutable, changed with `dataclasses.replace`.
+    """Thresholds of the search for a missing effect; immutable; `dataclasses.replace` makes a changed copy.
 
     Probabilities and shares are at most 1. Differences of deviance and of BIC are twice the logarithm of a likelihood
     ratio and have no unit. The unit "sigma" is one standard error.
@@ -51,24 +52,24 @@ class Criteria:
     """BIC difference of indistinguishable candidates [1]. Source: Kass & Raftery 1995; a larger difference is very
     strong evidence against the worse one."""
     collinearity: float = 0.9999
-    """Cosine of responses that no data separates [1]. Chosen: a smaller value joins effects that more data separate, a
-    larger one separates equal ones by rounding."""
+    """Smallest cosine between responses that no data can separate [1]. Chosen: a smaller value joins effects that more
+    data separate, a larger one separates equal ones by rounding errors."""
     measurement_penalty: float = 3.2
-    """BIC added to measurement effects [1]. Derived: prior odds 1:5, 2 ln 5; a smaller value blames the camera, a
-    larger one invents torques."""
+    """BIC added to measurement effects [1]. Derived: prior odds 1:5, 2 ln 5; a smaller value takes torques for camera
+    errors, a larger one takes camera errors for torques."""
     shape_evidence: float = 10.0
     """Fall of BIC that frees a shape constant of a law [1]. Source: Kass & Raftery 1995; very strong evidence."""
     essential_sigma: float = 3.3
     """Strength of an added effect below which its removal is tried [sigma]. Derived: p = 0.001; a smaller value keeps
     superfluous effects, a larger one costs time."""
     crowded: int = 3
-    """Number of added effects from which the removal of each is tried [1]. Chosen: a smaller value costs time, a larger
-    one keeps superfluous effects."""
+    """Smallest number of added effects for which the removal of each is tried [1]. Chosen: a smaller value costs time,
+    a larger one keeps superfluous effects."""
     max_steps: int = 5
     """Largest number of effects that `improve` adds [1]. Chosen: a smaller value leaves unmodelled torques, a larger
     one costs time."""
     named_sigma: float = 3.0
-    """Smallest strength of a named effect, over its standard uncertainty [sigma]. Chosen: a smaller value names
+    """Smallest strength of a named effect, divided by its standard uncertainty [sigma]. Chosen: a smaller value names
     undetermined effects, a larger one leaves weak ones unnamed."""
     follow_up: int = 1
     """Largest number of further effects that `diagnose` adds [1]. Chosen: a smaller value leaves the remainder
@@ -77,13 +78,13 @@ class Criteria:
     """Smallest share of the unmodelled torque that an approximate answer explains [1]. Chosen: a smaller value hides a
     second effect, a larger one doubts small remainders."""
     lack_of_fit: float = 1e-5
-    """P-value of slow torques below which a fit fails [1]. Source: Draper 1998; its test, with a value that errors of
-    the noise model do not reach; a larger one fails fits by these errors, a smaller one overlooks missing laws."""
+    """P-value of slow torques below which a fit fails [1]. Source: Draper 1998 for the test; errors of the noise model
+    do not reach this value; with a larger value, these errors make fits fail, a smaller one overlooks missing laws."""
     reduced_chi2: float = 1.4
     """Reduced chi2 of rows above which a fit fails, at p < `lack_of_fit` [1]. Chosen: noise has 1.00 +- 0.03 in 2000
     rows; a smaller value fails fits whose deviations are without consequence, a larger one accepts a lack of fit."""
     undetermined: float = 100.0
-    """Standard uncertainty over value above which a parameter is undetermined [1]. Chosen: a smaller value refuses
+    """Relative standard uncertainty above which a parameter is undetermined [1]. Chosen: a smaller value refuses
     parameters near zero, a larger one reports values without meaning."""
     correlated_noise: float = 8.0
     """Smallest fall of the deviance by correlated angle noise [1]. Derived: chi2, 2 dof; noise exceeds it in 2 % of the
@@ -92,17 +93,17 @@ class Criteria:
     """Excess process noise of a fit above which its form is not established [sigma]. Chosen: a smaller value doubts
     right forms, a larger one lets noise absorb a wrong form."""
     spectral_line: float = 0.001
-    """P-value of a sinusoid that is not noise [1]. Source: Baluev 2008; its test; a larger value finds lines by chance,
-    a smaller one leaves lines in the process noise."""
+    """P-value of a sinusoid that is not noise [1]. Source: Baluev 2008 for the test; a larger value finds lines by
+    chance, a smaller one leaves lines in the process noise."""
     periodic_torque: float = 0.001
-    """P-value of a torque of the angle that is not noise [1]. Chosen: a larger value finds torques by chance, a smaller
-    one counts torques as noise."""
+    """P-value of an angle-dependent torque that is not noise [1]. Chosen: a larger value finds torques by chance, a
+    smaller one counts torques as noise."""
     doubt_named: float = 0.01
-    """Smooth-test p-value that contradicts a named effect [1]. Source: Hart 1997; its test; a larger value doubts right
-    forms, a smaller one accepts wrong ones."""
+    """Smooth-test p-value that contradicts a named effect [1]. Source: Hart 1997 for the test; a larger value doubts
+    right forms, a smaller one accepts wrong ones."""
     doubt_adequate: float = 0.001
-    """P-value of a test that contradicts an adequate fit [1]. Source: Baluev 2008; one of the tests; a larger value
-    doubts right fits, a smaller one overlooks missing laws."""
+    """P-value of a test that contradicts an adequate fit [1]. Source: Baluev 2008 for one test; a larger value doubts
+    right fits, a smaller one overlooks missing laws."""
     inertia_sigma: float = 2.0
     """Largest error of an inertia that its uncertainty allows [sigma]. Chosen: a smaller value names effects that a
     wrong inertia imitates, a larger one explains effects by the inertia."""
@@ -116,8 +117,8 @@ class Criteria:
     """Smallest amplitude of a reported harmonic [sigma]. Derived: p = 1e-4, 2 dof; exp(-4.3^2 / 2); a smaller value
     reports noise, a larger one omits weak torques."""
     experiment_sigma: float = 5.0
-    """Separation of rivals by a run below which a repetition is recommended [sigma]. Chosen: a smaller value proposes
-    runs that may not decide, a larger one recommends needless repetitions."""
+    """Separation of rivals by a run below which repeating the run is advised [sigma]. Chosen: a smaller value
+    proposes runs that may not decide, a larger one recommends needless repetitions."""
     shape_share: float = 0.1
     """Share of the best score above which shapes are refined [1]. Chosen: a smaller value costs time, a larger one may
     omit the right effect."""
@@ -145,7 +146,7 @@ class Criteria:
     """Smallest score at which a changepoint is moved to a distant time [1]. Derived: 5 sigma; a smaller value follows
     noise, a larger one leaves a wrong time."""
     equation_error: float = 3.0
-    """Error of the equation of motion, over the smallest, up to which a spring is fitted [1]. Chosen: a smaller value
+    """Largest error of the equation of motion of a fitted spring, relative to the best [1]. Chosen: a smaller value
     may omit the right spring, a larger one costs time."""
     refit_reversals: int = 500
     """Largest number of reversals in all refits of a step [1]. Chosen: 15 s of one core; a smaller value may omit the
@@ -188,7 +189,7 @@ class Criteria:
     def refits_through(self, reversals: int) -> int:
         """Return the largest number of refitted candidates, given the number of reversals of an oscillation.
 
-        A search through one reversal takes some 0.03 s of a core.
+        A search through one reversal takes about 0.03 s of a core.
         """
         return min(self.refit_least, max(1, self.refit_reversals // max(reversals, 1)))
 
@@ -234,4 +235,4 @@ NOISE = (
     "correlated_noise", "spectral_line", "periodic_torque", "angle_noise_ratio", "slip_tolerance", "slip_sigma",
     "gross_misfit",
 )  # fmt: skip
-"""Criteria that determine what is noise in a recording: where they differ, a fit has other weights."""
+"""Criteria that determine the noise of a recording; if they change, the weights of a fit change."""

@@ -44,9 +44,9 @@ _FAULTS = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError)
 _KIND_NAMES: dict[type[Any], str] = {
     int: "an integer",
     float: "a number",
-    str: "a text",
+    str: "a string",
     tuple: "a table of pairs",
-    list: "a list of texts",
+    list: "a list of strings",
 }
 
 

@@ -1,9 +1,10 @@
 """Files that survive a kill or a full disk, and the locks of files, for both packages.
 
 An output is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target.
-After a kill, an interrupt, or with a full disk, the old file is unchanged. The lock of a file is ``.<name>.lock`` in
-the same folder, so that it holds for all users and hosts; it exists only while it is held. It names the temporary file,
-which the next writer removes if this one is killed. Files beside an output are opened without following links.
+After a kill or an interrupt, or if the disk is full, the old file is unchanged. The lock of a file is ``.<name>.lock``
+in the same folder, so that it holds for all users and hosts; it exists only while it is held. The lock file contains
+the name of the temporary file, which the next writer removes if the present writer is killed. Files beside an output
+are opened without following links.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def publish(part: Path, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Files:
-    """Access to files whose errors are those that `fail` makes of a sentence and a hint."""
+    """Access to files; errors are created by `fail` from a sentence and a hint."""
 
     fail: Callable[[str, str], Exception]
     elsewhere: str = "Write to another disk."  # hint for a disk without locks
@@ -82,7 +83,7 @@ class Files:
         from filelock import FileLock, Timeout
 
         own = lock_file(path)
-        if not own.parent.is_dir():  # filelock would make it
+        if not own.parent.is_dir():  # filelock would create the folder
             raise self.refusal(path, FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
         remains = self._remains(own, path)
         # other users of the folder must be able to open it
@@ -90,7 +91,8 @@ class Files:
         end = monotonic() + timeout
         try:
             while True:
-                # another user makes the file without permissions for all, and adds them at once
+                # another user's process creates the lock file first without permissions for all, and adds them
+                # immediately afterwards
                 try:
                     lock.acquire(timeout=timeout, poll_interval=_POLL)
                     break
@@ -111,7 +113,8 @@ class Files:
                     part.unlink()
             yield own
         finally:
-            with suppress(OSError):  # while it is held: a waiting process notices, and makes a new one
+            # deleted while the lock is held; a waiting process notices this and creates a new lock file
+            with suppress(OSError):
                 own.unlink()
             lock.release()
 
@@ -158,7 +161,7 @@ class Files:
         return stream
 
     def foreign(self, path: Path) -> Exception:
-        """Return the error for a file that has the name of one of ours and was made by somebody else."""
+        """Return the error for a file that has a name of this program but was made by another program or user."""
         return self.fail(f"{path} was not made by gyrotrack.", "Move it away, or write to another name.")
 
     def busy(self, path: Path, waited: float = 0.0) -> Exception:

@@ -21,12 +21,12 @@ from typing import Any, BinaryIO
 import h5py
 
 MAX_MEMBERS = 20_000
-"""Members of a file at most [1]. Chosen: a smaller value refuses recordings of many clips, a larger one lets the check
-of a malicious file take minutes."""
+"""Largest number of members of a file [1]. Chosen: a smaller value refuses recordings of many clips, a larger one lets
+the check of a malicious file take minutes."""
 MAX_DEPTH = 32
-"""Depth of groups at most [1]. Chosen: the layout has eight levels; a larger value costs time."""
+"""Largest depth of groups [1]. Chosen: the layout has eight levels; a larger value costs time."""
 MAX_BYTES = 2**31
-"""Size of a dataset at most [bytes]. Chosen: a smaller value refuses long films, a larger one fills the memory."""
+"""Largest size of a dataset [bytes]. Chosen: a smaller value refuses long films, a larger one fills the memory."""
 MAX_INFLATION = 1100
 """Largest ratio of the size of a dataset to its stored size [1]. Derived: deflate reaches 1032; the rest is margin."""
 SLACK = 2**22

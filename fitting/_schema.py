@@ -46,7 +46,7 @@ locked, refuse_special = _FILES.locked, _FILES.refuse_special
 
 
 def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda: True) -> None:
-    """Write a text file (UTF-8) atomically; a LedgerError says why the system refuses.
+    """Write a text file (UTF-8) atomically; a LedgerError states why this failed.
 
     The file is not replaced if it is no longer `unchanged`.
     """
@@ -156,7 +156,7 @@ class BodyDocument(Document):
     r2: Number  #: Coefficient of determination of the smoothed angular velocity [1].
     rmse: Number  #: Rms residual of the smoothed angular velocity [rad s-1].
     reduced_chi2: Number  #: Chi-square of what was fitted over the effective number of samples [1].
-    held_out: Number  #: Cross-validation error over the noise; 1 is the noise limit [1].
+    held_out: Number  #: Cross-validation error divided by the noise; 1 is the noise limit [1].
 
 
 class MetricsDocument(Document):
@@ -242,7 +242,7 @@ class PredictedDocument(Document):
     """One recording, predicted from a fit of the others."""
 
     label: str  #: Name of the case.
-    casing: Number  #: Rms error of the casing over the noise; 1 is the noise limit [1].
+    casing: Number  #: Rms error of the casing divided by the noise; 1 is the noise limit [1].
     rotor: Number  #: The same for the rotor [1].
     r2: Number  #: Coefficient of determination of the smoothed angular velocity of the casing [1].
     rmse: Number  #: Rms error of the smoothed angular velocity of the casing [rad s-1].
@@ -255,7 +255,7 @@ class CurveBiasDocument(Document):
     claimed: Number  #: Its standard error [unit of the parameter].
     measured: Number  #: Value from the windows [unit of the parameter].
     stderr: Number  #: Its standard error [unit of the parameter].
-    errors: Number  #: Difference of the values over the standard error from the curve [1].
+    errors: Number  #: Difference of the values divided by the standard error from the curve [1].
 
 
 class FitDocument(WithOptionalKeys):
@@ -270,7 +270,7 @@ class FitDocument(WithOptionalKeys):
     #: `initial.omega_c@label` for the initial speeds.
     parameters: dict[str, EstimateDocument]
     cases: list[CaseDocument] = []  #: Figures of merit of each case.
-    misfit: Number = math.nan  #: Rms residual over that of the noise; 1 is the noise limit [1].
+    misfit: Number = math.nan  #: Rms residual divided by that of the noise; 1 is the noise limit [1].
     n_eff: Number = math.nan  #: Number of equivalent independent samples of all cases [1].
     bic: Number = math.nan  #: Bayesian information criterion [1].
     verdict: str = ""  #: `lack_of_fit`, `no_lack_of_fit`, `not_determined` or `not_converged`.
@@ -321,7 +321,7 @@ class CandidateDocument(Document):
     delta_bic: Number  #: BIC with the effect minus BIC without it; null without a refit [1].
     p_value: Number  #: False-alarm probability of such a score anywhere in the list [1].
     significant: Flag  #: Whether `p_value` is below the level of the search.
-    held_out_gain: Number  #: Decrease of the cross-validation error over the noise; null without a refit [1].
+    held_out_gain: Number  #: Decrease of the cross-validation error / noise; null without a refit [1].
     indistinguishable_from: list[str]  #: Candidates that the data cannot separate from this one.
     indistinguishable_words: list[str]  #: Their names in words.
     parameters: dict[str, EstimateDocument]  #: Parameters of the effect, by key as in a fit.
@@ -388,8 +388,8 @@ class StepDocument(Document):
     rmse_casing: Number  #: Rms residual of the smoothed angular velocity of the casings [rad s-1].
     rmse_noise: Number = math.nan  #: The same for noise alone [rad s-1].
     reduced_chi2: Number  #: Chi-square of the casings over the effective number of samples [1].
-    misfit: Number = math.nan  #: Rms residual over that of the noise; null in files of older versions [1].
-    held_out: Number  #: Cross-validation error of the casings over the noise; 1 is the noise limit [1].
+    misfit: Number = math.nan  #: Rms residual divided by that of the noise; null in older files [1].
+    held_out: Number  #: Cross-validation error of the casings divided by the noise; 1 is the noise limit [1].
     bic: Number = math.nan  #: Bayesian information criterion [1].
     bic_noise: Number = math.nan  #: BIC of a model with as many parameters whose residuals are noise [1].
     delta_bic: Number  #: BIC minus that of the fit before; 0 for the first one [1].
@@ -608,7 +608,7 @@ _D = TypeVar("_D", LedgerDocument, SavedFitDocument)
 def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
     """Read a JSON file of a kind: a ledger or a saved fit.
 
-    A LedgerError says that the file is missing, of another kind, of a newer version, or damaged.
+    A LedgerError is raised if the file is missing, of another kind, of a newer version, or damaged.
     """
     refuse_special(path)
     try:
@@ -639,6 +639,6 @@ def parse_json(text: str, path: Path, kind: type[_D], what: str, hint: str) -> _
 
 
 def first_error(fault: ValidationError) -> str:
-    """Return where and what the first error of a document is."""
+    """Return the place and the message of the first error of a document."""
     error = fault.errors(include_url=False, include_input=False)[0]
     return f"{'.'.join(map(str, error['loc'])) or 'document'}: {error['msg'][:120]}"

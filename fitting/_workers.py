@@ -29,7 +29,7 @@ than the gain in time justifies."""
 def single_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread; a context manager, and when called a decorator.
 
-    The matrices of a fit have some hundred rows: more threads are slower.
+    The matrices of a fit have a few hundred rows: more threads are slower.
     """
     from threadpoolctl import threadpool_limits
 

@@ -75,7 +75,7 @@ def release_pages() -> None:
 def release_memory() -> None:
     """Return freed memory to the system; glibc retains it, and its heap is fragmented by freed frames."""
     if sys.platform == "linux":
-        with suppress(OSError, AttributeError):  # another libc than glibc
+        with suppress(OSError, AttributeError):  # a libc other than glibc
             ctypes.CDLL(None).malloc_trim(0)
 
 
@@ -102,7 +102,7 @@ def large_blocks_returned() -> Iterator[None]:
 
 def _set_thresholds(block: int, kept: int) -> None:
     if sys.platform == "linux":
-        with suppress(OSError, AttributeError):  # another libc than glibc
+        with suppress(OSError, AttributeError):  # a libc other than glibc
             libc = ctypes.CDLL(None)
             libc.mallopt(_MMAP_THRESHOLD, block)
             libc.mallopt(_TRIM_THRESHOLD, kept)

@@ -22,7 +22,7 @@ from scipy.linalg import solve_triangular
 Floats = npt.NDArray[np.float64]
 
 _MAX_BINS = 150  # bins of neighbouring samples, each replaced by its mean
-_VARIANCE_RATIOS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0)  # q and p, over the white variance of a bin
+_VARIANCE_RATIOS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0)  # q and p, divided by the white variance of a bin
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # tau [bins]
 _HARMONIC_TIMES = (0.1, 0.3, 1.0, 3.0)  # T [lengths of the record]
 _MIN_BINS_PER_TURN = 8
@@ -125,7 +125,7 @@ def correlated_least_squares(
 
 
 def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) -> float:
-    """Return the spectral density of residuals at a low frequency over the density of white noise of unit variance.
+    """Return the spectral density of residuals at a low frequency, divided by that of white noise of unit variance.
 
     `residual` (n,) and the fitted columns of `design` (n, p) are in units of the uncertainty; `period` and `t` in s.
     The degrees of freedom of the columns are accounted for. The density is at least 1; with times in bins it is
@@ -172,7 +172,7 @@ def _binned(t: Floats, design: Floats, y: Floats, sigma: Floats) -> tuple[Floats
 def _noise_models(
     white: Floats, when: Floats, psi: Floats | None = None
 ) -> Iterator[tuple[int, float, float, Floats]]:
-    """Yield family (0 white, 1 in time; where bins resolve a turn: 2 in the angle, 3 both), q, tau, covariance."""
+    """Yield family (0 white, 1 in time; if bins resolve a turn, 2 in the angle, 3 both), q, tau, covariance."""
     lag = np.abs(when[:, None] - when[None, :]) / float(np.median(np.diff(when)))
     level = float(np.median(white))
     correlated = [(q, c) for q in _VARIANCE_RATIOS for c in _TIMES]

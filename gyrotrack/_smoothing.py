@@ -4,8 +4,8 @@ As in the paper, angular velocities are central differences of the running media
 by a second such median, without the first and last 50 points.
 
 On a non-uniform time base, the path of a body is a fit of local parabolas in time to the coarse angles. The residuals
-of a marker from this path are small: each residual is assigned to the nearest point of a uniform grid and smoothed
-there with the path.
+of a marker from this path are small, so each residual is assigned to the nearest point of a uniform grid and smoothed
+there together with the path.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def local_fit(
 ) -> tuple[Floats, Floats]:
     """Fit a polynomial about every point of a uniformly sampled series, over `half` points to both sides.
 
-    The weights of the window are 1 - (x/(half + 1))^2 times those of the points, 0 where there is no value (it may be
-    NaN). Points up to the distance `hole` are excluded, to predict each point from the others. The results are the
+    The weights are 1 - (x/(half + 1))^2 times the weights of the points. A missing value, which may be NaN, has the
+    weight 0. Points up to the distance `hole` are excluded, to predict each point from the others. The results are the
     fitted value, and the weight of a point in its own fitted value; NaN if the window contains too few points.
     """
     n = len(value)
@@ -79,7 +79,7 @@ def core_scatter(off: Floats, otherwise: float) -> float:
 
 
 def excess(off: Floats) -> float:
-    """Return the rms of normalised residuals, clipped at `FAR`, between 0.5 and 3; 1 for too few residuals."""
+    """Return the rms of normalised residuals clipped at `FAR`, limited to 0.5 to 3; 1 for too few residuals."""
     known = off[np.isfinite(off)]
     if len(known) < FEWEST:
         return 1.0
@@ -92,8 +92,8 @@ def tail_factor(off: Floats) -> Floats:
 
     The noise is normal with an inverse-gamma distributed variance in each frame. Residuals, here of unit root mean
     square, then follow Student's t distribution with nu degrees of freedom, and their excess kurtosis is 6 / (nu - 4).
-    Given a residual of r standard deviations, the expected variance over the mean variance is (nu - 2 + r^2) / (nu -
-    1). The factor is 1 where the residual is NaN.
+    Given a residual of r standard deviations, the expected variance divided by the mean variance is (nu - 2 + r^2) /
+    (nu - 1). The factor is 1 where the residual is NaN.
 
     Examples
     --------
@@ -145,7 +145,7 @@ def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> f
 
 
 def smooth_path(coarse: Floats) -> Floats:
-    """Smooth a coarse path by local parabolas, without values more than 0.3 rad away, and keep the number of turns."""
+    """Smooth a coarse path by local parabolas; values more than 0.3 rad from the smooth path are kept."""
     known = np.isfinite(coarse)
     if known.sum() < FEWEST:
         return coarse
@@ -191,7 +191,7 @@ def line_through(path: Floats) -> Floats:
 
 
 def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
-    """Return the running median over an odd number of points, extended by its end points; NaN values are kept."""
+    """Return the running median over an odd number of points, extended by the end values; NaN values are kept."""
     if width < 1 or width % 2 == 0:
         raise ValueError(f"the width of a median must be odd and positive, not {width}")
     series = np.asarray(x, dtype=float)
@@ -203,7 +203,7 @@ def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
 
 
 def running_quantile(x: npt.NDArray[Any], width: int, rank: int) -> npt.NDArray[Any]:
-    """Return the value of a rank (from 0) among `width` neighbours (odd) of each point, extended by its end points."""
+    """Return the value of a rank (from 0) among `width` (odd) neighbours of each point; the ends are extended."""
     if len(x) and x.min() == x.max():
         return x.copy()
     if len(x) > _MANY and np.isfinite(x).all():
@@ -249,7 +249,7 @@ def angular_velocity(
 
 
 def smoothing_width(angle: npt.ArrayLike, sigma: npt.ArrayLike, most: int = WIDTH) -> int:
-    """Return the odd number of points, 3 to `most`, of medians that do not change the motion of a body.
+    """Return the width of running medians (odd, 3 to `most` points) that do not change the motion of a body.
 
     For a body that turns in one sense the result is `most`. For a body that turns back, for example a pendulum, a
     median over a large part of the period would remove the motion. The width is therefore halved until the smoothed
@@ -295,7 +295,8 @@ def _median_table(width: int) -> tuple[Floats, Floats]:
         u = np.outer(trend[part], np.arange(-half, half + 1))
         p, density = np.interp(u, grid, table), np.exp(-(u**2) / 2) / np.sqrt(2 * np.pi)
         a, b = u[:, 2:], u[:, :-2]
-        series = -1 / 2 + a * b / 8 - (a**2 - 1) * (b**2 - 1) / 48  # tetrachoric, at the correlation -1/2
+        # tetrachoric series for the correlation -1/2
+        series = -1 / 2 + a * b / 8 - (a**2 - 1) * (b**2 - 1) / 48
         shared = 2 * np.sum(series * density[:, 2:] * density[:, :-2], axis=1)
         variance = np.sum(p * (1 - p), axis=1) + shared
         made[part] = np.sqrt(variance) / np.sum(density, axis=1)

@@ -52,6 +52,27 @@ PATTERNS = {
     r"pulls? .{1,40} beyond": "prefers a value outside",
     r"no (?:physical )?reason to": "needs no",
     r"such as": "for example, like",
+    r"(?:is|are|than|out|by|fits|counts|shows) rounding(?! (?:errors?|of|up|down|to))": "rounding error",
+    r"(?:derivatives?|Jacobian|gradient) by (?!(?:the |an? )?(?:finite|chain|central))": "with respect to",
+    r"from which on": "the smallest ... for which",
+    r"(?:larger|smaller|lower|higher|difference|mean) of both": "of the two",
+    r"repeat with the place": "position-dependent error",
+    r"excepted": "excluded",
+    r"torques? of (?:the|an) angle": "angle-dependent torque",
+    r"write for example": "write, for example, ...",
+    r"some (?:\d+|ten|hundred|thousand)": "about, a few hundred, several thousand",
+    r"probability to": "probability of",
+    r"twice too \w+": "twice as ... as necessary",
+    r"(?:None|empty) also if": "the result is also ... if",
+    r"over the (?:length|duration|extent|radius)(?: of (?:a|the) \w+)?(?= \[1\])": "divided by",
+    r"errors? by place": "position-dependent error",
+    r"at most(?= \[\w)": "largest number of, largest",
+    r"(?:None|empty) if hardly": "the condition as a number",
+    r"(?:body|law|rotation|edge|drift|stop|hub|step) is (?:first )?searched(?! for)": "searched for",
+    r"tilted by [^.;]{1,30} against": "relative to",
+    r"read ``": "parse assignments like",
+    r"beside (?:a random|an? exponential|periodic noise|the sigma)": "in addition to",
+    r"errors? says? (?:that|why|what|whether)": "is raised if, states",
     r"mend\w*|excus\w*|guess\w*|swings?|swung|nobody|torn|twins?": "correct, absorb, initial value, oscillate",
 }
 # the first words of a sentence that is turned round: "Of a blank disc no rotation is measurable"
@@ -127,6 +148,13 @@ def test_texts_are_plain_english(path):
     assert not found, found
 
 
+def test_sentences_of_pages_do_not_begin_with_a_block_of_code():
+    """A paragraph after a block of code has its own subject: "The command prints", not "prints"."""
+    begins = re.compile(r"^```\n\n([a-z][^\n]*)", re.MULTILINE)
+    found = {_name(page): begins.findall(page.read_text(encoding="utf-8")) for page in PAGES}
+    assert not any(found.values()), {name: lines for name, lines in found.items() if lines}
+
+
 def test_names_of_tests_are_plain_english():
     found = {_name(path): findings(names_of(path), EXCEPTIONS.get(_name(path), ())) for path in TESTS}
     assert not any(found.values()), {name: f for name, f in found.items() if f}
@@ -155,6 +183,19 @@ def test_exceptions_are_needed():
         ("Two films cannot be told from each other.", True),
         ("a time constant of its own", True),
         ("its own time constant", False),
+        ("A smaller value projects out rounding.", True),
+        ("A smaller value projects out rounding errors.", False),
+        ("The Jacobian by the free variables.", True),
+        ("The derivatives with respect to the free variables.", False),
+        ("It takes some ten fits.", True),
+        ("Some tests find ten fits.", False),
+        ("The larger of both counts.", True),
+        ("The probability to detect an effect.", True),
+        ("Fits of an end at most [1].", True),
+        ("Read ``k=1``.", True),
+        ("The derivatives by a finite difference.", False),
+        ("Correlation time over the length of the record [1].", True),
+        ("Correlation time, divided by the length of the record [1].", False),
     ],
 )
 def test_the_linter_itself(text, found):

@@ -63,13 +63,14 @@ limit, half a period per frame."""
 _DRAWS = 1000
 """Null data sets [1]. Chosen: the smallest p-value is 0.001; fewer make it coarser, more cost time."""
 _RANK = 1e-5
-"""Singular values, relative to the largest column, below which a direction is rounding [1]. Chosen: a smaller value
-counts rounding as a degree of freedom, a larger one omits directions that the data determine weakly."""
+"""Singular values, relative to the largest column, below which a direction is rounding error [1]. Chosen: a smaller
+value counts rounding errors as a degree of freedom, a larger one omits directions that the data determine weakly."""
 _CURVE = 120
 """Points of a displayed curve [1]. Chosen: fewer show corners, more make larger files."""
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
-"""Trial standard deviations of a torque, over the standard deviation that the data suggest [1]. Chosen: four per decade
-from far below the noise to far above it; in a shorter range the optimum may be outside, a coarser grid rounds it."""
+"""Trial standard deviations of a torque, divided by the standard deviation that the data suggest [1]. Chosen: four per
+decade from far below the noise to far above it; in a shorter range the optimum may be outside, a coarser grid rounds
+it."""
 _LENGTHS = np.geomspace(0.03, 3.0, 9)
 """Trial correlation lengths over the range of the variable [1]. Chosen: shorter ones are not resolved by the splines,
 longer ones do not differ from a straight line."""

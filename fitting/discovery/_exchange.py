@@ -37,10 +37,10 @@ _LAWS = 2
 noise."""
 _EQUAL = 1e-9
 """One minus the cosine of the responses, below which laws are equal in a recording and only the first one takes part
-[1]. Chosen: a smaller value refits equal laws that differ by rounding, a larger one omits different ones."""
+[1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a larger one omits different ones."""
 _SINGULAR = 1e-9
-"""Relative singular value of normal equations below which a combination of columns is rounding [1]. Chosen: a smaller
-value fits rounding, a larger one ignores weakly determined combinations."""
+"""Relative singular value of normal equations below which a combination of columns is rounding error [1]. Chosen: a
+smaller value fits rounding errors, a larger one ignores weakly determined combinations."""
 
 
 class Exchange(NamedTuple):

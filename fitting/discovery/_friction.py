@@ -222,7 +222,7 @@ def _typical(effect: Effect) -> dict[str, float]:
 
 
 def _trials(effect: Effect) -> Iterator[dict[str, float]]:
-    """Yield the strength 1 with all trial values of the shape constants, their typical values, and bounds of zero.
+    """Yield shape constants with the strength 1: all trial values, the typical values, and the bounds of zero.
 
     At a bound of zero a law reduces to the simpler law that it contains.
     """

@@ -48,8 +48,8 @@ _SPEEDS: dict[str, tuple[str, ...]] = {
     "bearing": ("delta", "omega_r"),
 }
 _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
-"""Trial exponents of a power law [1]. Chosen: quarters and halves beside the integers of the library; fewer start far
-from the optimum, more cost time."""
+"""Trial exponents of a power law [1]. Chosen: quarters and halves in addition to the integers of the library; fewer
+start far from the optimum, more cost time."""
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
 """Trial speeds of a law over the largest speed [1]. Chosen: six per decade; fewer start far from the optimum, more cost
 time."""
@@ -57,13 +57,13 @@ _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
 """Trial thresholds of a law over the largest speed [1]. Chosen: in steps of 0.05; fewer overlook narrow laws, more cost
 time."""
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
-"""Trial time constants over the length of the record [1]. Chosen: shorter ones affect few rows, longer ones give a
-straight line."""
+"""Trial time constants, divided by the length of the record [1]. Chosen: shorter ones affect few rows, longer ones give
+a straight line."""
 _NEAR_ZERO = 0.01
 """Speed, over the largest one, below which a speed is near zero and negative powers are not tried [1]. Chosen: a
 smaller value admits torques that diverge, a larger one excludes laws of slow bodies."""
 _COARSE_MOMENTS = MOMENTS[::3]
-"""Trial moments of a law with several shape constants, over the length of the record [1]. Chosen: every third of
+"""Trial moments of a law with several shape constants, divided by the length of the record [1]. Chosen: every third of
 `MOMENTS`; fewer start far from the optimum, more cost time."""
 _FEWEST_PERIODS = 0.5
 """Smallest number of periods of an oscillating law within a record [1]. Chosen: with fewer the law is a trend; a larger

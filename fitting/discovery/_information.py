@@ -54,8 +54,8 @@ _PER_BLOCK = 64
 """Samples of a block of a planned recording [samples]. Chosen: fewer do not determine the polynomial of a block, more
 cost time."""
 _RANK = 1e-7
-"""Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
-a larger one counts information twice."""
+"""Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one counts information twice."""
 _TINY = 1e-12
 """Relative eigenvalue below which a direction of the information is not determined [1]. Chosen: a smaller value inverts
 rounding, a larger one omits weakly determined strengths."""
@@ -234,8 +234,8 @@ _COLLINEAR = 1e-6
 sets with undetermined strengths, a larger one drops rivals that data could separate."""
 _ABSORBED = 1e-12
 """Information about a strength with free shared parameters, over that with fixed ones, below which they absorb the
-candidate [1]. Chosen: at the rounding of the projection; a larger value drops weakly determined candidates, a smaller
-one keeps rounding."""
+candidate [1]. Chosen: at the rounding error of the projection; a larger value drops weakly determined candidates, a
+smaller one keeps rounding."""
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ _RANK = 1e-4
 rounding, a larger one omits deviations that are nearly absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
-projects out rounding, a larger one ignores some free columns."""
+projects out rounding errors, a larger one ignores some free columns."""
 _TINY = 1e-300
 """Smallest norm by which a column is divided [1]. Derived: it avoids a division by zero and is below any other norm."""
 _DRAWS = 2000
@@ -188,8 +188,8 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods in a record at which a frequency is tried [1]. Chosen: fewer are a trend, which the test
 against slow torques covers; a larger value leaves a gap between both tests."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi over the length of the record [1]. Chosen: fewer overlook peaks, more
-cost time; the finer search follows."""
+"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: fewer overlook peaks,
+more cost time; the finer search follows."""
 _FINER = 16
 """Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: fewer understate the peak,
 more cost time."""
@@ -199,7 +199,7 @@ rounding, a larger one omits torques that are nearly absorbed."""
 
 
 _NEAR_RESONANCE = 0.01
-"""Smallest difference of the squared frequencies of a drive and an oscillator, over that of the oscillator [1].
+"""Smallest difference of the squared frequencies of a drive and an oscillator, divided by that of the oscillator [1].
 Chosen: a smaller value gives unlimited angles, a larger one understates a resonance."""
 
 
@@ -207,7 +207,7 @@ Chosen: a smaller value gives unlimited angles, a larger one understates a reson
 class PeriodogramPeak:
     """The highest peak of the periodogram of the residual torque on one body."""
 
-    rate: float  # its frequency, 2 pi over the period [rad/s]
+    rate: float  # its frequency, 2 pi divided by the period [rad/s]
     torque: float  # its amplitude [N m]
     angle: float  # amplitude of the angle that the torque causes [rad]; k / (I w^2) far above a resonance
     label: str  # the case

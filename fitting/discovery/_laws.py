@@ -5,7 +5,7 @@
 1. All laws of the grammar, each at many values of its shape constants, are scored together about the base
    (`_score`: matrix products). Null data are searched in the same way. The smallest p-value of all laws in each null
    data set calibrates the family-wise p-value, so this p-value accounts for the number of laws.
-2. The laws of the highest scores are refitted with the base. A law of a few per cent of the torque changes the motion
+2. The laws with the highest scores are refitted with the base. A law of a few per cent of the torque changes the motion
    by more than the noise. Therefore all laws are scored again about the best refit, with its law removed from the
    model:
 
@@ -22,7 +22,7 @@
 
    where x and y are their predictions of the rows, and M projects out the nuisance parameters. Such formulas are
    grouped. The groups show how many torques the data cannot separate, and how many formulas describe each torque.
-4. If the best fit has a significant lack of fit, a second law is searched in the same way about it.
+4. If the best fit has a significant lack of fit, a second law is searched for in the same way, starting from it.
 
 An effect of the library that describes the data as well as a law is named first. A shared parameter of the base is also
 named first if separate values in the recordings describe the data better than any law.
@@ -103,8 +103,9 @@ more cost time and change little."""
 _POINTS = 1000
 """Points of a curve along the motion [1]. Chosen: fewer blur narrow laws, more cost time."""
 _COMPARABLE_SHARE = 0.8
-"""Fall of deviance, over that of the best law, above which an effect of the library is fitted at the same noise [1].
-Chosen: a smaller value costs time, a larger one names a formula although a known effect describes the data as well."""
+"""Fall of deviance, divided by that of the best law, above which an effect of the library is fitted at the same noise
+[1]. Chosen: a smaller value costs time, a larger one names a formula although a known effect describes the data as
+well."""
 _EXPLAINED_TIE = 0.01
 """Difference of explained shares below which two variables count as equal [1]. Chosen: a smaller value prefers one by
 chance, a larger one hides the better one."""
@@ -118,8 +119,8 @@ _STEPS = 8
 """Steps of the progress bar [1]. Chosen: the usual number of searches and refits; another value makes the bar jump or
 stop before its end."""
 _RANK = 1e-9
-"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
-rounding, a larger one ignores some nuisance columns."""
+"""Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one ignores some nuisance columns."""
 
 
 @dataclass(frozen=True)

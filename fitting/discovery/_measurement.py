@@ -41,8 +41,8 @@ _LEVELS = 21
 """Trial standard deviations of the start times, over two decades [1]. Chosen: fewer make the mean likelihood coarse,
 more cost time."""
 _REFITS = 3
-"""Fits with starts of a more and more accurate uncertainty at most [1]. Chosen: the second corrects what the bent base
-has spoiled; fewer leave its size, more cost time."""
+"""Largest number of fits with increasingly accurate uncertainties of the starts [1]. Chosen: the second fit corrects
+the bias of the base; fewer leave its size, more cost time."""
 _SAME_SIZE = math.log(2.0)
 """Change of the logarithm of the size of the start errors below which the fit is not repeated [1]. Derived: the size of
 n errors is known to 1 / sqrt(2 n), 40 % of three; a smaller value repeats fits that do not differ."""
@@ -127,10 +127,10 @@ class StartErrors:
     def refit(self) -> tuple[Fit | None, StartErrors]:
         """Return the fit with starts of the uncertainty `u`, and the errors about its parameters.
 
-        Errors of the starts bend the parameters of the base. An error that is common to all windows resembles a change
-        of friction, so its linear estimate about such a base may be wrong by many standard uncertainties (measured:
-        72 +- 9 ms for 1 ms). About the refit, errors and their size `u` are estimated again, and the fit is repeated
-        with this size while the size changes. The fit is None, and the errors are these, if the first refit fails.
+        Errors of the starts bias the parameters of the base. An error that is common to all windows resembles a change
+        of friction, so its linear estimate about such a base may be wrong by many standard uncertainties (measured: 72
+        +- 9 ms for 1 ms). About the refit, errors and their size `u` are estimated again, and the fit is repeated with
+        this size while the size changes. The fit is None, and the errors are these, if the first refit fails.
         """
         refitted, found, u = None, self, self.u
         for _ in range(_REFITS):

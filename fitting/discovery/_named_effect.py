@@ -78,7 +78,8 @@ _RANK = 1e-4
 absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: as in
-`fitting.discovery._lack_of_fit`; a smaller value projects out rounding, a larger one ignores some free columns."""
+`fitting.discovery._lack_of_fit`; a smaller value projects out rounding errors, a larger one ignores some free
+columns."""
 _TINY = 1e-300
 """Smallest mean square torque by which a square is divided [1]. Derived: it avoids a division by zero and is below any
 other square."""
@@ -191,8 +192,8 @@ def _limit(response: Array, square: float, criteria: Criteria) -> float:
     """Return the rms deviation, as a share of the torque, that is detected with 90 % probability.
 
     `response` contains the responses to the piecewise linear functions of the knots. `square` is the sum of squares of
-    their torques over that of the torque of the effect. The limit is the rms at which nine in ten random deviations
-    have a noncentrality that the smooth test detects with 90 % probability.
+    their torques divided by that of the torque of the effect. The limit is the rms at which nine in ten random
+    deviations have a noncentrality that the smooth test detects with 90 % probability.
     """
     from scipy.special import chdtri, chndtrinc
 

@@ -172,7 +172,7 @@ class _Criterion:
         value = float(np.mean(np.minimum(np.log(after / self._before), _CAP)))
         if not self._rivals:
             return value
-        # a separation of zero may be slightly negative by rounding
+        # a separation of zero may be slightly negative by rounding errors
         now, then = (max(0.0, min(self.separation(x), self._enough)) for x in (self._present, total))
         return value + math.log((1 + then) / (1 + now)) if math.isfinite(then) else value
 

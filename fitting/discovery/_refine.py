@@ -45,8 +45,8 @@ _SEARCHES = 3
 """Largest number of searches for changepoints of cases whose process noise remains high [1]. Chosen: fewer leave cases
 with a wrong time, more cost time."""
 _RANK = 1e-7
-"""Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
-a larger one ignores some free columns."""
+"""Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one ignores some free columns."""
 
 
 def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
@@ -62,7 +62,7 @@ def has_less_process_noise(fit: Fit, than: Fit, criteria: Criteria) -> bool:
 
 
 def has_model_noise(found: Fit) -> bool:
-    """Return whether a fit has more random torque than the recording, which may absorb a lack of fit."""
+    """Return whether a fit has more random torque than the recording; this random torque may absorb a lack of fit."""
     return any(n.raised for n in found.noise)
 
 
@@ -70,8 +70,8 @@ def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
     """Return a fit, or its refit at the lowest process noise of the recordings if that describes the data better.
 
     If process noise absorbs an error in the shape of a law, the deviance has no gradient in the shape. Oscillations are
-    excluded: they were fitted period by period, so the motion is not in a wrong minimum, and with little noise a search
-    that slips by half a period does not converge.
+    excluded. They were fitted period by period, so the fit is not in a wrong minimum; with little noise, a search that
+    slips by half a period would not converge.
     """
     if not has_model_noise(found) or not are_smooth(d.motion for d in found.problem.data):
         return found
@@ -138,7 +138,7 @@ def _changed(fit: Fit, theta: Array) -> dict[str, float]:
 
 
 def _best_time(fit: Fit, index: int, place: int) -> float:
-    """Return the time of least cost in the neighbourhood of a changepoint, the parameter with index `place` [s]."""
+    """Return the time [s] of least cost in the neighbourhood of the changepoint with the parameter index `place`."""
     case, project = fit.problem.cases[index], fit.problem.projections[index]
     first, last = case.data.record.span
     now = float(fit.theta[place])
@@ -172,9 +172,9 @@ def scores_mislead(base: Fit, criteria: Criteria) -> bool:
 
 
 def is_far_from_the_motion(base: Fit, criteria: Criteria) -> bool:
-    """Return whether a model fails because it holds a body that moves, or has no law of a joint of two bodies.
+    """Return whether a model fails because it keeps a moving body at rest, or lacks a law for a joint.
 
-    Oscillating bodies, which friction holds again and again, are excluded.
+    Oscillating bodies, which friction repeatedly stops, are excluded.
     """
     if base.model.restoring or not base.fails(criteria):
         return False
@@ -187,9 +187,9 @@ def is_far_from_the_motion(base: Fit, criteria: Criteria) -> bool:
 def replaced_laws(base: Fit, effect: Effect) -> list[str]:
     """Return the laws of a base that an effect replaces, by name.
 
-    Such a law and the effect are the same torque up to the sign while no body turns back (`Effect.equivalent`), and its
-    strength in the base is at a bound: dry friction of a body that a constant torque drives. Together with
-    the effect, only their sum would be determined.
+    While no body reverses, such a law and the effect are the same torque except for its sign (`Effect.equivalent`). The
+    strength of the law in the base is at a bound, for example dry friction of a body driven by a constant torque.
+    Together with the effect, only their sum would be determined.
     """
     found = []
     for law in base.model.effects if effect.equivalent else ():
@@ -356,7 +356,7 @@ _JUMP = re.compile(r"heaviside\(t - (\w+)\)")
 
 
 def with_shape_parameter(effect: Effect) -> Effect | None:
-    """Return a law of the library whose fixed shape constant is a parameter; None if it has no such constant.
+    """Return a law of the library with its fixed shape constant as a parameter; None if it has no such constant.
 
     The parameter of a power of a speed is its exponent n. A step at t0 becomes (1 + tanh((t - t0) / w)) / 2 with the
     width w.

@@ -9,11 +9,12 @@ fit. R is the unmodelled torque of the most complete fit; it is zero unless its 
 where <> is the mean over the record, the bodies and the cases. A law of an angle enters by its amplitude k:
 <(k sin(n psi - phi))^2> = k^2 / 2.
 
-There are three exceptions. A named law that does not depend on an angle is compared with the slow torques only, because
-angles measured once per turn do not determine torques of the angle, whose estimates are then large; the message states
-these torques separately. If a second effect is not determined, the unmodelled torque of the fit with the named effect
-alone is the better estimate of the remainder; the smaller of both estimates counts. If the named law differs from the
-fit only in a shape constant, and the base absorbs most of the law, the torque of the law itself replaces U.
+There are three exceptions. A named law that does not depend on an angle is compared with the slow torques only: angles
+measured once per turn do not determine angle-dependent torques, and their estimates are large. The message states
+angle-dependent torques separately. If a second effect is not determined, the unmodelled torque of the fit with the
+named effect alone is the better estimate of the remainder; the smaller of the two estimates is used. If the named law
+differs from the fit only in a shape constant, and the base absorbs most of the law, the torque of the law itself
+replaces U.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class Remainder:
     torque_rms_Nm: float  # of the body with the larger rms torque [N m]
     share: float  # of the mean square unmodelled torque (0-1)
     p_value: (
-        float  # the smaller of a likelihood ratio of its parameters and the p-values of the lack-of-fit tests
+        float  # smallest p-value of the likelihood ratio test of its parameters and of the lack-of-fit tests
     )
     sentence: str  # its size, and the variable on which it depends
 
@@ -123,9 +124,9 @@ class Torques:
         self.unmodelled[case][0][self._mechanism.bodies.index(curve.body)] += added
 
     def remaining(self, named: Fit, *, slow: bool = False) -> tuple[float, float]:
-        """Return the unexplained share of the mean square torque, and the larger unexplained rms of a body [N m].
+        """Return the unexplained share of the mean square torque, and the largest unexplained rms of a body [N m].
 
-        With `slow`, torques of the angle are excluded.
+        With `slow`, angle-dependent torques are excluded.
         """
         explained = self._difference(named)
         whole, bodies = np.zeros((2, len(self._mechanism.bodies)))
@@ -143,7 +144,7 @@ class Torques:
         return float(bodies.sum() / whole.sum()), float(np.sqrt(bodies.max()))
 
     def of_angle(self, named: Fit) -> float:
-        """Return the rms of the unexplained torques of the angle [N m], of the body with the larger one."""
+        """Return the rms of the unexplained angle-dependent torques [N m] on the body where it is largest."""
         bodies = np.zeros(len(self._mechanism.bodies))
         explained = self._difference(named)
         for (_, harmonics), (_, fitted) in zip(self.unmodelled, explained, strict=True):
@@ -155,8 +156,9 @@ class Torques:
     def shape_error(self, law: Effect, freed: Effect, fit: Fit) -> tuple[float, float, float]:
         """Return the size of the difference between a law with a free shape and the optimally scaled library law.
 
-        The three numbers are the mean square of the difference over that of the unmodelled torque, over that of the law
-        with the free shape, and the rms of the difference [N m]. `fit` has the parameters of the law with a free shape.
+        The first two numbers are the mean square of the difference, divided by that of the unmodelled torque and by
+        that of the law with the free shape. The third is the rms of the difference [N m]. `fit` has the parameters of
+        the law with a free shape.
         """
         total, own, unexplained, bodies = 0.0, 0.0, 0.0, np.zeros(len(self._mechanism.bodies))
         for case, t in enumerate(self._time):
@@ -190,7 +192,8 @@ class Torques:
         t, path = self._time[case], self._end.predictions[case].path
         fitted = fit.predictions[case].path
         motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
-        # speeds and deflection are those of the common motion; other states, for example a temperature, are of the fit
+        # speeds and deflection are those of the common motion; other states, for example a temperature, come from the
+        # fit
         for i, name in enumerate(fitted.states[: y.shape[1]]):
             if i < len(self._inertias):
                 y[:, i] = motion[:, i]
@@ -214,10 +217,11 @@ def _mean_square(curves: Sequence[ResidualTorque]) -> float:
 def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
     """Return times [s] and unmodelled torque [N m] of an oscillation whose phase a model does not describe; else None.
 
-    At the angular frequency w, torques per moment of inertia of amplitudes 2 w a' (in quadrature with the deflection)
-    and 2 w A p' (in phase) cause the residuals a of the amplitude A and p of the phase. A torque estimated from the
-    residuals of the angle would contain the deflection times the error of the phase. None also if the fit does not fail
-    grossly, if the body does not oscillate, or if the averaged equations do not describe the phase.
+    Let a be the residual of the amplitude A, p that of the phase, and w the angular frequency. The residuals are caused
+    by torques per moment of inertia with the amplitudes 2 w a' (in quadrature with the deflection) and 2 w A p' (in
+    phase). A torque estimated from the residuals of the angle would contain the deflection times the error of the
+    phase. The result is also None if the fit does not fail grossly, the body does not oscillate, or the averaged
+    equations do not describe the phase.
     """
     data = end.problem.data[case]
     if not end.model.restoring or not fails_grossly(data, end.predictions[case], end.noise[case]):
@@ -253,10 +257,10 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
 class Grade:
     """The size of an answer: form, explained share, remainder, and the rivals that explain the same share.
 
-    `form` is "exact", "approximate", or None if the form is not established. `unknown` is a speed: a law of this speed
-    outside the library describes the data better than the named effect. `test` is the power of the form test. If form
-    and remainder are None, the residuals are consistent with noise, but the form is not established; `noisy` states the
-    reason that the fit needs more process noise than the recording shows.
+    `form` is "exact", "approximate", or None if the form is not established. `unknown` is the speed whose smooth law
+    describes the data better than the named effect; empty if there is none. `test` is the power of the form test. If
+    form and remainder are None, the residuals are consistent with noise, but the form is not established. With `noisy`,
+    the reason is that the fit needs more process noise than the recording shows.
     """
 
     form: str | None
@@ -344,8 +348,8 @@ def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:
 
 _NO_TORQUE = 1e-12
 """Share of the mean square torque below which the named effect and the most complete fit have the same torque [1].
-Chosen: at the rounding of the difference; a larger value calls small remainders equal, a smaller one compares
-rounding."""
+Chosen: the rounding error of the difference; a larger value treats small remainders as zero, a smaller one compares
+rounding errors."""
 
 
 def grade(
@@ -390,7 +394,8 @@ def grade(
     )
     for e in free if not others else []:
         of_unmodelled, of_law, difference = torques.shape_error(_named(selection, e.name), e, end)
-        # the fit with the wrong shape may be in another minimum; then the law is closer to the data than its fit
+        # the fit with the wrong shape may be in another minimum; the law with the free shape is then the better
+        # reference
         share, rms = unexplained = min(unexplained, (of_unmodelled, difference))
         if not significant and of_law <= 1 - criteria.explained < share:
             # if the base absorbs most of the law, a small deviation of the law is a large part of the remainder
@@ -401,7 +406,7 @@ def grade(
     parts += [f"second effect {'; '.join(str(end.name(n)) for n in others)}"] if others else []
     of_angle = torques.of_angle(selection.named) if slow else 0.0
     if of_angle > 0:
-        parts.append(f"a torque of the angle of {format_torque(of_angle, unit=base.torque_unit)} rms")
+        parts.append(f"an angle-dependent torque of {format_torque(of_angle, unit=base.torque_unit)} rms")
     p = _likelihood_ratio(selection.named, end)
     if significant:
         found = doubt if doubt is not None else smooth_test(end)
@@ -458,9 +463,7 @@ def _complete(
     best, speed = min(laws, key=lambda item: item[0].bic, default=(named, ""))
     if best.bic < named.bic - criteria.shape_evidence:
         share, rms = Torques(base, best, residual=False).remaining(named)
-        words = (
-            f"Remainder {format_torque(rms, unit=base.torque_unit)} rms: a law of {speed} of another form."
-        )
+        words = f"Remainder {format_torque(rms, unit=base.torque_unit)} rms: the torque is another function of {speed}."
         p_value = _likelihood_ratio(named, best)
         return Grade(None, 1 - share, Remainder(rms, share, p_value, words), unknown=speed, test=tested)
     width = criteria.equivalence_width
@@ -495,16 +498,16 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
 
 
 _POWER_OF_SPEED = {"camera.shutter": 1, "camera.blur": 2}
-"""Power of the speed by which the amplitude of a camera error becomes an angle [1]. Derived: the laws of these effects
-in the library."""
+"""Power of the speed by which the amplitude of a camera error is multiplied to obtain an angle [1]. Derived: the laws
+of these effects in the library."""
 
 
 def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     """Return the amplitudes of the nuisance camera effects of each case.
 
-    Generalised least squares with the noise of the tests estimates the columns of the cameras (with their priors)
-    together with the free parameters. An amplitude is the root of the sum of the squares of the cosine and sine
-    coefficients; its p-value is that of a chi-square with two degrees of freedom.
+    The amplitudes (with their priors) and the free parameters are estimated together by generalised least squares, with
+    the noise of the tests. An amplitude is the root of the sum of the squares of the cosine and sine coefficients; its
+    p-value is that of a chi-square with two degrees of freedom.
     """
     from fitting.effects._library import LIBRARY
 

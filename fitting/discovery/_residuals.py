@@ -68,11 +68,11 @@ def whiteness(fit: Fit) -> list[Whiteness]:
 
 
 _SHARE = 1 / 30
-"""Correlation time of the unmodelled torque over the length of the record [1]. Chosen: a smaller value follows noise, a
-larger one blurs failing intervals."""
+"""Correlation time of the unmodelled torque, divided by the length of the record [1]. Chosen: a smaller value follows
+noise, a larger one blurs failing intervals."""
 _FLOOR = 3e-3
 """Smallest standard deviation of the unmodelled torque, over its prior value [1]. Chosen: it prevents negative
-variances by rounding; a larger value hides well-determined torques, a smaller one shows rounding."""
+variances by rounding errors; a larger value hides well-determined torques, a smaller one shows rounding errors."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,7 +123,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
     for body in (b.part for b in data.record.bodies):
         mean = level**2 * cross[body].T @ weighted
         reduction = level**4 * np.einsum("ic,ij,jc->c", cross[body], inverse, cross[body], optimize=True)
-        # where the data determine the torque almost completely, the difference of variances is rounding
+        # where the data determine the torque almost completely, the difference of variances is rounding error
         sigma = np.sqrt(np.maximum(level**2 - reduction, (_FLOOR * level) ** 2))
         if body == data.record.mechanism.main and holds_moving_body(fit, index):
             y[:, MAIN], mean, u = _of_the_measured_motion(fit, index, response.centres, y, time)
@@ -194,8 +194,8 @@ def _inverse_without_nuisance(covariance: Array, nuisance: Array) -> Array:
 
 
 _RANK = 1e-6
-"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
-rounding, a larger one ignores some nuisance columns."""
+"""Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one ignores some nuisance columns."""
 
 _BAND = 1.96
 """Distance of the torque from zero within which an interval ends [standard deviations]. Derived: quantile 0.975 of the

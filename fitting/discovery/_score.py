@@ -52,8 +52,8 @@ _ABSORBED = 1e-7
 """Share of a column orthogonal to the free columns of the base, before whitening, below which the base absorbs it [1].
 Chosen: a smaller value scores rounding, a larger one drops weakly determined effects."""
 RANK = 1e-10
-"""Relative singular value below which a direction of the free columns is rounding [1]. Chosen: a smaller value projects
-out rounding, a larger one ignores some free columns."""
+"""Relative singular value below which a direction of the free columns is rounding error [1]. Chosen: a smaller value
+projects out rounding errors, a larger one ignores some free columns."""
 _SEED = 7
 """Seed of the null data sets [1]. Chosen: any value makes p-values reproducible; another one changes them within their
 error."""

@@ -144,7 +144,7 @@ def rank(
     refitting: bool = True,
     workers: WorkerPool | None = None,
 ) -> list[Candidate]:
-    """Return all candidates for a fit, best first; without `refitting` the score test alone ranks.
+    """Return all candidates for a fit, best first; without `refitting`, they are ordered by the score test alone.
 
     `extra` are effects of the user, in addition to the library; `workers` run some of the refits.
     """
@@ -260,8 +260,8 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
 
 
 _DRIVE_ERROR = 0.5
-"""Ratio of the rms residual speeds with and without a law of a recorded input below which the input drives the body
-[1]. Chosen: a larger value mistakes a chance correlation for a drive, a smaller one overlooks weak drives."""
+"""Largest ratio of the rms residual speeds with and without a law of a recorded input for which the input drives the
+body [1]. Chosen: a larger value mistakes a chance correlation for a drive, a smaller one overlooks weak drives."""
 
 
 def needed_drives(base: Fit, effects: Sequence[Effect]) -> set[str]:
@@ -328,7 +328,7 @@ def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
 
 
 def _to_refit(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]:
-    """Return which candidates, sorted by score, to refit."""
+    """Return a mask of the candidates, sorted by score, that are to be refitted."""
     chosen, count, best_score = [], 0, None
     significant = any(c.significant for c in candidates)
     for c in candidates:
@@ -379,8 +379,8 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
 def _noisier_rivals(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
     """Return the rivals of the candidate with the lowest BIC whose refits have clearly more process noise.
 
-    The deviance may have two minima in the level of the noise; a search that ends at the higher one ranks a law behind
-    another one of similar shape.
+    The deviance may have two minima in the level of the noise; if a search ends at the higher minimum, the law is
+    wrongly ranked behind another law of similar shape.
     """
     fits = {c.effect.name: c.fit for c in found if c.fit is not None and c.significant}
     leader = min((c for c in found if c.effect.name in fits), key=lambda c: c.delta_bic, default=None)
@@ -397,7 +397,7 @@ def _noisier_rivals(found: Sequence[Candidate], criteria: Criteria) -> list[Cand
 
 
 def _at_lowest_noise(base: Fit, promising: _Promising) -> Candidate:
-    """Return a candidate with its refit searched again at the lowest process noise, if that is better."""
+    """Return a candidate, refitted again at the lowest process noise if this describes the data better."""
     fitted = promising.candidate.fit
     end = None if fitted is None else at_lowest_noise(fitted, promising.criteria)
     return promising.candidate if end is None or end is fitted else _with_fit(base, promising, end)
@@ -411,7 +411,7 @@ def _with_fit(base: Fit, promising: _Promising, found: Fit) -> Candidate:
     common = None if screened.own_phase else with_common_values(base, screened, found)
     if common is not None:
         if common.deviance < found.deviance:
-            # a fit with per-case values that is worse than with common values is a failed search
+            # a fit with per-case values that is worse than the fit with common values did not reach its minimum
             found = with_values_per_case(base, screened, found, common)
             delta_bic, p = found.bic - base.bic, null(base.deviance - found.deviance)
         delta_bic = min(delta_bic, common.bic - base.bic)
@@ -441,8 +441,8 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
 
 
 _TIE = 1
-"""Decimal places of BIC for the order of candidates [1]. Chosen: fewer order different laws as the library does, more
-order equal laws by rounding."""
+"""Decimal places of BIC for the order of candidates [1]. Chosen: with fewer, different laws are in the order of the
+library; with more, equal laws are ordered by rounding errors."""
 
 
 def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
@@ -456,7 +456,7 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
                 -c.score + (c.screened.columns + len(c.screened.shape[0])) * criteria.equivalence_width
             )
         penalised += 0.0 if c.physical else criteria.measurement_penalty
-        # laws that are equal in a recording differ by rounding; the more common one is first in the library
+        # laws that are equal in a recording differ by rounding errors; the more common one is first in the library
         return (not c.significant, round(penalised, _TIE), place.get(c.effect.name, len(place)))
 
     def indistinguishable(a: Candidate, b: Candidate) -> bool:
@@ -508,7 +508,7 @@ def best(candidates: Sequence[Candidate], criteria: Criteria = DEFAULT) -> Candi
 
 
 def reason_undetermined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
-    """Return the reason why the strength of an effect is not determined, as a sentence; empty if it is."""
+    """Return the reason why the strength of an effect is not determined, as a sentence; empty if it is determined."""
     name, amplitude = effect.name, effect.amplitude
     if not fit.converged:
         return f"The fit with {fit.name(effect)} did not converge"
@@ -520,10 +520,10 @@ def reason_undetermined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
 
 
 def needed_evidence(effect: Effect, fit: Fit, criteria: Criteria) -> float:
-    """Return the decrease of BIC that is required for adding an effect in the recordings of a fit.
+    """Return the decrease of BIC that is required for adding an effect to a fit.
 
-    Tracking errors are periodic in the turns of casing and rotor and in their beats, so on film a periodic law needs
-    more evidence.
+    Tracking errors are periodic in the turns of casing and rotor and in their beats, so a periodic law needs more
+    evidence if the data were measured on film.
     """
     tracked = any(d.record.tracked for d in fit.problem.data)
     periodic = tracked and effect.kind == "physical" and effect.periodic
@@ -598,8 +598,8 @@ class Step:
 class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table.
 
-    `stopped` is the reason for an early end: the message of a failed fit, or information on the data that is missing.
-    `trace` lists every fit of the search, including failed ones.
+    `stopped` is the reason for an early end: the message of a failed fit, or a statement that information on the data
+    is missing. `trace` lists every fit of the search, including failed ones.
     """
 
     stopped: str = ""
@@ -614,7 +614,7 @@ class History(list[Step]):
         return "\n".join(lines)
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the error of each step, in a new figure with the cross-validation error, or in `ax`."""
+        """Draw the error of each step in `ax`, or in a new figure that also shows the cross-validation error."""
         changes = [s.words for s in self]
         body = self[0].fit.problem.data[0].record.body
         rms, name = [s.fit.rmse_casing for s in self], f"rms residual of the {body} [rad/s]"
@@ -670,7 +670,7 @@ def select(
     workers: WorkerPool,
     known: Sequence[Step] = (),
 ) -> Selection:
-    """Return the effect to add to a fit, and the fit with this effect and any further freedom that it needs.
+    """Return the effect to add to a fit, and the fit with this effect and any further parameters that are needed.
 
     `known` is the history of an earlier `improve` of the same fit; its first steps are reused if it added the same
     effect.
@@ -727,8 +727,9 @@ def _superseding(
 ) -> Candidate | None:
     """Return the effect that made the chosen one unnecessary; None if the most complete fit contains the chosen one.
 
-    The scores of a base that is far from the motion mislead; a second effect then describes the data without the first
-    one. The result is the first effect that was alone in a step of the history and that the last step contains.
+    If the base does not describe the motion, scores are misleading, and the second effect may describe the data without
+    the first one. The result is the first effect that was alone in a step of the history and that the last step
+    contains.
     """
     last = history[-1].fit.model.names
     for step in history[1:] if chosen.effect.name not in last else ():
@@ -759,7 +760,7 @@ def _refined(found: Fit, criteria: Criteria) -> Fit:
 def _with_free_shape(
     found: Fit, chosen: Candidate, following: Sequence[Candidate], criteria: Criteria
 ) -> Fit | None:
-    """Return the fit with a free shape constant of the newest law, if its BIC is lower than with another effect."""
+    """Return the fit with a free shape constant of the newest law, if BIC is lower than with another effect instead."""
     if chosen.effect not in found.model.effects:
         return None
     general = with_free_shape(found, chosen.effect, criteria)
@@ -802,7 +803,7 @@ def improve(
     keep: Callable[[Step], object] | None = None,
     exchange: bool = True,
 ) -> History:
-    """Add the best effect while one is significant, free its shape constant if needed, drop what is not needed.
+    """Add the best effect while any is significant, free its shape constant if needed, and drop unnecessary effects.
 
     Finally exchange an added effect for one or two others while this lowers BIC.
 
@@ -880,7 +881,8 @@ def _improved(
             break
         if chosen.effect is START:
             history.stopped = (
-                "errors of the starts of the rotor windows explain it; state them with `import --start-u`"
+                "errors of the starts of the rotor windows explain the residuals; "
+                "state their uncertainty with `import --start-u`"
             )
             break
         if _may_be_random(history, chosen, chosen.fit, criteria):
@@ -938,7 +940,7 @@ def _steps(
 def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, criteria: Criteria) -> bool:
     """Return whether a random torque describes the data as well as a further effect, for a fit without a lack of fit.
 
-    The diagnosis tests the first effect, and a random torque does not explain a lack of fit. Oscillations are excepted.
+    The first effect is excluded, because the diagnosis tests it. Oscillations are excluded.
     """
     before = history[-1].fit
     first = before.model.names == history[0].fit.model.names
@@ -952,8 +954,8 @@ def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, crite
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
     """Drop effects that the newest effect makes unnecessary.
 
-    If many were added, the model is fitted without each of them: several wrong effects can imitate a right one added
-    last.
+    If many were added, the model is fitted without each of them in turn, because several wrong effects can imitate a
+    right effect that is added last.
     """
     newest = history[-1]
     change, current = newest.change, newest.fit
@@ -986,8 +988,8 @@ def _without(fitted: Fit, effect: Effect) -> Fit:
 
 
 _EXCHANGES = 3
-"""Largest number of refits of exchanges for one step [1]. Chosen: fewer rely on the order of first order, more cost
-time."""
+"""Largest number of refits of exchanges for one step [1]. Chosen: fewer rely on the ranking by linearised fits, more
+cost time."""
 
 
 def _exchanged(history: Sequence[Step], extra: Sequence[Effect], criteria: Criteria) -> Step | None:
@@ -1034,7 +1036,7 @@ cost time, with one the spread of the scores is undefined."""
 
 
 def needs_search(effect: Effect) -> bool:
-    """Return whether chi-square has many minima: the effect has a frequency or a changepoint."""
+    """Return whether chi-square has many minima because the effect has a frequency or a changepoint."""
     roles = {p.role for p in effect.parameters}
     return {"phase", "shape"} <= roles or bool(effect.breakpoint)
 

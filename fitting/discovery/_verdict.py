@@ -349,7 +349,8 @@ def _with_findings(found: Diagnosis) -> Diagnosis:
 def slipped(fit: Fit, slips: Sequence[Slip]) -> Candidate:
     """Return slipped turns as a candidate.
 
-    The score is half the sum of squares of the steps of 2 pi turns, each over the smallest white noise of a sample.
+    The score is half the sum of squares of the steps of 2 pi turns, each divided by the smallest white noise of a
+    sample.
     """
     sigma = min(
         r.scale * float(np.median(r.samples.sigma)) for d in fit.problem.data for r in (d.casing, *d.rotor)
@@ -833,7 +834,7 @@ _PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
 
 
 def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Criteria) -> list[str]:
-    # an unmodelled torque of the angle changes the fitted camera effects, so their values are not reported
+    # an unmodelled angle-dependent torque changes the fitted camera effects, so their values are not reported
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [

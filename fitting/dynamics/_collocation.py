@@ -52,20 +52,20 @@ _MAX_NEWTON = 25
 """Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; fewer stop too early,
 more delay the failure."""
 MAX_INTERVALS = 40_000
-"""Intervals at most [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays the
-failure of stiff ones."""
+"""Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
+the failure of stiff ones."""
 _SMALL = 1e-9
-"""Relative step of Newton's method after which the error is rounding [1]. Derived: convergence is quadratic, so the
-next step is about the square of this step."""
+"""Relative step of Newton's method after which the remaining error is rounding error [1]. Derived: convergence is
+quadratic, so the next step is about the square of this step."""
 _LARGEST_ERROR = 1e-13
 """Largest error after the last step, predicted from the convergence of the previous steps with a margin of ten [1].
-Chosen: a smaller value adds steps of the size of the rounding, a larger one stops before convergence."""
+Chosen: a smaller value adds steps of the size of rounding errors, a larger one stops before convergence."""
 _MEASURED = 1e-6
-"""Smallest previous step from which the convergence is measured [1]. Chosen: smaller steps contain rounding; a larger
-value uses too few steps."""
+"""Smallest previous step from which the convergence is measured [1]. Chosen: smaller steps contain rounding errors; a
+larger value uses too few steps."""
 _RESOLVED = 1e-14
-"""Truncation error below which an interval of twice the length is resolved as well [1]. Derived: `TOLERANCE` over the
-growth of the error, 2^9 and more, with a margin."""
+"""Truncation error below which an interval of twice the length is resolved as well [1]. Derived: `TOLERANCE` divided by
+the growth of the error, 2^9 and more, with a margin."""
 _FEWEST = 12
 """Smallest number of intervals of a coarsened mesh [1]. Chosen: fewer overlook changes between the nodes, more cost
 time."""
@@ -177,11 +177,11 @@ class Path:
     kinks: tuple[float, ...] = ()  # times at which a torque jumps [s]
     # saltation matrices of small deviations, by the index of the edge at which the casing stops or reverses
     jumps: dict[int, Array] = field(default_factory=dict)
-    # error of a Newton step over the square of the previous step, for solutions near this solution
+    # error of a Newton step divided by the square of the previous step, for solutions near this one
     newton_ratio: float = 1.0
     exact: bool = True  # True for a solution, False for the measured motion
     # smallest scale of the errors of a speed [rad/s]. In a stretch in which an oscillating casing hardly moves, its
-    # torques cancel, and errors relative to its own speed are rounding
+    # torques cancel, and errors relative to its own speed are rounding errors
     least_scale: float = 0.0
 
     @cached_property
@@ -519,8 +519,8 @@ _PARTS_OF_STEPS = (1, 4, 16, 64)
 """Trial numbers of Runge-Kutta steps between two nodes of the mesh [1]. Chosen: a motion that needs more steps is
 abandoned; a larger last value delays the failure of stiff motions."""
 _STABLE = 2.5
-"""Largest step of the Runge-Kutta method over the time constant of decay [1]. Derived: the method of order 4 is stable
-up to 2.8; the remainder is a margin."""
+"""Largest step of the Runge-Kutta method, divided by the time constant of decay [1]. Derived: the method of order 4 is
+stable up to 2.8; the remainder is a margin."""
 _SHORT_INTERVALS = 400
 """Number of edges above which each interval has a single step, with linear interpolation of the states [1]. Chosen: the
 intervals of such a mesh are short enough for Newton's method; a smaller value gives a poor initial solution, a larger

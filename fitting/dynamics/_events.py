@@ -50,7 +50,7 @@ from fitting.effects._mechanism import MAIN
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-10
-"""Relative speed below which a change of sign is rounding [1]. Derived: the truncation error of the motion,
+"""Relative speed below which a change of sign is rounding error [1]. Derived: the truncation error of the motion,
 `fitting.dynamics._collocation.TOLERANCE`."""
 _STOPPED = 1e-11
 """Share of the largest speed below which the casing is at rest [1]. Derived: rounding, below `ROUNDING`."""
@@ -318,7 +318,7 @@ class Segments:
     ) -> Path:
         """Return the path from the start of `span` until the casing comes to rest, or to the end of `span`.
 
-        The stop is first searched within `horizon` [s]: an oscillation with dry friction would otherwise be solved
+        The stop is first searched for within `horizon` [s]: an oscillation with dry friction would otherwise be solved
         beyond each of its reversals needlessly.
         """
         time, end = span
@@ -495,10 +495,10 @@ _LONGEST_BEGINNING = 0.3
 motion without its first reversal, a larger one extrapolates the first rate too far."""
 _SMALL = 1e-9
 """Relative change of the times below which Newton's method has converged [1]. Derived: convergence is quadratic, so the
-next change is rounding."""
+next change is rounding error."""
 _EXACT = 1e-13
-"""Relative change of the times that is rounding [1]. Derived: some hundred times the relative precision of a number,
-for sums over many reversals."""
+"""Relative change of the times that is rounding error [1]. Derived: several hundred times the relative precision of a
+number, for sums over many reversals."""
 _SLOW = 1e-3
 """Speed of an oscillating casing, relative to its largest speed, below which errors are not relative to the speed [1].
 Chosen: a smaller value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""

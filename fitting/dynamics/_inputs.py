@@ -30,11 +30,11 @@ MOST_CHANGES = 4000
 """Largest number of times at which an input changes value or slope [1]. Chosen: a smaller value averages over longer
 cells, a larger one costs time."""
 _ROUNDING = 1e-9
-"""Step of a held input, over its largest value, below which the step is rounding [1]. Chosen: a smaller value splits
-the integration at rounding errors, a larger one overlooks steps."""
+"""Step of a held input, over its largest value, below which the step is rounding error [1]. Chosen: a smaller value
+splits the integration at rounding errors, a larger one overlooks steps."""
 _ROUNDED = 1e-7
-"""Change of the next sample by a change of slope, over the range of the input, below which the change is rounding [1].
-Derived: eight digits of a number in a file, with a margin of ten."""
+"""Change of the next sample by a change of slope, over the range of the input, below which the change is rounding error
+[1]. Derived: eight digits of a number in a file, with a margin of ten."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -80,7 +80,7 @@ class Input:
         except (ExpressionError, AttributeError, TypeError):
             raise RecordError(
                 f"input {self.name}: {str(self.unit)[:20]!r} is not a unit",
-                "write for example A, V, N m, K or 1",
+                "write, for example, A, V, N m, K or 1",
             ) from None
         arrays = {"time": self.time, "value": self.value} | ({} if self.u is None else {"u": self.u})
         for name, values in arrays.items():

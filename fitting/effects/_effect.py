@@ -33,7 +33,7 @@ _BASE: dict[str, Dimension] = {
 unit here."""
 _TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|-?[a-z]))?$")
 _TOLERANCE = 1e-9
-"""Largest difference of exponents of units that is rounding [1]. Chosen: a smaller value refuses sums of decimal
+"""Largest difference of exponents of units that is rounding error [1]. Chosen: a smaller value refuses sums of decimal
 exponents, a larger one accepts wrong units."""
 
 
@@ -46,7 +46,7 @@ def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimen
     for token in unit.split():
         match = _TOKEN.match(token)
         if match is None or match[1] not in _BASE:
-            raise ExpressionError(f"{token!r} in {unit!r} is not a unit", "write for example: N m s2")
+            raise ExpressionError(f"{token!r} in {unit!r} is not a unit", "write, for example: N m s2")
         exponent = match[2] or "1"
         value = (exponents or {}).get(exponent.removeprefix("-"))
         sign = -1.0 if exponent.startswith("-") else 1.0

@@ -1,8 +1,8 @@
 """The laws of the library for the bodies and joints of a mechanism.
 
-The library writes each law once: of a body on the ground for the casing, of a joint for the bearing. Here they are
-written for every body and joint of a case, under its name: ``wheel.air.quadratic``, ``motor.support.constant``,
-``belt.linear``.
+The library contains each law once: a law between a body and the ground is written for the casing, a law of a joint for
+the bearing. Here they are written for every body and joint of a case, under its name: ``wheel.air.quadratic``,
+``motor.support.constant``, ``belt.linear``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fitting.effects._effect import Effect, State
 from fitting.effects._library import LIBRARY, find, unknown
 from fitting.effects._mechanism import GYROSCOPE, Coupling, Mechanism, angle_of, renamed, speed_of
 
-# beginnings of names in the library, and what follows the name of a body in their place
+# prefixes of names in the library, and the text that replaces them after the name of a body
 PLACES = (("touchpoint.", "support."), ("external.", "external."), ("casing.", ""))
 
 
@@ -42,7 +42,7 @@ def laws_of(mechanism: Mechanism) -> Mapping[str, Effect]:
 
 
 def find_law(name: str, mechanism: Mechanism) -> Effect:
-    """Return the law of this name for the bodies of a mechanism; otherwise an EffectError with the closest names."""
+    """Return the law of this name for the bodies of a mechanism; raise an EffectError with the closest names."""
     if mechanism == GYROSCOPE:
         return find(name)
     laws = laws_of(mechanism)
@@ -53,7 +53,7 @@ def find_law(name: str, mechanism: Mechanism) -> Effect:
 
 
 def law_of_main(pattern: str, mechanism: Mechanism) -> Effect:
-    """Return a law of the library, which is written for the casing, for the main body of a mechanism."""
+    """Return a law that the library writes for the casing, rewritten for the main body of a mechanism."""
     inner, outer = next(pair for pair in PLACES if pattern.startswith(pair[0]))
     name = pattern if mechanism == GYROSCOPE else f"{mechanism.main}.{outer}{pattern.removeprefix(inner)}"
     return laws_of(mechanism)[name]
@@ -77,7 +77,7 @@ def counterparts(name: str, mechanism: Mechanism) -> tuple[Effect, ...]:
 def _of_body(mechanism: Mechanism, body: str) -> Iterator[Effect]:
     """Yield the laws of a body on the ground; those of its angle only for the main body, whose angle was measured.
 
-    Springs are left out: a body oscillates alone.
+    Springs are left out, because only a single body may oscillate.
     """
     for law in LIBRARY.values():
         ground = law.joint == "casing" and law.bodies == {"casing"}
@@ -89,7 +89,7 @@ def _of_body(mechanism: Mechanism, body: str) -> Iterator[Effect]:
 
 
 def _of_joint(mechanism: Mechanism, joint: Coupling) -> Iterator[Effect]:
-    """Yield the laws of a joint; the load of the bearing by the rotor becomes that by the first body."""
+    """Yield the laws of a joint; the first body loads the joint as the rotor loads the bearing."""
     names = {"delta": joint.delta, "tau": joint.tau, "omega_r": speed_of(joint.first)}
     for law in LIBRARY.values():
         if law.joint == "bearing" or (law.joint == "factor" and law.kind == "physical"):
@@ -98,7 +98,7 @@ def _of_joint(mechanism: Mechanism, joint: Coupling) -> Iterator[Effect]:
 
 
 def _written(law: Effect, mechanism: Mechanism, name: str, place: str, names: Mapping[str, str]) -> Effect:
-    """Return a law with other symbols; states of a law have the name of its place, so that several can be fitted."""
+    """Return a law with other symbols; the names of its states contain the place, so several laws can be fitted."""
     names = {**names, **{s.symbol: f"{s.symbol}_{place}" for s in law.states}}
 
     def state(old: State | None) -> State | None:
@@ -112,6 +112,6 @@ def _written(law: Effect, mechanism: Mechanism, name: str, place: str, names: Ma
 
 
 def in_words(text: str, place: str) -> str:
-    """Return a text about the casing or the bearing as one about a body or a joint."""
+    """Return a text with the casing or the bearing replaced by the name of a body or joint."""
     text = text.replace("at the touch point", f"of the {place}'s support")
     return re.sub(r"\b(casing|bearing)\b", place, text.replace("touch point", "support"))

@@ -102,7 +102,7 @@ def formula(
     if not own:
         main = mechanism.main
         raise EffectError(
-            f"the law {law!r} has no parameter to fit", f"write for example: {main}: -k*{speed_of(main)}**3"
+            f"the law {law!r} has no parameter to fit", f"write, for example: {main}: -k*{speed_of(main)}**3"
         )
     _refuse_misspelt(expression, [s for s in own if s not in declared], body, known, mechanism)
     _refuse_product(expression, [s for s in own if s not in declared], known)
@@ -422,7 +422,7 @@ def resolve(
     """
     if not isinstance(text, str):
         raise EffectError(
-            f"a {type(text).__name__} is not an effect", "write for example casing: -k*omega_c**3"
+            f"a {type(text).__name__} is not an effect", "write, for example, casing: -k*omega_c**3"
         )
     known = units_of_inputs(inputs)
     body, colon, law = text.partition(":")

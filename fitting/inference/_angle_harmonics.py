@@ -1,9 +1,9 @@
 """Harmonics of the unmodelled torque in the angle of the casing.
 
-With the whitened response S of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2,
-and the residual, both orthogonal to the free columns (parameters, phases, the camera's centre offset, tilt, rolling
-shutter and blur) and to slow torques of any shape, because another lack of fit has harmonics in the few turns in which
-the casing is slow,
+Let S be the whitened response of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2, and r the whitened
+residual. Both are made orthogonal to the free columns (parameters, phases, the camera's centre offset, tilt, rolling
+shutter and blur). They are also made orthogonal to slow torques of any shape, because another lack of fit has harmonics
+in the few turns in which the casing is slow. Then
 
     gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
 """
@@ -30,8 +30,8 @@ _LAWS = ("casing.unbalance", "casing.asymmetry")
 _ANGLE_POINTS = 73
 """Points of a curve over one turn [1]. Chosen: steps of 5 degrees; fewer show corners, more make larger files."""
 _RANK = 1e-6
-"""Singular values, relative to the largest, below which a free direction is rounding [1]. Chosen: a smaller value
-projects out rounding, a larger one leaves a part of the free columns."""
+"""Singular values, relative to the largest, below which a free direction is rounding error [1]. Chosen: a smaller value
+projects out rounding errors, a larger one leaves a part of the free columns."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,7 +79,7 @@ class AngleHarmonics:
 
 
 class Solved(Protocol):
-    """The attributes of a `Fit` that the harmonics follow from."""
+    """The attributes of a `Fit` that determine the harmonics."""
 
     @property
     def model(self) -> Model: ...
@@ -92,7 +92,7 @@ class Solved(Protocol):
 
 
 def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
-    """Return the harmonics of each case of a fit; none where speeds do not determine it, or the body oscillates."""
+    """Return the harmonics of each case of a fit; none if speeds do not determine them, or the body oscillates."""
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
@@ -115,7 +115,7 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
         size = np.linalg.norm(rows[:, :-1], axis=0)
         rows = orthogonal_to(basis, rows)
         response, residual = rows[:, :-1], rows[:, -1]
-        # what is left of a torque that is in the model is rounding
+        # the remainder of a torque that is in the model is rounding error
         response[:, np.linalg.norm(response, axis=0) < _RANK * size] = 0.0
         turns = float(np.ptp(case.data.measured_angle)) / (2 * math.pi)
         covariance = np.linalg.pinv(response.T @ response, hermitian=True)

@@ -99,11 +99,11 @@ _ALL_BINS = 1500
 """Groups of samples of all blocks for noise periodic in the angle [1]. Chosen: fewer blur a turn in few blocks, more
 cost time and memory."""
 _LOWER_LEVELS = (0.1, 0.2, 0.4, 0.8)
-"""Trial levels of the exponential noise beside periodic noise, over the most likely one alone [1]. Chosen: two kinds
-share the variance, so it is lower; fewer pass over the maximum, more cost time."""
+"""Trial levels of the exponential noise in addition to periodic noise, divided by the most likely one alone [1].
+Chosen: two kinds share the variance, so it is lower; fewer pass over the maximum, more cost time."""
 _NEAR_LEVELS = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Trial levels of the periodic noise beside exponential noise, over the most likely one alone [1]. Chosen: fewer pass
-over the maximum, more cost time."""
+"""Trial levels of the periodic noise in addition to exponential noise, divided by the most likely one alone [1].
+Chosen: fewer pass over the maximum, more cost time."""
 
 
 @dataclass(frozen=True)
@@ -354,9 +354,9 @@ def profile_at(times: Array, sigma: float, profile: Sequence[tuple[float, float]
 def stated_harmonic_scale(run: Compressed, harmonic: float) -> Array:
     """Return the standard deviation of the rows of harmonics, (rows,), in units of their white noise.
 
-    An error of the angle that repeats with the turn changes with speed, blur and light: beside its constant part, which
-    is a nuisance parameter, each block has amplitudes of orders 1 and 2 with the standard deviation `harmonic` [rad],
-    as its higher orders do.
+    An error of the angle that repeats with the turn changes with speed, blur and light: in addition to its constant
+    part, which is a nuisance parameter, each block has amplitudes of orders 1 and 2 with the standard deviation
+    `harmonic` [rad], as its higher orders do.
     """
     k, found = run.lift.shape[1], [np.zeros(0)]
     for where, operator in run.operators:
@@ -496,13 +496,13 @@ _LONGEST = 3.0
 """Length of a block over the longest correlation time in the windows [1]. Chosen: slower noise is a polynomial; a
 smaller value estimates what the rows do not show, a larger one overlooks slow noise."""
 _RATIOS = np.geomspace(1e-3, 1e6, 91)
-"""Variances of angle noise over that of the white noise of a group [1]. Chosen: lower ones change nothing, higher ones
-do not occur; a coarser grid rounds the posterior mean."""
+"""Variances of angle noise divided by that of the white noise of a group [1]. Chosen: lower ones change nothing, higher
+ones do not occur; a coarser grid rounds the posterior mean."""
 _NEGLIGIBLE_SHARE = 1e-4
 """Share of the weight below which a correlation time is left out [1]. Derived: four digits of the covariance remain."""
 _RANK = 1e-7
-"""Relative singular value below which a direction is rounding [1]. Chosen: a smaller value counts rounding as motion, a
-larger one takes motion for noise."""
+"""Relative singular value below which a direction is rounding error [1]. Chosen: a smaller value counts rounding errors
+as motion, a larger one takes motion for noise."""
 _MEDIAN_CHI2 = 0.4549
 """Median of chi-square with one degree of freedom [1]. Derived: the square of quantile 0.75 of the standard normal
 distribution."""

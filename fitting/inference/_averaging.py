@@ -38,8 +38,8 @@ _DEGREE = 5
 """Degree of the polynomial between averaged points [1]. Chosen: a smaller value blurs the decay, a larger one
 oscillates at the ends."""
 _NEGLIGIBLE = 1e-6
-"""Share of the harmonics of a torque below which its averages vanish [1]. Chosen: a smaller value fits rounding, a
-larger one drops weak laws."""
+"""Share of the harmonics of a torque below which its averages vanish [1]. Chosen: a smaller value fits rounding errors,
+a larger one drops weak laws."""
 LARGEST_PHASE_ERROR = 0.7
 """Largest rms error of the phase with which a search over the whole record does not slip by a period [rad]. Chosen:
 well below half a period; a larger value starts searches at a wrong period, a smaller one refuses usable initial

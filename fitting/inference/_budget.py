@@ -48,11 +48,11 @@ three nodes."""
 _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
 """Weights of a quadrature rule for a normal distribution [1]. Derived: the Gauss-Hermite rule of three nodes."""
 _RANK = 1e-7
-"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
-rounding, a larger one leaves a part of the nuisance columns."""
+"""Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one leaves a part of the nuisance columns."""
 _ROUNDING = 1e-12
-"""Share of the total below which a contribution is rounding [1]. Chosen: a smaller value lists contributions that are
-zero, a larger one hides small ones."""
+"""Share of the total below which a contribution is rounding error [1]. Chosen: a smaller value lists contributions that
+are zero, a larger one hides small ones."""
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ class Case:
         if not names:
             raise RecordError(
                 "a case needs a body",
-                "write for example Case.from_arrays(wheel=dict(t=t, omega=omega, u=0.01))",
+                "write, for example, Case.from_arrays(wheel=dict(t=t, omega=omega, u=0.01))",
             )
         gyroscope = set(names) == set(_GYROSCOPE) and joints is None
         if len(names) > 1 and not gyroscope and not joints:
@@ -270,7 +270,7 @@ def model_of(effects: str | Sequence[str], record: Record) -> Model:
     if wrong or not names:
         raise EffectError(
             f"a {wrong} is not a law" if wrong else "a model needs a law",
-            'write for example "air.linear" or "casing: -k*omega_c**3"',
+            'write, for example, "air.linear" or "casing: -k*omega_c**3"',
         )
     if len(names) == 1 and names[0] in NAMED:
         return Model.of(names[0], record.mechanism).of_bodies(record.parts)
@@ -412,5 +412,5 @@ def _inputs(given: Any) -> list[Input]:
 
 def _text(what: str, value: object) -> str:
     if not isinstance(value, str):
-        raise RecordError(f"the {what} is a {type(value).__name__}, not a text", f'write {what}="..."')
+        raise RecordError(f"the {what} is a {type(value).__name__}, not a string", f'write {what}="..."')
     return value

@@ -409,7 +409,7 @@ class CaseData:
         return angles if self._shows_periodic_torque(angles) else angles[:, :0]
 
     def _shows_periodic_torque(self, responses: Array) -> bool:
-        """Return whether the angle contains the response to a torque of the angle in addition to harmonics of a camera.
+        """Return whether the angle contains the response to an angle-dependent torque as well as camera harmonics.
 
         The amplitude of the response decreases with the square of the speed; harmonics of a camera are constant, or
         increase with the speed.
@@ -962,8 +962,8 @@ _LONGEST_STEP = 1.0
 """Longest step of the integral of speeds from sample to sample [rad]. Chosen: a larger step does not resolve a harmonic
 of the angle, a smaller one excludes slow sensors."""
 _ROUNDING = 1e-7
-"""Smallest range of a harmonic of the angle that is more than rounding [1]. Chosen: a smaller value fits rounding, a
-larger one drops slowly turning bodies."""
+"""Smallest range of a harmonic of the angle that is more than rounding error [1]. Chosen: a smaller value fits rounding
+errors, a larger one drops slowly turning bodies."""
 
 
 def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:

@@ -26,7 +26,7 @@ def _error(what: str, hint: str) -> RecordError:
 
 
 def read_record(path: str | Path) -> Record:
-    """Read an HDF5 file of kind "case", layout version 1 or 2, or say why it cannot be read."""
+    """Read an HDF5 file of kind "case", layout version 1 or 2; a RecordError states why a file cannot be read."""
     reader = Reader(_error)
     with reader.open(Path(path), CASE) as file:
         stored = read_stored_case(file, reader)
@@ -77,12 +77,12 @@ def _record(path: Path, case: StoredCase) -> Record:
 
 
 def _windows(series: StoredSeries) -> list[Any]:
-    """Return masks of the samples of each window, one without samples if there are none."""
+    """Return a mask of the samples of each window; one empty mask if the series has no samples."""
     return [series.segment == w for w in np.unique(series.segment)] or [series.segment == 0]
 
 
 def _modes(series: StoredSeries, body: str, windows: Mapping[Any, Any]) -> Iterator[ErrorMode]:
-    """Yield the error modes of a series in each of its windows: masks of samples by their numbers in the record."""
+    """Yield the error modes of a series in each of its `windows`, masks of samples by number of the window."""
     measured = np.isfinite(series.time) & np.isfinite(series.value)
     for mode in series.modes:
         for number, window in windows.items():
@@ -107,7 +107,7 @@ def _input(path: Path, name: str, *, u: Any, **values: Any) -> Input:
 
 
 def _start_sigma(case: StoredCase, rotor: StoredSeries) -> list[float]:
-    """Return the uncertainty of each window's start on the casing's clock [s], of its camera or as stated; NaN if none.
+    """Return the uncertainty of the start of each window on the casing's clock [s]; NaN if it is not given.
 
     An imported case has no camera; its `start_u` applies to every window.
     """

@@ -34,8 +34,8 @@ _GAUSS = 3
 """Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; fewer lose accuracy in long cells, more cost
 time."""
 _PASSES = 20
-"""Largest number of iterations for a law that changes its own argument [1]. Chosen: fewer stop before convergence, more
-delay the failure."""
+"""Largest number of iterations for a law of an angle whose response changes the angle [1]. Chosen: fewer stop before
+convergence, more delay the failure."""
 _NEGLIGIBLE = 0.01
 """Change of the angle at convergence, relative to the uncertainty of a mean of all samples [1]. Chosen: a smaller value
 costs iterations, a larger one biases the angle."""
@@ -143,7 +143,8 @@ def angle_dependent_rows(
 
 
 _DIVERGED = 1e100
-"""Speed or angle that no body reaches [rad/s or rad]. Derived: sums of squares overflow from 1e154 on."""
+"""Speed or angle that no body reaches [rad/s or rad]. Derived: sums of squares of larger values overflow (1e154 and
+more)."""
 
 
 class _FixedPoint:
@@ -208,11 +209,11 @@ _LEAST_INTERVALS = 600
 """Smallest limit of the number of intervals [1]. Chosen: the solution of stiff equations takes minutes to fail; a
 smaller value refuses short records, a larger one delays the failure."""
 _PER_SAMPLE = 2
-"""Intervals per sample at most [1]. Chosen: a motion with several changes between two samples is not measured; a
-smaller value refuses fast changes, a larger one delays the failure."""
+"""Largest number of intervals per sample [1]. Chosen: a motion with several changes between two samples is not
+measured; a smaller value refuses fast changes, a larger one delays the failure."""
 _MANY_REVERSALS = 3
-"""Smallest number of reversals that are solved simultaneously [1]. Chosen: equal to `fitting.dynamics._events._MANY`; a
-smaller value does so although the number of events may still change, a larger one costs time."""
+"""Smallest number of reversals that are solved simultaneously [1]. Chosen: equal to `fitting.dynamics._events._MANY`;
+with a smaller value the number of events may still change, a larger one costs time."""
 _SPARE_EVENTS = 20
 """Largest number of stops and reversals of a trial in addition to twice those of the measured motion [1]. Chosen: a
 smaller value refuses trials that converge, a larger one delays the failure of trials that chatter."""

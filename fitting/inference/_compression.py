@@ -37,7 +37,7 @@ _SMALL_CHANGE = 1e-3
 is 1e-12."""
 _MIN_RESPONSE = 1e-6
 """Smallest share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than
-rounding [1]. Chosen: a smaller value adds rows of rounding, a larger one drops weak responses."""
+rounding error [1]. Chosen: a smaller value adds rows of rounding errors, a larger one drops weak responses."""
 
 
 def _harmonics(y: Array) -> Array:
@@ -197,8 +197,8 @@ _MOST_CUTS = 12
 _BINS = 128
 """Number of groups of samples of a block [1]. Chosen: fewer blur short correlations, more cost time and memory."""
 _SAME = 1e-7
-"""Smallest range of a harmonic that is more than rounding [1]. Chosen: a smaller value adds rows of rounding, a larger
-one drops slowly turning bodies."""
+"""Smallest range of a harmonic that is more than rounding error [1]. Chosen: a smaller value adds rows of rounding
+errors, a larger one drops slowly turning bodies."""
 _CLIP = 3.0
 """Standard deviations at which outliers are cut off in the scale of the noise [standard deviations]. Chosen: a smaller
 value loses efficiency, a larger one includes outliers."""

@@ -34,9 +34,9 @@ class ErrorMode:
     time : ndarray, shape (n,)
         Times of its samples on the clock of the record [s].
     basis : ndarray, shape (n, m)
-        Error of the samples for unit amplitudes, in units of the series over those of the amplitudes.
+        Error of the samples for unit amplitudes, in units of the series divided by the units of the amplitudes.
     covariance : ndarray, shape (m, m)
-        Covariance of the amplitudes, symmetric and not negative.
+        Covariance of the amplitudes, symmetric and positive semidefinite.
     body : {"casing", "rotor"}
         Body of the series; "casing" for a single body.
     window : int, optional
@@ -60,7 +60,7 @@ class ErrorMode:
         what = f"error mode {str(self.name)[:40]}"
         for key in ("name", "group", "origin"):
             if not isinstance(getattr(self, key), str):
-                raise RecordError(f"{what}: its {key} is not a text", "give a name")
+                raise RecordError(f"{what}: its {key} is not a string", "give a name")
         arrays: dict[str, Array] = {}
         for key in ("time", "basis", "covariance"):
             try:
@@ -103,7 +103,7 @@ class ErrorMode:
         return replace(self, basis=np.gradient(self.basis, self.time, axis=0))
 
     def standard_uncertainty(self) -> Array:
-        """Return the standard uncertainty of each sample by this error, the root of the diagonal of B C B'."""
+        """Return the standard uncertainty of each sample due to this error, the root of the diagonal of B C B'."""
         return np.asarray(
             np.sqrt(np.maximum(np.sum((self.basis @ self.covariance) * self.basis, axis=1), 0.0))
         )
@@ -113,7 +113,8 @@ def checked_modes(modes: object) -> tuple[ErrorMode, ...]:
     """Return the error modes of a record; a RecordError if a group has two covariances, or there are too many."""
     if not isinstance(modes, Sequence) or not all(isinstance(m, ErrorMode) for m in modes):
         raise RecordError(
-            "an error mode is not an ErrorMode", "use fitting.ErrorMode(name, time, basis, covariance)"
+            "the error modes are not all ErrorMode objects",
+            "use fitting.ErrorMode(name, time, basis, covariance)",
         )
     known: dict[str, Array] = {}
     for mode in modes:
@@ -149,7 +150,7 @@ def mode_columns(
 ) -> tuple[Array, list[Array]]:
     """Return the errors of the casing and of each window at one standard deviation of independent amplitudes.
 
-    With C = R R' the columns are B R; those of a group stand in the same place for all series.
+    With C = R R', the columns are B R. The columns of a group have the same indices for all series.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def first_order_lines(found: Iterable[FirstOrder]) -> list[str]:
 
 
 def first_order(fit: Fit) -> tuple[FirstOrder, ...]:
-    """Return the constants of each case in which an input drives a body with a response of the first order.
+    """Return the constants of each case in which a body has a first-order response to an input.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def first_order(fit: Fit) -> tuple[FirstOrder, ...]:
     Returns
     -------
     tuple of FirstOrder
-        Empty where no input drives a body, or its response is not of the first order.
+        Empty if no body is driven by an input, or no response is of first order.
     """
     if not isinstance(fit, Fit):
         raise EstimationError(f"a {type(fit).__name__} is not a Fit", "use the result of fitting.fit")

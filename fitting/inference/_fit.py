@@ -5,7 +5,7 @@ power laws.
 
 Parameters are estimated at the level of random torque in the residuals of the model, so that a model that fails by a
 thousand standard deviations somewhere is not dominated by its worst interval. Chi-square, cross-validation error and
-tests use the noise of the recording, which no model enters (`fitting.inference._noise`).
+tests use the noise of the recording, which does not depend on a model (`fitting.inference._noise`).
 
 With a robust loss an M-estimate makes sum psi(r_i / s) J_i vanish instead of sum r_i J_i. It is found by least squares
 on pseudo-values
@@ -213,7 +213,7 @@ def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | N
 def _from_other_starts(
     problem: Problem, found: Solution, others: Iterable[Array], *, quick: bool
 ) -> Solution:
-    """Return a better solution than one that is far from the data, searched from further initial values.
+    """If a solution is far from the data, search from further initial values and return the best solution.
 
     At a random torque as large as the lack of fit, a search may leave a minimum that a search at a low level found.
     """
@@ -225,15 +225,15 @@ def _from_other_starts(
 
 
 _GIVEN_UP = 30.0
-"""Random torque of a case, relative to that of its recording, from which a model does not describe it [1]. Chosen: a
-smaller value gives up recordings with a small lack of fit, a larger one lets a wrong motion decide shared
-parameters."""
+"""Smallest random torque of a case, relative to that of its recording, for which a model does not describe the case
+[1]. Chosen: a smaller value gives up recordings with a small lack of fit, a larger one lets a wrong motion decide
+shared parameters."""
 
 
 def _from_separate_fits(
     problem: Problem, found: Solution, noise: tuple[Noise, ...], *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
-    """Return a solution of a joint fit and its noise, searched again from fits of each case alone.
+    """Search again from fits of each case alone; return the solution of a joint fit and its noise.
 
     If the model does not describe a case alone, the random torque of that case absorbs the lack of fit, and the other
     cases are not biased. If it describes each case alone, their shared parameters differ. With separate levels one case
@@ -260,7 +260,7 @@ def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
     chosen = [f.estimates for f in alone if not label or f.labels == (label,)]
     own = [e for found in chosen if (e := found.get(name, found.get(key))) is not None]
     if not own:
-        return 0.0  # the speed of a rotor that a body alone does not have
+        return 0.0  # the speed of a rotor, which a fit of a single body does not contain
     known = [e for e in own if np.isfinite(e.stderr) and e.stderr > 0]
     if not known:
         return float(np.mean([e.value for e in own]))
@@ -444,7 +444,7 @@ def _jumps_at_rest(effect: Effect, speed: str) -> bool:
 
 _REST = 1e-12
 """Speed on either side of rest at which a law is evaluated [rad/s]. Chosen: continuous laws do not differ; a smaller
-value is rounding, a larger one takes a steep law for a jump."""
+value is rounding error, a larger one takes a steep law for a jump."""
 _JUMP = 1e-3
 """Smallest jump of a law with parameters of 1 [1]. Chosen: that of dry friction is 2; a smaller value takes a steep law
 for a jump, a larger one overlooks a part of the torque that jumps."""
@@ -499,7 +499,7 @@ def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
                     )
                 if known[name] != unit:
                     raise EstimationError(
-                        f"{effect.name} needs the input {name} of the unit {unit}, and that of the record is of "
+                        f"{effect.name} needs the input {name} in the unit {unit}, but the record has it in "
                         f"{known[name]}",
                         "write the law with the inputs of this record",
                     )
@@ -535,7 +535,7 @@ for normal noise."""
 _CAUCHY = 2.385
 """Scale of the Cauchy loss [standard deviations]. Derived: 95 % of the efficiency of least squares for normal noise."""
 _ITERATIONS = 12
-"""Iterations of a robust fit at most [1]. Chosen: fewer stop before convergence, more delay the failure."""
+"""Largest number of iterations of a robust fit [1]. Chosen: fewer stop before convergence, more delay the failure."""
 _CONVERGED = 0.01
 """Change of a parameter at convergence of a robust fit [standard errors]. Chosen: a smaller value costs iterations, a
 larger one leaves a bias."""
@@ -564,7 +564,7 @@ def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "li
     cross-validation error to the pseudo-values.
     """
     if loss not in _LOSSES:
-        raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "take linear, huber or cauchy")
+        raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "use linear, huber or cauchy")
     if loss != "linear" and (model.angle_dependent or model.measurement):
         raise EstimationError(
             "a robust loss is not supported with laws of an angle or effects of a camera",

@@ -6,10 +6,11 @@ The laws are linear in their strengths gamma_k, so along the rough speeds
 
 and the same for the rotor: a linear least-squares problem with bounds.
 
-At strength zero, chi-square has no gradient by the shape of a law, and with a wrong shape the search may end in a wrong
-minimum. So the model is fitted without the law; then, for every shape on a grid, the derivative of the rows by the
-strength gives the fall of the deviance (a score test), and the full search starts at the best shape. At the level of
-random torque of the model without the law, any shape would be consistent with the data: the level is optimised as well.
+At strength zero, chi-square has no gradient with respect to the shape of a law, and with a wrong shape the search may
+end in a wrong minimum. So the model is fitted without the law; then, for every shape on a grid, the derivative of the
+rows by the strength gives the fall of the deviance (a score test), and the full search starts at the best shape. At the
+level of random torque of the model without the law, any shape would be consistent with the data: the level is optimised
+as well.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ the run."""
 _DEAD_TIMES = 40
 """Dead times of an input that are tried [1]. Chosen: fewer start far from the optimum, more cost time."""
 _LONGEST_DEAD_TIME = 0.1
-"""Longest dead time over the length of a record [1]. Chosen: a smaller value overlooks slow drives, a larger one loses
-the start of the record."""
+"""Longest dead time, divided by the length of a record [1]. Chosen: a smaller value overlooks slow drives, a larger one
+loses the start of the record."""
 _FIRST_PERIODS = 2.0
 """Periods of the first search of an oscillation [1]. Chosen: fewer do not determine the frequency, more may start a
 period off."""
@@ -126,8 +127,8 @@ def equation_error(model: Model, data: Sequence[CaseData]) -> float:
     """Return the error of the equations of motion under a model, without a fit.
 
     Over many periods of an oscillation it is the rms error of the phase [rad]; otherwise the norm of the residuals of
-    the integrated equations of motion over that of the change of the speeds [1]. The strengths come from the linear
-    regression, the shape constants have their declared initial values.
+    the integrated equations of motion divided by that of the change of the speeds [1]. The strengths come from the
+    linear regression, the shape constants have their declared initial values.
     """
     layout = ParameterLayout.of(model, [d.record for d in data])
     slow = averaged_fit(model, data) if model.restoring else None
@@ -401,7 +402,7 @@ def _regress(
 
 
 def _longest_motion(omega_c: Array) -> NDArray[np.bool_]:
-    """Return which samples are in the longest interval without rest of the casing."""
+    """Return a mask of the samples that are in the longest interval without rest of the casing."""
     slow = np.abs(omega_c) < _AT_REST * np.abs(omega_c).max(initial=0.0)
     ends = np.flatnonzero(np.diff(np.concatenate([[True], slow, [True]]).astype(int)))
     if not len(ends):

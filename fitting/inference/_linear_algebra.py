@@ -1,4 +1,4 @@
-"""Bases, projections and block matrices, as all least-squares problems of this package need them."""
+"""Bases, projections and block matrices for all least-squares problems of this package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def orthonormal(columns: Array, smallest: float) -> Array:
-    """Return an orthonormal basis of scaled columns, without directions whose relative singular value is this small."""
+    """Return an orthonormal basis of scaled columns, without directions of smaller relative singular value."""
     size = np.linalg.norm(columns, axis=0)
     if not (size > 0).any():
         return np.zeros((len(columns), 0))

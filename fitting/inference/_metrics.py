@@ -99,7 +99,7 @@ def _velocities(samples: Samples, blocks: int) -> Samples:
 
 
 def median_noise(cutoff: Array) -> Array:
-    """Return the noise of a running median of gradients at low frequencies, as a variance over that of one gradient.
+    """Return the variance at low frequencies of a running median of gradients, divided by that of one gradient.
 
     Where the speed rises, a sample next to the middle changes the median only if its noise exceeds the rise: in sums
     over many medians every gradient v contributes psi(v), limited to c = slope x half the width (`cutoff`, in
@@ -255,7 +255,7 @@ class BodyMetrics:
     r2: float
     rmse: float
     reduced_chi2: float  # chi-square of what was fitted over the effective number of samples
-    held_out: float  # cross-validation error over the noise; 1 = noise limit
+    held_out: float  # cross-validation error divided by the noise; 1 = noise limit
 
 
 @dataclass(frozen=True)
@@ -280,7 +280,7 @@ class CaseMetrics:
 
     @property
     def misfit(self) -> float:
-        """Rms residual of the rows over that of the noise."""
+        """Rms residual of the rows divided by that of the noise."""
         return math.sqrt(self.chi2_per_row)
 
     def fails(self, criteria: Criteria) -> bool:
@@ -393,8 +393,8 @@ _RANK = 1e-4
 """Relative singular value below which a tested direction is one of the model [1]. Chosen: a smaller value tests
 rounding, a larger one omits torques that are nearly absorbed."""
 _RANK_FREE = 1e-7
-"""Relative singular value below which a free direction is rounding [1]. Chosen: a smaller value projects out rounding,
-a larger one leaves a part of the free columns."""
+"""Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one leaves a part of the free columns."""
 _MANY = 4
 """Number of cases above which the slow torques of each case are projected out first [1]. Chosen: another value costs
 time and does not change the result."""
@@ -413,10 +413,10 @@ class LackOfFit:
 
 
 class FewRows(NamedTuple):
-    """Columns that are tested beside a fitted model, as the few rows R of a QR decomposition."""
+    """Columns that are tested in addition to a fitted model, as the few rows R of a QR decomposition."""
 
     tested: Array
-    free: Array  # derivatives by all variables of the fit
+    free: Array  # derivatives with respect to all variables of the fit
     residual: Array
     share: float  # share of the process noise in the variance of the tested columns
 

@@ -124,7 +124,7 @@ class Noise:
     def tested(self) -> float:
         """The level at which residuals are tested [N m]: that of the recording, or that of the fit if it is smaller.
 
-        The recording alone may not exclude a random torque that would hide a lack of fit of the model.
+        Some recordings alone cannot exclude a random torque that would hide a lack of fit of the model.
         """
         return self.pure if self.limited else min(self.pure, self.level)
 
@@ -205,8 +205,8 @@ _ROUNDING = 1e-20
 """Share of the largest response below which a row does not respond [1]. Chosen: rows of a casing at rest contain only
 rounding errors; a larger value excludes slow rows, a smaller one includes rows at rest."""
 _MORE = 1.5
-"""Ratio to the lowest level that the recording allows above which a level is raised [1]. Chosen: a smaller value takes
-the uncertainty of the level for a lack of fit, a larger one overlooks a raised level."""
+"""Smallest ratio of a raised level to the lowest level that the recording allows [1]. Chosen: a smaller value takes the
+uncertainty of the level for a lack of fit, a larger one overlooks a raised level."""
 _LEAST_RESPONSE = 0.1
 """Lowest unresolved level, divided by the level at which the response of the most responsive row equals the white noise
 [1]. Chosen: a lower one changes nothing, a higher one leaves a gap above zero."""
@@ -225,7 +225,8 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
 
     The likelihood is restricted: the columns `free` (rows, columns), derivatives with respect to parameters and
     nuisance parameters, are integrated out. The level is set to zero if white noise alone gives as much evidence in one
-    recording of twenty. It would double the standard errors of parameters whose effect resembles a slow torque.
+    recording of twenty. Such a level would double the standard errors of parameters whose effect resembles a slow
+    torque.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
@@ -366,7 +367,7 @@ class TorqueResponse:
     def _by_time(self) -> tuple[NDArray[np.intp], list[tuple[int, slice]], list[Array]]:
         """Return the order of the rows by the last cell that affects them, groups of cells, and the responses.
 
-        A torque does not affect earlier rows: a group of cells affects only rows from its `first` on.
+        A torque does not affect earlier rows: a group of cells affects only its row `first` and later rows.
         """
         responses = [w.T for w in self.random]
         changed = np.any([w != 0 for w in responses], axis=0)
@@ -388,7 +389,7 @@ class TorqueResponse:
 
     @cached_property
     def _directions(self) -> list[Array]:
-        """The accelerations of all bodies by each of the random torques of 1 N m [rad/s2]."""
+        """The accelerations of all bodies due to each of the random torques of 1 N m [rad/s2]."""
         sites = (self.mechanism.main, *self.mechanism.joints)
         return [np.array(self.mechanism.shares(site)) / self.data.record.inertias for site in sites]
 
@@ -412,7 +413,7 @@ def _impulses(
 ) -> Array:
     """Return the rows' response to a unit torque in each cell, by variation of constants.
 
-    `states` are the places in a state of the bodies of the windows, by default of the first body.
+    `states` are the indices in the state of the bodies of the windows, by default of the first body.
     """
     centres = 0.5 * (cells[1:] + cells[:-1])
     impulses = motion.impulses(centres, direction) * np.diff(cells)[:, None]

@@ -101,7 +101,8 @@ def minimise(
                     break
                 damping *= 0.01
         elif damping > 1e14 or (damping > 1 and predicted < 1e-3 * enough):
-            # no step lowers the sum of squares: the limit is rounding, or a kink where dry friction holds the body
+            # no step lowers the sum of squares: the limit is rounding error, or a kink where dry friction holds the
+            # body
             converged = _undamped(r, j, unit, lower - x, upper - x) < _NEGLIGIBLE_FALL + enough
             break
         else:

@@ -111,7 +111,7 @@ class Oscillation:
     time: Array
     deflection: Array
 
-    # within a block it is not a polynomial, beside which what is faster is noise or a line
+    # within a block the motion is not a polynomial; faster parts are noise or a spectral line
     is_smooth: ClassVar[bool] = False
 
     @property

@@ -151,7 +151,7 @@ class Params(Mapping[str, Estimate]):
 
 
 def note(e: Estimate) -> str:
-    """Return what a table says of a parameter that is not simply fitted, in brackets."""
+    """Return the remark, in brackets, of a table on a parameter that is not simply fitted."""
     if e.expr is not None:
         return f" (= {e.expr})"
     if not e.vary:
@@ -270,7 +270,7 @@ class Names:
     def __call__(self, name: str) -> str:
         """Return the key of a parameter; an EffectError if there is none."""
         if not isinstance(name, str):
-            raise EffectError(f"a {type(name).__name__} is not the name of a parameter", "use a text")
+            raise EffectError(f"a {type(name).__name__} is not the name of a parameter", "use a string")
         key = inward(name, self.body)
         if key.startswith("initial.") and "@" not in key:
             found = [k for k in self.keys if k.partition("@")[0] == key]

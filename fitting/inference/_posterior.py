@@ -1,10 +1,10 @@
 """Draws from the posterior distribution of the parameters, for ArviZ.
 
-Two distributions: the normal one of the linearised problem, N(theta, covariance), which is that of all standard
-uncertainties; and the likelihood of the fit at its noise with a flat prior within the bounds, sampled by the
-affine-invariant ensemble of J. Goodman, J. Weare, Commun. Appl. Math. Comput. Sci. 5, 65 (2010), in emcee
-(D. Foreman-Mackey et al., PASP 125, 306 (2013)). A lack of fit divides the log-likelihood by the factor by which it
-increases the variances.
+There are two distributions. The first is the normal distribution of the linearised problem, N(theta, covariance), from
+which all standard uncertainties are taken. The second is the likelihood of the fit at its noise with a flat prior
+within the bounds, sampled by the affine-invariant ensemble of J. Goodman, J. Weare, Commun. Appl. Math. Comput. Sci. 5,
+65 (2010), in emcee (D. Foreman-Mackey et al., PASP 125, 306 (2013)). If the fit has a lack of fit, the log-likelihood
+is divided by the factor by which the variances are increased.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ METHODS = ("linearised", "emcee")
 
 
 class Solved(Protocol):
-    """The attributes of a `Fit` that its posterior follows from."""
+    """The attributes of a `Fit` that determine its posterior."""
 
     @property
     def problem(self) -> Problem: ...
@@ -40,7 +40,7 @@ class Solved(Protocol):
 def draws(fit: Solved, count: int, chains: int, method: str, seed: int) -> Array:
     """Return draws of all variables of a fit, (chains, count, variables); variables at a bound are constant.
 
-    An EstimationError: a number or the method is wrong, the fit has no covariance, or emcee is absent.
+    An EstimationError is raised if an argument is wrong, the fit has no covariance, or emcee is not installed.
     """
     require("draws", count, COUNT)
     require("chains", chains, COUNT)
@@ -91,7 +91,7 @@ def _sampled(
     limits = lower[free], upper[free]
     scale = np.sqrt(np.diag(fit.covariance)[free])
     begin = np.clip(fit.theta[free] + rng.standard_normal((walkers, n)) @ root.T, *limits)
-    # no walker starts on a bound, where another one would start as well
+    # walkers that start on a bound are moved inside, because two walkers on a bound would coincide
     begin += 1e-3 * scale * np.where(begin <= limits[0], 1.0, np.where(begin >= limits[1], -1.0, 0.0))
 
     def log_probability(x: Array) -> float:

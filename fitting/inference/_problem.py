@@ -33,11 +33,11 @@ from fitting.inference._ties import chain, follow
 Array = NDArray[np.float64]
 
 _RANK = 1e-7
-"""Relative singular value below which a nuisance direction is rounding [1]. Chosen: a smaller value projects out
-rounding, a larger one leaves a part of the nuisance columns."""
+"""Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
+rounding errors, a larger one leaves a part of the nuisance columns."""
 _ROUNDING = 1e-11
-"""Share of a column orthogonal to the nuisance columns below which it is rounding [1]. Chosen: a smaller value
-determines parameters by rounding, a larger one holds weakly determined ones."""
+"""Share of a column orthogonal to the nuisance columns below which this part is rounding error [1]. Chosen: a smaller
+value determines parameters by rounding errors, a larger one holds weakly determined parameters fixed."""
 
 
 class Projection:
@@ -52,7 +52,7 @@ class Projection:
         return orthogonal_to(self.basis, self.whitener(rows))
 
     def unexplained(self, columns: Array) -> Array:
-        """Return the same for columns; zero where nuisance parameters explain a column up to rounding."""
+        """Return whitened columns, orthogonal to the nuisance columns; zero where these explain all but rounding."""
         white = self.whitener(columns)
         projected = orthogonal_to(self.basis, white)
         size = np.linalg.norm(white, axis=0)
@@ -63,7 +63,7 @@ class Projection:
 class Problem:
     """Residuals and Jacobian of all cases at given noise levels.
 
-    Immutable: another noise, other ranges or other transformed variables make a new problem.
+    Immutable: a change of noise, ranges or transformed variables returns a new problem.
     """
 
     layout: ParameterLayout
@@ -84,7 +84,7 @@ class Problem:
         )
 
     def with_noise(self, noise: Sequence[Noise]) -> Self:
-        """Return the problem with the noise of each case at its level."""
+        """Return the problem with this noise of each case."""
         projections = (Projection(d, n.whitener) for d, n in zip(self.data, noise, strict=True))
         return replace(self, projections=tuple(projections))
 
@@ -104,7 +104,7 @@ class Problem:
         return reference_speed(self.data, self.layout.model.mechanism)
 
     def predict(self, theta: Array) -> list[Prediction]:
-        """Return the prediction of each case at physical variables, with the derivatives by the free ones."""
+        """Return the prediction of each case at physical variables, with derivatives with respect to the free ones."""
         tied = self.layout.tied
         if not tied:
             return [case.predict(theta) for case in self.cases]
@@ -114,7 +114,7 @@ class Problem:
         return [replace(p, columns=p.columns @ slope[np.ix_(p.places, p.places)]) for p in found]
 
     def residuals(self, predictions: Sequence[Prediction]) -> tuple[Array, Array]:
-        """Return whitened, projected residuals and their Jacobian by the physical variables.
+        """Return whitened, projected residuals and their Jacobian with respect to the physical variables.
 
         The rows of each case are reduced by a QR decomposition: a case with p variables has p + 1 rows. Sums of squares
         and products of columns, which determine the least-squares problem, are unchanged. SimulationError: a sum of
@@ -140,7 +140,7 @@ class Problem:
         return sum(d.row_count - p.basis.shape[1] for d, p in zip(self.data, self.projections, strict=True))
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
-        """Return residuals and Jacobian by the transformed variables u."""
+        """Return residuals and their Jacobian with respect to the transformed variables u."""
         sinusoids = find_sinusoids(self.layout)
         theta, slope = to_physical(u, self.power_laws)
         theta, polar_slope = to_polar(theta, sinusoids)
@@ -150,19 +150,19 @@ class Problem:
         return r, j @ slope if self.power_laws else j
 
     def transformed(self, theta: Array) -> Array:
-        """Return the transformed variables of physical ones."""
+        """Return the transformed variables that correspond to physical variables."""
         return from_physical(from_polar(theta, find_sinusoids(self.layout)), self.power_laws)
 
     def physical(self, u: Array) -> Array:
-        """Return the physical variables of transformed ones."""
+        """Return the physical variables that correspond to transformed variables."""
         theta = to_polar(to_physical(u, self.power_laws)[0], find_sinusoids(self.layout))[0]
         return follow(theta, self.layout.tied)
 
     def transformed_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return the bounds of the transformed variables.
 
-        During the search d and f of a pair have no bounds, f of a single power law has no upper bound, and a strength
-        with a phase has none.
+        During the search, d and f of a pair and a strength with a phase have no bounds; f of a single power law has no
+        upper bound.
         """
         lower, upper = lower.copy(), upper.copy()
         for w in find_sinusoids(self.layout):
@@ -186,12 +186,13 @@ def reference_speed(data: Sequence[CaseData], mechanism: Mechanism = GYROSCOPE) 
 def typical_speed(speeds: Sequence[Array], mechanism: Mechanism, joint: Coupling) -> float:
     """Return a typical relative speed of a joint, from the speeds (times, bodies) of each case [rad/s]."""
     typical = [np.median(np.abs(mechanism.motion(s.T)[joint.delta])) for s in speeds]
-    return float(np.mean(typical)) or 1.0  # of bodies at rest any
+    return float(np.mean(typical)) or 1.0  # any value for bodies at rest
 
 
 _BEYOND = 3.0
-"""Distance of the unconstrained optimum beyond a bound from which on a parameter equals its bound [standard errors].
-Chosen: a smaller value ignores the uncertainty at a bound, a larger one counts a parameter as free that cannot move."""
+"""Smallest distance of the unconstrained optimum beyond a bound for which the parameter is taken to equal the bound
+[standard errors]. Chosen: a smaller value ignores the uncertainty at a bound, a larger one treats a fixed parameter as
+free."""
 _LEAST_CHANGE = 0.2
 """Smallest relative change that is part of a degenerate direction [1]. Chosen: a smaller value lists uninvolved
 parameters, a larger one omits involved ones."""
@@ -202,8 +203,9 @@ def surely_at_bound(
 ) -> NDArray[np.bool_]:
     """Return which variables are known to equal their bound.
 
-    A friction whose unconstrained optimum is far below zero is zero. One that is hardly below zero, or an exponent at a
-    bound of its range, is uncertain: the standard errors of correlated parameters are those with it free.
+    A friction whose unconstrained optimum is far below zero is zero. If the optimum is only slightly below zero, or an
+    exponent is at a bound of its range, the parameter is treated as free in the standard errors of correlated
+    parameters.
     """
     no_influence = np.linalg.norm(j, axis=0) == 0
     covariance = covariance_of(j, ~no_influence)
@@ -216,8 +218,8 @@ def surely_at_bound(
 def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
     """Return combinations of parameters that the data do not determine although each alone may seem determined.
 
-    Each is a dict of relative changes, the largest +1, that together are within one standard error; changes below a
-    fifth of the largest, and directions of one parameter, are left out.
+    Each is a dict of relative changes, scaled to a largest change of +1. Together, these changes are within one
+    standard error. Changes below a fifth of the largest, and directions of one parameter, are left out.
     """
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     kept = np.flatnonzero((theta != 0) & np.isfinite(error) & (error > 0))
@@ -235,15 +237,15 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
 
 
 _FIRST_LEVEL = 0.01
-"""First random torque, as a share of the median torque on the rotor, or on the body other than the main one where it is
-largest [1]. Chosen: a smaller value lets the worst interval dominate the search, a larger one hides the shape of
-laws."""
+"""First random torque, as a share of the median torque on the rotor, or of the largest median torque on a body other
+than the main one [1]. Chosen: a smaller value lets the worst interval dominate the search, a larger one hides the shape
+of laws."""
 _MOST_AT_REST = 0.5
-"""Share of the blocks at rest up to which these are left out where the level of random torque is estimated [1]. Chosen:
-a smaller value includes blocks that do not respond, a larger one leaves few blocks."""
+"""Largest share of the blocks at rest for which they are left out of the estimate of the random torque [1]. Chosen: a
+smaller value includes blocks that do not respond, a larger one leaves few blocks."""
 _FIRST_TIME = 1 / 200
-"""Correlation time of the first random torque over the length of the record [1]. Chosen: a slower torque would absorb
-the error of the initial values, a faster one is white noise."""
+"""Correlation time of the first random torque, divided by the length of the record [1]. Chosen: a slower torque would
+absorb the error of the initial values, a faster one is white noise."""
 
 
 def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
@@ -261,7 +263,7 @@ def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
 
 
 def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
-    """Return the noise of a first search: a random torque of a hundredth of that on the rotor."""
+    """Return the noise of a first search: a random torque of a hundredth of the median torque on the rotor."""
     found = []
     predictions = problem.predict(theta)
     for case, p, level in zip(problem.cases, predictions, _first_levels(problem, theta), strict=True):
@@ -304,9 +306,9 @@ def measure_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
 def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
     """Return whether a random torque as large as the residuals would make the phase of an oscillation random.
 
-    A random acceleration of the spectral density S changes the phase of an oscillation of amplitude a and frequency w
-    at random, by an rms of sqrt(S t / 2) / (a w) after the time t (white noise on a tuned circuit; S = 2 s^2 tau /
-    (1 + w^2 tau^2) for an rms of s and a correlation time tau); `Criteria.gross_misfit` is the limit.
+    After the time t, a random acceleration with spectral density S has changed the phase of an oscillation of amplitude
+    a and frequency w by an rms of sqrt(S t / 2) / (a w), like white noise on a tuned circuit. For an rms of s and a
+    correlation time tau, S = 2 s^2 tau / (1 + w^2 tau^2). The limit is `Criteria.gross_misfit`.
     """
     motion = data.motion
     slow = motion.slow_motion
@@ -322,9 +324,9 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
 
 
 def _rows_at_rest(data: CaseData, prediction: Prediction) -> Array:
-    """Return a column for each smooth row of the blocks in which the casing comes to rest, or is at rest, in a model.
+    """Return unit columns for the smooth rows of the blocks in which the predicted casing is at rest or comes to rest.
 
-    None if hardly a block is left.
+    There are no columns if more than half of the blocks would be left out.
     """
     edges, still = prediction.path.mesh.edges, prediction.path.sense == 0
     k = data.casing.lift.shape[1]
@@ -338,7 +340,7 @@ def _rows_at_rest(data: CaseData, prediction: Prediction) -> Array:
 
 
 def free_columns(data: CaseData, prediction: Prediction, moving: NDArray[np.bool_]) -> Array:
-    """Return what is free beside a random torque: variables that are `moving`, nuisance, harmonics, rows at rest."""
+    """Return the columns fitted with a random torque: `moving` variables, nuisance, harmonics, rows at rest."""
     own = prediction.columns[:, moving[prediction.places]]
     return np.concatenate(
         [own, data.nuisance, data.harmonic_responses, _rows_at_rest(data, prediction)], axis=1
@@ -350,20 +352,20 @@ def refine_level(
 ) -> tuple[Noise, ...]:
     """Return the noise with the level of the residuals of the model at these variables.
 
-    The level of each case is estimated separately, with its variables free, or with `fixed` ones: cases that share a
-    variable may have different optima of it.
+    The level of each case is estimated separately, with its variables free or `fixed`, because the optimum of a shared
+    variable may differ between cases.
 
-    A model of an oscillation that fails grossly keeps the level of the recording: at the level of its residuals the
+    If the model of an oscillation fails grossly, the level of the recording is kept. At the level of the residuals, the
     phase would be random, and the period, which is known best, would have no weight (measured: the torque of a pendulum
-    6 % too small). The uncertainties are scaled by the residuals instead.
+    was 6 % too small). The uncertainties are scaled by the residuals instead.
 
-    Models of a body that a recorded input drives have the least level that the recording allows beside any linear
-    response to the input. The response to a change of the input determines the parameters, and a model that is not
-    exact there would be given up in favour of random torques just where the information is (measured: the time constant
-    of a motor of 25 ms becomes 39 ms); without the drive a random torque would describe the whole motion.
+    For a body that is driven by a recorded input, the level is at most the least plausible level of the recording,
+    which allows for any linear response to the input. The response to a change of the input determines the parameters.
+    At a larger level, random torques would replace an inexact model there (measured: the time constant of a motor
+    becomes 39 ms instead of 25 ms), and without the drive they would describe the whole motion.
 
-    Where the model comes to rest, its rows hardly respond to a torque, and their residuals would be explained by
-    torques without limit: they are left out. A random torque is never larger than the largest torque of the recording.
+    Rows in which the model is at rest are left out: they hardly respond to a torque, so that only unlimited torques
+    would explain their residuals. A random torque is never larger than the largest torque of the recording.
 
     Cases whose noise is `common` have the largest level of all.
     """
@@ -383,12 +385,12 @@ def refine_level(
 
 
 def is_driven(model: Model, data: CaseData) -> bool:
-    """Return whether a law of the model depends on an input of a record that varies."""
+    """Return whether a law of the model depends on a varying input of the record."""
     varying = {i.name for i in data.record.driving}
     return any(name in varying for e in model.effects for name, _ in e.inputs)
 
 
 def common_level(noise: Sequence[Noise]) -> tuple[Noise, ...]:
-    """Return the noise of each case at the largest level of all, which later estimates keep common."""
+    """Return the noise of each case at the largest level of all cases; later estimates also use a common level."""
     largest = max(n.level for n in noise)
     return tuple(replace(n.at(largest), common=True) for n in noise)

@@ -111,7 +111,7 @@ class FitSummary:
 
     @property
     def misfit(self) -> float:
-        """Rms residual over that of the noise, of all rows that a model can describe; 1 is the noise limit.
+        """Rms residual divided by that of the noise, of all rows that a model can describe; 1 is the noise limit.
 
         Unlike the reduced chi-square of the samples, it does not depend on the sampling rate: further samples add
         noise, but no row.
@@ -339,9 +339,9 @@ def not_determined(estimates: Mapping[str, Estimate], limit: float = 1.0) -> lis
 
 
 _FEWEST_TURNS = 5.0
-"""Turns of the casing from which on a harmonic of its angle is not a slow torque [1]. Measured: constant torques have
-up to 6 standard deviations of a first harmonic within 1.5 turns, 2.9 within three, and those of noise within six; the
-recordings are not stated."""
+"""Smallest number of turns of the casing for which a harmonic of its angle is not treated as a slow torque [1].
+Measured: constant torques have up to 6 standard deviations of a first harmonic within 1.5 turns, 2.9 within three, and
+those of noise within six; the recordings are not stated."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -705,7 +705,7 @@ class Fit(FitSummary):
         return any(d.record.generated for d in self.problem.data)
 
     def measured_speeds(self, case: int, body: int) -> list[tuple[Array, Array]]:
-        """Return times [s] and smoothed speeds [rad/s] of each run of a body, by its place in a state.
+        """Return times [s] and smoothed speeds [rad/s] of each run of a body, given its index in the state vector.
 
         Parameters
         ----------
@@ -834,7 +834,7 @@ class Fit(FitSummary):
         """Return confidence intervals of parameters by their profile likelihood.
 
         The deviance with the parameter held and all others fitted anew rises at the ends of the interval by the
-        quantile of chi-square with one degree of freedom; the interval need not be symmetric. It takes some ten fits
+        quantile of chi-square with one degree of freedom; the interval need not be symmetric. It takes about ten fits
         for each parameter.
 
         Parameters
@@ -972,8 +972,8 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
 
 
 _INEXACT = 1.5
-"""Factor of the variance from which on the residuals of a driven body are not those of white noise [1]. Chosen: a
-smaller value enlarges uncertainties by chance, a larger one understates them."""
+"""Smallest factor of the variance for which the residuals of a driven body are not white noise [1]. Chosen: a smaller
+value enlarges uncertainties by chance, a larger one understates them."""
 
 
 def _with_slow_residuals(problem: Problem, predictions: Sequence[Prediction], covariance: Array) -> Array:

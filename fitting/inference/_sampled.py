@@ -29,12 +29,12 @@ GAUSS = 3
 """Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; fewer lose accuracy in long cells, more cost
 time."""
 _PASSES = 8
-"""Iterations of a law of an angle that changes its own argument [1]. Chosen: the response is small compared with a
-radian; fewer leave an error, more cost time."""
+"""Number of iterations for a law of an angle whose response changes the angle [1]. Chosen: the response is small
+compared with a radian; fewer leave an error, more cost time."""
 
 
 class Solved(Protocol):
-    """The attributes of a `Fit` that its curve follows from."""
+    """The attributes of a `Fit` that determine its curve."""
 
     @property
     def problem(self) -> Problem: ...
@@ -49,7 +49,7 @@ class Solved(Protocol):
 
 
 def _nuisance(case: int, found: Solved) -> Array:
-    """Return the nuisance parameters of a case by generalised least squares: start angles, then those of cameras."""
+    """Return the nuisance parameters of a case by generalised least squares: start angles, then camera parameters."""
     prediction, fitted = found.predictions[case], found.problem.data[case]
     rows = np.concatenate([fitted.nuisance, (fitted.z - prediction.rows)[:, None]], axis=1)
     white = found.problem.projections[case].whitener(rows)
@@ -59,7 +59,7 @@ def _nuisance(case: int, found: Solved) -> Array:
 
 
 def predicted_samples(data: CaseData, case: int, found: Solved) -> Iterator[Array]:
-    """Yield the prediction with fitted nuisance parameters at every sample, of the casing, then of each window."""
+    """Yield the prediction with fitted nuisance parameters at the samples of the casing, then of each window."""
     record, fitted = data.record, found.problem.data[case]
     path = found.predictions[case].path
     coefficients = _nuisance(case, found)
@@ -81,7 +81,7 @@ def predicted_samples(data: CaseData, case: int, found: Solved) -> Iterator[Arra
 
 @dataclass(frozen=True)
 class FittedMotion:
-    """The fitted motion of one case: what is expected at its samples."""
+    """The fitted motion of one case, and the expected values at its samples."""
 
     fit: Solved
     case: int
@@ -100,7 +100,7 @@ class FittedMotion:
         return self.expected_of(0 if rotor else MAIN, times, path)
 
     def expected_of(self, state: int, times: Array, path: Path | None = None) -> Array:
-        """Return angles, up to a constant, or speeds of the smooth motion of a body, by its place in a state."""
+        """Return angles, up to a constant, or speeds of the smooth motion of the body with an index in the state."""
         path = path or self.prediction.path
         sampler = Sampler(path.mesh, times)
         if self.data.is_angle:
@@ -126,7 +126,7 @@ class FittedMotion:
         return {p.symbol: numbers.get(f"{effect.name}.{p.symbol}", p.start) for p in effect.parameters}
 
     def _camera_error(self, effect: Effect, run: Samples, value: Array, *, rotor: bool) -> Array:
-        """Return the error of the camera's angle at the samples of a run; of speeds, its derivative."""
+        """Return the error of the camera's angle at the samples of a run; for speeds, the derivative of this error."""
         path = self.prediction.path
         sampler, state = Sampler(path.mesh, run.time), int(not rotor)
         psi = value if self.data.is_angle else sampler.integral(*path.angle(path.states[state]))
@@ -136,7 +136,7 @@ class FittedMotion:
         return error if self.data.is_angle else np.gradient(error, run.time)
 
     def angle_response(self, effect: Effect, zero: float) -> list[Array]:
-        """Return the response of the casing and of each window to a law of the angle, whose initial value is `zero`."""
+        """Return the response of the casing and of each window to a law of the angle; `zero` is the initial angle."""
         record, path, motion = self.data.record, self.prediction.path, self.prediction.motion
         t = record.casing.time
         half = 0.5 * np.diff(t)
@@ -167,7 +167,7 @@ class FittedMotion:
 
 
 def residuals_of(found: Solved) -> Array:
-    """Return measured minus fitted values of all samples over their stated standard uncertainties."""
+    """Return measured minus fitted values of all samples, divided by their stated standard uncertainties."""
     parts = []
     for case, data in enumerate(found.problem.data):
         runs = (data.record.casing, *data.record.rotor)
@@ -177,7 +177,7 @@ def residuals_of(found: Solved) -> Array:
 
 
 def evaluate(found: Solved, time: Any, body: int, case: int, quantity: str | None) -> Array:
-    """Return the fitted angle [rad] or speed [rad/s] of a body, by its place in a state, at some times [s]."""
+    """Return the fitted angle [rad] or speed [rad/s] of the body with an index in the state, at some times [s]."""
     data = found.problem.data[case]
     measured = data.record.quantity
     require("quantity", quantity, TEXT.optional)

@@ -27,8 +27,8 @@ _PER_TURN = 0.5
 """Turns per interval of the mesh at most, for a law of the casing's angle [1]. Chosen: a larger value does not resolve
 a turn, a smaller one costs time."""
 _FIRST_INTERVAL = 1e-6
-"""First interval of a mesh for a boundary layer at the start, over the duration [1]. Chosen: a larger value does not
-resolve fast transients, a smaller one costs intervals."""
+"""First interval of a mesh for a boundary layer at the start, divided by the duration [1]. Chosen: a larger value does
+not resolve fast transients, a smaller one costs intervals."""
 _GRADED = 60
 """Intervals of a mesh for a boundary layer at the start [1]. Chosen: fewer grow too fast, more cost time."""
 _NOISE_STEP = 0.02

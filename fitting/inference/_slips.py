@@ -7,8 +7,8 @@ samples, the angle changes from one sample to the next by v dt plus noise, and a
     e = y[i+1] - y[i] - v (t[i+1] - t[i]) = 2 pi n + noise,   n = round(e / 2 pi) != 0.
 
 The number of turns is an integer that the data determine without uncertainty, so the corrected angles need no error
-mode; what was found is kept with the data and is a finding of every fit. No motion does this, and no noise: a window
-with a slip would otherwise seem to have angle noise of hundreds of milliradians.
+mode; what was found is kept with the data and is a finding of every fit. Neither a motion nor noise causes such a step.
+Without the correction, a window with a slip would seem to have angle noise of hundreds of milliradians.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _NEIGHBOURS = 31
 """Difference quotients from which a local speed is estimated [1]. Chosen: fewer follow noise and slips, more blur a
 changing speed."""
 _MAD = 1.4826
-"""Standard deviation over the median absolute deviation of a normal variable [1]. Derived: 1 over quantile 0.75 of the
-standard normal distribution."""
+"""Standard deviation divided by the median absolute deviation of a normal variable [1]. Derived: the reciprocal of the
+quantile 0.75 of the standard normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Slip:
 
 
 def slipped_turns(samples: Samples, criteria: Criteria = DEFAULT) -> list[tuple[int, int]]:
-    """Return index and number of turns of every slip: all angles from this index on are too large by that.
+    """Return index and number of turns of every slip: all angles from this index on are too large by these turns.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def without_slips(record: Record, criteria: Criteria = DEFAULT) -> tuple[Record,
 
 
 def as_measured(record: Record, slips: Sequence[Slip]) -> Record:
-    """Return a corrected record with its slipped turns again."""
+    """Return a corrected record with its slipped turns restored."""
     runs = [record.casing, *record.rotor]
     for slip in slips:
         i = slip.window or 0

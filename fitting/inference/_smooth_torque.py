@@ -1,22 +1,22 @@
 """Whether a smooth or a periodic torque describes the residuals of a model better than a random torque does.
 
-A recording may not exclude a random torque that would hide a missing law: the residuals are then consistent with noise,
-although a law would describe them with few parameters and no random torque at all. Descriptions are compared, each with
-the free parameters of the fit: a random torque alone, and a random torque beside one of
+Some recordings cannot exclude a random torque that would hide a missing law: the residuals are then consistent with
+noise, although a law would describe them with few parameters and no random torque at all. Descriptions are compared,
+each with the free parameters of the fit: a random torque alone, and a random torque together with one of
 
 - a torque that is a parabola in time, on the casing and in the bearing;
 - a torque on the casing that is a sinusoid in time, of a frequency that changes linearly (a precession).
 
-Level s and correlation time T of the random torque are the most likely ones in each of them
+Level s and correlation time T of the random torque are the most likely ones in each description
 (`fitting.inference._level_profile`). The q parameters of a torque describe the data better if the deviance falls by
-more than BIC requires, and improbably much for their number,
+more than BIC requires, and by more than is probable for their number,
 
     D0 - D1 > q ln n + `Criteria.random_torque_evidence`,    N P(chi2_c > D0 - D1) < `Criteria.lack_of_fit`,
 
 with n rows, c linear parameters and N independent trials of the others (Bonferroni). In recordings with nothing but a
-random torque the fall is larger than chi-square, because the level is free and because of a slow torque only one or two
-modes are above the noise: in 60 simulated recordings with correlation times of 1 to 10 s it reaches 33 for parabolas
-and 28 for sinusoids, with q ln n = 27. Effects in films that `diagnose` names have 58 to 214.
+random torque the fall is larger than chi-square, because the level is free, and because only one or two modes of a slow
+torque are above the noise: in 60 simulated recordings with correlation times of 1 to 10 s it reaches 33 for parabolas
+and 28 for sinusoids, with q ln n = 27. For the effects that `diagnose` names in films, the fall is 58 to 214.
 """
 
 from __future__ import annotations
@@ -41,26 +41,29 @@ _DEGREE = 2
 """Degree of the smooth torques in time [1]. Chosen: a constant and a trend are nearly parameters of the model; more
 degrees describe more and need more evidence."""
 _TIMES = 5
-"""Trial correlation times of the random torque beside that of the recording [1]. Chosen: fewer pass over the maximum of
-the likelihood, more cost time."""
+"""Trial correlation times of the random torque in addition to that of the recording [1]. Chosen: fewer pass over the
+maximum of the likelihood, more cost time."""
 _FEWEST_TIMES = 6.0
 """Smallest length of a record, in correlation times of the random torque [1]. Chosen: as in
 `fitting.discovery._random_torque`; with fewer the torque is a trend, a larger value leaves slow torques untried."""
 _LEVELS = np.geomspace(0.01, 4.0, 12)
-"""Trial levels of the random torque over that of the fit [1]. Chosen: lower ones are none, with more freedom none is
-much larger; more cost time."""
+"""Trial levels of the random torque divided by that of the fit [1]. Chosen: lower levels have no effect, and with more
+free parameters the level is never much larger; more cost time."""
 _RANK_FREE = 1e-7
-"""Relative singular value below which a free direction is rounding [1]. Chosen: as in `fitting.inference._metrics`; a
-smaller value projects out rounding, a larger one leaves a part of the free columns."""
+"""Relative singular value below which a free direction is rounding error [1]. Chosen: as in
+`fitting.inference._metrics`; a smaller value projects out rounding errors, a larger one leaves a part of the free
+columns."""
 _RANK = 1e-4
 """Relative singular value below which a smooth torque is one of the model [1]. Chosen: as in
-`fitting.inference._metrics`; a smaller value tests rounding, a larger one omits torques that are nearly absorbed."""
+`fitting.inference._metrics`; a smaller value tests rounding errors, a larger one omits torques that are nearly
+absorbed."""
 
 
 _FEWEST_PERIODS = 4.0
 """Smallest number of periods of a periodic torque in a record [1]. Chosen: the response of the angle to a random torque
 falls as the fourth power of the frequency or faster, so one realisation resembles a sinusoid of the lowest frequency
-that the parameters do not absorb; fewer periods take it for one, more miss a slow precession."""
+that the parameters do not absorb; with fewer periods a random torque is taken for a sinusoid, with more a slow
+precession is overlooked."""
 _MOST_PERIODS = 12.0
 """Largest number of periods of a periodic torque in a record [1]. Chosen: faster ones are lines of the residuals, which
 the periodogram tests; more periods make more trials."""
@@ -68,8 +71,8 @@ _PERIOD_STEP = 0.25
 """Step of the trial numbers of periods [1]. Chosen: a sinusoid a quarter period off at the end of the record keeps
 0.95 of its power; a larger step misses some, a smaller one costs time."""
 _CHIRPS = np.linspace(-0.4, 0.4, 9)
-"""Trial changes of the frequency over half the record, over the mean frequency [1]. Chosen: a precession whose rotor
-loses half of its speed has 0.33; more would be trials of another law."""
+"""Trial changes of the frequency over half the record, divided by the mean frequency [1]. Chosen: a precession whose
+rotor loses half of its speed has 0.33; more would be trials of another law."""
 _CHIRP_TRIALS = 4
 """Independent trials among the changes of the frequency [1]. Chosen: neighbouring ones are correlated at few periods;
 a larger number requires a larger fall."""
@@ -77,9 +80,9 @@ a larger number requires a larger fall."""
 
 @dataclass(frozen=True)
 class SmoothTorque:
-    """Fall of the deviance by torques beside a random one, their linear parameters, and the rows of the case.
+    """Fall of the deviance by torques in addition to a random one, their linear parameters, and the rows of the case.
 
-    `searched` are further parameters, of which the best of `trials` independent values is taken.
+    `searched` is the number of further parameters that are optimised over `trials` independent values.
     """
 
     fall: float
@@ -90,13 +93,13 @@ class SmoothTorque:
 
     @property
     def p_value(self) -> float:
-        """Probability of a larger fall in any of the trials, of a chi-square."""
+        """Probability that a chi-square exceeds the fall in any of the trials."""
         return (
             min(self.trials * float(chdtrc(self.columns, max(self.fall, 0.0))), 1.0) if self.columns else 1.0
         )
 
     def is_better(self, criteria: Criteria) -> bool:
-        """Return whether they describe the residuals better than a random torque alone, by BIC and p-value."""
+        """Return whether the torques describe the residuals better than a random torque alone, by BIC and p-value."""
         enough = (self.columns + self.searched) * np.log(self.rows) + criteria.random_torque_evidence
         return bool(self.fall > enough and self.p_value < criteria.lack_of_fit)
 
@@ -104,14 +107,14 @@ class SmoothTorque:
 def smooth_torques(
     data: CaseData, prediction: Prediction, noise: Noise, free: Array, criteria: Criteria
 ) -> tuple[SmoothTorque, SmoothTorque]:
-    """Compare a parabola and a sinusoid beside a random torque with a random torque alone, in the rows of one case.
+    """Compare a random torque plus a parabola or a sinusoid with a random torque alone, in the rows of one case.
 
     Parameters
     ----------
     data, prediction, noise : CaseData, Prediction, Noise
         A case, the prediction of the fitted model, and the noise with the random torque that it needs, above zero.
     free : ndarray, shape (rows, columns)
-        Derivatives by the free parameters and nuisance columns.
+        Derivatives with respect to the free parameters and nuisance columns.
     criteria : Criteria
         Range of correlation times of the random torque.
     """
@@ -143,7 +146,7 @@ def _beside(alone: Array, columns: Array, noise: Noise) -> Array:
     """Return the combinations of columns that differ from the free ones and from each other."""
     basis = orthonormal(noise.whitener(alone[:, :-1]), _RANK_FREE)
     columns = scaled_columns(columns, alone[:, -1])[:, :-1]
-    # of a single body both torques are the same one, and some are those of the model
+    # for a single body, both torques are the same, and some of them are already in the model
     _, value, directions = np.linalg.svd(orthogonal_to(basis, noise.whitener(columns)), full_matrices=False)
     return np.asarray(columns @ directions[value > _RANK * value.max(initial=0.0)].T)
 

@@ -6,15 +6,16 @@ angle then contains
 
     a cos(w t) + b sin(w t)
 
-over the whole record. The rows orthogonal to the polynomials of each stretch (`fitting.inference._process_noise`),
-whitened by the process noise of that stretch, are compared with these two columns at every frequency of at least ten
-periods a record; the deviance is minimised over the level of the process noise with and without them. Noise reaches a
-chi-square 2 z of two degrees of freedom anywhere in a band of width f with probability
+over the whole record. In each stretch, the rows orthogonal to the polynomials (`fitting.inference._process_noise`) are
+whitened by the process noise of the stretch. These two columns are fitted to the rows at every frequency with at least
+ten periods in the record. The deviance with and without the columns is minimised over the level of the process noise.
+The probability that noise alone reaches a chi-square of 2 z, with two degrees of freedom, anywhere in a band of width f
+is
 
     p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
 
-(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). A kink or a jump has a broad spectrum in one stretch: a
-line has to be significant whichever stretch is left out.
+(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). A kink or a jump has a broad spectrum in one stretch.
+Therefore a line has to remain significant if any one stretch is left out.
 """
 
 from __future__ import annotations
@@ -35,31 +36,32 @@ from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_in
 Array = NDArray[np.float64]
 
 _FEWEST_PERIODS = 10
-"""Periods of a line in a record [1]. Chosen: fewer are a slow torque; a larger value leaves slow lines in the process
-noise."""
+"""Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; a larger value
+leaves slow lines in the process noise."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi over the length of the record [1]. Chosen: fewer pass over peaks, more
-cost time; the finer search follows."""
+"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: fewer pass over peaks,
+more cost time; the finer search follows."""
 _FINER = 16
-"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: fewer lose height of the
-peak, more cost time."""
+"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: with fewer, the height of
+the peak is underestimated; more cost time."""
 _FASTEST = 2.5
 """Highest frequency [rad per row]. Chosen: below the Nyquist limit, pi; a larger value is not resolved by the rows, a
 smaller one overlooks fast lines."""
 _MOST = 4
-"""Lines of a record at most [1]. Chosen: fewer leave lines in the process noise, more take a broad spectrum apart."""
+"""Largest number of lines in a record [1]. Chosen: fewer leave lines in the process noise, more take a broad spectrum
+apart."""
 _RETAINED = 0.05
-"""Share of its rows that a line must have orthogonal to the polynomials [1]. Chosen: a smaller value finds lines in the
-motion, a larger one overlooks slow lines."""
+"""Smallest norm of the rows of a line orthogonal to the polynomials, as a share of the norm of all its rows [1].
+Chosen: a smaller value finds lines in the motion, a larger one overlooks slow lines."""
 _TINY = 1e-6
-"""Determinant of cosine and sine, over the product of their squares, below which phases are not determined [1]. Chosen:
-a smaller value inverts rounding, a larger one drops lines in short stretches."""
+"""Determinant of the normal matrix of cosine and sine, divided by the product of its diagonal, below which the phase is
+not determined [1]. Chosen: a smaller value inverts rounding errors, a larger one drops lines in short stretches."""
 _ROUNDING = 1e-7
-"""Relative singular value of a direction that is rounding [1]. Chosen: a smaller value projects out rounding, a larger
-one leaves a part of the nuisance columns."""
+"""Relative singular value of a direction that is rounding error [1]. Chosen: a smaller value projects out rounding
+errors, a larger one leaves a part of the nuisance columns."""
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
-"""Trial levels over the most likely process noise without a line [1]. Chosen: that noise is an upper bound; fewer
-understate the deviance, more cost time."""
+"""Trial levels, divided by the most likely process noise without a line [1]. Chosen: that noise is an upper bound;
+fewer understate the deviance, more cost time."""
 
 
 def false_alarm_probability(chi2: float, band: float, span: float) -> float:
@@ -112,7 +114,7 @@ def line_rows(run: Compressed, rates: Sequence[float] | Array) -> Array:
 
 
 def p_value_of_response(run: Compressed, nuisance: Array, camera: Array, responses: Array) -> float:
-    """Return the p-value of responses of the angle to a torque, if there is none: of the fall of the deviance.
+    """Return the p-value of the fall of the deviance by responses of the angle to a torque, if there is no torque.
 
     Parameters
     ----------
@@ -130,7 +132,7 @@ def p_value_of_response(run: Compressed, nuisance: Array, camera: Array, respons
     smooth, waves = smooth[:, size > 0] / size[size > 0], waves[:, size > 0] / size[size > 0]
     basis = orthonormal(camera, _ROUNDING)
     data, waves = orthogonal_to(basis, run.harmonic), orthogonal_to(basis, waves)
-    # harmonics that a camera changes from block to block have more noise than the samples
+    # if the camera errors vary from block to block, the harmonics have more noise than the samples
     left = orthogonal_to(orthonormal(waves, _ROUNDING), data)
     free = int(run.harmonic_exists.sum()) - basis.shape[1] - waves.shape[1]
     scale = math.sqrt(max(1.0, float(left @ left) / max(free, 1)))
@@ -162,14 +164,14 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch], criteria: Criteria
     noises = [s.whitenings_at(_noise_times(run), _SHARES) for s in stretches]
 
     def left_out(parts: Array) -> Array:
-        """Return the sums over all stretches but one, for each of them."""
+        """Return, for each stretch, the sum over all other stretches."""
         return parts if len(parts) == 1 else parts.sum(axis=0) - parts
 
     deviance = left_out(np.array([[d for _, d in noise] for noise in noises]))
     deviance -= deviance.min(axis=1, keepdims=True)
 
     def gain(rates: Array) -> Array:
-        """Return the fall of the deviance at each frequency, the smallest over the stretches that are left out."""
+        """Return the fall of the deviance at each frequency: the smallest if any one stretch is left out."""
         rows = line_rows(run, rates)
         sums: list[list[list[Array]]] = [[[] for _ in _SHARES] for _ in range(5)]
         for s, noise in zip(stretches, noises, strict=True):

@@ -1,8 +1,8 @@
-"""Parameters that follow expressions of others: 2 * bearing.linear.d, or sqrt(d * e) with short names.
+"""Parameters tied to expressions of other parameters: 2 * bearing.linear.d, or sqrt(d * e) with short names.
 
-A fit moves the other parameters only. With the values theta of all variables and the expressions
-theta_i = f_i(theta) of the tied ones, derivatives by the free variables follow by the chain rule, and the covariance of
-all is that of the free ones, propagated.
+A fit varies only the other parameters. With the values theta of all variables and the expressions theta_i = f_i(theta)
+of the tied ones, derivatives with respect to the free variables follow from the chain rule, and the covariance of all
+variables is propagated from that of the free variables.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 
 _NAME = re.compile(r"[A-Za-z_][\w.]*")
 _LARGEST = 5000
-"""Nodes of an expression, beyond which it grows by substitution in a circle [1]. Chosen: a smaller value refuses long
-expressions, a larger one delays the message about a circle."""
+"""Number of nodes above which an expression is taken to be circular and to grow by substitution [1]. Chosen: a smaller
+value refuses long expressions, a larger one delays the error for circular expressions."""
 
 
 def find_key(name: str, keys: Iterable[str]) -> str:
-    """Return the parameter that a name means: its key, or the end of its key where only one ends in it.
+    """Return the key of the parameter with this name, which is the key or the end of exactly one key.
 
-    An EffectError says that there is none, or that there are several.
+    An EffectError is raised if there is none, or if there are several.
     """
     known = list(keys)
     if name in known:
@@ -42,19 +42,19 @@ def find_key(name: str, keys: Iterable[str]) -> str:
 
 
 def parse_tie(text: str, keys: Sequence[str]) -> Expr:
-    """Return an expression of parameters as a tree whose symbols are their keys.
+    """Parse an expression of parameters into a tree whose symbols are the keys of the parameters.
 
     Names of effects contain dots, which the grammar of formulas does not have: they are replaced first, the longest
     name first, so that no name is taken for a part of another.
     """
     if not isinstance(text, str):
         raise EffectError(
-            f"the expression of a parameter is a {type(text).__name__}", 'write for example "2*d"'
+            f"the expression of a parameter is a {type(text).__name__}", 'write, for example, "2*d"'
         )
     replaced: dict[str, str] = {}
     plain = text
     for key in sorted(keys, key=len, reverse=True):
-        # an own law has a formula as its name
+        # a user-defined law has a formula as its name
         if key in plain and not _NAME.fullmatch(key):
             replaced[f"tied_{len(replaced)}"] = key
             plain = plain.replace(key, f"tied_{len(replaced) - 1}")
@@ -77,12 +77,12 @@ class Follower:
     """One tied variable: its index, its expression, and the symbols in it with their indices or constants."""
 
     place: int
-    tape: Tape  # its value, then its derivatives by the variables
+    tape: Tape  # its value, then its derivatives with respect to the variables
     sources: tuple[tuple[str, int], ...]
     constants: Mapping[str, float]
 
     def __call__(self, theta: Array) -> tuple[float, Array]:
-        """Return the value and its derivatives by the sources."""
+        """Return the value and its derivatives with respect to the sources."""
         numbers = {name: float(theta[i]) for name, i in self.sources}
         value, *slopes = self.tape({**numbers, **self.constants})
         return float(value), np.array([float(s) for s in slopes])
@@ -91,7 +91,7 @@ class Follower:
 def resolved(ties: Mapping[str, str], keys: Sequence[str], constants: Iterable[str]) -> dict[str, Expr]:
     """Return the expressions of tied parameters, by key, as functions of free parameters and constants.
 
-    An EffectError or ExpressionError says that a name is unknown, or that parameters follow each other in a circle.
+    An EffectError or ExpressionError is raised if a name is unknown, or if the expressions of parameters are circular.
     """
     known = (*keys, *constants)
     trees = {find_key(name, keys): parse_tie(text, known) for name, text in ties.items()}
@@ -102,7 +102,7 @@ def resolved(ties: Mapping[str, str], keys: Sequence[str], constants: Iterable[s
         if any(len(nodes(tree)) > _LARGEST for tree in trees.values()):
             break
     raise EffectError(
-        f"the expressions of {', '.join(sorted(trees))} depend on each other in a circle",
+        f"the expressions of {', '.join(sorted(trees))} are circular",
         "write each as an expression of fitted parameters",
     )
 
@@ -110,9 +110,9 @@ def resolved(ties: Mapping[str, str], keys: Sequence[str], constants: Iterable[s
 def followers(
     trees: Mapping[str, Expr], index: Mapping[str, int], constants: Mapping[str, float]
 ) -> list[Follower]:
-    """Return the tied variables of all cases; `index` are the places of the variables by name.
+    """Return the tied variables of all cases; `index` gives the position of each variable by name.
 
-    An EffectError says that a parameter which the cases share follows one that each of them has of its own.
+    An EffectError is raised if the expression of a shared parameter contains a parameter with a value per case.
     """
     found = []
     for key, tree in trees.items():
@@ -123,7 +123,7 @@ def followers(
             missing = [s for s, n in zip(used, own, strict=True) if n not in index]
             if missing:
                 raise EffectError(
-                    f"{key} has one value for all cases, and {missing[0]} one for each",
+                    f"{key} has one value for all cases, but {missing[0]} has one value per case",
                     f"add {key} to per_case, or {missing[0]} to share",
                 )
             tape = Tape([tree, *(derivative(tree, s) for s in used)])
@@ -133,7 +133,7 @@ def followers(
 
 
 def follow(theta: Array, tied: Sequence[Follower]) -> Array:
-    """Return the variables with the tied ones at their expressions; an ExpressionError if one is not finite."""
+    """Return the variables, the tied ones set to their expressions; an ExpressionError if one is not finite."""
     if not tied:
         return theta
     theta = theta.copy()
@@ -142,13 +142,13 @@ def follow(theta: Array, tied: Sequence[Follower]) -> Array:
         if not np.isfinite(theta[one.place]):
             raise ExpressionError(
                 "the expression of a tied parameter is not finite",
-                "check that it exists for all values in the bounds",
+                "check that it is defined for all values within the bounds",
             )
     return theta
 
 
 def chain(theta: Array, tied: Sequence[Follower]) -> Array:
-    """Return the derivatives of all variables by the free ones, (n, n); columns of tied ones are zero."""
+    """Return the derivatives of all variables with respect to the free ones, (n, n); columns of tied ones are zero."""
     slope = np.eye(len(theta))
     for one in tied:
         slope[one.place] = 0.0

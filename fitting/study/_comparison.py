@@ -64,10 +64,8 @@ class ParameterComparison:
     name: str
     unit: str  # SI
     repeats: tuple[Repeat, ...]  # its value in each run that determines the parameter
-    difference_sigma: (
-        float | None
-    )  # second minus first value over its standard uncertainty; None unless two runs
-    p_value: float  # of equal values in all runs
+    difference_sigma: float | None  # second minus first value [standard uncertainties]; None unless two runs
+    p_value: float  # probability of such differences if the values are equal in all runs
     mean: float  # of the random-effects model [unit]
     mean_u: float  # its standard uncertainty [unit]
     spread: float  # standard deviation tau between the runs, in addition to the uncertainties [unit]
@@ -110,7 +108,7 @@ class ComparisonDocument(TypedDict):
     """Comparison of the fits of several runs."""
 
     runs: list[str]  #: Names of the runs.
-    parameters: dict[str, ComparedParameter]  #: By key as in a fit, the most significant difference first.
+    parameters: dict[str, ComparedParameter]  #: Parameters by key, the most significant difference first.
     effects: dict[str, list[str]]  #: Runs that have an effect, by effect that some runs do not have.
     #: Runs in which a parameter is at a bound or has no uncertainty, by parameter.
     at_bound: dict[str, list[str]]

@@ -66,7 +66,7 @@ class CurveBias:
 
     @property
     def errors(self) -> float:
-        """Shift of the parameter by the curve, over the standard error from the curve.
+        """Shift of the parameter by the curve, divided by the standard error from the curve.
 
         At a bound, the standard error from the windows is used.
         """

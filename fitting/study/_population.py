@@ -70,7 +70,7 @@ _PREFERRED = 2.0
 (1995)."""
 _UNKNOWN = 1e10
 """Variance of a parameter that a run does not determine, in units of its variance over the runs [1]. Derived: large
-enough to have no weight, small enough for the rounding of the inverse."""
+enough to have no weight, small enough for the rounding error of the inverse."""
 _LEAST_SHARE = 0.8
 """Share of the runs that must determine a parameter [1]. Chosen: a smaller value tests parameters of few runs, a larger
 one drops parameters for single runs."""
@@ -122,7 +122,7 @@ class PopulationParameterDocument(TypedDict):
     runs: int  #: Number of runs that determine the parameter and are not outlying.
     p_drift: float  #: Probability of such a drift if there is none [1].
     p_step: float  #: Probability of such a step if there is none [1].
-    p_adjusted: float  #: The smaller of both, adjusted for all parameters and both tests [1].
+    p_adjusted: float  #: The smaller of the two, adjusted for all parameters and both tests [1].
     change: ChangeDocument | None  #: Drift or step; null if not significant.
 
 
@@ -163,7 +163,7 @@ class PopulationParameter:
     runs: int  # number of runs that determine the parameter and are not outlying
     p_drift: float
     p_step: float
-    p_adjusted: float  # the smaller of both, adjusted for all parameters and both tests (Holm)
+    p_adjusted: float  # the smaller of the two, adjusted for all parameters and both tests (Holm)
     change: Change | None  # None if not significant
 
 

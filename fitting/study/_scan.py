@@ -136,7 +136,7 @@ class Robustness:
     key: str  #: Key of the parameter.
     unit: str  #: Unit of the mean.
     mean: float  #: Mean over the separate fits [`unit`].
-    spread: float  #: Range of the values over the mean; unknown for a single case [1].
+    spread: float  #: Range of the values divided by the mean; unknown for a single case [1].
     shift: float  #: Relative change from the mean to the joint fit, if there is one [1].
     sigma: float  #: Largest difference of two fits [standard errors].
     verdict: str  #: `robust`, `varies`, `unstable`, `zero`, `not determined` or `not known`.

@@ -2,7 +2,8 @@
 
 A fit is restored from its variables, its noise and the data by one prediction. A diagnosis is restored from its
 sentence and its ranking; its curves are computed from its fit. Stored states are valid only for the same code and the
-same data, see `fingerprint`. The documents of laws and plans are modules of their own: only their commands need them.
+same data; see `fingerprint`. The documents of laws and plans are in separate modules, because only the commands for
+laws and plans need them.
 """
 
 from __future__ import annotations

@@ -285,8 +285,8 @@ def turned(strips: Array, which: Array, ahead: Array, light: Array, first: Array
 def sample_sums(strips: Array, row: int, picture: Array, weights: Array) -> Array:
     """Return weighted sums over the samples of each picture, (n, 4).
 
-    The samples x of picture k are the (p,) values of `strips` (n, rows, columns) from a row on. With d = x - `picture`
-    (p,) and `weights` w (4, p), the sums are those of w_0 d, w_1 d, w_2 d and w_3 d^2.
+    The samples x of picture k are the (p,) values of `strips` (n, rows, columns) that start at a given row. With d = x
+    - `picture` (p,) and `weights` w (4, p), the sums are those of w_0 d, w_1 d, w_2 d and w_3 d^2.
     """
     out = np.empty((len(strips), 4))
     lengths = _check("f4[n,r,c] f4[p] f4[4,p] -> f8[n,4]", (strips, picture, weights, out))

@@ -31,7 +31,7 @@ _FEWEST_TURNS = 8  # in fewer turns, an unbalance may cause the rise
 _BLOCKS = 100  # largest number of intervals in which mean speeds are compared
 _LEAST_LEVEL = 0.05  # smallest median of an input that drives the body [its largest value]
 _EXPLAINED = 0.9  # smallest share of the variance of the speed that a first-order response explains
-_REST = 0.02  # speed of a body at rest before a constant drive [range of the speed]
+_REST = 0.02  # largest speed of a body that counts as at rest before a constant drive [range of the speed]
 _GRID = 24  # number of time constants in the search grid; the number of delays is half of it
 _LONGEST_DELAY = 0.1  # [length of the record]
 _FEWEST = 12
@@ -45,7 +45,7 @@ class Response:
     unit: str  #: Unit of the input in the file.
     time_constant: Value  #: Time constant [s].
     delay: Value | None  #: Dead time of the response to a step of the input; null if none is found [s].
-    #: Change of the final speed per unit of the input; null for one level [rad s-1 per `unit`].
+    #: Change of the final speed per unit of the input; null if the input has only one level [rad s-1 per `unit`].
     gain: Value | None
     final: Value  #: Speed that the body approaches with the last value of the input [rad s-1].
     explained: float  #: Share of the variance of the speed that the response explains, 0 to 1 [1].
@@ -210,7 +210,7 @@ def _response(series: Series, quantity: str, cause: Driver | None) -> Response |
 
 
 def _end_of_rest(series: Series) -> int:
-    """Return the last sample before the speed changes, without the ends of the record that have no smoothed speed."""
+    """Return the last sample before the speed changes; samples without a smoothed speed at the ends are ignored."""
     known = np.flatnonzero(np.isfinite(series.omega) & np.isfinite(series.omega_sigma))
     if not len(known):
         return 0

@@ -2,7 +2,7 @@
 
 The commitment to an answer is the SHA-256 of a random salt and the text of the answer; it is stored in the case file
 and in the seal, so that a later change of either file is detected. The seal contains the answer, XORed with a stream
-derived from the salt; this prevents accidental, but not deliberate reading.
+derived from the salt; this prevents accidental reading, but not deliberate reading.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _EXPOSURE = 0.4
 _STORED_FPS = 25.0
 _TILT = 0.06
 _POINTS_PER_SECOND = 500
-_CASING_SPEED = 100.0  # [rad/s]; the requested torque of an added effect is its torque at this speed
+_CASING_SPEED = 100.0  # speed at which an added effect has the requested torque [rad/s]
 
 
 def write_record(
@@ -111,7 +111,7 @@ class SimulatedRun:
         seed: int,
         given: Sequence[str] = (),
     ) -> SimulatedRun:
-        """Use typical values for parameters that are not given.
+        """Return a run, with typical values for parameters that are not given.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class SimulatedRun:
 
 
 def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, float]:
-    """Read ``casing.air.quadratic.k=1e-9``."""
+    """Parse assignments like ``casing.air.quadratic.k=1e-9``."""
     given = {}
     for item in items:
         key, equals, value = item.partition("=")
@@ -225,7 +225,7 @@ def _given(items: Sequence[str], numbers: Mapping[str, float]) -> dict[str, floa
         try:
             given[key] = float(value)
         except ValueError:
-            raise UsageError(f"{value[:30]!r} is not a number.", f"Write for example {key}=1e-9.") from None
+            raise UsageError(f"{value[:30]!r} is not a number.", f"Write, for example, {key}=1e-9.") from None
     return given
 
 
@@ -266,7 +266,7 @@ def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -
 
 
 FORMAT = "gyrotrack seal"
-# laws that are not in the library: the correct answer is "unexplained", or the law itself
+# laws that are not in the library; the right answer is the law itself; an answer without an effect is the right class
 OUTSIDE = (
     "casing: -k*omega_c**3",
     "casing: -k*exp(-((omega_c - 110)/12)**2)",
@@ -294,7 +294,7 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Seal:
-    """The content of an opened seal: the name or law of the hidden effect, and its parameters."""
+    """The content of an opened seal: the name or law of the hidden effect, its parameters, and the commitment."""
 
     effect: str
     parameters: dict[str, float]
@@ -311,7 +311,7 @@ class Score:
 
 
 def draw_effect(present: Sequence[str], random: Any) -> Effect:
-    """Draw an effect of the library that is absent and needs no reversals; with a probability of 20 %, another law."""
+    """Draw an effect of the library that is not `present` and needs no reversals, or (20 %) a law of `OUTSIDE`."""
     if random.random() < _P_OUTSIDE:
         return resolve(OUTSIDE[int(random.integers(len(OUTSIDE)))])
     drawn = [n for n, e in LIBRARY.items() if e.kind == "physical" and e.searched and not e.restoring]
@@ -328,7 +328,7 @@ def hide_effect(model: Model, strength: float) -> Hidden:
 
 
 def seal(path: Path, effect: str, parameters: Mapping[str, float], *, force: bool = False) -> str:
-    """Write the answer, an effect and its parameters, to a sealed JSON file, and return its commitment."""
+    """Write the answer (an effect and its parameters) to a sealed JSON file; return its commitment."""
     salt = secrets.token_hex(16)
     answer = json.dumps({"effect": effect, "parameters": dict(parameters)}, sort_keys=True)
     commitment = hashlib.sha256(f"{salt}{answer}".encode()).hexdigest()
@@ -369,7 +369,7 @@ _WITHOUT_MISFIT = ("no_lack_of_fit", "adequate")
 
 
 def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[float, float]]]:
-    """Return the effects that a history of fits added, and the parameters of the last fit with standard errors.
+    """Return the effects added in a history of fits, and the parameters of the last fit that have a standard error.
 
     If the last fit has significant lack of fit, no effect is returned, because the added effects are hypotheses.
     """
@@ -380,7 +380,7 @@ def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[floa
 
 
 def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, float]]) -> Score:
-    """Grade an answer: an effect, then the effects indistinguishable from it; `found` has values and errors."""
+    """Grade an answer: `named` is an effect, then its indistinguishable effects; `found` has (value, error)."""
     outside = truth.effect not in LIBRARY
     equivalent = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
     word = "right class" if set(named) & equivalent or (outside and not named) else "wrong"

@@ -98,7 +98,7 @@ class SpindownOptions:
     point: tuple[float, float] | None = None
     colour: str | None = None  # colour of a point to follow
     scale: float | None = None
-    tilt: Tilt | None = None  # of the axis of rotation against the line of sight
+    tilt: Tilt | None = None  # angle between the axis of rotation and the line of sight
     capture_fps: float | None = None  # frames per second of the camera
     # moment of inertia [kg m2], for example "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
     inertia: str | None = None
@@ -216,7 +216,7 @@ def _passages(source: Path, options: SpindownOptions) -> dict[str, Any] | None:
     motion = motion_of_passages(found)
     note = (
         f"{source.name}: {len(found.time)} passages of a pendulum through the light gates; they show its period and "
-        "decay, but no angle: no case and no torque law."
+        "decay, but no angle. Therefore no case is made and no torque law is fitted."
     )
     parts = dict.fromkeys(("case", "report", "picture", "oscillator", "response", "diagnosis"))
     parts["reading"] = []
@@ -259,8 +259,8 @@ def _film(
     """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body.
 
     If one of the bodies of the paper's markers is selected, the markers come first. A point is followed in four cases:
-    a point is selected, no body is found that turns, the hub is outside the picture, or only one compact body moves on
-    an arc, because the path of a ball on a thread is measured better than its rotation.
+    a point is selected, no rotating body is found, the hub is outside the picture, or only one compact body moves on an
+    arc. In the last case, the path of a ball on a thread is measured better than its rotation.
     """
     if options.profile is not None:
         return extract(
@@ -320,7 +320,7 @@ def _film(
 def _by_silhouette(
     film: Film, look: FirstLook, options: SpindownOptions, progress: Progress | None
 ) -> tuple[Recording, TrackedPoint] | None:
-    """Track a ball on a string or a long body about a tilted axis, as the silhouettes of a few frames show it.
+    """Track a ball on a string or a long body about a tilted axis if the silhouettes in a few frames show one.
 
     None for any other film.
     """
@@ -361,7 +361,8 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
             raise VideoError(f"Invalid capture rate: {requested:g} fps.", "Give a positive number.")
         if film.interlaced:
             text = (
-                f"--capture-fps {requested:g} is the rate of the frames; {2 * requested:g} fields per second."
+                f"--capture-fps {requested:g} is the rate of the frames, which contain {2 * requested:g} fields per "
+                "second."
             )
             return 2 * requested, "--capture-fps", [text]
         return requested, "--capture-fps", []
@@ -456,7 +457,7 @@ def links_recording(
     from the right of the picture; their difference is the angle between the links.
     """
     if len(starts) != 2:
-        what = f"--links needs two points, and {len(starts)} are given."
+        what = f"--links needs two points, but {len(starts)} are given."
         raise UsageError(
             what, "Give the joint and a point of the second link with --points X,Y --points X,Y."
         )
@@ -476,8 +477,8 @@ def links_recording(
     text = (
         "The casing is the first link, about the pivot; the rotor is the second one, about the joint. Their angles are "
         "relative to the ground; the angle between the links is rotor minus casing. The points may be "
-        f"{1e3 * beside:.2g} mrad off the axes of the links: an error of "
-        "the zero of the first angle."
+        f"{1e3 * beside:.2g} mrad off the axes of the links, which "
+        "causes an error of the zero of the first angle."
     )
     extra = {**recording.extra, "links": ["casing", "rotor"]}
     warnings = (*recording.warnings, *joint.warnings, text)
@@ -588,7 +589,8 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
     if len(recording.bodies) > 1:
         other = next(key for key in recording.bodies if key != name)
         text = (
-            f"Of {len(recording.bodies)} bodies the {name} is analysed; --body {other} selects the other one."
+            f"The {name} is one of {len(recording.bodies)} bodies and is analysed; "
+            f"--body {other} selects the other one."
         )
         recording = replace(recording, warnings=(*recording.warnings, text))
     body = recording.bodies[name]
@@ -619,7 +621,7 @@ class BodyResponse(TypedDict):
 
     label: str  #: Name of the case.
     body: str  #: Name of the body.
-    time_constant: StoredEstimate  #: Moment of inertia over linear drag.
+    time_constant: StoredEstimate  #: Moment of inertia divided by linear drag.
     gains: dict[str, StoredEstimate]  #: Change of the final speed per unit of an input, by input.
     delays: dict[str, StoredEstimate]  #: Dead time of an input, by input for which one is fitted.
 
@@ -780,7 +782,7 @@ def _analysed(
         laws = oscillator_laws(study.data[0]) if motion.period is not None else None
         with WorkerPool() as workers:
             # a new history, independent of earlier fits of this case; an oscillation has no solution without a
-            # restoring torque, and other laws imitate a missing one
+            # restoring torque, and other laws would imitate a missing restoring torque
             if drives:
                 base = _first_order_fit(study.data, [i.name for i in drives])
             elif laws is None:
@@ -800,7 +802,7 @@ def _analysed(
                 tried = (
                     "one effect was added"
                     if laws is None
-                    else "no law beyond those of amplitude and phase was fitted"
+                    else "no law was fitted except those that amplitude and phase show"
                 )
                 warnings.append(
                     f"The oscillation has {reversals} reversals: {tried}; `gyrotrack improve` "
@@ -849,7 +851,7 @@ def _analysed(
 
 
 def drives_of(case: Case) -> tuple[Input, ...]:
-    """Return the recorded inputs that drive the body: all except temperatures, on which laws may only depend."""
+    """Return the recorded inputs that drive the body: all except temperatures, because a temperature is not a drive."""
     return tuple(i for i in case.inputs if i.unit != "K")
 
 

@@ -312,7 +312,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
 
 
 def checked_body_name(name: str) -> str:
-    """Return the name of a single body; a UsageError says what is accepted."""
+    """Return the name of a single body; a UsageError states what is accepted."""
     from fitting._case_checks import is_body_name
 
     if name and not is_body_name(name):

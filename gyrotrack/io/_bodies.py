@@ -41,7 +41,7 @@ def refuse(subject: str, defect: Defect | None) -> None:
 
 
 def write_bodies(file: Any, case: Case) -> None:
-    """Write the groups of bodies, clocks and joints of a case, and those of older scripts.
+    """Write the groups of bodies, clocks and joints of a case, and the groups that older scripts read.
 
     A UsageError names a value that could not be read again.
     """
@@ -71,7 +71,7 @@ def _write_old_groups(file: Any, case: Case) -> None:
 
 
 def _write_body(file: Any, case: Case, place: int) -> None:
-    """Write the body of a case with this number: its attributes, its series and their error modes."""
+    """Write the body with the index `place` in a case: attributes, series and error modes of the series."""
     name, series = case.motions[place]
     value, u = layout.MEASURED[case.quantity]
     group = file.create_group(f"body/{name}")

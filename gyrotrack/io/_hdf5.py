@@ -189,7 +189,7 @@ def load_recording(group: Any) -> Recording:
 
 
 def _load(group: Any, table: layout.Table) -> dict[str, Any]:
-    """Return the columns of a table, stored in a file (`gyrotrack._column_store`), and the attributes of the table."""
+    """Return the columns of a table as arrays stored in a file (`gyrotrack._column_store`), and its attributes."""
     return {**in_file(READER.table(group, table)), **READER.attributes(group, table.attributes)}
 
 
@@ -295,7 +295,7 @@ def _load_placement(group: Any, name: str) -> Placement:
 
 
 def read_kind(path: Path) -> str:
-    """Return "recording" or "case"; a DatasetError if the file is missing, damaged, or of another or a newer format."""
+    """Return "recording" or "case"; a DatasetError if the file is missing, damaged, or of an unknown format."""
     with READER.open(path) as file:
         return str(READER.attribute(file, "kind", str))
 

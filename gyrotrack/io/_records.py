@@ -716,7 +716,7 @@ _MASS = {"kg": 1.0, "g": 1e-3, "mg": 1e-6}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _UNIT = re.compile(r"(kg|g|mg)\s*[*·. ]?\s*(m|cm|mm)\s*(?:\^|\*\*)?\s*(?:2|²)")
 _INERTIA_EXAMPLE = (
-    'Write for example "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2 +- 6"; the uncertainty is optional.'
+    'Write, for example, "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2 +- 6"; the uncertainty is optional.'
 )
 
 # limits of plausible values of a moment of inertia: 1 mg at a radius of 1 mm, 1 t at 10 m

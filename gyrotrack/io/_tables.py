@@ -1,4 +1,4 @@
-"""Writing of tables and attributes of the schema; the reader `fitting._dataset` with the errors of `gyrotrack`."""
+"""Writing of tables and attributes of the schema, and a reader that raises the errors of `gyrotrack`."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def create_dataset(group: Any, name: str, array: npt.NDArray[Any]) -> Any:
 def _attach_scales(
     group: Any, f: Field, datasets: Mapping[str, Any], own: dict[str, Any], scales: Mapping[str, Any]
 ) -> None:
-    """Attach the dimension scales of other groups, or `own` of this group, which are added as they are made."""
+    """Attach dimension scales: `scales` of other groups, or those of this group, which are added to `own`."""
     dataset = datasets[f.name]
     for axis, dim in enumerate(f.dims):
         if dim in scales:
@@ -82,7 +82,7 @@ def _attach_scales(
 
 
 def _scale(group: Any, dim: str, size: int, datasets: Mapping[str, Any]) -> Any:
-    """Return the dimension scale `dim` of a group: one of its datasets, or an index of a size."""
+    """Return the dimension scale `dim` of a group: one of its datasets, or an index array of length `size`."""
     scale = datasets[dim] if dim in datasets else group.get(dim)
     if scale is None:
         scale = create_dataset(group, dim, np.arange(size, dtype="i8"))

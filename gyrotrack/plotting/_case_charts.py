@@ -310,7 +310,7 @@ def torque_angle_charts(
     return [
         Chart(
             "torque-angle",
-            "Unmodelled torque in the angle",
+            "Unmodelled torque against the angle",
             f"{prefix}{unit_text(unit)}",
             tuple(traces),
             f"First and second harmonic of the unmodelled torque in the angle of the {body}, {sizes}.",
@@ -383,7 +383,7 @@ def tracking_charts(tracks: Tracks) -> list[Chart]:
     for axis in (0, 1):
         curves = [(c.clip, c.time, c.place[:, axis]) for c in tracks.centres]
         centre += _combined_traces("xy"[axis], curves, len(centre))
-    caption = "From the consistency of the markers and their sharpness."
+    caption = "Estimated from the consistency and the sharpness of the markers."
     title, finding = "Uncertainty of the angles", sigma_finding(tracks.sigmas)
     charts = [Chart("sigma", title, "mrad", tuple(sigma), finding, caption=caption)] if sigma else []
     caption = "Centre in the image, relative to its median; tracking corrects the angles for this motion."

@@ -241,7 +241,7 @@ class Chart:
     caption: str = ""  # explanation of the chart
     # if positive, matplotlib uses a vertical scale that is linear up to this value and logarithmic beyond
     linear_within: float = 0.0
-    body: str = ""  # key of its body, whose intervals are shaded; those of all bodies without one
+    body: str = ""  # key of its body, whose intervals are shaded; without a key, the intervals of all bodies are shaded
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "traces", informative(self.traces))

@@ -204,7 +204,7 @@ class Film:
             del self._held[next(iter(self._held))]
 
     def _decoded(self, first: int) -> Iterator[Any]:
-        """Decode from the current position on; before the timestamp `first`, only reference frames."""
+        """Decode from the current position; before the timestamp `first`, only reference frames are decoded."""
         decoder = self._stream.codec_context
         # other codecs may use such frames as references
         can_skip = decoder.codec.name == "h264"

@@ -112,9 +112,9 @@ def sigma_finding(sigmas: tuple[Sigma, ...]) -> str:
         if medians:
             low, high = short(min(medians), 2), short(max(medians), 2)
             parts.append(f"{body} {low if low == high else f'{low} to {high}'} mrad")
-    return (
-        f"Standard uncertainty of an angle, median of each clip: {', '.join(parts)}." if parts else "Unknown."
-    )
+    if not parts:
+        return "The standard uncertainty of the angles is unknown."
+    return f"Standard uncertainty of an angle, median of each clip: {', '.join(parts)}."
 
 
 def centre_finding(centres: tuple[Centre, ...]) -> str:

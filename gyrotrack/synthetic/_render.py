@@ -64,7 +64,7 @@ class PolarPicture:
         return PolarPicture(np.ascontiguousarray(self.pixels[:, :, index : index + 1]), self.per_mm)
 
     def blurred(self, angle: float) -> Paint:
-        """Return two turns of the picture, blurred by a rotation by ``angle`` [rad]; cached: it changes little."""
+        """Return two turns of the picture, blurred by a rotation by ``angle`` [rad]; cached (it changes little)."""
         width = round(abs(angle) * self.per_rad / WIDTH_STEP) * WIDTH_STEP
         width = max(1.0, min(width, float(self.columns)))
         if width not in self._blurred:

@@ -366,8 +366,8 @@ def find_markers(
 ) -> tuple[dict[str, Marker], dict[str, tuple[float, float]], tuple[str, ...]]:
     """Find the visible markers of a profile; also `Scene.offsets` and `Scene.doubts`.
 
-    Each body is searched in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the centre
-    of its orbits if this differs. `radius` is that of the largest orbit [px], `where` the name of the film for
+    Each body is searched for in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the
+    centre of its orbits if this differs. `radius` is that of the largest orbit [px], `where` the name of the film for
     messages.
     """
     frames = samples.spread
@@ -692,8 +692,8 @@ _DISC_PEAK = 10.0
 """Smallest peak, the 99th percentile of the scores, of a disc [grey levels]. Chosen: a smaller value accepts
 reflections, a larger one loses faint discs."""
 _DISC_FILL = 0.7
-"""Smallest area of a disc without an orbit over that of the smallest circle about it [1]. Chosen: a full disc has 1; a
-smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
+"""Smallest area of a disc without an orbit divided by that of the smallest circle about it [1]. Chosen: a full disc has
+1; a smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
 
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:

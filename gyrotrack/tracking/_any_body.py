@@ -1,7 +1,7 @@
 """Tracking of one rotating body in any film, by its markers or by its texture.
 
 The moving part of the picture is found, and candidates for the hub are proposed. The ring about each candidate is
-tracked through some hundred frames, and the candidate that best explains the change of brightness is refined. See
+tracked through a few hundred frames, and the candidate that best explains the change of brightness is refined. See
 `_registration` for the measurement of the angle.
 """
 
@@ -167,8 +167,8 @@ _TILTED = 0.35
 """Smallest tilt of the axis that the result states [rad]. Chosen: cos 0.35 = 0.94; a smaller value reports noise, a
 larger one hides a tilt."""
 _ELSEWHERE = 0.2
-"""Smallest ratio of the moving area outside the best ring to that within it for which a second body is searched [1].
-Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
+"""Smallest ratio of the moving area outside the best ring to that within it for which a second body is searched for
+[1]. Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
 _COUPLED = 0.55
 """Smallest ratio of the moving area outside the best ring to that within it for which a second body may act on the
 first [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with one link tracked."""
@@ -1142,10 +1142,10 @@ def _finish(
     warnings = list(film.warnings)
     if (tilt := ring.tilt) is not None and tilt[0] > _TILTED:
         warnings.append(
-            f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees against the line of sight (the "
+            f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees relative to the line of sight (the "
             f"orbits are ellipses with the ratio {math.cos(tilt[0]):.2f} of their axes, the short one at "
             f"{math.degrees(tilt[1]):.0f} degrees): the angles are those in the plane of the body. The film does "
-            "not show which side of the body is nearer; the sense of rotation is that seen."
+            "not show which side of the body is nearer; the sense of rotation is the one seen."
         )
     repeated = int(film.selected.sum()) - len(usable)
     if repeated:

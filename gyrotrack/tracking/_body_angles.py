@@ -171,11 +171,11 @@ def view(
 
 
 BLOCK_ERROR = 0.09
-"""Systematic error by place due to the blocks of the encoder, if no body turns enough to measure it [px]. Measured: rms
-over films of many kinds."""
+"""Systematic position-dependent error due to the blocks of the encoder, if no body turns enough to measure it [px].
+Measured: rms over films of many kinds."""
 LIGHT_ERROR = 0.8e-3
-"""Systematic error by place due to uneven illumination, if no body turns enough to measure it [rad]. Measured: rms over
-films of many kinds."""
+"""Systematic position-dependent error due to uneven illumination, if no body turns enough to measure it [rad].
+Measured: rms over films of many kinds."""
 
 
 _BETTER = 4.0
@@ -187,7 +187,7 @@ value overstates the significance, a larger one leaves few groups."""
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
-    """Select the path of the hub about which the radii of the markers vary least; the first unless it is worse.
+    """Select the hub path about which the radii of the markers vary least; the first one unless another is better.
 
     An error n of the centre changes the radius of a marker in the direction of the unit vector r by -n . r. Errors of
     the radii are independent of errors of the disc.
@@ -282,7 +282,7 @@ another one is an outlier; with a larger value it dominates the mean, a smaller 
 
 
 def _is_better(before: Floats, after: Floats) -> bool:
-    """Return whether squared residuals are significantly smaller than those before, on the mean over the markers."""
+    """Return whether squared residuals are significantly smaller than those before, on average over the markers."""
     gain = []
     for one, other in zip(before, after, strict=True):
         use = np.isfinite(one) & np.isfinite(other)
@@ -345,7 +345,7 @@ LEAST_PLACES = 14
 
 
 def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
-    """Return the error by place of the radii of a body in one component of one harmonic [px].
+    """Return the position-dependent error of the radii of a body in one component of one harmonic [px].
 
     Orders that neither an offset nor a tilt causes determine it. The mean over the markers is used, because a shadow
     displaces all of them equally at each place. This estimate and the typical error are estimates of one variance. A
@@ -398,7 +398,7 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
 
 HEIGHT = 0.03
 """Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit [1]. Derived: 1
-mm over a radius of 35 mm."""
+mm divided by a radius of 35 mm."""
 LUMA_SHIFT = 0.5
 """Distance by which the luma of a marker may be displaced from the chroma [px]. Derived: conventions for the place of
 chroma samples differ by half a luma pixel."""
@@ -419,12 +419,12 @@ def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float
 
 
 def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
-    """Return the typical error by place of the mean of some markers [px]; they share the part of illumination."""
+    """Return the typical position-dependent error of the mean of markers [px]; the part of illumination is common."""
     return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
 
 
 def usual_error_of_harmonic(body_view: BodyView, markers: int = 1) -> float:
-    """Return the typical error by place in one component of one harmonic [px], if all components are equal."""
+    """Return the typical position-dependent error in one component of a harmonic [px], if all components are equal."""
     return usual_error_by_place(body_view, markers) / math.sqrt(len(PLACE_ORDERS))
 
 
@@ -434,14 +434,14 @@ def _shrunk(found: Floats, error: float) -> Floats:
 
 
 def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
-    """Return a body's errors by place [px] without the first harmonic (perspective), at least the typical error."""
+    """Return the position-dependent errors of a body [px] without the first harmonic, at least the typical error."""
     learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
     left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
     return max(left, min(learnt, usual_error_by_place(body_view)))
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the axis of a fast body from angles minus that from radii, (2,) [px], y up, shrunk for errors by place."""
+    """Return the axis of a fast body from angles minus that from radii, (2,) [px] (y up), shrunk for their errors."""
     off = _axis_by_angles(body_view, flat, body)
     known = max(len(body_view.reference(flat)), 1)
     return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, known))
@@ -464,8 +464,8 @@ def separate_perspective(
 
     The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
     and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or the offset of
-    the rotor, if the disc is above both bodies. Both have the uncertainty `_height_error`. All measurements have errors
-    by place.
+    the rotor, if the disc is above both bodies. Both have the uncertainty `_height_error`. All measurements have
+    position-dependent errors.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -502,8 +502,8 @@ def separate_perspective(
 
 
 PERSPECTIVE = 0.05
-"""Radius of the casing's orbit over the distance of the camera if no fast rotor determines it [1]. Derived: 35 mm at a
-distance of 70 cm."""
+"""Radius of the casing's orbit divided by the distance of the camera, if no fast rotor determines it [1]. Derived: 35
+mm at a distance of 70 cm."""
 
 
 def offset_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Floats:
@@ -659,8 +659,8 @@ def _followed(
 ) -> tuple[dict[str, BodyAngles], list[str]]:
     """Combine the markers of each body; the casing twice, because the markers of the rotor pass beneath its marker.
 
-    If a body turns too little to measure its errors by place, it gets typical errors combined with those of the other
-    body, in px: illumination and encoder are the same, but the surroundings of the markers are not.
+    If a body turns too little to measure its position-dependent errors, it gets typical errors combined with those of
+    the other body, in px: illumination and encoder are the same, but the surroundings of the markers are not.
     """
     candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
 
@@ -762,9 +762,9 @@ def by_texture(
     The zeros of the templates follow from the markers (`template_zeros`). A marker that passes a marker of another body
     has an error; `others` are the angles of these bodies, (n,) [rad] each. If the body makes only a few turns, all
     templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
-    marker (`join`). If errors by place that the zones share cannot be estimated, they are at least `error_of_ring`, for
-    `usual` [px] and the mean `radius` of the markers [px]: in a compressed film a body at rest has one error in all
-    zones.
+    marker (`join`). If position-dependent errors that the zones share cannot be estimated, they are at least
+    `error_of_ring`, for `usual` [px] and the mean `radius` of the markers [px]: in a compressed film a body at rest has
+    one error in all zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     # an error that repeats in each turn does not change the zeros of batches
@@ -825,7 +825,7 @@ def by_texture(
 
 
 RING_ERROR = 0.055
-"""Error by place of a slow ring measured about its own view, rms [px]. Measured: in eleven films by two other
+"""Position-dependent error of a slow ring measured about its own view, rms [px]. Measured: in eleven films by two other
 renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers, 0.054 px rms. A ring whose
 view is unknown has the error of a marker, because an encoder repeats pictures of a slow body."""
 LEAST_PERIODIC = 0.3e-3
@@ -859,7 +859,7 @@ def periodic_error(texture: TextureObservations, centre: Floats, flattening: flo
 
 
 def error_of_ring(ring: TextureObservations, usual: float) -> float:
-    """Return the error by place of a ring [px]: `RING_ERROR` about its own view, otherwise `usual` [px]."""
+    """Return the position-dependent error of a ring [px]: `RING_ERROR` about its own view, otherwise `usual` [px]."""
     known = np.isfinite(ring.angle)
     own = known & (ring.own_view > 0.0)
     return RING_ERROR if own.sum() > _ALMOST_ALL * known.sum() else usual
@@ -888,8 +888,8 @@ _FEWEST_MEANS = 12
 """Smallest number of averages for a comparison [1]. Derived: the variance of 12 means is known within about 40 %,
 sqrt(2 / 11)."""
 _MOST_NOISE = 2.0
-"""Ratio of the standard uncertainties of two angles from which the noisier one is not used [1]. Chosen: a smaller value
-keeps angles with slow errors, a larger one accepts much noise."""
+"""Smallest ratio of the standard uncertainties of two angles for which the noisier angle is not used [1]. Chosen: a
+smaller value keeps angles with slow errors, a larger one accepts much noise."""
 
 
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:

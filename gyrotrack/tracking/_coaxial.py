@@ -18,22 +18,23 @@ _COARSE = 48.0
 """Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
 marks of the second body."""
 _OF_REST = 0.4
-"""Smallest share of the change not explained by the first rotation that a second rotation explains [1]. Measured: one
-body with light fixed in the image, or a displaced hub: less than 0.2."""
+"""Smallest share that a second rotation explains of the change not explained by the first one [1]. Measured: one body
+with light fixed in the image, or a displaced hub: less than 0.2."""
 _OF_ALL = 0.05
 """Smallest explained share of the whole change, for a second rotation [1]. Measured: one body with light fixed in the
 image, or a displaced hub: less than 0.03."""
 _LESS_OF_REST = 0.2
-"""As `_OF_REST`, for a rotation that explains at least `_MORE_OF_ALL` of the whole change [1]. Measured: a rendered
-rotor about which its casing turns slowly: 0.22."""
+"""As `_OF_REST`, for a rotation that explains at least `_MORE_OF_ALL` of the whole change [1]. Measured: 0.22 for a
+rendered rotor in a slowly turning casing."""
 _MORE_OF_ALL = 0.1
-"""Share of the whole change from which `_LESS_OF_REST` applies instead of `_OF_REST` [1]. Measured: a rendered rotor
-about which its casing turns slowly: 0.13; one body: less than 0.03."""
+"""Share of the whole change from which `_LESS_OF_REST` applies instead of `_OF_REST` [1]. Measured: 0.13 for a rendered
+rotor in a slowly turning casing, less than 0.03 for one body."""
 _APART = 0.2
-"""Smallest standard deviation of the difference of two angles, over the larger of both, for different motions [1].
-Measured: the residual picture of one body with a displaced hub turns with this body: up to 0.1."""
+"""Smallest standard deviation of the difference of two angles, divided by the larger of their standard deviations, for
+different motions [1]. Measured: up to 0.1 for one body with a displaced hub, whose residual picture turns with the
+body."""
 _LEAST_RANGE = 2e-3
-"""Smallest range of an angle of a rotation [rad]. Chosen: a smaller value takes noise for a body, a larger one
+"""Smallest range of the angle of a second rotation [rad]. Chosen: a smaller value takes noise for a body, a larger one
 overlooks small oscillations."""
 
 
@@ -46,8 +47,7 @@ class SecondRotation:
     angle : ndarray, shape (n,)
         Its angle in each frame, clockwise as seen [rad].
     of_rest, of_all : float
-        Explained share of the change of brightness without the part explained by the first body, and of the whole
-        change.
+        Explained share of the change of brightness that the first body does not explain, and of the whole change.
     """
 
     angle: Floats
@@ -55,13 +55,14 @@ class SecondRotation:
     of_all: float
 
     def warning(self, first: Floats) -> str:
-        """Return the warning that belongs to the angles (n,) of the `first` body [rad]."""
+        """Return the warning, which also states the range of the angles (n,) of the `first` body [rad]."""
         return (
-            f"Another part of the picture turns about the same hub: over {np.ptp(self.angle):.3g} rad in "
-            f"{len(first)} frames, in which the tracked body turns over {np.ptp(first):.3g} rad. It explains "
-            f"{100 * self.of_rest:.0f} % of the change of brightness not explained by the tracked body. --point X,Y "
-            "follows a detail of either body, --colour its colour; `gyrotrack extract` measures rotor and casing by "
-            "coloured markers. A torque law of one body does not describe bodies that act on each other."
+            f"Another part of the picture turns about the same hub: by {np.ptp(self.angle):.3g} rad in "
+            f"{len(first)} frames, in which the tracked body turns by {np.ptp(first):.3g} rad. It explains "
+            f"{100 * self.of_rest:.0f} % of the change of brightness not explained by the tracked body. "
+            "Use --point X,Y to follow a detail of either body, or --colour to follow a body of one colour. "
+            "`gyrotrack extract` measures rotor and casing by their coloured markers. A torque law of one body does "
+            "not describe bodies that act on each other."
         )
 
 
@@ -118,7 +119,7 @@ def second_rotation(
 
 
 def enough(of_rest: float, of_all: float) -> bool:
-    """Return whether a second rotation explains enough of the remaining, and of the whole change of brightness."""
+    """Return whether a second rotation explains enough of the remaining and of the whole change of brightness."""
     clear = of_rest >= _OF_REST and of_all >= _OF_ALL
     return clear or (of_rest >= _LESS_OF_REST and of_all >= _MORE_OF_ALL)
 

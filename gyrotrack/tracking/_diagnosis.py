@@ -42,8 +42,8 @@ _NEAR = 0.8
 """Largest distance of a feature from its rigid motion [px]. Chosen: a smaller value rejects blurred features, a larger
 one joins two motions."""
 _MOST = 0.75
-"""Smallest share of the pairs that agree [1]. Chosen: a smaller value refuses films for single pairs, a larger one
-overlooks a motion in part of the film."""
+"""Smallest share of the pairs that agree [1]. Chosen: a smaller value refuses films because of single pairs, a larger
+one overlooks a motion in part of the film."""
 _WITH_CAMERA = 0.7
 """Smallest share of all features that move with the camera [1]. Chosen: a smaller value takes a large body for the
 camera, a larger one overlooks parallax."""
@@ -51,13 +51,12 @@ _WHOLE = 0.4
 """Smallest share of the picture within the features that move with the camera [1]. Chosen: a smaller value takes a
 large body for the camera, a larger one overlooks a camera before blank walls."""
 _NO_HUB = 0.3
-"""Smallest rms residual of a rotation about one hub, over the rms displacement, of a picture that does not turn about
-a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held by
+"""Smallest rms residual of a rotation about one hub, divided by the rms displacement, for which a picture does not turn
+about a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held by
 hand."""
 MOSTLY_TRANSLATES = 0.7
-"""Residual as for `_NO_HUB` of a picture that is not a suspended body, whose hub moves less than its rim [1].
-Measured: a real trifilar table that fills 40 % of the picture: 0.40; drawn and real cameras held by hand: 0.94 to
-0.97."""
+"""Limit as `_NO_HUB`, if the hub moves less than the rim, as the hub of a suspended body does [1]. Measured: a real
+trifilar table that fills 40 % of the picture: 0.40; drawn and real cameras held by hand: 0.94 to 0.97."""
 _SECOND = 0.25
 """Smallest share of the moving features that are outliers of the first motion, for a second body [1]. Chosen: a
 smaller value finds a second body in outliers, a larger one overlooks a small one."""
@@ -71,14 +70,14 @@ _LEAST_TURN = 2e-3
 """Smallest rotation of each of two bodies [rad]. Chosen: a smaller value takes translation for rotation, a larger one
 overlooks slow bodies."""
 _LINKED = 0.25
-"""Smallest spread of the fixed point of a moving hub from pair to pair, over the reach of the features [1]. Chosen: a
-smaller value takes noise for a link, a larger one overlooks links."""
+"""Smallest spread of the fixed point of a moving hub from pair to pair, divided by the reach of the features [1].
+Chosen: a smaller value takes noise for a link, a larger one overlooks links."""
 _COAXIAL = 0.15
-"""Smallest distance of two separate fixed points, over the reach of the features [1]. Chosen: a smaller value
+"""Smallest distance of two separate fixed points, divided by the reach of the features [1]. Chosen: a smaller value
 refuses rotor and casing as two hubs, a larger one joins neighbouring bodies."""
 _CUT = 2.5
-"""Smallest change of a frame at a cut, over the largest other change near the cut [1]. Chosen: a smaller value finds a
-cut in a flash, a larger one overlooks a cut."""
+"""Smallest change of a frame at a cut, divided by the largest other change near the cut [1]. Chosen: a smaller value
+finds a cut in a flash, a larger one overlooks a cut."""
 _CUT_REACH = 12
 """Distance within which the other changes are compared [frames]. Chosen: a smaller value compares few, a larger one
 includes other cuts."""
@@ -92,16 +91,17 @@ _SHOT = 12
 """Length of the shortest shot [frames]. Chosen: a smaller value averages too few frames, a larger one overlooks short
 titles."""
 _SMEARED = 0.12
-"""Smallest detail along the circles of a ring over the detail across them, in noise-free gradients, of a sharp picture
-[1]. Chosen: it names the cause of a refusal; a smaller value overlooks blur, a larger one calls discs with rings
-blurred."""
+"""Smallest detail along the circles of a ring, divided by the detail across them, of a sharp picture, in noise-free
+gradients [1]. Chosen: it names the cause of a refusal; a smaller value overlooks blur, a larger one calls discs with
+rings blurred."""
 FOLLOW_LINKS = (
     "Follow the joint and a point of the second link; give their positions in the first frame, in this order: "
     "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
 )
 _FAINT = 3.0
 """Smallest change (rms) of the picture in a ring with detail, in standard deviations of the noise [1].
-Chosen: it names the cause of a refusal; a smaller value overlooks faint marks, a larger one blames them wrongly."""
+Chosen: it names the cause of a refusal; a smaller value overlooks faint marks, a larger one names them as the cause
+wrongly."""
 
 
 class RefusedFilmError(TrackingError):
@@ -349,7 +349,7 @@ class TwoMotions:
     spread: tuple[float, float]  # median distance of the fixed points of the pairs from these medians [px]
     places: tuple[complex, complex]  # centroids of the features of both bodies [px]
     shares: tuple[float, float]  # shares of the moving features
-    ratio: float  # rotation of the second over that of the first
+    ratio: float  # rotation of the second divided by that of the first
     joined: bool = False  # whether both move a joint, at a fixed distance from a hub, in the same way
 
     @property
@@ -421,7 +421,7 @@ def refuse_two_motions(name: str, pairs: Sequence[Pair], frames: Sequence[Plane]
     (p, q), (h, _), (s, t) = two.places, two.hubs, two.shares
     measured = (
         f"{100 * s:.0f} % of the moving features, about ({p.real:.0f}, {p.imag:.0f}) px, turn together, and "
-        f"{100 * t:.0f} %, about ({q.real:.0f}, {q.imag:.0f}) px, by {two.ratio:.2g} times as much"
+        f"{100 * t:.0f} %, about ({q.real:.0f}, {q.imag:.0f}) px, {two.ratio:.2g} times as far"
     )
     kind, what = "two bodies", f"Two bodies turn in {name}"
     one, other = (f"--hub {z.real:.0f},{z.imag:.0f}" for z in two.hubs)
@@ -460,7 +460,7 @@ def refuse_blurred(film: Film, frames: Sequence[Plane], ring: Ring, noise: float
 
 
 def detail(ring: Ring, frames: Sequence[Plane], noise: float) -> tuple[float, float]:
-    """Return the rms change of the picture in a ring over the noise, and the ratio of detail along and across circles.
+    """Return the rms change of a ring divided by the noise, and the ratio of the detail along and across circles.
 
     The detail is the rms gradient per px in each direction, less the gradient of the noise. If a body turns by several
     of its details during an exposure, its detail along the circles is smeared.

@@ -175,12 +175,12 @@ def extract(
     """Track the markers of a profile in a film.
 
     Without `capture_fps` the capture rate is taken from the profile, the camera's tag, or the container (if it is 100
-    fps or more). `body`: "casing" tracks the casing only; "rotor" and "both" raise an error if the body is not
-    visible; with "rotor" a visible casing is tracked as well, because synchronisation needs the casing. `times`:
-    "frames" uses frame numbers over the capture rate, "stamps" uses the timestamps of the film, and "auto" uses the
-    timestamps only if they show a varying rate and the film is not in slow motion. The result does not depend on the
-    number of `workers` (None: one per core). The `journal`, created with `run_facts`, stores intermediate results, so
-    that a killed run can be resumed.
+    fps or more). `body`: "casing" tracks the casing only; "rotor" and "both" raise an error if the body is not visible;
+    with "rotor" a visible casing is tracked as well, because synchronisation needs the casing. `times`: "frames" uses
+    frame numbers divided by the capture rate, "stamps" uses the timestamps of the film, and "auto" uses the timestamps
+    only if they show a varying rate and the film is not in slow motion. The result does not depend on the number of
+    `workers` (None: one per core). The `journal`, created with `run_facts`, stores intermediate results, so that a
+    killed run can be resumed.
     """
     if body not in BODIES:
         what = f"Unknown body {body!r}; use casing, rotor or both."
@@ -581,7 +581,7 @@ class ExtractionJob:
         return recording, rate
 
     def _limit_of_processes(self) -> str:
-        """Return a message if the film has fewer parts than processes are allowed, else None."""
+        """Return a message if the film has fewer parts than the allowed number of processes, else None."""
         allowed, parts = self.workers or available_cores(), len(split(read_packets(self.video)))
         if allowed <= parts or (self.workers is None and parts == 1):
             return ""

@@ -247,7 +247,7 @@ BATCH = 512
 """Frames that are measured together [frames]. Chosen: fewer give noisy templates, more give outdated ones and take
 memory."""
 HOLD = 64
-"""Frames that are held in memory, in which a body that is not found at its prediction is searched [frames]. Chosen:
+"""Frames that are held in memory, in which a body that is not found at its prediction is searched for [frames]. Chosen:
 fewer may not suffice to find it again, more take memory."""
 HELD_BYTES = 24_000_000
 """Size of the frames that are held [bytes]. Chosen: memory; a smaller value holds fewer frames of large pictures."""

@@ -1,4 +1,4 @@
-"""Detection of a ball on a string or a long body about a tilted axis in a few frames, and the angles of the body."""
+"""Detection of a ball on a string, or of a long body with a tilted axis, in a few frames; angles of the long body."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def first_look(film: Film) -> FirstLook:
 
 
 def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
-    """Measure the angle of a long body about a tilted axis, in the plane of motion, by an end of the long body.
+    """Measure the angle of a long body about a tilted axis, in the plane of motion, from one of its ends.
 
     A TrackingError is raised if the body is not seen in most frames, or if its ends are not on one ellipse.
     """

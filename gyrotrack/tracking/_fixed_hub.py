@@ -63,13 +63,13 @@ def drift(
 
 
 _RIGID = 0.02
-"""Error of the angles by the difference of both halves of a ring (`hub_error`), over the standard deviation of the
-angles, above which the halves do not turn as one body [1]. Measured: real discs, drawn rods, bobs and wheels: up to
-0.007; double pendulums within one ring: 0.037 and 0.074; a block on a spring: 0.11."""
+"""Error of the angles by the difference between the two halves of a ring (`hub_error`), divided by the standard
+deviation of the angles, above which the halves do not turn as one body [1]. Measured: real discs, drawn rods, bobs and
+wheels: up to 0.007; double pendulums within one ring: 0.037 and 0.074; a block on a spring: 0.11."""
 
 
 def halves_differ(angle: Floats, error: float) -> float | None:
-    """Return the `error` by both halves [rad] over the standard deviation of the angle (n,), or None if small.
+    """Return the `error` by both halves [rad] divided by the standard deviation of the angle (n,), or None if small.
 
     Over more than three turns the error is 0 (see `apart_beyond_harmonics`).
     """

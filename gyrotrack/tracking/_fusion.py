@@ -61,8 +61,8 @@ TURN = 2.0 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
 ALL = slice(None)
 FAST = 70.0
-"""Smallest angular rate at which real motion is not confused with errors by place [rad/s]. Derived: a large unbalance,
-an acceleration of amplitude 10 rad/s2, causes an amplitude of 10 / 70^2 = 2 mrad."""
+"""Smallest angular rate at which real motion is not confused with position-dependent errors [rad/s]. Derived: a large
+unbalance, an acceleration of amplitude 10 rad/s2, causes an amplitude of 10 / 70^2 = 2 mrad."""
 _LEFT = 0.2
 """Smallest share of the scatter of a marker that is independent of the other markers [1]. Chosen: a smaller value gives
 a marker too much weight, a larger one keeps the error of the times."""
@@ -411,8 +411,8 @@ def once_a_turn(curve: Floats) -> complex:
 
 
 LEAST_TURNING = 0.5
-"""Smallest share of frames within whole turns for which errors by place are known [1]. Chosen: a smaller value gives
-errors from few turns, a larger one gives none for short films."""
+"""Smallest share of frames within whole turns for which position-dependent errors are known [1]. Chosen: a smaller
+value gives errors from few turns, a larger one gives none for short films."""
 MOST_FRAMES = 2000
 """Number of frames from which errors of the view are estimated [frames]. Chosen: time; fewer are noisier."""
 LEAST_FAST = 0.2
@@ -510,13 +510,14 @@ cost time, a smaller range limits the errors."""
 def errors_of_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> ViewErrors | None:
     """Estimate errors of the view from differences between markers.
 
-    Within less than two turns errors by place look like motion, but motion is common to all markers of a body in each
-    frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The coefficients of
-    the harmonics `VIEW_ORDERS` of each marker's angle have a common part and a separate part. They are fitted, together
-    with the mount angles, to the residuals minus their mean in each frame. Errors by place of standard deviation
-    `floor` [rad] are independent once per `CELL`. The standard deviations of both parts are the most likely of a few
-    multiples of a harmonic's share in `floor`. For markers that cover only an arc, the covariances of the offsets,
-    `arcs` (2, 2) [rad^2], are added. None for a single marker, or if errors by place are estimated from whole turns.
+    Within less than two turns position-dependent errors look like motion, but motion is common to all markers of a body
+    in each frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The
+    coefficients of the harmonics `VIEW_ORDERS` of each marker's angle have a common part and a separate part. They are
+    fitted, together with the mount angles, to the residuals minus their mean in each frame. Position-dependent errors
+    of standard deviation `floor` [rad] are independent once per `CELL`. The standard deviations of both parts are the
+    most likely of a few multiples of a harmonic's share in `floor`. For markers that cover only an arc, the covariances
+    of the offsets, `arcs` (2, 2) [rad^2], are added. None for a single marker, or if position-dependent errors are
+    estimated from whole turns.
     """
     names, n = list(state.candidates), len(state.path)
     known = np.isfinite(state.path)
@@ -594,8 +595,8 @@ def places_passed(state: Residuals) -> float:
 
 
 PLACE_ORDERS = range(1, 7)
-"""Orders of the harmonics of errors by place [periods per turn]. Chosen: all have equal variances; more orders shorten
-the correlation length `CELL`, fewer lengthen it."""
+"""Orders of the harmonics of position-dependent errors [periods per turn]. Chosen: all have equal variances; more
+orders shorten the correlation length `CELL`, fewer lengthen it."""
 
 
 def variance_left(angle: Floats, orders: range, frames: int | None = None) -> float:
@@ -611,7 +612,7 @@ def variance_left(angle: Floats, orders: range, frames: int | None = None) -> fl
 
 
 def place_error(state: Residuals) -> float:
-    """Return the rms of the estimated errors by place of the marker for which it is smallest [rad].
+    """Return the rms of the estimated position-dependent errors of the marker for which it is smallest [rad].
 
     Faint or blurred markers have larger errors for other reasons. A marker next to a bar that hardly moves has larger
     errors at some places only; therefore a robust standard deviation is used if it is smaller. The noise of the
@@ -720,8 +721,8 @@ class MarkerAngles:
 class BodyAngles:
     """A body: unwrapped apparent angle, uncertainty [rad], number of markers; NaN without markers.
 
-    `place_error` is the size of the errors by place that were removed [rad] (see `place_error`). `axis_off` is the
-    displacement of the axis from the assumed axis for each marker of a fast body, (x + i y) / radius, y up.
+    `place_error` is the size of the position-dependent errors that were removed [rad] (see `place_error`). `axis_off`
+    is the displacement of the axis from the assumed axis for each marker of a fast body, (x + i y) / radius, y up.
     """
 
     angle: Floats
@@ -775,8 +776,9 @@ def join(
 
     `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost; `other` is that of the body
     that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are uncertainties
-    [rad] that do not appear as scatter outside whole turns: unobserved errors by place, the displacement of the axis,
-    and the displacement of the orbits about it, which the markers determine together (`arcs`: see `errors_of_view`).
+    [rad] that do not appear as scatter outside whole turns: unobserved position-dependent errors, the displacement of
+    the axis, and the displacement of the orbits about it, which the markers determine together (`arcs`: see
+    `errors_of_view`).
     """
     state, arcs = Residuals.of(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)

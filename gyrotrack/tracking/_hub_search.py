@@ -2,7 +2,8 @@
 
 Three independent methods suit different kinds of bodies: the point of convergence of the gradients of the mean picture
 (a body that turns many times is blurred into circles); the fixed point of the similarity transformation between two
-frames (features of a textured body); the centre of the orbit of a compact spot. Registration selects one.
+frames (features of a textured body); the centre of the orbit of a compact spot. Registration selects one of the
+candidates.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ hubs."""
 _FEATURES = 400
 """Largest number of features of a frame [features]. Chosen: more cost time, fewer leave few on the body."""
 _STRAY = 8.0
-"""Largest residual from the similarity of a feature that is used [px]. Chosen: a smaller value discards features of a
+"""Largest residual of a feature that is used for the similarity [px]. Chosen: a smaller value discards features of a
 soft body, a larger one keeps features of the background."""
 _NEAR = 640.0
 """Ratio of the width of the picture to the largest residual of an inlier [1]. Chosen: 2 px in 1280 px; a larger value
@@ -201,7 +202,7 @@ def tilted_outline(motion: Motion, hub: tuple[float, float] | None = None) -> Pr
         return None
     size, twice = (1.0 - ratio) / (1.0 + ratio), 2.0 * math.atan2(axes[1, 1], axes[0, 1])
     place = hub or (float(middle[largest][0]), float(middle[largest][1]))
-    way = "outline of what moves" if hub is None else "given"
+    way = "outline of the moving area" if hub is None else "given"
     return Proposal(place, way, (size * math.cos(twice), size * math.sin(twice)))
 
 
@@ -215,7 +216,7 @@ def propose_hubs(frames: Sequence[Plane], motion: Motion) -> list[Proposal]:
         ("features of a distant body", far_hub),
         ("edges", edge_hub(motion)),
         ("orbit", orbit_hub(frames, motion)),
-        ("middle of what moves", _middle(motion)),
+        ("middle of the moving area", _middle(motion)),
     ):
         if place is None or not np.all(np.isfinite(place)):
             continue
@@ -374,7 +375,7 @@ def distant_hub(
 
 
 def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, complex, complex] | None:
-    """Return a, b of z -> a z + b, |a| = 1, between the moving features of two frames, and the centroid, or None."""
+    """Return a, b of z -> a z + b, |a| = 1, from one frame to the other, and the centroid of the features; or None."""
     points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
     if points is None or len(points) < 6:
         return None

@@ -62,10 +62,10 @@ _ROUGHLY_RIGID = 0.5
 """Smallest explained share with rough angles, for which a body is registered [1]. Measured: registration changes the
 share by less than 0.1; the films are not recorded."""
 _COARSE = 48.0
-"""Resolution for rough angles, at most [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
+"""Largest resolution for rough angles [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
 marks of the body."""
 _MIDDLE = 100.0
-"""Resolution for the final angles, at most [samples per radius]. Chosen: a larger value costs time, a smaller one loses
+"""Largest resolution for the final angles [samples per radius]. Chosen: a larger value costs time, a smaller one loses
 detail."""
 _LEARNT = 150
 """Frames from which the template is learnt [frames]. Chosen: fewer give a noisier template, more cost time."""
@@ -120,7 +120,7 @@ _SLIDING = 1.0
 """Smallest displacement of a moving body in `_LAG` frames [px]. Chosen: a smaller value includes rest, a larger
 one cuts slow ends."""
 _TURNING = 3.0
-"""Smallest change (rms) of the picture of a moving body over the noise [1]. Chosen: a smaller value includes
+"""Smallest change (rms) of the picture of a moving body divided by the noise [1]. Chosen: a smaller value includes
 rest, a larger one cuts slow ends."""
 _TURNED = 0.2
 """Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen:

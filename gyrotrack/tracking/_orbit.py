@@ -2,7 +2,7 @@
 
 All points are (x, y) in px with y downwards; angles are counter-clockwise as seen.
 
-A circle seen obliquely is an ellipse, and a marker that is higher than the central disc circles a point beside the
+A circle seen obliquely is an ellipse, and a marker above the plane of the central disc moves around a point beside the
 disc. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
 
     v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
@@ -100,8 +100,8 @@ _SMALLEST = 16.0
 """Smallest square of the longest side of three points that determine a circle [px2]. Chosen: 4 px; a smaller value is
 dominated by noise, a larger one refuses small orbits."""
 _COLLINEAR = 0.05
-"""Smallest cross product of two sides over the square of the longest one, for three points that determine a circle [1].
-Chosen: a smaller value accepts circles that noise determines, a larger one refuses short arcs."""
+"""Smallest cross product of two sides, divided by the square of the longest side, for three points that determine a
+circle [1]. Chosen: a smaller value accepts circles that noise determines, a larger one refuses short arcs."""
 
 
 def circumcentre(triple: Floats) -> Floats | None:
@@ -189,13 +189,14 @@ def _mode(values: Floats) -> float:
 
 
 MOST_OBSERVATIONS = 2000
-"""Largest number of observations of an orbit [1]. Chosen: more cost time and do not reduce its error by place."""
+"""Largest number of observations of an orbit [1]. Chosen: more cost time and do not reduce its position-dependent
+error."""
 LEAST_OBSERVATIONS = 30
 """Smallest number of observations of an orbit [1]. Chosen: fewer let a few outliers decide, more leave short films
 without a fit."""
 CELL = np.pi / 6.0
-"""Correlation length of errors by place [rad]. Derived: harmonics of orders 1 to 6 of equal size have 12 independent
-values in a turn."""
+"""Correlation length of position-dependent errors [rad]. Derived: harmonics of orders 1 to 6 of equal size have 12
+independent values in a turn."""
 LEAST_COVER = 5.0
 """Smallest part of the turn that an orbit covers [rad]. Chosen: a smaller value confuses offset and radius of an arc, a
 larger one fits few orbits."""
@@ -278,7 +279,7 @@ def fit_flattening(positions: dict[str, Floats]) -> Flattening:
 
 
 def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
-    """Fit one offset and the flattening to markers of one body that cover the orbit only together.
+    """Fit one offset and the flattening to markers of one body that only together cover the orbit.
 
     The fit is the same as in `fit_flattening`, with a radius for each marker. The markers are in one plane, so that e
     is common to all.
@@ -298,7 +299,7 @@ def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
 
 _HIGHER = range(3, 7)
 """Orders of the harmonics of the radii that neither an offset nor a tilt causes [periods per turn]. Derived: an offset
-causes order 1 and a tilt order 2; errors by place have orders up to 6."""
+causes order 1 and a tilt order 2; position-dependent errors have orders up to 6."""
 
 
 def higher_harmonics(theta: Floats, radius: Floats) -> Floats:
@@ -311,7 +312,7 @@ def higher_harmonics(theta: Floats, radius: Floats) -> Floats:
     keep = np.ones(len(off), dtype=np.bool_)
     for _ in range(3):
         kept = design[keep]
-        # a gap leaves some combinations undetermined; a harmonic of 1 px is large
+        # the prior (harmonics of about 1 px are large) is needed because a gap leaves some combinations undetermined
         solution = np.linalg.solve(kept.T @ kept + 0.04 * np.eye(kept.shape[1]), kept.T @ off[keep])
         left = np.abs(off - design @ solution)
         keep = left < 4.0 * 1.4826 * median_of(left[keep]) + 1e-9
@@ -321,12 +322,13 @@ def higher_harmonics(theta: Floats, radius: Floats) -> Floats:
 def flattening_of_arc(
     reference: Flattening, positions: dict[str, Floats], shift: Floats, size: float, usual: float
 ) -> Flattening:
-    """Fit offsets to arcs of markers (positions as for `fit_flattening`), with the tilt of the view from another body.
+    """Fit offsets to arcs of markers (positions as for `fit_flattening`), with the tilt measured on another body.
 
     `shift` (2,) or (h, 2) is the expected offset of all markers [px], or h equally probable offsets, with standard
-    deviation `size` [px]; `usual` is a typical error by place [px]. An arc determines e in part; `offset_covariance`
-    is its covariance. Systematic errors, not noise, limit the fit: there is one independent observation per `CELL`.
-    For several expected offsets, the result is mean and covariance of the mixture of the posterior distributions.
+    deviation `size` [px]; `usual` is a typical position-dependent error [px]. An arc determines e in part;
+    `offset_covariance` is its covariance. Systematic errors, not noise, limit the fit: there is one independent
+    observation per `CELL`. For several expected offsets, the result is mean and covariance of the mixture of the
+    posterior distributions.
     """
     expected = np.atleast_2d(shift)
     mean, covariance = mixture(expected, [size**2 * np.eye(2)] * len(expected), [0.0] * len(expected))
@@ -346,7 +348,7 @@ def flattening_of_arc(
 def mixture(
     means: Iterable[Floats], covariances: list[Floats], evidence: list[float]
 ) -> tuple[tuple[float, float], Floats]:
-    """Return mean and covariance, (2,) and (2, 2), of normal distributions with given log evidences."""
+    """Return mean and covariance, (2,) and (2, 2), of a mixture of normal distributions with given log evidences."""
     weight = np.exp(np.array(evidence) - max(evidence))
     weight /= weight.sum()
     each = np.array(list(means))

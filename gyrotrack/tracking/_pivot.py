@@ -32,7 +32,7 @@ class Orbit:
     value : ndarray, shape (5,)
         Centre x, y [px], mean radius r / (1 + s) [px], p and q.
     covariance : ndarray, shape (5, 5)
-        Covariance of `value`, including errors that repeat with the place.
+        Covariance of `value`, including position-dependent errors.
     """
 
     value: Floats
@@ -116,8 +116,8 @@ _MOST_TRIALS = 100
 """Largest number of trial ellipses of the first fit of an orbit [1]. Derived: orbits of rendered films need 5 to 53;
 the fit of a short arc, which determines no ellipse, does not end after 500 either."""
 CELLS = 12
-"""Parts of an arc, each with one error by place [1]. Derived: a full orbit has 12 independent errors by place, see
-`_orbit.CELL`."""
+"""Parts of an arc, each with one position-dependent error [1]. Derived: a full orbit has 12 independent
+position-dependent errors, see `_orbit.CELL`."""
 _FEWEST_IN_CELL = 3
 """Smallest number of positions in a part of an arc that determine its error [positions]. Chosen: fewer give an error by
 chance, more leave short arcs without one."""
@@ -143,7 +143,7 @@ class Arc:
     noise : float
         Standard deviation of the radial residuals [px].
     by_place : float
-        Standard deviation of the radial residuals that repeat with the place on the arc [px].
+        Standard deviation of the position-dependent part of the radial residuals [px].
     """
 
     hub: Floats
@@ -168,9 +168,9 @@ value rejects good positions, a larger one keeps other matches."""
 def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     """Fit a circle to positions (n, 2) with standard uncertainties (n,) [px]; at least 6 of them.
 
-    The covariance contains the noise of the residuals, and errors that repeat with the place (lens, view,
-    interpolation). These errors are independent in the `CELLS` parts of the arc. Their standard deviation is the
-    scatter of the means of the parts in excess of noise, at least `least` [px].
+    The covariance contains the noise of the residuals, and position-dependent errors (lens, view, interpolation). These
+    errors are independent in the `CELLS` parts of the arc. Their standard deviation is the scatter of the means of the
+    parts in excess of noise, at least `least` [px].
     """
     origin = place.mean(axis=0)
     x, y = (place - origin).T
@@ -261,7 +261,7 @@ def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[n
 def _covariance(
     jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
 ) -> tuple[float, float, Floats]:
-    """Return noise, error by place, and the covariance of the parameters with both."""
+    """Return noise, position-dependent error, and the covariance of the parameters with both."""
     count = max(len(rest) - 3, 1)
     weight = 1.0 / sigma**2
     inverse = np.linalg.pinv((jacobian * weight[:, None]).T @ jacobian)
@@ -276,7 +276,8 @@ def _covariance(
     if len(members) > 4:
         mean = np.array([rest[m].mean() for m in members])
         expected = float(np.mean([noise**2 / len(m) for m in members]))
-        # the three parameters absorb a part of the errors by place; a scatter within two standard deviations is noise
+        # the three parameters absorb a part of the position-dependent errors; a scatter within two standard deviations
+        # is noise
         free = len(members) - 3
         scatter = float(np.sum(mean**2)) / free
         if scatter > expected * (1.0 + 2.0 * math.sqrt(2.0 / free)):

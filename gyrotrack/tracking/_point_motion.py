@@ -31,11 +31,11 @@ TILT = 0.35
 """Standard deviation of the tilt of a camera held by hand [rad]. Chosen: 20 degrees; a smaller value understates the
 error of the angles of short arcs, a larger one overstates it."""
 _VIEW_OF_ANGLE = math.sqrt(3.0) / 2.0 * TILT**2
-"""Relative error of all angles by the tilt [1]. Derived: the rms of phi^2 / 2 for normal phi; seen at a tilt phi, a
+"""Relative error of all angles due to the tilt [1]. Derived: the rms of phi^2 / 2 for normal phi; seen at a tilt phi, a
 circle is an ellipse with the axes a and a cos(phi)."""
 _VIEW_OF_RADIUS = math.sqrt(3.0) * TILT**2
-"""Relative error of the radius over the distance of the hub by the tilt [1]. Derived: the rms of phi^2 for normal phi;
-a short arc of the ellipse has the radius a / cos(phi) or a cos(phi)^2."""
+"""Relative error, due to the tilt, of the radius divided by the distance of the hub [1]. Derived: the rms of phi^2 for
+normal phi; a short arc of the ellipse has the radius a / cos(phi) or a cos(phi)^2."""
 _TILT_U = 0.05
 """Standard uncertainty of a given tilt [rad]. Chosen: 3 degrees; a smaller value understates the error of the
 angles, a larger one overstates it."""
@@ -43,16 +43,16 @@ _WIDE = 0.5 * TURN
 """Smallest range of the angle in which an ellipse differs from a circle [rad]. Chosen: half a turn; a smaller value
 drops the error of the tilt too early, a larger one keeps it."""
 _OFF = 8.0
-"""Largest distance from the arc of a correct match, in standard deviations of the residuals [1].
-Chosen: a smaller value discards good frames, a larger one keeps wrong matches."""
+"""Largest distance of a correct match from the arc, in standard deviations of the residuals [1]. Chosen: a smaller
+value discards good frames, a larger one keeps wrong matches."""
 _OFF_LEAST = 0.5
-"""Lower limit of the largest distance from the arc of a correct match [px]. Chosen: a smaller value
-discards good frames of sharp films, a larger one keeps wrong matches."""
+"""Lower limit of the largest distance of a correct match from the arc [px]. Chosen: a smaller value discards good
+frames of sharp films, a larger one keeps wrong matches."""
 _ON = 0.8
 """Smallest share of frames on the arc [1]. Chosen: a smaller value accepts other paths, a larger one refuses films with
 occlusions."""
 _COMPARED = 300
-"""Number of frames in which another rotation about the pivot is searched [frames]. Chosen: time; fewer show little
+"""Number of frames in which another rotation about the pivot is searched for [frames]. Chosen: time; fewer show little
 motion."""
 _STILL = 1.0
 """Smallest extent of a path [px]. Chosen: a smaller value measures a body at rest, a larger one refuses small
@@ -61,11 +61,11 @@ _STILL_NOISE = 12.0
 """Smallest extent of a path in standard deviations of its noise [1]. Chosen: a smaller value measures noise, a larger
 one refuses small oscillations."""
 _BY_PLACE = 0.005
-"""Smallest error by place of a learnt picture and background, by interpolation and blur [px]. Measured: rendered bobs:
-0.003 to 0.005 px."""
+"""Smallest position-dependent error of a learnt picture and background, by interpolation and blur [px]. Measured:
+rendered bobs: 0.003 to 0.005 px."""
 _LEARNT = 0.4
-"""Smallest error by place of a learnt picture and background over the noise of a position [1]. Measured: rendered bobs:
-0.3 to 0.8."""
+"""Smallest position-dependent error of a learnt picture and background divided by the noise of a position [1].
+Measured: rendered bobs: 0.3 to 0.8."""
 _CONTRADICTS = 3.0
 """Largest distance of the hub of the arc from the given hub without a warning, in standard deviations [1]. Chosen:
 three; a smaller value doubts accurate hubs, a larger one accepts biased angles."""
@@ -73,8 +73,8 @@ _ALWAYS = 0.9
 """Smallest share of the frames with an automatically selected point [1]. Chosen: a smaller value accepts
 other objects, a larger one refuses films with occlusions."""
 _ROUND = 0.03
-"""Largest radial scatter of an automatically selected point, over the extent of its path [1]. Chosen: a smaller value
-refuses blurred bobs, a larger one accepts other paths."""
+"""Largest radial scatter of an automatically selected point, divided by the extent of its path [1]. Chosen: a smaller
+value refuses blurred bobs, a larger one accepts other paths."""
 _REVERSALS = 2
 """Number of passages that the path of an automatically selected, oscillating point must exceed [1]. Chosen: a
 thrown ball does not retrace its path; a larger value refuses short films."""
@@ -82,8 +82,9 @@ _TURNS = 1.2
 """Smallest number of turns of an automatically selected point about a pivot [turns]. Chosen: a thrown ball does not
 retrace its path; a smaller value accepts such a ball, a larger one refuses short films."""
 _JUMP = 5.0
-"""Smallest step of the angle from frame to frame, over the median step, of a jump, for example to the next throw of a
-ball [1]. Chosen: a pendulum passes its middle at 1.4 times the median step; a larger value follows jumps."""
+"""Smallest step of the angle from frame to frame, divided by the median step, that counts as a jump, for example to the
+next throw of a ball [1]. Chosen: a pendulum passes its middle at 1.4 times the median step; a larger value follows
+jumps."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class TrackedPoint:
     orbit: Orbit | None = None  # orbit about a tilted axis; the angles are then in the plane of the body
 
     def error_by_place(self, width: float) -> float:
-        """Return the standard deviation [rad] of errors of the angles that repeat with the place on part of an orbit.
+        """Return the standard deviation [rad] of position-dependent errors of the angles on part of an orbit.
 
         In addition to the residuals of the circle, the result contains the third order of the perspective of a camera
         at a distance of about one `width` of the picture [px]: a^3 phi^2 / width^2 for a path of half length a and a
@@ -208,7 +209,7 @@ def follow_path(
 
 
 def _white_scale(path: PointPath) -> float:
-    """Return the white noise of the positions of a path over their formal standard uncertainty, at least 1."""
+    """Return the white noise of the positions of a path, divided by their formal standard uncertainty, at least 1."""
     formal = np.sqrt(np.stack([path.covariance[:, i, i] for i in (0, 1)], axis=1))
     noise = [white_noise(path.place[:, i], path.frame) / float(np.median(formal[:, i])) for i in (0, 1)]
     return max(*noise, 1.0)
@@ -226,8 +227,8 @@ class SecondLink:
         Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad], which
         contains `off_axis`.
     off_axis : ndarray, shape (n,)
-        Standard uncertainty of the direction [rad] because the points are not exactly on the axis of the joint and at
-        one place of the link.
+        Standard uncertainty of the direction [rad] because the points are not exactly on the axis of the joint and not
+        exactly fixed to the link.
     path : PointPath
         The path of the point.
     """
@@ -249,12 +250,12 @@ OFF_AXIS = 1.0
 """Standard deviation of the displacement of a followed point from the axis of the joint, per axis [px].
 Measured: markers of drawn links: 0.2 to 1.6 px."""
 _ON_LINK = 0.05
-"""Standard uncertainty per axis of the position of a point on a link, due to other rods in its patch that turn against
-the link [px]. Measured: 15 drawn double pendulums with marks of 6 to 10 px: 0.07 px at the joint, 0.03 px at the
+"""Standard uncertainty per axis of the position of a point on a link, due to other rods in its patch that turn relative
+to the link [px]. Measured: 15 drawn double pendulums with marks of 6 to 10 px: 0.07 px at the joint, 0.03 px at the
 end."""
 _LINEAR_STEPS = 3
-"""Linear fits of the displacement of a point from the joint [iterations]. Chosen: the displacement is not small against
-the first link; fewer stop before they agree, more cost time."""
+"""Number of linear fits of the displacement of a point from the joint [iterations]. Chosen: the displacement is not
+small compared with the first link; fewer stop before they agree, more cost time."""
 
 
 def follow_links(
@@ -265,7 +266,7 @@ def follow_links(
 ) -> tuple[TrackedPoint, SecondLink]:
     """Follow the joint of two links and a point of the second link, given their positions in the first frame [px].
 
-    A TrackingError is raised if the distance of both points varies, which indicates a tilted axis or other bodies.
+    A TrackingError is raised if the distance between the points varies, which indicates a tilted axis or other bodies.
     """
     joint = follow_point(film, starts[0], hub, progress)
 
@@ -320,7 +321,7 @@ def second_link(joint: TrackedPoint, path: PointPath, name: str, off: float = OF
     if float(np.std(length)) > _RIGID * float(np.mean(length)):
         raise TrackingError(
             f"The points of the second link in {name} are {np.mean(length):.0f} +- {np.std(length):.1f} px "
-            "apart: they belong to no rigid body that is seen along its axis.",
+            "apart: they do not belong to a rigid body that is seen along its axis.",
             "Give the joint and a point of the second link, in this order.",
         )
     angle = -np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
@@ -441,7 +442,8 @@ def _of_path(
     if path.keeps and np.ptp(found.angle) > _WIDE:
         warnings.append(
             "The picture of the body keeps its orientation while it moves about the pivot (a cabin of a Ferris wheel, "
-            "a ball in the light of a lamp): the angle is the direction of its place, not its orientation."
+            "a ball in the light of a lamp): the angle is the direction from the pivot to the body, not "
+            "the orientation of the body."
         )
     if start is None:
         _check_unselected(found, film.path.name)
@@ -474,7 +476,7 @@ def about_pivot(
 
     `tilt` is the camera tilt for which the path is corrected [rad]; None if unknown.
     """
-    # relative errors of all angles, and of the radius of curvature over the distance of the hub
+    # relative errors of all angles, and of the radius of curvature divided by the distance of the hub
     of_angle, of_radius = _VIEW_OF_ANGLE, _VIEW_OF_RADIUS
     if tilt is not None:
         of_angle = 0.5 * math.tan(tilt) * _TILT_U
@@ -522,8 +524,8 @@ def about_pivot(
             u = math.hypot(arc.curvature_u / arc.curvature, view)
             warnings.append(
                 f"The arc of the path gives the pivot ({x:.0f}, {y:.0f}) px, at a distance of {arc.radius:.0f} px; all "
-                f"angles share a relative uncertainty of {100 * u:.2g} %, of which {100 * view:.2g} % is for a camera "
-                "that may be tilted. --hub X,Y gives the pivot, --tilt the tilt."
+                f"angles share a relative uncertainty of {100 * u:.2g} %, of which {100 * view:.2g} % is due "
+                "to a possible tilt of the camera. --hub X,Y gives the pivot, --tilt the tilt."
             )
     else:
         given = np.array(hub, dtype=np.float64)
@@ -591,8 +593,8 @@ _GAP = 0.25 * TURN
 """Largest gap of an orbit that shows a tilt [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse
 undetermined, a smaller one refuses few positions."""
 _ELLIPSE = 0.03
-"""Largest deviation (rms) of the points of an orbit from the ellipse over its radius [1]. Chosen: a smaller value
-refuses blurred points, a larger one accepts other paths."""
+"""Largest deviation (rms) of the points of an orbit from the ellipse, divided by its radius [1]. Chosen: a smaller
+value refuses blurred points, a larger one accepts other paths."""
 _BETTER = 0.5
 """Largest ratio of the deviation of an orbit from the ellipse to that from a circle [1]. Chosen: a smaller value leaves
 small tilts uncorrected, a larger one fits noise."""
@@ -647,9 +649,9 @@ def _about_tilted_axis(
     centre, covariance = orbit.value[:2], orbit.covariance[:2, :2]
     tilt, short = (math.degrees(v) for v in orbit.tilt)
     text = (
-        f"The axis of rotation is tilted by {tilt:.1f} +- {math.degrees(orbit.tilt_u):.1g} degrees against the line of "
-        f"sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are those in the plane of "
-        "the body. The film does not show which side is nearer; the sense of rotation is that seen."
+        f"The axis of rotation is tilted by {tilt:.1f} +- {math.degrees(orbit.tilt_u):.1g} degrees relative to the "
+        f"line of sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are those in the "
+        "plane of the body. The film does not show which side is nearer; the sense of rotation is the one seen."
     )
     warnings = [text]
     ambiguous = False
@@ -705,9 +707,9 @@ def _two_hubs(arc: Arc, given: Floats, place: Floats) -> str:
 def _tilted(ratio: float, arc: Arc, view: float) -> str:
     tilt = math.degrees(math.acos(min(ratio, 1.0 / ratio) ** 0.5))
     return (
-        f"The path is curved as about a pivot at {arc.radius:.0f} px, {100 * abs(ratio - 1):.0f} % "
+        f"The curvature of the path corresponds to a pivot at {arc.radius:.0f} px, {100 * abs(ratio - 1):.0f} % "
         f"{'farther' if ratio > 1 else 'nearer'} than the given hub: a camera tilted by {tilt:.0f} degrees explains "
-        f"both. The angles about the given hub share a relative uncertainty of {100 * view:.2g} % for this; "
+        f"both. The angles about the given hub share a relative uncertainty of {100 * view:.2g} % due to this; "
         f"--tilt {tilt:.0f} corrects them if the axis of the tilt is horizontal."
     )
 

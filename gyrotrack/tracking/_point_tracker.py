@@ -72,8 +72,8 @@ _ANCHORED = 0.5
 """Mean square difference of a match over its limit, up to which the template is not renewed [1]. Chosen: a smaller
 value lets the template drift, a larger one loses a patch that turns."""
 _PRESENT = 0.4
-"""Smallest mean square difference from the background of a match over that of the patch in the first frame [1]. Chosen:
-a smaller value matches the background, a larger one loses a patch in shadow."""
+"""Smallest mean square difference from the background of a match divided by that of the patch in the first frame [1].
+Chosen: a smaller value matches the background, a larger one loses a patch in shadow."""
 _TEMPLATE = 12.0
 """Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: time; a smaller one loses
 precision."""
@@ -138,8 +138,8 @@ noise."""
 _TURN_STEPS = 6
 """Steps of the rotation of a patch [iterations]. Chosen: fewer stop early, more cost time."""
 _ROUND = 0.7
-"""Smallest area of a round patch over that of the circle about it [1]. Chosen: a smaller value takes a rod for a bob, a
-larger one refuses blurred bobs."""
+"""Smallest area of a round patch divided by that of the circle about it [1]. Chosen: a smaller value takes a rod for a
+bob, a larger one refuses blurred bobs."""
 _LEAST_ROUND = 8
 """Smallest radius of a patch that has an interior [px]. Chosen: a smaller one has an edge only, a larger one ignores
 the detail of small bobs."""
@@ -165,8 +165,8 @@ _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
 circle; a larger one reaches other parts."""
 _SLENDER = 1.6
-"""Radius of the circle of the same area, over the radius of the inscribed circle, above which a body is not compact
-[1]. Derived: sqrt(8 / pi) = 1.6 of a rectangle twice as long as wide."""
+"""Radius of the circle of the same area, divided by the radius of the inscribed circle, above which a body is not
+compact [1]. Derived: sqrt(8 / pi) = 1.6 of a rectangle twice as long as wide."""
 
 
 @dataclass(frozen=True)
@@ -884,7 +884,7 @@ class _Layers:
 
 
 def _derivatives(picture: Picture) -> Picture:
-    """Return the derivatives by x, y, xx, xy, yy of a picture, (5, h, w)."""
+    """Return the derivatives of a picture with respect to x, y, xx, xy and yy, (5, h, w)."""
     by_y, by_x = np.gradient(picture)
     by_yx, by_xx = np.gradient(by_x)
     by_yy, _ = np.gradient(by_y)

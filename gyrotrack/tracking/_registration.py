@@ -132,7 +132,7 @@ class Ring:
         return self.grid()
 
     def inside(self, area: Area) -> Bools:
-        """Return which samples are within the area (left, top, right, bottom) of the picture [px]."""
+        """Return a mask of the samples that are within the area (left, top, right, bottom) of the picture [px]."""
         x, y = self._places
         left, top, right, bottom = area
         return np.asarray((x >= left + 1) & (y >= top + 1) & (x <= right - 2) & (y <= bottom - 2))

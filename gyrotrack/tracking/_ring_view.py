@@ -1,22 +1,22 @@
 """Centre, flattening and light of a ring of texture, determined from the pictures of the ring.
 
 The pictures I_t(r, theta) of a ring are sampled about a centre that is known to some tenths of a pixel, in coordinates
-that turn with the body. A centre displaced by z = x + i y (y up), and an oblique view, in which circles are ellipses
-with the flattening f = p + i q, displace a sample at the angle a of the picture across (u_t) and along (u_r) the
-radius by
+that turn with the body. Let z = x + i y (y up) be the displacement of the centre. In an oblique view, circles are
+ellipses with the flattening f = p + i q. Both displace a sample at the angle a of the picture, by u_t across the radius
+and by u_r along the radius:
 
     u_t = Im(z exp(-i a)) + r Im(f exp(-2 i a)),    u_r = Re(z exp(-i a)) + r Re(f exp(-2 i a)),
 
 and change its grey level by -(u_r dB/dr + u_t dB/dtheta / r), with B the picture of the body. A near camera that is
 tilted displaces samples along the radius by r^2 Re(k* exp(i a)) / R, with R the outer radius, and shading with the
-gradient g = g_x + i g_y changes grey levels by B Re(g* r exp(i a)) / R. With a = theta + psi, z, g and k turn against
-the body by its angle psi once, and f twice: over an arc they are distinguishable from its rotation. They follow from
-linear least squares, together with rotation, offset and gain of each frame. dB/dr is measured in the frames, because
-edges are narrower than the distance of the rows. Over more than a turn, the static part of the picture, L(r, a) (the
-light, and the rim in front of the table), is the mean of the residuals at each place. L also contains the effect of a
-view on the circular mean of B. The circular mean is therefore not used to determine the view. Over less than a turn, a
-shadow beside a circular edge resembles a displacement of this edge. The circular mean is then used only in rows in
-which a view explains most of the static residuals (`ViewResponse.explains`).
+gradient g = g_x + i g_y changes grey levels by B Re(g* r exp(i a)) / R. With a = theta + psi, z, g and k rotate once
+per turn relative to the body, and f twice; over an arc they are therefore distinguishable from the rotation of the
+body. They follow from linear least squares, together with rotation, offset and gain of each frame. dB/dr is measured in
+the frames, because edges are narrower than the distance of the rows. Over more than a turn, the static part of the
+picture, L(r, a) (the light, and the rim in front of the table), is the mean of the residuals at each place. L also
+contains the effect of a view on the circular mean of B. The circular mean is therefore not used to determine the view.
+Over less than a turn, a shadow beside a circular edge resembles a displacement of this edge. The circular mean is then
+used only in rows in which a view explains most of the static residuals (`ViewResponse.explains`).
 
 The apparent rotation of one frame depends on z and f through the slopes of B in both directions. For example, the
 edges of a bar are oblique to the radius, so that a displacement along the radius resembles a rotation.
@@ -39,7 +39,7 @@ TURN = 2.0 * np.pi
 
 LEAST_ARC = 0.4
 """Smallest arc over which the view of a ring is measured [turns]. Measured: on films by two other renderers, angles
-over 0.46 to 0.84 turns have 0.3 to 0.9 mrad rms, one 1.6; shorter arcs were not tried."""
+over 0.46 to 0.84 turns have errors of 0.3 to 0.9 mrad rms, in one film 1.6 mrad; shorter arcs were not tried."""
 WHOLE_TURN = 1.0
 """Smallest arc over which all static light is distinguishable from the body [turns]. Derived: over less, some places of
 the picture show only a part of the body."""
@@ -93,7 +93,8 @@ def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
         seen[:, k:] += strip[:, : count - k]
         seen[:, :k] += strip[:, count - k :]
     still, turning = (np.fft.rfft(p, axis=1) for p in (seen / len(strips), strips.mean(axis=0)))
-    # a picture that turns with the body and is averaged at rest is convolved with the distribution of the angle
+    # the average, in image coordinates, of a picture that turns with the body is its convolution with the distribution
+    # of the angle
     spread = np.fft.rfft(np.bincount(columns, minlength=count) / len(strips))
     light = np.zeros_like(still)
     # after a motion that is not uniform, the mean picture of the body contains a part of the light
@@ -107,7 +108,9 @@ def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
 def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
     """Return pictures (n, rows, columns) at the angles (n,) [rad] without the static light."""
     count = strips.shape[2]
-    twice = np.concatenate([light, light], axis=1)  # its columns from k on are the light turned by k columns
+    twice = np.concatenate(
+        [light, light], axis=1
+    )  # the slice that starts at column k is the light turned by k columns
     found = np.empty_like(strips)
     for strip, place, k in zip(strips, found, columns_of(angle, count), strict=True):
         np.subtract(strip, twice[:, k : k + count], out=place)
@@ -115,7 +118,7 @@ def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
 
 
 def columns_of(angle: Floats, count: int) -> npt.NDArray[np.int64]:
-    """Return the column, of `count` per turn, of a picture at rest that is below column 0 of a body at angles [rad]."""
+    """Return the column, of `count` per turn, of a stationary picture below column 0 of a body at angles [rad]."""
     return np.asarray(np.rint(angle * count / TURN).astype(np.int64) % count)
 
 
@@ -124,7 +127,7 @@ class ViewResponse:
     """Response of the zones of a ring to a view (x, y, p, q, g_x, g_y, k_x, k_y), in coordinates of the body."""
 
     # shape (zones, samples, VIEW_SIZE); change of the grey levels per px of displacement, and per unit of the others,
-    # beside rotation, offset and gain
+    # in addition to rotation, offset and gain
     change: Singles
     rotation: Floats  # shape (zones, VIEW_SIZE); apparent rotation of each zone [rad] per unit of the view
     information: Floats  # shape (zones, VIEW_SIZE, VIEW_SIZE); information about the view in one frame

@@ -85,7 +85,8 @@ class Scene:
 
 
 HEAD = 48
-"""Number of consecutive first frames [frames]. Derived: at 0.2 rad per frame they cover 9.6 rad, more than a turn."""
+"""Number of consecutive frames at the start of a film [frames]. Derived: at 0.2 rad per frame they cover 9.6 rad, more
+than a turn."""
 KEYS = 20
 """Smallest number of key frames for which the rest of a film is sampled by key frames alone [frames]. Chosen: key
 frames are decoded fastest; fewer give a poor background."""
@@ -98,7 +99,7 @@ DECODED = 240
 FEWEST = 8
 """Smallest number of frames of a film [frames]. Chosen: fewer do not show a motion, more refuse excerpts."""
 _BLOB_WIDTH = 400
-"""Smallest width of the chroma plane for which blobs are searched at half size [px]. Chosen: time; a smaller value
+"""Smallest width of the chroma plane for which blobs are searched for at half size [px]. Chosen: time; a smaller value
 loses small markers."""
 
 

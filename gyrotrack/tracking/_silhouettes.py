@@ -42,8 +42,8 @@ smaller value includes shadows, a larger one loses dark parts of the body."""
 _SMALLEST = 1.5
 """Smallest radius of a spot [px]. Chosen: a smaller value finds noise, a larger one loses small bobs."""
 _OPENED = 0.6
-"""Radius of the opening that removes a string from a bob, over the radius of the bob [1]. Chosen: a smaller value keeps
-a thick rod, a larger one removes bobs that are not round."""
+"""Radius of the opening that removes a string from a bob, divided by the radius of the bob [1]. Chosen: a smaller value
+keeps a thick rod, a larger one removes bobs that are not round."""
 AS_LARGE = 0.7
 """Smallest relative radius of the inscribed circle of a second spot that makes the choice ambiguous [1]. Chosen: a
 smaller value refuses films with other objects, a larger one may choose the wrong body."""
@@ -62,8 +62,8 @@ _LEAVES = 2.0
 """Smallest extent of the path of a moving body [radii]. Chosen: a smaller value accepts a wobble, a
 larger one refuses small oscillations."""
 _ROUND = 0.06
-"""Largest scatter about the arc over the extent of the path [1]. Chosen: a smaller value refuses blurred bobs, a larger
-one accepts other paths."""
+"""Largest scatter about the arc, divided by the extent of the path [1]. Chosen: a smaller value refuses blurred bobs, a
+larger one accepts other paths."""
 _OPEN = 0.5 * TURN
 """Largest range of the direction from the pivot on an open arc [rad]. Chosen: half a turn; a smaller value refuses wide
 oscillations, a larger one accepts orbits, whose pivot is in the picture."""
@@ -267,8 +267,8 @@ _LONG = 2.0
 """Smallest ratio of the moments of the axes of a long body [1]. Chosen: a smaller value accepts discs under an oblique
 view, a larger one loses short rods."""
 _FILLED = 1.4
-"""Largest area of the ellipse of the same moments over the area of a long body [1]. Chosen: a straight bar has pi / 3 =
-1.05; a larger value accepts bent bodies, a smaller one refuses interrupted bars."""
+"""Largest area of the ellipse of the same moments, divided by the area of a long body [1]. Chosen: a straight bar has
+pi / 3 = 1.05; a larger value accepts bent bodies, a smaller one refuses interrupted bars."""
 _PIECE = 0.2
 """Smallest part of a silhouette that is used, relative to the largest part [1]. Chosen: a bar over the middle divides
 it; a smaller value includes noise, a larger one loses an end."""
@@ -276,8 +276,8 @@ _TILTED = 0.4
 """Smallest tilt of the axis of a long body [rad]. Chosen: a smaller value takes a disturbed circle for a tilt, a larger
 one leaves a biased angle."""
 _ELLIPSE = 0.06
-"""Largest scatter about the ellipse over the radius [1]. Chosen: a smaller value refuses blurred ends, a larger one
-accepts other motions."""
+"""Largest scatter about the ellipse, divided by the radius [1]. Chosen: a smaller value refuses blurred ends, a larger
+one accepts other motions."""
 _GAP = 0.25 * TURN
 """Largest gap of the orbit [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse undetermined, a smaller
 one refuses few positions."""
@@ -349,11 +349,12 @@ _FEWEST_AXES = 8
 """Smallest number of frames with an axis [frames]. Chosen: fewer axes meet by chance, more refuse a rod that is at
 rest for most of a film."""
 _MEET = 0.03
-"""Largest distance of the axes from their common point over their median length [1]. Chosen: a smaller value refuses
-bent rods, a larger one accepts rods without a hub on their axis."""
+"""Largest distance of the axes from their common point, divided by their median length [1]. Chosen: a smaller value
+refuses bent rods, a larger one accepts rods without a hub on their axis."""
 _SPREAD = 0.01
-"""Smallest spread of the directions of the axes, the mean square of the sine from the main one [1]. Chosen: an rms
-rotation of 0.1 rad; a smaller value accepts nearly parallel axes, a larger one refuses small oscillations."""
+"""Smallest spread of the directions of the axes, as the mean square of the sine of the angle from the main direction
+[1]. Chosen: an rms rotation of 0.1 rad; a smaller value accepts nearly parallel axes, a larger one refuses small
+oscillations."""
 
 
 def axes_meet(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:

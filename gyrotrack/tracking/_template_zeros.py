@@ -194,11 +194,11 @@ def _within(
         return np.zeros(batch.stop - batch.start), 0.0
     columns, prior = [np.ones(len(frames)), apart * per_speed], [0.0, 1.0]
     for angle, each in zip(angles, squares, strict=True):
-        turn = np.nan_to_num(angle[frames])
+        turn = angle[frames]
         for order, square in zip(_ORDERS, each, strict=True):
             if square > 0:
                 size = math.sqrt(0.5 * square)
-                columns += [size * np.cos(order * turn), size * np.sin(order * turn)]
+                columns += [np.nan_to_num(size * wave(order * turn)) for wave in (np.cos, np.sin)]
                 prior += [1.0, 1.0]
     basis = np.stack(columns, axis=1)
     # the noise includes the harmonics, which the coefficients may describe only in part

@@ -1,10 +1,10 @@
 """Angle of a body from the texture of a whole ring about its hub, zone by zone.
 
-A marker covers a few hundred pixels; the bar, the rim and the screws of a body cover some ten thousand. These pixels
+A marker covers a few hundred pixels; the bar, the rim and the screws of a body cover about ten thousand. These pixels
 are sampled in polar coordinates that turn with the body, in `ZONES` zones of radius. In these coordinates the picture
 of the body is constant. In each batch of frames a zone has a template T(r, theta), the mean of the frames, and a
-variance v(r, theta) of each sample. The variance is large where the body is not visible: another body below, the
-table, a reflection. The rotation d of a frame follows from least squares, with weight 1 / v, for
+variance v(r, theta) of each sample. The variance is large where the body is not visible: another body below, the table,
+a reflection. The rotation d of a frame follows from least squares, with weight 1 / v, for
 
     I(r, theta) = b + (1 + g) T(r, theta - d) + noise,
 
@@ -165,8 +165,8 @@ FINEST = 1e-7
 """Lower limit of the scatter of a zone [rad]. Derived: the rounding error of sums in single precision, which is all
 that remains of a body at rest in a picture without noise."""
 SHRINKAGE = 0.1
-"""Relative increase of variances estimated from some hundred frames [1]. Chosen: a smaller value gives weights
-by chance, a larger one makes the zones equal."""
+"""Relative increase of variances estimated from a few hundred frames [1]. Chosen: a smaller value gives weights by
+chance, a larger one makes the zones equal."""
 
 
 @dataclass(frozen=True)

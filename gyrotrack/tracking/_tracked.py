@@ -16,7 +16,7 @@ _MANY_TURNS = 3.0
 """Smallest number of turns in which an error once per turn is distinguishable from a motion [turns]. Chosen: fewer
 understate the uncertainty, more overstate it."""
 _APART = 5.0
-"""Largest slow difference of both halves of a rigid body, over the standard uncertainty of the angle [1].
+"""Largest slow difference between the two halves of a rigid body, divided by the standard uncertainty of the angle [1].
 Measured: real wheels and discs: up to 3; a drawn rim with an oscillation of 10 to 30 mrad relative to its disc: 10."""
 
 
@@ -108,7 +108,7 @@ def apart_beyond_harmonics(
 
     The halves of a rigid body differ by harmonics of the angle, a slow trend of the view, and noise. A further
     variation that exceeds `_APART` times the standard uncertainty `sigma` of the angles [rad] is another motion. The
-    angle is approximately the mean of both halves (2, n), so that its error is half of the difference. `at` (n,) are
+    angle is approximately the mean of the two halves (2, n), so that its error is half of the difference. `at` (n,) are
     the frames.
     """
     if np.ptp(angle) <= _MANY_TURNS * TURN:

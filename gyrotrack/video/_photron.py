@@ -1,8 +1,9 @@
 """Films of Photron high-speed cameras: a text header (``.cih``) beside the raw frames (``.mraw``).
 
 The header has one entry per line, ``Image Width : 1024``. The frames follow each other without gaps. A pixel has
-``Color Bit`` bits: 8, 10 and 12 are packed with the most significant bit first, 16 are little-endian. ``EffectiveBit
-Depth`` of these bits are measured, either the lower or the higher bits (``EffectiveBit Side``).
+``Color Bit`` bits. Pixels of 8, 10 and 12 bits are packed with the most significant bit first; pixels of 16 bits are
+little-endian. ``EffectiveBit Depth`` is the number of bits that contain the measured value: either the lower or the
+higher bits (``EffectiveBit Side``).
 
 Sources: headers written by PFV and by the PDC library of Photron; the packing is that of pyMRAW.
 """
@@ -92,7 +93,7 @@ def read_header(path: Path) -> PhotronHeader:
 
 def _check_length(header: PhotronHeader) -> None:
     if not header.raw.is_file():
-        what = f"There is no file {header.raw.name} beside {header.path}: it contains the frames."
+        what = f"The frames are missing: there is no file {header.raw.name} beside {header.path}."
         raise VideoError(what, "Copy both files of the camera into one folder.")
     size, expected = header.raw.stat().st_size, header.frames * header.frame_bytes
     if header.width * header.height * header.bits % 8 or size != expected:

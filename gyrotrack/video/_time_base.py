@@ -287,8 +287,8 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
 
     A place rounded to a tick d has the standard deviation d / sqrt(12). After smoothing by a parabola through its
     neighbours, the variance is multiplied by the leverage of the place; scatter beyond rounding is an error of the
-    parabola. If this error is larger than the rounding error, or a place would change by more than rounding, nothing
-    changes.
+    parabola. If this error is larger than the rounding error, or a place would change by more than rounding error,
+    nothing changes.
     """
     rounding = tick**2 / 12.0
     smooth, share = _smoothed(number, place)

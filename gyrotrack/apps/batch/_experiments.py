@@ -91,7 +91,7 @@ def folder_name(label: str) -> str:
 
 
 def unique_name(label: str, taken: set[str]) -> str:
-    """Return a folder name for a label that is not in `taken`, and add this name to `taken`."""
+    """Return a folder name for a label, different from the names in `taken`, and add it to `taken`."""
     name = stem = folder_name(label)
     number = 1
     while name.casefold() in taken:
@@ -104,7 +104,7 @@ def unique_name(label: str, taken: set[str]) -> str:
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
-    """Set missing inertias of experiments, `given` by body; all that are not in `skip` (options) are required."""
+    """Set missing inertias of experiments to those `given` by body; options in `skip` may be missing."""
     made = []
     for e in experiments:
         own: dict[str, Any] = {}
@@ -176,7 +176,7 @@ STATED_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
 def read_folder(
     root: Path, *, casing_fps: float | None = None, rotor_fps: float | None = None, skip: Path | None = None
 ) -> tuple[Experiment, ...]:
-    """Find the experiments in a folder, except in hidden folders, links and `skip`; the rates are defaults."""
+    """Find the experiments in a folder, except in hidden folders, links and `skip`; both rates are default values."""
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
     rates = {"casing": casing_fps, "rotor": rotor_fps, "": None}
@@ -284,7 +284,7 @@ class _Row(_Facts):
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
-    """Read a manifest in TOML or CSV; each film is checked when it is opened and does not stop the others."""
+    """Read a manifest in TOML or CSV; films are checked when opened, so an unreadable one does not stop the batch."""
     if path.suffix.lower() == ".csv":
         return with_folders(_from_rows(path), path)
     manifest = read_document(path, Manifest, what="manifest")

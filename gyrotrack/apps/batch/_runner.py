@@ -132,7 +132,7 @@ class Run:
         return self.journal.kept(step, key), key, words
 
     def _begin(self, step: Step) -> _Running | None:
-        """Return the step to be submitted, or None if it is blocked, kept or cannot begin."""
+        """Return the step to be submitted, or None if the step is blocked or kept, or cannot begin."""
         before = self._blocked(step)
         if before is not None:
             cause = self.ended[before].document.get("error", {})
@@ -217,8 +217,8 @@ class Row:
     frames: int  #: Number of frames of the tracked films.
     fit: str  #: Verdict of the fit; empty without a fit.
     rmse_casing: float | None  #: Rms residual of the smoothed angular velocity of the casing [rad s-1].
-    reduced_chi2: float | None  #: Chi-square of the casing over the effective number of samples [1].
-    misfit: float | None  #: Rms residual over that of the noise [1].
+    reduced_chi2: float | None  #: Chi-square of the casing divided by the effective number of samples [1].
+    misfit: float | None  #: Rms residual divided by that of the noise [1].
     diagnosis: str  #: Verdict of the diagnosis; empty without one.
     missing: str  #: Effects that `diagnose` or `improve` found.
     trusted: bool  #: Whether every step returned a trusted result (exit code 0).

@@ -38,12 +38,12 @@ from gyrotrack.io._command_end import marking
 
 _DATA = "From films to data"
 _PHYSICS = "From data to physics"
-_ORACLE = "Known answers"
+_ORACLE = "Tests with known answers"
 
 COMMANDS = (
     Entry("profile", "_tracking", _DATA, "Find the markers of a film and write a profile."),
     Entry("extract", "_tracking", _DATA, "Track the markers in a film: angles with uncertainties."),
-    Entry("import", "_data", _DATA, "Make a case from tables of angles or rates, or points."),
+    Entry("import", "_data", _DATA, "Make a case from tables of angles, rates or points."),
     Entry("spindown", "_tracking", _DATA, "Measure one rotating body: film or table to report."),
     Entry("sync", "_tracking", _DATA, "Synchronise the clips of one experiment."),
     Entry("batch", "_batch", _DATA, "Track, fit and report many cases, unattended."),
@@ -51,7 +51,7 @@ COMMANDS = (
     Entry("export", "_data", _DATA, "Export the data as CSV, Parquet or netCDF."),
     Entry("info", "_data", _DATA, "Show the contents of a file and check its integrity."),
     Entry("fit", "_fitting", _PHYSICS, "Fit a model: parameters, uncertainties, goodness of fit."),
-    Entry("scan", "_fitting", _PHYSICS, "Fit every combination of the paper's terms: its tables."),
+    Entry("scan", "_fitting", _PHYSICS, "Fit every combination of the paper's terms; print its tables."),
     Entry("diagnose", "_fitting", _PHYSICS, "Locate the lack of fit and rank the missing effects."),
     Entry("improve", "_fitting", _PHYSICS, "Add effects until the residuals are consistent with noise."),
     Entry("laws", "_discovery", _PHYSICS, "Find the law of an unmodelled torque, as a set of formulas."),
@@ -261,7 +261,7 @@ def _report(error: Exception, *, as_json: bool) -> int:
         report_error("file", refused, "Check the name, its folder and the permissions.", as_json=as_json)
         return FAULT
     if type(error).__name__ == "LinAlgError":  # an error of numpy, which is imported only where needed
-        what = f"The numbers cannot be computed with: {str(error).rstrip('.').lower()}."
+        what = f"A numerical computation failed: {str(error).rstrip('.').lower()}."
         report_error(
             "numerical",
             what,
@@ -289,7 +289,7 @@ def _refused_file(error: Exception) -> str | None:
     return f"{what[:_LONGEST_NAME]} cannot be used: {error.strerror[0].lower()}{error.strerror[1:]}."
 
 
-_LONGEST_NAME = 200  # shown characters of the name of a file
+_LONGEST_NAME = 200  # number of characters shown of the name of a file
 
 # code, message, hint
 _LIMIT = "Raise the limit (`ulimit -{}`), or close other programs."

@@ -195,7 +195,7 @@ class _Keeper:
 
 
 def _item(text: str) -> Item:
-    """Read ``truth:casing.windage:17``."""
+    """Parse the name of a simulated recording like ``truth:casing.windage:17``."""
     kind, _, rest = text.partition(":")
     effect, _, number = rest.rpartition(":")
     if not number.isdecimal():

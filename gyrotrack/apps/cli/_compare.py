@@ -217,7 +217,7 @@ def _read_times(path: Path) -> tuple[dict[str, float], str]:
                 found[row[place]] = datetime.fromisoformat(text).timestamp() / _SECONDS_PER_DAY
             except ValueError:
                 what = f"{path}, line {line}: {text[:30]!r} is neither a number nor a date."
-                raise DatasetError(what, "Write for example 3.5 or 2024-05-17T14:30.") from None
+                raise DatasetError(what, "Write, for example, 3.5 or 2024-05-17T14:30.") from None
             dates = True
         if not math.isfinite(found[row[place]]):
             raise DatasetError(f"{path}, line {line}: the time is not finite.", "")

@@ -263,7 +263,7 @@ def plan_command(
 
 
 def _bounds(given: Sequence[str]) -> dict[str, Any]:
-    """Read ``omega_casing=-60,60``."""
+    """Parse bounds like ``omega_casing=-60,60``."""
     found: dict[str, Any] = {}
     for text in given:
         key, _, pair = text.partition("=")

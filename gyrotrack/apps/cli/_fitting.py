@@ -144,7 +144,7 @@ def _symbol(name: str) -> str:
 
 
 def _fixed_values(fix: Sequence[str]) -> dict[str, float]:
-    """Read ``bearing.power.g=0.7``."""
+    """Parse assignments like ``bearing.power.g=0.7``."""
     held = {}
     for text in fix:
         name, equals, value = text.partition("=")
@@ -162,7 +162,7 @@ class BudgetDocument(TypedDict):
     """The uncertainty budget of a fit."""
 
     fit_id: str  #: Name of the fit in the ledger.
-    parameters: dict[str, ParameterBudget]  #: By key as in a fit.
+    parameters: dict[str, ParameterBudget]  #: Contributions, by the key of the parameter in a fit.
 
 
 _MIN_SHARE = (
@@ -202,7 +202,9 @@ def budget_command(
 
     for name, u in (("--clock-rate", clock_rate), ("--speed-scale", speed_scale)):
         if u is not None and not 0 <= u < 1:
-            raise UsageError(f"{name} {u:g} is not between 0 and 1.", "Give a relative uncertainty: 1e-4.")
+            raise UsageError(
+                f"{name} {u:g} is not between 0 and 1.", "Give a relative uncertainty, for example 1e-4."
+            )
     study = open_study(cases, ledger)
     with out.progress("fitting with other inertias") as progress:
         progress(0, None)
@@ -252,7 +254,7 @@ def scan_command(
     force: shared.Force = False,
     out: shared.Out,
 ) -> int:
-    """Fit every on/off combination of the paper's terms, and its reduced and general models.
+    """Fit every on/off combination of the paper's terms, and the paper's reduced and general models.
 
     For each case: five fits without one of the drag terms, and fifteen with all combinations of the bearing laws. For
     all cases: both models separately and jointly, their figures of merit, and the scatter of each parameter. The
@@ -461,7 +463,7 @@ class EffectDocument(TypedDict):
     law: str  #: Formula.
     latex: str  #: Formula in LaTeX.
     parameters: list[EffectParameter]  #: Its parameters.
-    signature: str  #: How it shows in the data.
+    signature: str  #: Signature in the data.
     confused_with: list[str]  #: Names of similar effects.
     source: str  #: Publication.
 

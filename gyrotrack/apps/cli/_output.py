@@ -304,7 +304,7 @@ def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
     for name, b in bias.items():
         value = rounded(b.measured, b.stderr, fit.estimates[name].unit)
         lines += [f"  {in_words(fit, name)}", f"    {value}"]
-        lines.append(f"    bias by the generated curve: {b.errors:.0f} standard errors")
+        lines.append(f"    bias due to the generated curve: {b.errors:.0f} standard errors")
     return ["\n".join(lines)]
 
 

@@ -392,8 +392,8 @@ PlaneTilt = Annotated[
     str | None,
     option(
         "--tilt ANGLE[,DIRECTION]",
-        "Correct a film for the tilt of the axis of rotation against the line of sight [degrees]; DIRECTION is along "
-        "the short axis of the ellipse, counter-clockwise from the right (90 by default).",
+        "Correct a film for the tilt of the axis of rotation relative to the line of sight [degrees]; DIRECTION is "
+        "along the short axis of the ellipse, counter-clockwise from the right (90 by default).",
     ),
 ]
 
@@ -493,10 +493,10 @@ OfCluster = Annotated[
             option("--tls-ca FILE", "Certificate authority of the cluster (PEM).", envvar="GYROTRACK_TLS_CA"),
         ],
         "tls_cert": Annotated[
-            Path | None, option("--tls-cert FILE", "Own certificate (PEM).", envvar="GYROTRACK_TLS_CERT")
+            Path | None, option("--tls-cert FILE", "Certificate of this client (PEM).", envvar="GYROTRACK_TLS_CERT")
         ],
         "tls_key": Annotated[
-            Path | None, option("--tls-key FILE", "Own private key (PEM).", envvar="GYROTRACK_TLS_KEY")
+            Path | None, option("--tls-key FILE", "Private key of this client (PEM).", envvar="GYROTRACK_TLS_KEY")
         ],
     }),
 ]  # fmt: skip

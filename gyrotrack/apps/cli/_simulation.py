@@ -68,7 +68,7 @@ class DemoDocument(TypedDict):
     diagnosis: DiagnosisDocument  #: Diagnosis of the first fit.
     ladder: list[StepDocument]  #: Fits, oldest first.
     final: FitDocument  #: The last fit.
-    verdict: str  #: Verdict, as of `improve`.
+    verdict: str  #: Verdict, with the values of `improve`.
     seconds: float  #: Duration [s].
 
 

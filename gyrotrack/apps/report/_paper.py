@@ -277,7 +277,7 @@ _FIGURES: dict[str, tuple[Callable[[PaperCase], Chart], str]] = {
     "residuals": (
         _residuals,
         (
-            "Normalised residuals of the casing's angular velocity, fit minus measured over the standard "
+            "Normalised residuals of the casing's angular velocity, fit minus measured, divided by the standard "
             "uncertainty due to noise. {names}"
         ),
     ),

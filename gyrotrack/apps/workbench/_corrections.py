@@ -24,7 +24,7 @@ from gyrotrack.io._schema import STATUS
 CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
 JUMP = 5.0  # deviation from the neighbouring frames above which a click needs confirmation [standard uncertainties]
 _SAME = 1e-9  # largest difference of equal times [s]
-_MIN_RADIUS = 5.0  # smallest distance from the centre of a clicked position [px]
+_MIN_RADIUS = 5.0  # smallest distance of a clicked position from the centre [px]
 _TURN = 2 * np.pi
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
 _MEASURED = (
@@ -146,7 +146,7 @@ def _clicked(recording: Recording, frame: int, place: Sequence[float]) -> tuple[
     x, y = np.asarray(place, dtype=np.float64) - recording.centre[frame]
     radius = float(np.hypot(x, y))
     if not radius > _MIN_RADIUS:  # also true for an unknown centre (NaN)
-        what = "This position determines no angle: the centre is unknown or too close."
+        what = "No angle can be determined from this position: the centre is unknown or too close."
         raise UsageError(what, "Click on the marker itself.")
     # counter-clockwise in the image; y points down
     return recording.sense * float(np.arctan2(-y, x)), CLICK_SIGMA / radius

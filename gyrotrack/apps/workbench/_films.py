@@ -272,7 +272,7 @@ _STARTS = {"recording": _of_markers, "case": _of_whole_body}
 _MIDDLE = (
     1.15  # radius of the middle of a marker if the outer edge is not found [radius of the inner corners]
 )
-# number and spacing of the frames in which the outer edge of a marker is searched
+# number and spacing of the frames in which the outer edge of a marker is searched for
 _SAMPLED, _APART = 5, 8
 _FARTHEST = 3.0  # largest radius of the search for the outer edge [radius of the inner corners]
 _INSIDE = (1.04, 1.12)  # radii between which the colour of a marker is measured [radius of the inner corners]
@@ -281,7 +281,7 @@ _STATUS = {code: word.replace("_", " ") for word, code in STATUS.items()}
 
 
 def marker_middles(recording: Recording, picture: Callable[[int], Picture]) -> dict[str, float]:
-    """Return the radius of the middle of each marker over the radius of its inner corners, from frames of the film.
+    """Return the radius of the middle of each marker, in radii of its inner corners, from frames of the film.
 
     A marker has uniform colour from its inner corners to its outer edge.
     """
@@ -307,7 +307,7 @@ def _spread(known: NDArray[np.intp]) -> list[int]:
 
 
 def _outer_edge(picture: Picture, centre: NDArray[np.float64], angle: float, radius: float) -> float:
-    """Return the radius of the outer edge of a marker over the radius of its inner corners; nan without an edge."""
+    """Return the radius of the outer edge of a marker, in radii of its inner corners; nan without an edge."""
     share = np.linspace(_INSIDE[0], _FARTHEST, _STEPS)
     place = centre + radius * share[:, None] * np.array([np.cos(angle), -np.sin(angle)])
     column, row = np.rint(place).astype(int).T

@@ -479,7 +479,7 @@ class Prediction:
         return self._misfit(self._fit.predictions[0].rows)
 
     def _misfit(self, rows: Array) -> float:
-        """Return the rms residual of modelled rows over the noise, as `Fit.misfit`."""
+        """Return the rms residual of modelled rows divided by the noise, as `Fit.misfit`."""
         from fitting.inference._metrics import chi2_per_row
 
         data = self._fit.problem.data[0]

@@ -489,12 +489,12 @@ class Session:
         from fitting._numbers import scaled, short, unit_text
 
         fit, left = step.fit, self._rung(self.current).get("torque_left_Nm")
-        error = "Error in intervals of the recording that were left out of the fit, over the noise"
+        error = "Error in intervals of the recording that were left out of the fit, divided by the noise"
         found = [
             (
                 "χ²/n",
                 short(fit.reduced_chi2),
-                "Mean square residual of single samples over the noise variance. Many samples hide a small misfit.",
+                "Mean square residual of samples divided by the noise variance. Many samples hide a small misfit.",
             ),
             (
                 "prediction error / noise",

@@ -38,7 +38,7 @@ const Page = (() => {
   }
 
   const GLOSSARY = [
-    ["misfit", "Rms of the residual over that of the noise. It contains everything that a model can describe, and not the white noise between neighbouring samples. 1 is the noise limit."],
+    ["misfit", "Rms of the residual divided by that of the noise. It contains everything that a model can describe, and not the white noise between neighbouring samples. 1 is the noise limit."],
     ["residual", "Measured minus modelled value."],
     ["lack of fit", "Deviation of the model from the data beyond noise."],
     ["unmodelled torque", "Difference between the torque required by the data and the model, without assuming a law."],

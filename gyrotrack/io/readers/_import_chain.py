@@ -41,8 +41,8 @@ def import_chain(
     Parameters
     ----------
     bodies : mapping of str to sequence of Path
-        Tables of each body by its name, as for `import_case`, the first body first. It may come to rest and reverse. A
-        table may contain several bodies, if the headers of its columns contain their names.
+        Tables of each body by its name, as for `import_case`. The body that may come to rest and reverse is the first
+        one. A table may contain several bodies, if the headers of its columns contain their names.
     joints : mapping of str to (str, str)
         The two bodies of each joint. The torque of a joint drives its second body and brakes its first one.
     inertias : mapping of str to float or Inertia
@@ -50,7 +50,7 @@ def import_chain(
     label, surface : str
         Name of the case, and the surface on which the first body turns.
     options : mapping of str to ReadOptions, optional
-        Options for reading the files of each body; its inputs are columns of its first file.
+        Options for reading the files of each body; inputs are read from the first file of a body.
     limits : Limits, optional
         Times to include and to exclude.
 
@@ -62,7 +62,7 @@ def import_chain(
     Raises
     ------
     DatasetError, UsageError
-        As for `import_case`, or a joint is between other bodies, or a body has no joint or no moment of inertia.
+        As for `import_case`; also if a joint names an unknown body, or a body has no joint or no moment of inertia.
     """
     moments = {name: i if isinstance(i, Inertia) else Inertia(i) for name, i in inertias.items()}
     known = {name: moments.get(name, Inertia(math.nan)) for name in bodies}
@@ -105,7 +105,7 @@ def import_chain(
 
 
 def read_bodies(given: Sequence[str]) -> dict[str, list[Path]]:
-    """Return the files of each body by its name from texts ``NAME=FILE``; a single body may have no name.
+    """Parse arguments ``NAME=FILE`` into the files of each body; the name of a single body may be omitted.
 
     A name that is given several times has several files, one for each window.
     """
@@ -116,26 +116,26 @@ def read_bodies(given: Sequence[str]) -> dict[str, list[Path]]:
             name, file = "", text
         found.setdefault(name.strip(), []).append(Path(file.strip()))
     if len(given) > 1 and ("" in found or len(found) == 1):
-        what = "Several files of --body need the names of their bodies, and the bodies need joints."
+        what = "With several --body options, give the name of each body, and the joints between them."
         raise UsageError(what, "Write --body wheel=wheel.csv --body drum=drum.csv --joint belt=drum,wheel.")
     return found
 
 
 def read_joints(given: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Return the two bodies of each joint by its name from texts ``NAME=FIRST,SECOND``."""
+    """Parse arguments ``NAME=FIRST,SECOND`` into the two bodies of each joint."""
     found = {}
     for text in given:
         name, _, pair = text.partition("=")
         bodies = [b.strip() for b in pair.split(",")]
         if len(bodies) != 2 or not all(bodies) or name.strip() in found:
-            what = f"--joint {text[:60]!r} is not a joint, or there is another of its name."
+            what = f"--joint {text[:60]!r} is not of the form NAME=FIRST,SECOND, or its name is given twice."
             raise UsageError(what, "Write --joint belt=motor,drum, once for each joint.")
         found[name.strip()] = (bodies[0], bodies[1])
     return found
 
 
 def read_inertias(given: Sequence[str], bodies: Sequence[str]) -> dict[str, Inertia]:
-    """Return the moments of inertia of bodies from texts ``NAME=I``, or ``I`` for a single body."""
+    """Parse arguments ``NAME=I``, or ``I`` for a single body, into the moments of inertia of the bodies."""
     found = {}
     for text in given:
         name, equals, inertia = text.rpartition("=")

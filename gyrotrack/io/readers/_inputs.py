@@ -25,7 +25,7 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _COLUMN = re.compile(
     rf"(?P<column>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_NUMBER}))?\s*"
 )
-EXAMPLE = "Write for example --input 'current=3 [A]' or --input 'command=Torque [N m], hold, delay=0.02'."
+EXAMPLE = "Write, for example, --input 'current=3 [A]' or --input 'command=Torque [N m], hold, delay=0.02'."
 # names that already have a meaning in laws
 _TAKEN = {
     "t", "omega_r", "omega_c", "psi_r", "psi_c", "deflection", "delta", "pi",

@@ -160,7 +160,7 @@ def read_names(
         if not equals or role_name not in (*ROLES, *COORDINATES) or not column:
             raise UsageError(
                 f"{option[:60]!r}: unknown column.",
-                f"Write for example t=Zeit; quantities: {', '.join((*ROLES, *COORDINATES))}.",
+                f"Write, for example, t=Zeit; quantities: {', '.join((*ROLES, *COORDINATES))}.",
             )
         if role_name == quantity and prefix != body:
             continue

@@ -49,7 +49,7 @@ from gyrotrack.io.readers._reading import Reading, Taken
 _CLOCKED = 0.01
 _REGULAR_EDGES = 0.3  # largest relative change (median) between intervals of pulses; noise has 0.7
 _LEVELS = 8  # least number of distinct values of a signal; states of a light gate have two
-_MOSTLY = 0.8  # smallest share of a record with regular pulses for which no drift is searched
+_MOSTLY = 0.8  # smallest share of a record with regular pulses for which no drift is searched for
 _MORE = (
     1.25  # smallest ratio of the numbers of pulses without and with a drift for which the drift is removed
 )
@@ -720,7 +720,8 @@ def mark_errors(
 
     The error of a mark is the median over all turns of its deviation from a cubic spline between the times of mark 0,
     minus the mean deviation of each turn. It is subtracted if the marks differ significantly. An unbalance or another
-    torque of the angle displaces the pulses in the same way, so the subtracted amount remains an uncertainty.
+    torque that depends on the angle displaces the pulses in the same way, so the subtracted amount remains an
+    uncertainty.
     """
     marks = round(per_turn)
     none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()

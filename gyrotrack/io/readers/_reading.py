@@ -17,7 +17,7 @@ class Taken:
     """One column or point, and its interpretation."""
 
     column: str  #: Name of the column or point, in quotes, or its number.
-    quantity: str  #: Quantity for which it is taken, for example `time`, `angle`, `omega` or `input`.
+    quantity: str  #: Quantity that it contains, for example `time`, `angle`, `omega` or `input`.
     unit: str  #: Unit in the file; empty if not stated.
     why: str  #: Reason.
 
@@ -51,7 +51,7 @@ class Reading:
         names = [*self.left_out[:_MOST_NAMES], *([f"{more} more"] if more > 0 else [])]
         return (
             f"{self.file} ({self.format}, {self.rows} rows): {'; '.join(parts)}.",
-            f"{self.file}: left out: {', '.join(names) or 'no column'}.",
+            f"{self.file}: unused columns: {', '.join(names) or 'none'}.",
         )
 
     def document(self) -> ReadingDocument:

@@ -231,7 +231,7 @@ def test_the_most_likely_random_torque_is_never_above_its_ceiling():
 
 @pytest.mark.slow
 @pytest.mark.release
-def test_drag_is_named_beside_a_random_torque():
+def test_drag_is_named_with_a_random_torque():
     """A torque of 1e-6 N m is established beside a random one of 1e-7 N m with a correlation time of 1 s."""
     found = diagnose(fitted(ou=1e-7, hidden="drag"))
     assert found.verdict == "missing_effect"
@@ -241,7 +241,7 @@ def test_drag_is_named_beside_a_random_torque():
 
 @pytest.mark.parametrize("name", ["casing.precession", "bearing.drift", "camera.clock", "setup.inertia"])
 @pytest.mark.parametrize(("established", "alternative"), [(True, False), (False, True)])
-def test_every_effect_must_be_established_beside_a_random_torque(monkeypatch, name, established, alternative):
+def test_every_effect_must_be_established_with_a_random_torque(monkeypatch, name, established, alternative):
     from fitting.discovery import _verdict
 
     fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))

@@ -209,7 +209,7 @@ def test_an_effect_must_be_significant_in_the_whole_list(monkeypatch, p, establi
     assert is_established(alternative(1e-7), screened, named, 2000, DEFAULT) is established
 
 
-def test_a_parameter_at_its_bound_is_held_beside_a_random_torque():
+def test_a_parameter_at_its_bound_is_held_with_a_random_torque():
     drag = "casing.air.linear.b2"
     rows = rows_of(4e-7, 1.0)
     base = seen(rows, values={drag: 0.0})

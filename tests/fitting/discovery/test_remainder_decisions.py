@@ -94,7 +94,7 @@ class TestTorques:
             min(2 * np.mean(rotor**2) / (np.mean(rotor**2) + np.mean(casing**2)), 1.0), rel=1e-6
         )
 
-    def test_torques_of_the_angle_count_by_their_amplitudes(self):
+    def test_angle_dependent_torques_count_by_their_amplitudes(self):
         """<(k sin)^2> = k^2 / 2; a fit with another phase leaves |k e^(i a) - k' e^(i b)|^2 / 2."""
         end = lawful(DRAG, UNBALANCE, drag=K, unbalance=3e-5, phi=0.4)
         torques = Torques(lawful(), end, residual=False)
@@ -111,7 +111,7 @@ class TestTorques:
             1.0, abs=1e-4
         )
 
-    def test_a_torque_of_the_angle_in_the_base_is_subtracted(self):
+    def test_an_angle_dependent_torque_in_the_base_is_subtracted(self):
         base = lawful(UNBALANCE, unbalance=1e-5, phi=0.2)
         end = lawful(DRAG, UNBALANCE, drag=K, unbalance=3e-5, phi=0.4)
         ((_, harmonics),) = Torques(base, end, residual=False).unmodelled
@@ -562,14 +562,14 @@ class TestGrade:
         size = self.graded(monkeypatch, share=share, alone=alone, end=end, converged=converged)
         assert size.explained == pytest.approx(explained)
 
-    def test_torques_of_the_angle_are_stated_beside_the_share(self, monkeypatch):
+    def test_angle_dependent_torques_are_stated_beside_the_share(self, monkeypatch):
         end = found(DRAG, UNBALANCE, deviance=60.0, theta=(0,) * 4)
         size = self.graded(monkeypatch, end=end, of_angle=2e-3)
         assert "of the mean square slow unmodelled torque" in size.remainder.sentence
-        assert "a torque of the angle of 2 mN m rms" in size.remainder.sentence
+        assert "an angle-dependent torque of 2 mN m rms" in size.remainder.sentence
         size = self.graded(monkeypatch, end=end)
         assert "slow" not in size.remainder.sentence
-        assert "torque of the angle" not in size.remainder.sentence
+        assert "angle-dependent torque" not in size.remainder.sentence
 
     @pytest.mark.parametrize(
         ("share", "shape", "explained", "whole"),

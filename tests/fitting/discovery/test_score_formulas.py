@@ -114,7 +114,7 @@ class TestColumns:
         assert len(grid) == 8 * (len(declared) - 1) + 1
         assert np.diff(grid)[:8] == pytest.approx(np.full(8, (declared[1] - declared[0]) / 8))
 
-    def test_the_cell_of_a_changepoint_has_the_mean_of_both_sides(self):
+    def test_the_cell_of_a_changepoint_has_the_mean_of_the_two_sides(self):
         columns, step = CaseColumns(gyroscope(), 0), LIBRARY["touchpoint.step"]
         constant = columns._units(LIBRARY["touchpoint.constant"], [{}])[:, 0]
         low, high = columns.response.edges[[40, 41]]

@@ -383,7 +383,7 @@ def with_torque_of_the_angle():
 class TestKindsOfTorque:
     """A drag and a second effect that repeats with the angle and is not determined."""
 
-    def test_torques_of_the_angle_have_a_separate_size(self):
+    def test_angle_dependent_torques_have_a_separate_size(self):
         named, end = with_torque_of_the_angle()
         torques = Torques(base(), end, residual=False)
         assert torques.of_angle(named) == pytest.approx(2e-3 / math.sqrt(2))
@@ -391,7 +391,7 @@ class TestKindsOfTorque:
         assert torques.remaining(named)[0] > 0.5
         assert torques.remaining(named, slow=True)[0] < 0.05
 
-    def test_a_drag_is_not_measured_by_torques_of_the_angle(self, monkeypatch):
+    def test_a_drag_is_not_measured_by_angle_dependent_torques(self, monkeypatch):
         named, end = with_torque_of_the_angle()
         first = replace(ranked()[0], fit=named)
         selection = Selection([first], first, named, end)
@@ -400,7 +400,7 @@ class TestKindsOfTorque:
         assert size.explained > 0.95
         assert size.form == "approximate"
         assert "second effect asymmetry of the body (asymmetry)" in size.remainder.sentence
-        assert "a torque of the angle of 1.41 mN m rms" in size.remainder.sentence
+        assert "an angle-dependent torque of 1.41 mN m rms" in size.remainder.sentence
 
     @pytest.mark.parametrize(("alone", "explained"), [(0.02, 0.98), (0.3, 0.7), (0.6, 0.6)])
     def test_the_smaller_estimate_of_what_remains_counts(self, monkeypatch, alone, explained):

@@ -47,7 +47,7 @@ def test_a_linear_input_is_interpolated_and_its_kinks_are_where_the_slope_change
 
 
 @pytest.mark.parametrize(("size", "kinks"), [(0.9e-7, 0), (1.1e-7, 1)])
-def test_a_change_of_the_slope_in_the_eighth_digit_is_rounding(size, kinks):
+def test_a_change_of_the_slope_in_the_eighth_digit_is_rounding_error(size, kinks):
     time = np.linspace(0.0, 1.0, 11)
     value = 3.0 * time + 3.0 * size * np.maximum(time - 0.5, 0.0) / 0.1
     assert len(Input("u", time, value).changes(0.05, 0.95)) == kinks

@@ -79,7 +79,7 @@ def test_sensitivities_of_a_law_that_follows_the_angle():
         np.testing.assert_allclose(got, exact, atol=1e-5 * np.abs(exact).max())
 
 
-def test_derivative_by_the_time_of_a_jump_is_the_jump_of_the_rate():
+def test_derivative_with_respect_to_the_time_of_a_jump_is_the_jump_of_the_rate():
     """Right after the jump, d omega_c / d t0 = k / I_c: a later jump brakes the casing later."""
     p = PAPER | EXTRA["step"]
     dynamics, numbers, path = solved(p)
@@ -149,7 +149,7 @@ def test_driven_motion_matches_direct_integration(body):
     )
 
 
-def test_the_fundamental_matrix_is_the_derivative_by_initial_values():
+def test_the_fundamental_matrix_is_the_derivative_with_respect_to_initial_values():
     dynamics, numbers, path = solved(PAPER)
     found = sensitivities(dynamics, numbers, path)
     motion = LinearMotion(path, found.propagator)

@@ -156,7 +156,7 @@ def test_textbook_derivative(text, name, slope):
     np.testing.assert_allclose(found * np.ones(3), expected * np.ones(3), rtol=1e-14)
 
 
-def test_power_law_at_rest_has_a_finite_derivative_by_its_exponent():
+def test_power_law_at_rest_has_a_finite_derivative_with_respect_to_its_exponent():
     slope = derivative(parse("abs(x)**g*sign(x)"), "g")
     assert Tape([slope])({"x": np.zeros(2), "g": 0.4})[0] == pytest.approx([0.0, 0.0])
 

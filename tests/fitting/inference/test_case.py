@@ -321,7 +321,7 @@ ARRAYS = {"t": T, "omega": OMEGA}
             {"wheel": ARRAYS, "inputs": {"current": {"t": T}}},
             "the input current needs its times t and its values",
         ),
-        ({"wheel": ARRAYS, "label": 3}, "the label is a int, not a text"),
+        ({"wheel": ARRAYS, "label": 3}, "the label is a int, not a string"),
         ({"wheel": {"t": T[::-1], "omega": OMEGA}}, "the times of the wheel|times of the body"),
     ],
 )
@@ -343,8 +343,8 @@ def test_wrong_arrays_are_one_sentence(bodies, message):
         ({"b1": {"min": 1.0, "max": 0.5}}, "the range of touchpoint.constant.b1 is 1 to 0.5"),
         ({"b1": {"expr": "2*b9"}}, "no parameter 'b9'"),
         ({"b1": {"expr": "2*"}}, "2"),
-        ({"b1": {"expr": "2*b2"}, "b2": {"expr": "b1/2"}}, "in a circle"),
-        ({"b1": {"expr": "b1 + 1"}}, "in a circle"),
+        ({"b1": {"expr": "2*b2"}, "b2": {"expr": "b1/2"}}, "are circular"),
+        ({"b1": {"expr": "b1 + 1"}}, "are circular"),
     ],
 )
 def test_wrong_settings_are_one_sentence(case, params, message):

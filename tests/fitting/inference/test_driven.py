@@ -168,7 +168,7 @@ def test_a_record_without_the_input_of_a_law_is_refused():
     with pytest.raises(EstimationError, match="needs the input voltage of case; it has none"):
         fit(model([STEPS]), record(inputs=()))
     other = Input("voltage", [0.0, 0.5], [0.0, 1.0], "A", interpolation="hold")
-    with pytest.raises(EstimationError, match="of the unit V, and that of the record is of A"):
+    with pytest.raises(EstimationError, match="in the unit V, but the record has it in A"):
         fit(model([STEPS]), record(inputs=(other,)))
     with pytest.raises(EstimationError, match="no law of the model depends on voltage"):
         fit(Model.of(["casing.air.linear"]) + effect("input.voltage.delay", [STEPS]), record())

@@ -238,7 +238,7 @@ GOOD = SimpleNamespace(time=np.arange(3.0), basis=np.ones((3, 1)), covariance=np
         ({"basis": np.ones((3, 401)), "covariance": np.eye(401)}, "401 amplitudes; at most 400"),
         ({"time": np.array([0.0, 1.0, 1.0])}, "not finite and strictly increasing"),
         ({"time": np.array([0.0, 1.0, np.nan])}, "not finite and strictly increasing"),
-        ({"group": None}, "its group is not a text"),
+        ({"group": None}, "its group is not a string"),
         ({"covariance": np.eye(2)}, "covariance has the shape (2, 2) for 1 amplitudes"),
         ({"covariance": [[-1.0]]}, "negative variance"),
         ({"basis": np.ones((3, 2)), "covariance": [[1.0, 2.0], [2.0, 1.0]]}, "negative variance"),
@@ -289,7 +289,7 @@ def test_a_negative_eigenvalue_beyond_rounding_is_refused(excess, refused):
 @pytest.mark.parametrize(
     ("modes", "words"),
     [
-        ("tilt", "not an ErrorMode"),
+        ("tilt", "not all ErrorMode objects"),
         (
             [ErrorMode("a", T, T, 1.0, group="g"), ErrorMode("b", T, T, 2.0, group="g")],
             "different covariances",

@@ -135,7 +135,7 @@ class TestHeld:
         assert [(v.d, v.f) for v in problem.power_laws] == [(1, 3), (3, 4)]
         assert (first, second) == (None, "active")
 
-    def test_a_fall_by_rounding_is_none(self, monkeypatch):
+    def test_a_fall_by_rounding_errors_is_none(self, monkeypatch):
         below = SimpleNamespace(minimum=SimpleNamespace(cost=99.9), theta=np.zeros(2), active=None)
         assert self.held(monkeypatch, lambda *_, **__: below)._root(7.0, np.zeros(2))[0] == 0.0
 

@@ -304,7 +304,7 @@ def test_words_of_bodies_alone(file, change, words):
     [
         ("bodies", ["rotor", "ground"], ""),
         ("bodies", [b"rotor", b"ground"], ""),
-        ("bodies", [1.0, 2.0], "'bodies' is not a list of texts"),
+        ("bodies", [1.0, 2.0], "'bodies' is not a list of strings"),
         ("kind", "weld", "'kind' is 'weld'"),
     ],
 )

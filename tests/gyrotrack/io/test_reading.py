@@ -68,7 +68,7 @@ def test_other_hdf5(tmp_path):
         ("format_version", "3.0", "newest supported"),
         ("format_version", "one", "no valid format version"),
         ("kind", "photo", "is a photo"),
-        ("format_version", 1, "not a text"),
+        ("format_version", 1, "not a string"),
         ("width", "wide", "not an integer"),
         ("sense", np.arange(4), "not an integer"),
         ("warnings", "[", "not JSON"),

@@ -60,7 +60,7 @@ def path(n=400, sigma=0.05):
     return CentrePath(np.tile(CENTRE, (n, 1)), np.full(n, sigma), 0)
 
 
-class TestErrorsByPlace:
+class TestPositionDependentErrors:
     def test_blocks_average_over_the_markers_and_light_does_not(self):
         seen = markers_of("rotor", (60.0, 100.0))
         assert seen.radius == 80.0
@@ -82,7 +82,7 @@ class TestErrorsByPlace:
             (0.02, 0.03, 0.02),  # but not more than was learnt
         ],
     )
-    def test_perspective_is_not_an_error_by_place(self, monkeypatch, learnt, offset, expected):
+    def test_perspective_is_not_an_position_dependent_error(self, monkeypatch, learnt, offset, expected):
         seen = markers_of("rotor", (50.0,))
         monkeypatch.setattr(module, "axis_offset", lambda *_: np.array([0.0, offset]))
         found = error_by_place(seen, Flattening({}, 0.0, 0.0), body([0.0], place_error=learnt / 50.0))

@@ -395,7 +395,7 @@ class TestBodies:
         assert bodies["casing"].angle is still.angle  # the second one is not credible
         assert perspective == 0
 
-    def test_errors_by_place_are_those_of_both_bodies(self, monkeypatch):
+    def test_position_dependent_errors_are_those_of_both_bodies(self, monkeypatch):
         """The rms of the typical ones and of those that the other body has learnt, over the radius."""
         learnt = body(np.linspace(0, 20, 400), place_error=2e-3)
         _, _, joined, _ = self.followed(monkeypatch, rotor=body(np.linspace(0, 40, 400)), casing=learnt)

@@ -46,7 +46,7 @@ def test_a_disc_in_a_ring_turns_differently():
     found = _second(_frames(SECOND))
     assert np.ptp(found.angle) == pytest.approx(np.ptp(SECOND), rel=0.02)
     text = found.warning(FIRST)
-    assert f"over {np.ptp(FIRST):.3g} rad" in text
+    assert f"by {np.ptp(FIRST):.3g} rad" in text
     assert "--point X,Y" in text
 
 

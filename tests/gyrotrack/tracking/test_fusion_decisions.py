@@ -75,7 +75,7 @@ class TestResult:
         _, seen = self.result(monkeypatch, found, floor=6e-3, leverage=levers)
         assert seen.floors[0][3] == pytest.approx((N - 1) * 0.003 / CELL - 10 - 0.01 * (N - 20))
 
-    def test_within_whole_turns_errors_by_place_are_known(self, monkeypatch):
+    def test_within_whole_turns_position_dependent_errors_are_known(self, monkeypatch):
         found = state([0.01, 0.01], rate=0.003, scatter=BOTH)
         found = changed(found, turning=np.arange(N) >= 100)
         body, seen = self.result(monkeypatch, found, floor=6e-3, axis=2e-3)
@@ -217,7 +217,7 @@ class TestRounds:
 class TestLearning:
     """Errors by place of 4 mrad at three periods a turn, and beside another body at two periods."""
 
-    def test_partly_occluded_observations_show_no_error_by_place(self):
+    def test_partly_occluded_observations_show_no_position_dependent_error(self):
         turn = 0.3 * np.arange(N)
         error = np.array([4e-3 * np.cos(3 * (turn + m)) for m in (0.0, 2.0)])
         hidden = np.arange(N) % 3 == 0

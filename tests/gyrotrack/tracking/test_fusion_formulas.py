@@ -367,7 +367,7 @@ class TestClosedCurve:
 
 
 class TestLearning:
-    def test_errors_by_place_are_learnt_without_their_mean(self):
+    def test_position_dependent_errors_are_learnt_without_their_mean(self):
         rng = np.random.default_rng(2)
         turn = 0.3 * np.arange(N)
         error = [4e-3 * np.cos(3 * (turn + m)) + 1e-3 + 3e-4 * rng.standard_normal(N) for m in (0.0, 2.0)]
@@ -438,7 +438,7 @@ class TestLearning:
         )
         assert module._shown_share(curve, KNOT[:3], ~every) == 0.0
 
-    def test_the_error_by_place_is_that_of_the_better_marker_without_noise(self):
+    def test_the_position_dependent_error_is_that_of_the_better_marker_without_noise(self):
         """Of 4 and 3 mrad rms, with a noise of 0.6 times 2 mrad: sqrt(9 - 2.4)."""
         sign = np.where(np.arange(N) % 2, 1, -1)
         found = changed(

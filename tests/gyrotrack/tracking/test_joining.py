@@ -57,7 +57,7 @@ def test_faults_are_left_out():
     assert (np.abs(error - np.nanmedian(error)) > 5 * body.sigma).mean() < 2e-3
 
 
-def test_errors_that_repeat_with_the_place_are_learnt():
+def test_position_dependent_errors_are_learnt():
     truth, coarse, markers = _scene(3, bias=6e-3)
     body = join(coarse, markers, 1000.0)
     assert np.nanstd(body.angle - truth) < 1.5e-3
@@ -159,7 +159,7 @@ def test_errors_that_last_for_some_frames_are_not_taken_for_motion(rho):
     assert np.std(np.concatenate(z)) == pytest.approx(1.0, abs=0.05)
 
 
-def test_motion_and_errors_by_place_of_two_turns_are_distinguished_as_badly_as_claimed():
+def test_motion_and_position_dependent_errors_of_two_turns_are_distinguished_as_badly_as_claimed():
     """At the ends of the film, a curve over the angle and a motion can be exchanged; the noise alone says 1.3 there."""
     z, ends = [], []
     for seed in range(16):
@@ -207,12 +207,12 @@ def test_an_error_that_hardly_changes_along_an_arc_is_a_zero():
     assert variance_left(short, range(1, 2), 20) == pytest.approx(0.9, abs=0.01)  # ten independent errors
 
 
-def test_errors_by_place_are_known_only_of_a_body_that_turns_round():
+def test_position_dependent_errors_are_known_only_of_a_body_that_turns_round():
     assert _few_turns(1)[1].place_error == pytest.approx(1.3e-3, rel=0.2)
     assert np.isnan(_few_turns(1, turns=1.5)[1].place_error)
 
 
-def test_the_marker_with_the_smallest_error_shows_how_large_errors_by_place_are():
+def test_the_marker_with_the_smallest_error_shows_how_large_position_dependent_errors_are():
     assert _few_turns(2, sizes=(6e-3, 1.5e-3, 4e-3))[1].place_error == pytest.approx(1.5e-3, rel=0.3)
 
 

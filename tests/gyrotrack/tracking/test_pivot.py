@@ -33,7 +33,7 @@ def test_the_uncertainty_of_the_pivot_is_that_of_its_error(reach):
     assert 0.7 < np.sqrt(np.mean(chi2)) < 1.3
 
 
-def test_errors_that_repeat_with_the_place_enlarge_the_uncertainty():
+def test_position_dependent_errors_enlarge_the_uncertainty():
     """A view or a lens that displaces the path by 0.1 px rms, 14 times the noise of a mean of 200 positions."""
     plain, curved = (fit_arc(path(300.0, 0.3, by_place=b), np.full(200, 0.02)) for b in (0.0, 0.14))
     assert curved.by_place > 0.05 > plain.by_place
@@ -41,7 +41,7 @@ def test_errors_that_repeat_with_the_place_enlarge_the_uncertainty():
     assert abs(curved.curvature - 1 / 300.0) < 3 * curved.curvature_u
 
 
-def test_the_least_error_by_place_is_kept():
+def test_the_least_position_dependent_error_is_kept():
     arcs = [fit_arc(path(300.0, 0.3), np.full(200, 0.02), least) for least in (0.0, 0.03)]
     assert [arc.by_place for arc in arcs] == pytest.approx([0.0, 0.03])
     # noise of a mean 0.02 / sqrt(200 / 12) = 0.005 px

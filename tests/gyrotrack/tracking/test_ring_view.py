@@ -69,7 +69,7 @@ def view_of(angles, displacement, flattening, light=0.0, *, known=None):
 
 
 class TestSlope:
-    def test_it_is_the_derivative_by_the_angle(self):
+    def test_it_is_the_derivative_with_respect_to_the_angle(self):
         waves = np.stack([np.cos(3.0 * THETA), np.sin(7.0 * THETA)])
         assert slope(waves) == pytest.approx(
             np.stack([-3.0 * np.sin(3.0 * THETA), 7.0 * np.cos(7.0 * THETA)]), abs=1e-3

@@ -116,7 +116,7 @@ def test_a_harmonic_averages_out_below_a_mean_of_a_fifth(mean, used):
     assert bool(found[0] > 0) is used
 
 
-def test_white_noise_is_no_amplitude():
+def test_the_amplitude_of_white_noise_is_zero():
     """Its expected square, 4 s^2 / n, is subtracted."""
     angle = np.cumsum(np.full(N, 1.234))
     batches = list(np.arange(N).reshape(COUNT, BATCH))
@@ -152,6 +152,22 @@ def test_the_slope_in_a_batch_is_its_posterior_mean_beside_harmonics():
     plain, less = module._within(off, [angle], [np.zeros(12)], frames, slice(0, n), per_speed)
     assert abs(np.ptp(found) / np.ptp(speed) - 0.01) < 0.5 * abs(np.ptp(plain) / np.ptp(speed) - 0.01)
     assert less < variance
+
+
+def test_frames_in_which_the_other_body_is_unknown_have_no_harmonic():
+    """Otherwise its cosine would be a step between these frames and the others, like a slope."""
+    n = 200
+    speed = 0.3 + 0.2 * np.arange(n) / n
+    angle, relative = np.cumsum(speed), np.full(n, np.nan)
+    relative[:100] = 2.0 * np.arange(100)
+    squares = np.zeros(12)
+    squares[0] = 0.1**2
+    off = 0.01 * speed + 1e-4 * np.random.default_rng(4).standard_normal(n)
+    known, unknown = (
+        module._within(off, [angle, each], [np.zeros(12), squares], np.arange(n), slice(0, n), 0.1)[1]
+        for each in (np.full(n, np.nan), relative)
+    )
+    assert unknown == pytest.approx(known, rel=0.3)
 
 
 def test_passages_in_step_at_the_end_of_a_batch_do_not_tilt_its_zero():

@@ -155,5 +155,5 @@ def test_the_direction_of_a_second_link():
     assert float(np.std(error)) < 0.4 * 1.0 / 70
     assert 0.3 < float(np.sqrt(np.mean((error / moved.sigma) ** 2))) < 1.7
     elastic = joint + (70.0 + 8.0 * np.sin(3 * TURNS))[:, None] * (end - joint) / 70.0
-    with pytest.raises(TrackingError, match="no rigid body"):
+    with pytest.raises(TrackingError, match="do not belong to a rigid body"):
         second_link(about, _path(elastic, seed=1), "film.mp4")

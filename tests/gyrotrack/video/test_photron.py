@@ -147,7 +147,7 @@ def test_missing_frames(tmp_path):
     path.with_suffix(".mraw").rename(tmp_path / "film.MRAW")
     assert probe(path).frames_declared == COUNT
     (tmp_path / "film.MRAW").unlink()
-    with pytest.raises(VideoError, match=r"There is no file film\.mraw beside"):
+    with pytest.raises(VideoError, match=r"there is no file film\.mraw beside"):
         probe(path)
 
 

@@ -119,7 +119,7 @@ class TestNumbers:
         assert uneven(np.arange(400), stamps, 1e-7) is found
 
     @pytest.mark.parametrize(("off", "found"), [(0.7, False), (0.85, True)])
-    def test_three_quarters_of_a_tick_are_rounding(self, off, found):
+    def test_three_quarters_of_a_tick_are_rounding_error(self, off, found):
         stamps = EVEN + off * 1e-3 * np.where(np.arange(400) % 2, 1, -1)
         assert uneven(np.arange(400), stamps, 1e-3) is found
 

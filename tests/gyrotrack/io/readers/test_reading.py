@@ -36,7 +36,7 @@ def test_two_lines_say_what_each_column_is_and_what_is_left_out(tmp_path):
         "run.csv (text, 400 rows): time from 't' [s] (by its name; SI by convention); angle from 'phi [deg]' [deg] "
         "(by its name)."
     )
-    assert left_out == "run.csv: left out: 'mass'."
+    assert left_out == "run.csv: unused columns: 'mass'."
 
 
 def test_an_index_of_the_rows_is_not_a_counter(tmp_path):

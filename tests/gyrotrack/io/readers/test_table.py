@@ -142,7 +142,7 @@ def test_rows_without_a_value_are_left_out_and_told(tmp_path):
 def test_a_column_that_is_ignored_is_reported(tmp_path):
     read = read_motion(table(tmp_path, "t,angle,omega\n" + "".join(f"{t},{a},7\n" for t, a, _ in ROWS)))
     assert read.quantity == "angle"
-    assert read.reading.lines()[1].endswith("left out: 'omega'.")
+    assert read.reading.lines()[1].endswith("unused columns: 'omega'.")
 
 
 @pytest.mark.parametrize(
