@@ -250,6 +250,7 @@ class StretchLikelihood:
 
     def __init__(self, parts: Sequence[WhitenedStretch]) -> None:
         self.parts = list(parts)
+        self._known: dict[tuple[float, ...], tuple[list[Array], Array]] = {}
 
     @classmethod
     def of(cls, stretches: Sequence[Stretch], angle_covariance: Array | None) -> Self:
@@ -293,11 +294,19 @@ class StretchLikelihood:
 
         Stretches whose polynomials do not follow the motion need more process noise.
         """
-        levels = [finer.unit(t) * _LEVELS for t in times]
+        levels, there = finer._on_levels(times)
         here = np.array([self(t, x) for t, x in zip(times, levels, strict=True)])
-        there = np.array([finer(t, x) for t, x in zip(times, levels, strict=True)])
         allowed = 2 * (there.max() - there) < CONSISTENT
         return bool(2 * (here.max() - here[allowed].max()) < CONSISTENT)
+
+    def _on_levels(self, times: Array) -> tuple[list[Array], Array]:
+        """Return levels [rad/s2] for each time, and their log-likelihoods, with which several others are compared."""
+        key = tuple(times.tolist())
+        if key not in self._known:
+            levels = [self.unit(t) * _LEVELS for t in times]
+            likelihoods = np.array([self(t, x) for t, x in zip(times, levels, strict=True)])
+            self._known[key] = levels, likelihoods
+        return self._known[key]
 
 
 def _log_likelihood(rows: Array, values: Array, levels: Array) -> Array:

@@ -47,7 +47,7 @@ class TestRecording:
         assert not CaseData.of(record, Criteria(spectral_line=0.0)).spectral_lines
 
     def test_correlated_noise(self):
-        record = wheel(wander=5e-3, step=0.03)
+        record = wheel(wander=5e-3, step=0.05)
         shown = CaseData.of(record).angle_noise
         assert shown.is_significant
         strict = CaseData.of(record, Criteria(correlated_noise=shown.gain + 1)).angle_noise
@@ -57,7 +57,7 @@ class TestRecording:
         assert just.needed == shown.gain - 1
 
     def test_angle_noise_ratio(self):
-        record = wheel(wander=5e-3, step=0.03)
+        record = wheel(wander=5e-3, step=0.05)
         assert not CaseData.of(record).findings
         (finding,) = CaseData.of(record, Criteria(angle_noise_ratio=1.0)).findings
         assert "times their white noise" in finding
@@ -74,7 +74,7 @@ class TestRecording:
         assert as_measured(found.record, ()) is found.record
 
     def test_periodic_torque(self):
-        t = np.arange(0.0, 20.0, 0.04)
+        t = np.arange(0.0, 20.0, 0.08)
         angle = 6.0 * t - 0.1 * t**2 + 1e-3 * np.random.default_rng(1).standard_normal(len(t))
         casing = (t, angle + 0.05 * np.sin(angle) / 6.0**2, np.full(len(t), 1e-3))
         record = make_record(casing=casing, rotor=[], I_rotor=1.0, I_casing=1.0, single=True)

@@ -69,6 +69,7 @@ class Film:
         return np.arange(self.frames) / self.fps
 
 
+_CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 96, endpoint=False)) for f in (np.cos, np.sin)], axis=-1)
 _TABLES = {"grey": (150, 150, 150), "white": (225, 225, 222), "wood": (170, 125, 80), "dark": (40, 42, 45)}
 
 
@@ -148,8 +149,7 @@ def _paint(film: Film, image: np.ndarray, t: float) -> np.ndarray:
         cv2.fillPoly(image, [np.rint(big * 16).astype(np.int32)], colour, cv2.LINE_AA, 4)
 
     def disc(radius: float) -> np.ndarray:
-        a = np.linspace(0, 2 * np.pi, 96, endpoint=False)
-        return radius * np.stack([np.cos(a), np.sin(a)], axis=-1)
+        return radius * _CIRCLE
 
     def paper(psi: float, near: float, length: float, base: float) -> np.ndarray:
         u = near + np.array([0, 0, length, length])

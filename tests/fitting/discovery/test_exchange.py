@@ -1,5 +1,6 @@
 """An added law that replaces two others is exchanged for them; nothing is exchanged where the data do not decide."""
 
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,7 @@ from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._score import CaseColumns
 from fitting.discovery._select import History, Step
 from fitting.effects._words import change_name
+from fitting.inference._case_data import CaseData
 from fitting.study._serialisation import step_document
 
 INERTIA = 2e-3
@@ -37,11 +39,17 @@ def slowed(u=0.1, seed=1, label="case"):
     return Case.from_arrays(wheel={"t": t, "omega": exact + noise, "u": u, "inertia": INERTIA}, label=label)
 
 
+@cache
+def measured(u):
+    """Return the data of `slowed` with their noise, which is estimated once."""
+    return CaseData.of(slowed(u=u).record)
+
+
 @shared
 def fitted(laws, u=0.1, free=""):
     """Return the fit of some laws; the shape constant of the law `free` is a parameter."""
     known = [LIBRARY[n] for n in laws]
-    return fit(Model(tuple(with_shape_parameter(e) if e.name == free else e for e in known)), slowed(u=u))
+    return fit(Model(tuple(with_shape_parameter(e) if e.name == free else e for e in known)), measured(u))
 
 
 def history(first, last, **options):
@@ -65,7 +73,7 @@ def exchanges_of(current, name, criteria=DEFAULT):
 ALL = tuple(STRENGTHS)
 
 
-@pytest.mark.parametrize("u", [0.1, 1.0])
+@pytest.mark.parametrize("u", [pytest.param(0.1, marks=pytest.mark.slow), 1.0])
 def test_a_law_that_replaces_two_is_exchanged_for_them(u):
     found = exchanged((LINEAR,), (LINEAR, STRIBECK), u=u)
     assert found.change == f"+{QUADRATIC} +{CONSTANT} instead of {STRIBECK}"
@@ -169,8 +177,8 @@ def test_a_random_torque_is_an_alternative_without_a_lack_of_fit(monkeypatch, u,
 
 
 def test_a_law_per_recording_counts_for_each():
-    both = [slowed(u=1.0, seed=s, label=str(s)) for s in (1, 2)]
-    old, new = (fit([QUADRATIC, LINEAR, law], both) for law in (COOLING, CONSTANT))
+    both = [CaseData.of(slowed(u=1.0, seed=s, label=str(s)).record) for s in (1, 2)]
+    old, new = (fit(Model.of([QUADRATIC, LINEAR, law]), both) for law in (COOLING, CONSTANT))
     assert f"{CONSTANT}.b1@2" in new.estimates
     single = next(
         x for x in exchanges_of(old, COOLING, Criteria(evidence=0.0)) if x.laws == (LIBRARY[CONSTANT],)

@@ -33,7 +33,7 @@ def started_late(record, shifts, start_sigma=UNKNOWN):
 @cache
 def record():
     """Return a recording with few frames: two minutes at 15 per second, and three windows."""
-    cameras = twobody.Cameras(span=120.0, windows=(5.0, 58.0, 114.0), casing_rate=15.0, rotor_rate=250.0)
+    cameras = twobody.Cameras(span=120.0, windows=(5.0, 58.0, 114.0), casing_rate=15.0, rotor_rate=100.0)
     return make_record(**twobody.film(twobody.simulate(span=120.0), cameras=cameras))
 
 

@@ -24,8 +24,8 @@ def correlated(size, memory):
 @shared
 def held(quantity, end=40.0, memory=0.0):
     """Return a fit of 10 rad/s exp(-t/30 s) with a dry friction that stops the body after 4 s."""
-    t = np.linspace(0.0, end, 2000)
-    u = 1e-3 if quantity == "angle" else 1e-2
+    t = np.linspace(0.0, end, 600)
+    u = 5e-4 if quantity == "angle" else 1e-2
     exact = 10.0 * (DECAY * -np.expm1(-t / DECAY) if quantity == "angle" else np.exp(-t / DECAY))
     noise = correlated(len(t), memory)
     case = Case.from_arrays(wheel={"t": t, quantity: exact + u * noise, "u": u, "inertia": INERTIA})
@@ -41,7 +41,7 @@ def test_the_torque_is_that_of_the_measured_motion(quantity, memory):
     exact = FRICTION - INERTIA * speed / DECAY
     pulls = ((curve.torque - exact) / curve.sigma)[inside]
     assert np.abs(pulls).max() < 4.5
-    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.5
+    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.25  # 1.36 without the correlation of successive residuals
     assert curve.omega_c[inside] == pytest.approx(speed[inside], rel=0.01)
     assert curve.sigma[inside].max() < (0.1 if quantity == "omega" or memory else 2e-3) * FRICTION
 

@@ -28,7 +28,7 @@ NOISE = 1e-7
 
 @lru_cache(maxsize=2)
 def base():
-    return cases.fitted(seed=0, ou=NOISE)
+    return cases.fitted(seed=0, ou=NOISE, few=True)
 
 
 @lru_cache(maxsize=1)

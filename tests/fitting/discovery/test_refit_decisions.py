@@ -762,7 +762,7 @@ class TestReplacedLaws:
         t = np.arange(0.0, 2.3, 0.02)
         angle = 0.05 * t + 0.5 * 6.21 * t**2 + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
         case = Case.from_arrays(wheel={"t": t, "angle": angle, "u": 1e-3, "inertia": 2e-5})
-        found = diagnose(fit(["touchpoint.constant", "casing.air.linear"], case))
+        found = diagnose(fit(["touchpoint.constant", "casing.air.linear"], case), brief=True)
         assert found.verdict == "missing_effect"
         assert found.candidates[0].effect.name == "external.constant"
         k = found.candidates[0].fit.estimates["external.constant.k"]

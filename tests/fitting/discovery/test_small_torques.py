@@ -50,16 +50,17 @@ HIDDEN = {
 
 
 @cache
-def record(hidden, label="case", seed=0, speed=60.0, **more):
+def record(hidden, label="case", seed=0, speed=60.0, every=1):
     torque = HIDDEN[hidden]
     done = solve_ivp(
         lambda t, y: [y[1], (torque(t, y[1], y[0]) - B1 - B2 * y[1]) / INERTIA], (0, 30), [0.0, speed],
         t_eval=TIME, rtol=1e-10, atol=1e-10, max_step=0.05,
     )  # fmt: skip
     noise = SIGMA * np.random.default_rng(seed).standard_normal(len(TIME))
+    samples = (TIME, done.y[0] + noise, np.full(len(TIME), SIGMA))
     return make_record(
-        casing=(TIME, done.y[0] + noise, np.full(len(TIME), SIGMA)), rotor=[], I_rotor=1.0, I_casing=INERTIA,
-        single=True, label=label, **more,
+        casing=tuple(x[::every] for x in samples), rotor=[], I_rotor=1.0, I_casing=INERTIA,
+        single=True, label=label,
     )  # fmt: skip
 
 
@@ -70,7 +71,7 @@ def projected(*which):
 
 @cache
 def fitted(*hidden, speed=60.0, more=()):
-    data = [projected(h, f"run {i}", i, speed) for i, h in enumerate(hidden)]
+    data = [projected(h, f"run {i}", i, speed, len(hidden)) for i, h in enumerate(hidden)]
     shared = ["touchpoint.constant.b1", "casing.air.linear.b2"] if len(data) > 1 else []
     return fit(Model.of(("touchpoint.constant", "casing.air.linear", *more)), data, share=shared)
 
@@ -241,7 +242,7 @@ class TestDifference:
         assert separate_values(base, [candidate(kept.penalised_bic + 1.0)], [], DEFAULT) is not None
         assert separate_values(fitted("nothing", "nothing"), [], [], DEFAULT) is None
 
-    @pytest.mark.parametrize("more", [(), ("casing.air.quadratic",)])
+    @pytest.mark.parametrize("more", [(), pytest.param(("casing.air.quadratic",), marks=pytest.mark.slow)])
     def test_of_several_that_differ_each_is_named(self, more):
         """Friction and linear drag of the second wheel are others; a third law is common to both."""
         base = fitted("nothing", "another wheel", more=more)
@@ -265,6 +266,7 @@ class TestDifference:
         assert not improves_on_difference(found, [drag], [0.0], DEFAULT)
         assert different_parameter(base, DEFAULT, least=1e12) is None
 
+    @pytest.mark.slow
     def test_a_step_in_both_recordings_does_not_differ(self):
         found = different_parameter(fitted("step", "step"), DEFAULT)
         assert found is None or found.fit.fails(DEFAULT)

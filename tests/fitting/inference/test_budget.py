@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from fitting import EstimationError, Experiment, Model, budget, fit, simulate
 from fitting.inference._budget import combined_uncertainties, propagated
-from fitting.inference._case_data import CaseData
+from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._fit import robust_fit
 from fitting.inference._linear_algebra import covariance_of
 from fitting.inference._noise import variance_factor
@@ -52,6 +52,11 @@ def test_data_with_other_moments_of_inertia_have_the_noise_of_a_new_recording(ro
     assert kept.process_noise is known.process_noise
     assert (kept.rotor_angle_noise is known.rotor_angle_noise) == (rotor == casing)
     np.testing.assert_allclose(kept.z, new.z, rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return fit(MODEL, [record(0)])
 
 
 def part(b, source):
@@ -111,8 +116,7 @@ def test_the_uncertainties_of_a_sentence_are_those_of_the_budget(found):
     assert total["casing.air.linear.b2"] > 1.3 * result.estimates["casing.air.linear.b2"].stderr
 
 
-def test_unknown_inputs_do_not_contribute():
-    plain = fit(MODEL, [record(0)])
+def test_unknown_inputs_do_not_contribute(plain):
     sources = {c.source for b in budget(plain, clock_rate_u=0.0).values() for c in b.contributions}
     assert sources <= {
         "angle noise",
@@ -137,7 +141,7 @@ def test_an_oscillation_measured_by_an_encoder_has_no_camera_contribution():
         assert b.u == pytest.approx(result.estimates[name].stderr, rel=1e-9)
 
 
-def test_sensitivity_to_the_scale_of_measured_speeds():
+def test_sensitivity_to_the_scale_of_measured_speeds(plain):
     """Speeds that are 1 + eps too large: dry friction is 1 + eps too large, a drag linear in the speed right, and the
     quadratic one 1 + eps too small."""
     inertia, t = 2e-3, np.arange(0, 60, 0.02)
@@ -163,7 +167,7 @@ def test_sensitivity_to_the_scale_of_measured_speeds():
             assert (scale.type, scale.u) == ("B", pytest.approx(0.01 * abs(scale.sensitivity)))
     assert part(budgets["initial.omega_c@body"], "speed scale").sensitivity == pytest.approx(-80, rel=1e-3)
     with pytest.raises(EstimationError, match="hold angles"):
-        budget(fit(MODEL, [record(0)]), speed_scale_u=0.01)
+        budget(plain, speed_scale_u=0.01)
 
 
 NODES = np.sqrt(3) * np.array([-1.0, 0.0, 1.0])
@@ -260,6 +264,6 @@ def test_stated_uncertainty_of_an_inertia_is_the_prior_of_its_error():
 
 
 def test_prior_of_an_inertia_needs_a_stated_uncertainty():
-    assert robust_fit(MODEL + "setup.inertia", [record(0)]).problem.data[0].prior is None
+    assert with_free_inertia([CaseData.of(record(0))], (MODEL + "setup.inertia").names)[0].prior is None
     stated = replace(record(0), I_casing_u=0.03 * I_CASING)
-    assert robust_fit(MODEL, [stated]).problem.data[0].prior is None
+    assert with_free_inertia([CaseData.of(stated)], MODEL.names)[0].prior is None

@@ -101,7 +101,7 @@ def test_response_to_a_harmonic_torque_agrees_with_the_oracle():
 
     cameras = twobody.Cameras(span=20.0, windows=(2.0, 9.0, 16.0), casing_rate=130.0)
     calm, shaken = (
-        twobody.simulate(span=20.0, step=0.002, hidden=h)
+        twobody.simulate(span=20.0, step=0.004, hidden=h)
         for h in (twobody.Hidden(), twobody.Hidden(casing=gravity))
     )
     measured = CaseData.of(make_record(**twobody.film(shaken, seed=3, cameras=cameras)))

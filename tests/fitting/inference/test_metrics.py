@@ -36,7 +36,7 @@ def parts(result, level):
 )
 def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
     """Least squares on the other rows, prediction of the fold with its covariance, computed explicitly."""
-    data, project, used, residual = parts(fitted(seed=0, ou=1e-7), level)
+    data, project, used, residual = parts(fitted(seed=0, ou=1e-7, few=True), level)
     n = len(data.z)
     root = project.whitener(np.eye(n))  # C^-1/2
     back = np.linalg.inv(root)
@@ -73,7 +73,7 @@ def test_cross_validation_error_is_one_for_the_right_model_only():
 
 
 def test_folds_contain_every_row_once():
-    data = fitted(seed=0).problem.data[0]
+    data = fitted(seed=0, few=True).problem.data[0]
     rows = np.concatenate([*_casing_folds(data), *_rotor_folds(data)])
     assert sorted(rows.tolist()) == list(range(data.slices["harmonic"].stop))  # and no prior
 
@@ -101,5 +101,5 @@ def test_energy_balance_agrees_with_the_formula_of_the_paper():
 
 
 def test_a_missing_torque_makes_the_energy_balance_drift():
-    right, wrong = fitted(seed=0), fitted(seed=0, hidden="step")
+    right, wrong = (fitted(seed=0, hidden=h, few=True) for h in ("nothing", "step"))
     assert wrong.cases[0].energy_drift > 1.5 * right.cases[0].energy_drift

@@ -20,7 +20,7 @@ def film(blur=0.0, *, tracked=True):
         motion,
         seed=0,
         cameras=twobody.Cameras(
-            span=40.0, windows=(2.0, 18.0, 34.0), casing_rate=50.0, rotor_rate=200.0, sigma=4e-4
+            span=40.0, windows=(2.0, 18.0, 34.0), casing_rate=30.0, rotor_rate=100.0, sigma=4e-4
         ),
     )
     t, y, s = found["casing"]

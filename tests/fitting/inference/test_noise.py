@@ -205,7 +205,7 @@ def test_the_remaining_level_is_that_of_simulated_rows():
 def test_the_unresolved_level_is_a_posterior_mean():
     """Levels drawn from the prior, rows from each: the mean of the squares is that of the truth (total expectation)."""
     random = np.random.default_rng(4)
-    expected, rows, draws = 0.2, 12, 600
+    expected, rows, draws = 0.2, 12, 300
     values = np.geomspace(3e3, 1e-3, rows)
     vectors = np.linalg.qr(random.standard_normal((rows, rows)))[0]
     whitener = Whitener(vectors, values)

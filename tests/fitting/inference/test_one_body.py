@@ -10,7 +10,7 @@ from fitting.effects._user import formula, resolve
 
 INERTIA = 2e-3
 DRY, LINEAR, SQUARE = 2e-4, 3e-5, 4e-7
-TIME = np.arange(0, 60, 0.02)
+TIME = np.arange(0, 60, 0.04)
 BASE = Model.of(REDUCED).of_bodies({"casing"})
 
 
@@ -28,9 +28,9 @@ def wheel(square=0.0, quantity="omega", seed=0, label="wheel"):
     sigma = 0.05 if quantity == "omega" else 1e-3
     if quantity == "omega":
         value = solution.sol(TIME)[0]
-    else:  # Simpson's rule on steps of 0.02 s is exact far below the noise
+    else:  # Simpson's rule on steps of 0.04 s is exact far below the noise
         fine = solution.sol(np.linspace(0, TIME[-1], 2 * len(TIME) - 1))[0]
-        steps = (fine[:-2:2] + 4 * fine[1:-1:2] + fine[2::2]) * 0.02 / 6
+        steps = (fine[:-2:2] + 4 * fine[1:-1:2] + fine[2::2]) * 0.04 / 6
         value = np.concatenate([[0.0], np.cumsum(steps)])
     value = value + rng.normal(0, sigma, len(TIME))
     return make_record(

@@ -12,7 +12,7 @@ from fitting.inference._fit import fit
 from fitting.inference._prior import Prior
 from tests.fitting.oscillators import record
 
-RATE, STRENGTH, START, SIGMA = 20.0, 0.4, 60.0, 0.5
+RATE, STRENGTH, START, SIGMA = 10.0, 0.4, 60.0, 0.35
 
 
 def test_priors_of_two_studies_are_independent_and_have_other_names():

@@ -56,7 +56,7 @@ def test_noise_of_a_tenth_of_a_turn_hides_a_slip():
 
 def test_the_corrected_record_is_the_one_without_slip():
     motion = twobody.simulate(span=40.0)
-    cameras = twobody.Cameras(span=40.0, windows=(5.0, 18.0, 34.0), casing_rate=50.0)
+    cameras = twobody.Cameras(span=40.0, windows=(5.0, 18.0, 34.0), casing_rate=50.0, rotor_rate=400.0)
     plain = make_record(**twobody.film(motion, cameras=cameras))
     windows = list(plain.rotor)
     windows[1] = stepped(windows[1], 700, 1)

@@ -44,8 +44,13 @@ def scores(quantity, scale=1.0):
     return {c.effect.name: c.score for c in found}
 
 
-@pytest.mark.parametrize("quantity", ["angle", "omega"])
-@pytest.mark.parametrize("scale", [1 / 60, 1000.0])
+@pytest.mark.parametrize(
+    ("quantity", "scale"),
+    [
+        ("angle", 1 / 60), ("omega", 1000.0),
+        *(pytest.param(*p, marks=pytest.mark.slow) for p in (("omega", 1 / 60), ("angle", 1000.0))),
+    ],
+)  # fmt: skip
 def test_scores_do_not_depend_on_the_unit_of_time(quantity, scale):
     """Trial speeds and times are those of the record; no direction of the noise is that of rounding."""
     here, there = scores(quantity), scores(quantity, scale)

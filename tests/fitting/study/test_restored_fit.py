@@ -15,7 +15,7 @@ SPRING, DRAG = "casing.spring.linear", "casing.air.linear"
 @pytest.fixture(scope="module")
 def pendulum():
     """A pendulum of 126 degrees fitted as a spring: the optimum is far from where its noise was measured."""
-    t, angle, _ = oscillators.motion(lambda t, a, w: -25 * np.sin(a) - 0.05 * w, (2.2, 0.0), 20.0)
+    t, angle, _ = oscillators.motion(lambda t, a, w: -25 * np.sin(a) - 0.05 * w, (2.2, 0.0), 12.0, 50.0)
     return fit(Model.of([SPRING, DRAG]), [CaseData.of(oscillators.record(t, angle, 1e-3, 1))])
 
 

@@ -1,10 +1,11 @@
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gyrotrack.plotting._charts import thin
 
 
+@settings(max_examples=30)
 @given(st.integers(2, 30_000), st.integers(0, 2**32 - 1))
 def test_points_are_few_and_real_and_no_peak_is_lost(count, seed):
     time = np.arange(count) / 260

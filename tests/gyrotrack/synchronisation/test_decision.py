@@ -34,8 +34,8 @@ def test_three_clips_of_one_camera(motion, make_run):
 
 
 def test_the_covariance_is_that_of_the_uncertainties_and_ties_start_to_direction(motion, make_run):
-    run = make_run(motion, np.random.default_rng(2))
-    for found in match(run.casing(), run.clips([5.0, 60.0])):
+    run = make_run(motion, np.random.default_rng(2), 30.0)
+    for found in match(run.casing(), run.clips([5.0, 20.0])):
         c = found.covariance
         np.testing.assert_allclose(c, c.T, rtol=1e-6, atol=1e-18)
         assert (np.linalg.eigvalsh(c / np.sqrt(np.outer(np.diag(c), np.diag(c)))) > -1e-9).all()
@@ -162,7 +162,7 @@ def test_sigmas_of_the_input_that_are_wrong_do_not_matter(motion, make_run):
 @pytest.mark.parametrize("start", [12.0, pytest.param(90.0, marks=pytest.mark.slow)])
 def test_a_clip_of_another_run_is_refused(motion, other_motion, make_run, start):
     rng = np.random.default_rng(14)
-    casing = make_run(motion, rng).casing()
+    casing = make_run(motion, rng, start + 20.0).casing()
     (foreign,) = make_run(other_motion, rng).clips([start])
     with pytest.raises(SyncError, match="does not belong") as caught:
         match(casing, [foreign])

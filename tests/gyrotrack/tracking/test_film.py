@@ -14,12 +14,12 @@ CLIP = Path(__file__).parents[3] / "sample_clips" / "rotor_1.mp4"
 def recording(tmp_path_factory):
     import av
 
-    # the first 120 frames of a sample film, copied packet by packet
+    # the first 80 frames of a sample film, copied packet by packet
     path = tmp_path_factory.mktemp("film") / "piece.mp4"
     with av.open(str(CLIP)) as source, av.open(str(path), "w") as target:
         stream = target.add_stream_from_template(source.streams.video[0])
         for n, packet in enumerate(source.demux(video=0)):
-            if n < 120 and packet.dts is not None:
+            if n < 80 and packet.dts is not None:
                 packet.stream = stream
                 target.mux(packet)
     return path, extract(path, capture_fps=1000.0)

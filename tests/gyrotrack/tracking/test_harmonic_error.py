@@ -166,7 +166,7 @@ class TestChangeWithSpeed:
         assert self.left(1.5e-3, constant=-3e-3, torque=5.0)[0] < 0.3e-3
 
     def test_its_uncertainty_is_that_of_the_amplitudes(self):
-        found = [self.left(1e-3, seed=seed) for seed in range(40)]
+        found = [self.left(1e-3, seed=seed) for seed in range(20)]
         off = np.array([amplitude for amplitude, _ in found])
         # two parts; noise of 0.06 mrad beside the scatter of 0.1 mrad
         ratio = np.sqrt(np.mean(off**2) / 2.0) / np.mean([error for _, error in found])

@@ -89,7 +89,7 @@ def film(path, angle, *, radius=14.0, marks=True, noise=2.0, seed=0, second=None
     return Rendered(frames)
 
 
-def sliding(count=120, turns=3.0):
+def sliding(count=90, turns=3.0):
     """Return a path that ends at rest and an angle that does so too, as dry friction makes them."""
     left = 1.0 - np.linspace(0, 1, count)
     path = np.stack([40 + 210 * (1 - left**2), 50 + 55 * (1 - left**2)], axis=1)
@@ -102,12 +102,12 @@ def error_of(tracked, angle):
     return off - off.mean()
 
 
-@pytest.mark.parametrize("turns", [3.0, -0.8])
+@pytest.mark.parametrize("turns", [pytest.param(3.0, marks=pytest.mark.slow), -0.8])
 def test_the_angle_of_a_puck_is_that_of_the_renderer_within_its_uncertainty(turns):
     path, angle = sliding(turns=turns)
     tracked = track_free_body(film(path, angle))
     off = error_of(tracked, angle)
-    assert len(tracked.frame) > 100
+    assert len(tracked.frame) > 75
     assert np.std(off) < 0.01
     assert 0.6 < np.sqrt(np.mean((off / tracked.sigma) ** 2)) < 1.4
     place = np.array(tracked.ring.hub) + tracked.hub_path
@@ -119,7 +119,7 @@ def test_the_angle_of_a_puck_is_that_of_the_renderer_within_its_uncertainty(turn
 
 def test_a_body_that_rests_for_most_of_the_film_is_not_a_background():
     path, angle = sliding(60)
-    rest = 240
+    rest = 140
     path = np.concatenate([path, np.repeat(path[-1:], rest, axis=0)])
     angle = np.concatenate([angle, np.full(rest, angle[-1])])
     tracked = track_free_body(film(path, angle))
@@ -139,7 +139,7 @@ def test_frames_in_which_the_body_is_hidden_are_left_out():
 def test_a_point_on_its_path_chooses_a_body():
     path, angle = sliding()
     shown = film(path, angle)
-    assert len(track_free_body(shown, near=tuple(path[30])).frame) > 100
+    assert len(track_free_body(shown, near=tuple(path[30])).frame) > 75
     with pytest.raises(TrackingError, match="No body that turns"):
         track_free_body(shown, near=(20.0, 130.0))
 
@@ -161,7 +161,7 @@ def test_a_blank_disc_that_turns_is_refused():
 def test_a_picture_that_turns_by_a_third_of_a_turn_in_one_step_is_not_a_rigid_body():
     """A glare on a record that turns under a lamp: its outline moves, and another orientation fits it suddenly."""
     path, angle = sliding(turns=0.8)
-    angle[60:] += 2.0
+    angle[45:] += 2.0
     with pytest.raises(TrackingError, match="No body that turns"):
         track_free_body(film(path, angle))
 

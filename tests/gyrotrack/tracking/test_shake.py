@@ -1,5 +1,6 @@
 """A camera that shakes is compensated by the background that stands still; its share of the uncertainty is stated."""
 
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -30,11 +31,18 @@ def wall(rng):
     return 120 + 40 * coarse / coarse.std()
 
 
+@cache
+def plane():
+    """Direction from the middle of the disc, and where the disc covers the background."""
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]] - np.array([120.3, 159.7])[:, None, None]
+    edge = 1 / (1 + np.exp(np.hypot(x, y) - 60))
+    return np.arctan2(-y, x).astype(np.float32), edge.astype(np.float32)
+
+
 def disc(theta):
     """A disc with sectors that turns about its middle, and where it covers the background."""
-    y, x = np.mgrid[: SIZE[0], : SIZE[1]] - np.array([120.3, 159.7])[:, None, None]
-    angle = np.arctan2(-y, x) - theta
-    edge = 1 / (1 + np.exp(np.hypot(x, y) - 60))
+    angle, edge = plane()
+    angle = angle - np.float32(theta)
     return 128 + 60 * np.tanh(4 * np.sin(3 * angle)) * np.tanh(4 * np.sin(angle + 0.7)), edge
 
 
@@ -125,7 +133,7 @@ class TestBackgroundRoll:
 
     def test_the_roll_is_that_of_the_camera_within_its_uncertainty(self):
         rng = np.random.default_rng(4)
-        shift, roll = rng.normal(0, 1.5, (112, 2)), rng.normal(0, 5e-3, 112)
+        shift, roll = rng.normal(0, 1.5, (96, 2)), rng.normal(0, 5e-3, 96)
         shift[0], roll[0] = 0, 0
         found = background_roll(grain(shift, roll), self.BODY)
         error = found.roll - roll
@@ -133,13 +141,12 @@ class TestBackgroundRoll:
         assert 0.3 < error.std() / found.roll_sigma < 1.5
         assert not found.shift.any()
         assert found.shift_sigma == 0.0
-        assert found.still(np.tile(self.BODY[:2], (112, 1))) == pytest.approx(
-            np.tile(self.BODY[:2], (112, 1))
-        )
+        assert found.still(np.tile(self.BODY[:2], (96, 1))) == pytest.approx(np.tile(self.BODY[:2], (96, 1)))
 
+    @pytest.mark.slow
     def test_a_camera_that_does_not_roll_is_left_alone(self):
-        shift = np.random.default_rng(4).normal(0, 1.5, (112, 2))
-        found = background_roll(grain(shift, np.zeros(112)), self.BODY)
+        shift = np.random.default_rng(4).normal(0, 1.5, (96, 2))
+        found = background_roll(grain(shift, np.zeros(96)), self.BODY)
         assert not found.roll.any()
         assert found.roll_sigma < 2e-4
 
@@ -152,8 +159,8 @@ class TestBackgroundRoll:
         assert left == pytest.approx(u if kept else np.sqrt(1e-6 - u**2))
 
     def test_a_body_that_fills_the_picture_leaves_no_background(self):
-        roll = np.random.default_rng(4).normal(0, 5e-3, 112)
-        assert background_roll(grain(np.zeros((112, 2)), roll), (159.7, 120.3, 200.0)) is None
+        roll = np.random.default_rng(4).normal(0, 5e-3, 96)
+        assert background_roll(grain(np.zeros((96, 2)), roll), (159.7, 120.3, 200.0)) is None
 
     @pytest.mark.slow
     def test_too_few_frames_have_no_uncertainty(self):

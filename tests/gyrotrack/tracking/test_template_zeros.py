@@ -57,7 +57,7 @@ def test_a_zero_is_less_certain_where_few_frames_determine_it():
     """Of the first batch every tenth frame is known; speeds change there, and the zeros with them."""
     rate = np.where(TEMPLATE < 6, 0.1 * (1 + TEMPLATE), 0.7)
     angle, z = np.cumsum(rate), []
-    for seed in range(12):
+    for seed in range(8):
         true = np.concatenate(
             [np.cumsum(np.random.default_rng(seed).normal(0, 1e-3, 7)), np.zeros(COUNT - 7)]
         )

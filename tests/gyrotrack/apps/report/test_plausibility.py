@@ -66,7 +66,7 @@ def test_a_negative_friction_is_called_unphysical(fit):
 @pytest.mark.parametrize("quarter", [0.0, 0.25])
 def test_a_spring_stores_energy_and_dissipates_none(quarter):
     """Damping takes all energy, whether the record ends at the equilibrium or at the largest deflection."""
-    t = np.arange(0, 20.5 + quarter, 0.01)
+    t = np.arange(0, 20.5 + quarter, 0.02)
     angle = 0.6 * np.exp(-0.02 * t) * np.cos(2 * np.pi * t)
     noise = np.random.default_rng(1).normal(0, 1e-3, len(t))
     record = make_record(

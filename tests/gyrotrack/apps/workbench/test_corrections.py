@@ -22,7 +22,7 @@ from .test_project import CLIPS
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     film = tmp_path_factory.mktemp("film") / "rotor.mp4"
-    copy_excerpt(CLIPS / "rotor_1.mp4", film, 200)
+    copy_excerpt(CLIPS / "rotor_1.mp4", film, 120)
     return extract(film, capture_fps=1000.0)
 
 

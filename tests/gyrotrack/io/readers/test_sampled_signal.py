@@ -31,9 +31,9 @@ def voltage(angle, t, noise=0.05, seed=1):
 
 @pytest.mark.parametrize(("rate", "noise"), [(400.0, 0.03), (1000.0, 0.1)])
 def test_the_angle_is_that_of_the_motion(tmp_path, rate, noise):
-    t = np.arange(0, 60, 1 / rate)
+    t = np.arange(0, 30, 1 / rate)
     found = read_motion(table(tmp_path / "v.csv", t, {"light [V]": voltage(angle_at(t), t, noise)}), OPTIONS)
-    turned = angle_at(60.0) - angle_at(0.0)
+    turned = angle_at(30.0) - angle_at(0.0)
     assert len(found.time) == pytest.approx(3 * turned / (2 * np.pi), abs=1.5)
     error = found.value - angle_at(found.time)
     error -= error.mean()
