@@ -709,9 +709,7 @@ class TestActiveBounds:
         assert found.active.held == (best,)
         assert found.theta.tolist() == [0.1 * best]
 
-    def test_a_bound_of_a_second_law_is_searched_where_it_is_broken_at_a_bound_of_the_first(
-        self, monkeypatch
-    ):
+    def test_bounds_of_a_second_law_follow_those_of_the_first(self, monkeypatch):
         sides = {(): [self.side(0), self.side(1)], (0,): [self.side(0, 2)]}
         along = {(0,): self.end(1.5, 1.0), (0, 2): self.end(0.3, 2.0), (1,): self.end(0.4, 3.0)}
         _, found = self.searched(monkeypatch, sides, along)
