@@ -586,6 +586,20 @@ class TestFitOfBoth:
         assert with_common_values(None, score(DRAG), found) is None
         assert len(asked) == 1
 
+    def test_all_parameters_of_a_candidate_take_common_values(self, monkeypatch):
+        asked = []
+        monkeypatch.setattr(module, "fit_together", lambda *given: asked.append(given[2:]))
+        keys = ("touchpoint.step.k", "touchpoint.step.t0")
+        per_case = SimpleNamespace(per_case=("bearing.linear.d", *keys))
+        values = {f"{k}@{label}": i + j for i, k in enumerate(keys) for j, label in enumerate("ab")}
+        found = SimpleNamespace(
+            problem=SimpleNamespace(layout=per_case),
+            estimates={k: Estimate(float(v), 0.1, "1", at_bound=False) for k, v in values.items()},
+            values={},
+        )
+        with_common_values(None, score(STEP), found)
+        assert asked == [(dict(zip(keys, (0.5, 1.5), strict=True)), list(keys))]
+
     @pytest.mark.parametrize(("deviance", "taken"), [(99.0, True), (101.0, False)])
     def test_values_of_each_case_start_at_the_common_ones(self, monkeypatch, deviance, taken):
         asked = []

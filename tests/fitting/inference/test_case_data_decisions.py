@@ -457,6 +457,21 @@ def test_only_a_driven_body_that_reverses_has_no_harmonics(drive, turns_back, st
     assert bool(len(data.casing.harmonic)) is steady
 
 
+@pytest.mark.parametrize("is_angle", [True, False])
+def test_responses_to_a_drive_are_those_of_the_measured_quantity(is_angle):
+    """The speed 1 - exp(-t/tau) after a step, for a time constant of the length of the run, or its integral."""
+    t = np.linspace(0.0, 8.0, 801)
+    drive = Input("drive", [0.0, 4.0], [1.0, 2.0], "V", interpolation="hold")
+    casing = SimpleNamespace(samples=SimpleNamespace(time=t), z=t, at_samples=lambda columns: (columns,))
+    record = SimpleNamespace(driving=(drive,))
+    rows = CaseData._driven_rows.func(SimpleNamespace(record=record, casing=casing, is_angle=is_angle))
+    since = np.maximum(t - 4.0, 0.0)
+    speed = 1.0 - np.exp(-since / 8.0)
+    response = since - 8.0 * speed if is_angle else speed
+    left = response - rows @ (rows.T @ response)
+    assert np.abs(left).max() < 2e-3 * response.max()
+
+
 @pytest.mark.parametrize(("rise", "driven"), [(0.9, False), (1.1, True)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_body_is_driven_that_becomes_a_tenth_faster(rise, driven, sign):

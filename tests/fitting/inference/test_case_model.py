@@ -4,6 +4,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from time import perf_counter
+from types import SimpleNamespace
 
 import numpy as np
 import oscillators
@@ -273,3 +274,22 @@ def test_a_trial_that_is_too_stiff_for_its_samples_fails_soon():
     with suppress(SimulationError):
         model.solve(theta)
     assert perf_counter() - begin < 2.0
+
+
+@pytest.mark.parametrize("is_angle", [True, False])
+def test_windows_have_the_slow_response_of_their_own_body_within_the_times_of_the_casing(is_angle):
+    """Three bodies with angles (i + 1) t^3; the windows are of the first and the third one."""
+    t, nodes = np.linspace(0.0, 4.0, 30), np.array([-1.0, 0.5, 2.2, 5.0])
+    size = np.array([1.0, 2.0, 3.0])[:, None, None]
+    angle, speed = size * t[:, None] ** 3, size * 3.0 * t[:, None] ** 2
+    windows = [SimpleNamespace(samples=SimpleNamespace(state=i), node_times=nodes) for i in (0, 2)]
+    measured = SimpleNamespace(
+        record=SimpleNamespace(casing=SimpleNamespace(time=t)), casing=SimpleNamespace(node_times=t),
+        rotor=windows, is_angle=is_angle, rows=lambda own, rotor: (own, rotor),
+    )  # fmt: skip
+    own, rotor = _case_model._rotor_rows(measured, speed, angle)
+    within = np.clip(nodes, 0.0, 4.0)
+    expected = within**3 if is_angle else 3.0 * within**2
+    assert not own.any()
+    for found, factor in zip(rotor, (1.0, 3.0), strict=True):
+        np.testing.assert_allclose(found[:, 0], factor * expected, atol=1e-9)

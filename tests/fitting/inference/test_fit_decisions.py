@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import oscillators
@@ -12,9 +13,10 @@ from linearised import covariance, gyroscope, least_squares
 from fitting import LIBRARY, Estimate, EstimationError, Model, SimulationError
 from fitting.effects._user import resolve
 from fitting.inference import _fit as module
+from fitting.inference import _optimisation as optimisation
 from fitting.inference._fit import cauchy, deviance_at_noise_of, fit, huber
 from fitting.inference._optimisation import _FAR, is_far
-from fitting.inference._parameters import ParameterLayout
+from fitting.inference._parameters import ParameterLayout, PowerLaw
 from fitting.inference._record import Samples
 
 
@@ -648,3 +650,160 @@ def test_one_recording_with_other_noise_repeats_the_fit(monkeypatch, same, repea
     found = SimpleNamespace(problem=problem, model=SimpleNamespace(name="model", free=("x.k", "y.k")))
     again = "model", [("a", "other"), ("b", "other")], ["x.k"], ["y.k"], "ranges", "ties"
     assert module.measured_with(found, "other") == (again if repeated else found)
+
+
+class TestActiveBounds:
+    """A search whose minimum is beyond the bounds 0 and 1 of its only variable."""
+
+    def searched(self, monkeypatch, sides, along, *, active=None, model=(), **minimum):
+        found = {"x": np.array([2.0]), "converged": True, "cost": 1.0, **minimum}
+        asked = []
+
+        @dataclass
+        class Found:
+            x: Any
+            converged: bool
+            cost: float
+
+        def minimise(problem, start, *_, **__):
+            asked.append("free")
+            return Found(**found)
+
+        def out_of_bounds(laws, theta, *_):
+            return [1] if theta > 1 else []
+
+        def choices(bounds, theta, *_):
+            asked.append(bounds.held)
+            return iter(sides[bounds.held])
+
+        def at_bounds(problem, theta, bounds, *_):
+            end = along[bounds.held]
+            return end and optimisation.Solution(np.array([end.theta]), end, bounds)
+
+        for name, stub in (
+            ("minimise", minimise), ("_out_of_bounds", out_of_bounds), ("_choices_of_bound", choices),
+            ("_minimum_at_bounds", at_bounds), ("_is_minimum", lambda *_: along[active.held].is_minimum),
+        ):  # fmt: skip
+            monkeypatch.setattr(optimisation, name, stub)
+        layout = SimpleNamespace(
+            bounds=lambda: (np.zeros(1), np.ones(1)),
+            model=SimpleNamespace(angle_dependent=model, measurement=()),
+        )
+        problem = SimpleNamespace(
+            layout=layout, power_laws=(), rows=10, transformed_bounds=lambda *limits: limits,
+            cases=[SimpleNamespace(forget_columns=lambda: asked.append("forget"))],
+            transformed=lambda theta: theta, physical=lambda x: x,
+        )  # fmt: skip
+        return asked, optimisation.search(problem, np.array([0.5]), active=active)
+
+    def end(self, theta, cost=1.0, *, converged=True, is_minimum=True):
+        return SimpleNamespace(theta=theta, cost=cost, converged=converged, is_minimum=is_minimum)
+
+    def side(self, *held):
+        return optimisation.ActiveBounds((), held), np.array([0.5])
+
+    @pytest.mark.parametrize("best", [0, 1, 2])
+    def test_the_bound_of_the_smallest_chi_square_is_kept(self, monkeypatch, best):
+        along = {(i,): self.end(0.1 * i, 3.0 if i == best else 5.0 + i) for i in range(3)}
+        _, found = self.searched(monkeypatch, {(): [self.side(i) for i in range(3)]}, along)
+        assert found.active.held == (best,)
+        assert found.theta.tolist() == [0.1 * best]
+
+    def test_bounds_of_a_second_law_follow_those_of_the_first(self, monkeypatch):
+        sides = {(): [self.side(0), self.side(1)], (0,): [self.side(0, 2)]}
+        along = {(0,): self.end(1.5, 1.0), (0, 2): self.end(0.3, 2.0), (1,): self.end(0.4, 3.0)}
+        _, found = self.searched(monkeypatch, sides, along)
+        assert (found.active.held, found.theta.tolist()) == ((0, 2), [0.3])
+
+    def test_without_a_model_at_any_bound_the_search_has_not_converged(self, monkeypatch):
+        _, found = self.searched(monkeypatch, {(): [self.side(0)]}, {(0,): None})
+        assert (found.theta.tolist(), found.minimum.converged, found.active) == ([1.0], False, None)
+
+    @pytest.mark.parametrize(
+        ("converged", "cost", "tried"), [(False, 1.1, False), (False, 0.9, True), (True, 1.1, True)]
+    )
+    def test_bounds_are_not_searched_far_from_the_data(self, monkeypatch, converged, cost, tried):
+        asked, found = self.searched(
+            monkeypatch,
+            {(): [self.side(0)]},
+            {(0,): self.end(0.3)},
+            converged=converged,
+            cost=10 * _FAR * cost,
+        )
+        assert asked == ["forget", "free", *([()] if tried else [])]
+        assert found.theta.tolist() == [0.3 if tried else 1.0]
+
+    @pytest.mark.parametrize(("model", "rounds"), [((), 1), (("casing.unbalance",), 2)])
+    def test_responses_to_the_angle_are_computed_again_at_the_minimum(self, monkeypatch, model, rounds):
+        asked, _ = self.searched(monkeypatch, {}, {}, model=model, x=np.array([0.7]))
+        assert asked == ["forget", "free"] * rounds
+
+    @pytest.mark.parametrize(
+        ("end", "kept"),
+        [
+            ({}, True), ({"theta": 1.5}, False), ({"converged": False}, False), ({"is_minimum": False}, False),
+        ],
+    )  # fmt: skip
+    def test_bounds_of_an_earlier_solution_are_kept_at_a_minimum(self, monkeypatch, end, kept):
+        along = {(0,): self.end(**{"theta": 0.3, **end})}
+        active, _ = self.side(0)
+        asked, found = self.searched(monkeypatch, {}, along, active=active, x=np.array([0.7]))
+        assert asked == ([] if kept else ["forget", "free"])
+        assert found.theta.tolist() == [0.3 if kept else 0.7]
+
+    @pytest.mark.parametrize(
+        ("at", "residual", "minimum"),
+        [
+            (0.0, 1.0, True), (0.0, -1.0, False), (1.0, 1.0, False), (1.0, -1.0, True),
+            (0.0, -0.19, True), (0.0, -0.21, False), (1.0, 0.19, True), (1.0, 0.21, False),
+        ],
+    )  # fmt: skip
+    def test_chi_square_falls_inwards_by_more_than_the_tolerance(self, at, residual, minimum):
+        """By the square of the residual along the column, whose length is 3; the tolerance is 0.04."""
+        j = np.array([[3.0, 0.0], [0.0, 1.0]])
+        problem = SimpleNamespace(
+            layout=SimpleNamespace(bounds=lambda: (np.array([0.0, -9.0]), np.array([1.0, 9.0]))),
+            predict=lambda theta: theta, residuals=lambda theta: (np.array([residual, 5.0]), j),
+        )  # fmt: skip
+        assert optimisation._is_minimum(problem, np.array([at, 0.5]), (0,), 0.04) is minimum
+
+    @pytest.mark.parametrize(
+        ("theta", "broken"),
+        [((0.1, 0.1), 0), ((-0.1, 0.1), 1), ((2.1, 0.1), 1), ((0.1, -0.1), 1), ((0.1, 2.1), 1)],
+    )
+    def test_a_law_is_out_of_either_bound_of_d_or_f(self, theta, broken):
+        laws, limits = (PowerLaw(0, 1, 2, 10.0),), (np.zeros(3), np.full(3, 2.0))
+        assert len(optimisation._out_of_bounds(laws, np.array([*theta, 9.0]), *limits)) == broken
+
+    @pytest.mark.parametrize(("held", "place"), [("d", 1), ("f", 0)])
+    def test_with_one_of_d_and_f_at_a_bound_the_other_is_held_too(self, held, place):
+        law, theta = PowerLaw(0, 1, 2, 10.0, held=held), np.array([-1.0, -2.0, 1.6])
+        active = optimisation.ActiveBounds((law,), (7,))
+        ((side, begin),) = optimisation._choices_of_bound(active, theta, np.zeros(3), np.full(3, 2.0))
+        assert (side.power_laws, side.held) == ((), (7, place))
+        assert begin.tolist() == [0.0 if i == place else x for i, x in enumerate(theta)]
+
+    def test_a_bound_of_d_above_the_torque_leaves_a_thousandth_of_it_to_f(self):
+        law, theta = PowerLaw(0, 1, 2, 10.0), np.array([0.01, 0.02, 1.6])
+        lower, upper = np.array([0.2, -np.inf, 0.3]), np.array([np.inf, np.inf, 2.5])
+        ((_, begin),) = optimisation._choices_of_bound(optimisation.ActiveBounds((law,)), theta, lower, upper)
+        torque = 0.01 * 10.0 + 0.02 * 10.0**1.6
+        assert begin.tolist() == [0.2, pytest.approx(1e-3 * torque / 10.0**2.5), 2.5]
+
+
+def test_at_a_bound_of_d_the_torque_and_its_slope_at_the_reference_speed_are_those_beyond_it():
+    """T = d x + f x^g with d below its bound, and then with f at its own bound, where only the torque is the same."""
+    theta, reference = np.array([0.01, 0.02, 1.6]), 10.0
+    lower, upper = np.array([0.02, 0.005, 0.3]), np.array([np.inf, np.inf, 2.5])
+
+    def torque_and_slope(d, f, g):
+        return d * reference + f * reference**g, d * reference + g * f * reference**g
+
+    law = PowerLaw(0, 1, 2, reference)
+    found = list(optimisation._choices_of_bound(optimisation.ActiveBounds((law,)), theta, lower, upper))
+    assert [(side.held, side.power_laws[0].held) for side, _ in found] == [((0,), "d"), ((1,), "f")]
+    (_, at_d), (_, at_f) = found
+    assert at_d[0] == 0.02
+    assert torque_and_slope(*at_d) == pytest.approx(torque_and_slope(*theta))
+    assert at_f[1] == 0.005
+    assert torque_and_slope(*at_f) == pytest.approx(torque_and_slope(*theta), rel=5e-3)

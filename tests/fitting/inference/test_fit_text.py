@@ -1,15 +1,16 @@
 """What a fit says of a random torque that its model needs."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fitting import Model, fit, make_record
+from fitting import Model, fit, load_fit, make_record
 from fitting._numbers import rounded
-from fitting.inference._params import report
-from fitting.inference._result import merit_lines
+from fitting.inference._params import _of_estimate, report
+from fitting.inference._result import estimate_text, merit_lines
 
 TOLD = "the recording does not establish this random torque"
 
@@ -79,3 +80,57 @@ def test_a_report_counts_the_parameters_that_were_fitted(found):
     assert "    variables            = 2" in lines
     assert f"    k:    {rounded(-4.0, 0.1, held.unit)} (2.50%)" in lines
     assert lines[-2] == f"    held: {rounded(-4.0, 0.1, held.unit)} (2.50%) (held)"
+
+
+@pytest.mark.parametrize(
+    ("expr", "vary", "expected"),
+    [
+        (None, True, {"expr": None}),
+        (None, False, {"expr": None, "vary": False}),
+        ("8*b2", False, {"expr": "8*b2"}),
+    ],
+)
+def test_settings_of_an_estimate_hold_it_if_it_was_held_and_not_tied(expr, vary, expected):
+    given = SimpleNamespace(value=2.0, expr=expr, vary=vary, min=0.0, max=3.0)
+    assert _of_estimate(given, changed=False) == {"value": 2.0, **expected}
+    assert _of_estimate(given, changed=True) == {"value": 2.0, **expected, "min": 0.0, "max": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("verdict", "at_bound", "held", "text"),
+    [
+        ("lack_of_fit", False, (), rounded(2.0, 0.1, "N m")),
+        ("not_converged", False, (), "2 N m"),
+        ("no_lack_of_fit", True, (), f"{rounded(2.0, 0.1, 'N m')} (at its bound)"),
+        ("no_lack_of_fit", False, ("k",), f"{rounded(2.0, 0.1, 'N m')} (held)"),
+    ],
+)
+def test_a_value_has_an_uncertainty_if_the_search_converged(verdict, at_bound, held, text):
+    estimate = SimpleNamespace(value=2.0, stderr=0.1, unit="N m", at_bound=at_bound)
+    model = SimpleNamespace(constants=dict.fromkeys(held, 2.0))
+    shown = SimpleNamespace(estimates={"k": estimate}, model=model, verdict=verdict)
+    assert estimate_text(shown, "k") == text
+
+
+def test_the_body_of_a_curve_is_the_casing_unless_another_is_named(found):
+    t = np.linspace(0.0, 1.0, 40)
+    runs = [(t, speed * t, np.full(40, 1e-3)) for speed in (3.0, 50.0)]
+    both = make_record(casing=runs[0], rotor=[runs[1]], I_rotor=1.0, I_casing=1.0)
+    given = SimpleNamespace(
+        problem=SimpleNamespace(data=[SimpleNamespace(record=both)]), _index=lambda case: case
+    )
+    assert [type(found)._place(given, body, 0) for body in (None, "casing", "rotor")] == [1, 1, 0]
+
+
+def test_a_saved_fit_has_the_laws_that_the_library_does_not_contain(found, tmp_path):
+    model = found.model + "casing: -q*omega_c**3"
+    replace(found, model=model).save(tmp_path / "fit.json")
+    assert load_fit(tmp_path / "fit.json").model == model
+
+
+def test_the_shown_figures_of_merit_are_r2_the_residual_and_the_prediction_error(found):
+    body = replace(found.cases[0].casing, r2=0.75, rmse=0.125, held_out=2.5)
+    shown = replace(found)
+    vars(shown)["cases"] = (replace(found.cases[0], casing=body),)
+    row = shown._repr_html_().split("<tbody>")[1].split("</tbody>")[0]
+    assert re.findall(r">([^<>]+)</td>", row) == ["case", "body", "0.750000", "0.125", "2.50"]

@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import brentq
 
-from fitting.inference._record import Samples, _local, _pieces, _rotor_curve, hermite
+from fitting import make_record
+from fitting.inference._record import PiecewiseCubics, Samples, _local, _pieces, _rotor_curve, hermite
 
 
 def test_cubics_agree_with_scipy():
@@ -49,3 +51,28 @@ def test_pieces_have_speed_and_acceleration_at_their_middle(is_angle):
     found = _local(Samples(time, value, np.ones(41)), 3, is_angle)
     middle = np.array([time[p].mean() for p in np.array_split(np.arange(41), 3)])
     assert found == pytest.approx(np.stack([middle, 50.0 - 4.0 * middle, np.full(3, -4.0)], axis=1))
+
+
+@pytest.mark.parametrize(("gain", "pieces"), [(3.2, 1), (4.8, 2)])
+def test_a_further_piece_must_explain_more_than_its_four_coefficients(gain, pieces):
+    """A curve with a step: in two pieces the sum of squares decreases by the factor N^(-gain / N)."""
+    n = 30
+    cubics, noise = PiecewiseCubics(np.linspace(-1.0, 1.0, n)), np.random.default_rng(1).normal(size=n)
+
+    def squares(values, count):
+        return np.sum((values - cubics.smooth(values, count)) ** 2)
+
+    step = np.repeat([-1.0, 1.0], n // 2)
+
+    def excess(size):
+        values = noise + size * step
+        return n * np.log(squares(values, 1) / squares(values, 2)) - gain * np.log(n)
+
+    assert cubics.needed(noise + brentq(excess, 1e-3, 50.0) * step) == pieces
+
+
+def test_the_largest_speed_of_a_body_at_rest_is_that_of_the_fastest():
+    time = np.linspace(0.0, 10.0, 400)
+    runs = [(time, speed * time, np.full(400, 1e-3)) for speed in (0.0, 50.0)]
+    record = make_record(casing=runs[0], rotor=[runs[1]], I_rotor=1.0, I_casing=1.0)
+    assert record.largest_speeds == {"omega_r": pytest.approx(50.0), "omega_c": pytest.approx(50.0)}

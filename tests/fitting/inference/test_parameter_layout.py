@@ -6,8 +6,8 @@ from fitting import LINEAR, REDUCED, EffectError, Input, Model, Record, effect, 
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._expression import Tape
 from fitting.effects._user import resolve
-from fitting.inference._parameters import ParameterLayout, is_power_law
-from fitting.inference._ties import parse_tie
+from fitting.inference._parameters import ParameterLayout, _order, _variables, is_power_law
+from fitting.inference._ties import chain, follow, parse_tie
 
 
 @pytest.fixture(scope="module")
@@ -165,3 +165,38 @@ def test_the_base_of_a_power_law_is_positive_at_every_speed(slowest, power):
     time = np.linspace(0.0, 1.0, 50)
     speeds = np.stack([np.full(50, 300.0), np.linspace(40.0, slowest, 50)], axis=1)
     assert is_power_law(resolve("casing: -k*omega_c**n"), time, speeds) == power
+
+
+@pytest.mark.parametrize(("distance", "order"), [(0.15, 0.5), (0.07, None)])
+def test_an_exponent_is_compared_where_the_base_differs_from_one(distance, order):
+    """At most of the speeds by more than a tenth of its logarithm."""
+    mechanism = resolve("casing: -k*omega_c**n").mechanism
+    speeds = np.stack([np.full(40, 300.0), np.full(40, np.exp(distance))], axis=1)
+    known = _variables(np.linspace(0.0, 1.0, 40), speeds, mechanism)
+    found = _order(resolve("casing: -k*omega_c**n"), resolve("casing: -c*sqrt(omega_c)"), known)
+    assert found == (None if order is None else pytest.approx(order))
+
+
+def test_in_a_rigid_contact_the_rotor_starts_at_the_ratio_times_the_speed_of_the_casing(records):
+    model = Model.of(["contact.rolling", "touchpoint.constant", "casing.spring.linear"])
+    layout = ParameterLayout.of(model, records[:1])
+    theta = np.zeros(len(layout.names))
+    given = {"contact.rolling.n": 2.5, "initial.omega_c@glass": 30.0, "initial.deflection@glass": 0.2}
+    for name, value in given.items():
+        theta[layout.index[name]] = value
+    assert layout.start(theta, 0).tolist() == [75.0, 30.0, 0.2]
+
+
+def test_a_tied_parameter_changes_with_each_of_its_sources(records):
+    """b2 = b1^2 d; each case has its own b1 and b2."""
+    layout = ParameterLayout.of(Model.of(LINEAR), records, ties={"casing.air.linear.b2": "b1**2*d"})
+    theta = np.linspace(1.0, 2.0, len(layout.names))
+    slope, followed = chain(theta, layout.tied), follow(theta, layout.tied)
+    d = layout.index["bearing.linear.d"]
+    for label in ("glass", "steel"):
+        b1, b2 = (layout.index[f"{k}@{label}"] for k in ("touchpoint.constant.b1", "casing.air.linear.b2"))
+        expected = np.zeros(len(theta))
+        expected[[b1, d]] = 2 * theta[b1] * theta[d], theta[b1] ** 2
+        np.testing.assert_allclose(slope[b2], expected)
+        assert not slope[:, b2].any()
+        assert followed[b2] == pytest.approx(theta[b1] ** 2 * theta[d])

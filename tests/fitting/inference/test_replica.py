@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -321,3 +322,31 @@ def test_the_windows_of_the_rotor_have_harmonics_of_their_stated_size(gyroscope)
     added = [b.value - a.value for a, b in zip(plain.rotor, wavy.rotor, strict=True)]
     assert added[0].std() == pytest.approx(0.05 * np.sqrt(12.0), rel=0.4)
     assert not np.any([a.any() for a in added[1:]])
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_a_stated_error_is_in_the_angles_of_a_smooth_motion_only(gyroscope, monkeypatch, smooth):
+    data = copy(gyroscope.problem.data[0])
+    vars(data).update(motion=SimpleNamespace(is_smooth=smooth))
+    found = []
+    for error in (0.0, 1.0):
+        monkeypatch.setattr(_replica, "_stated_error", lambda *_, error=error: error)
+        found.append(_replica._recording(FittedMotion(gyroscope, 0, data), np.random.default_rng(0)))
+    np.testing.assert_allclose(found[1].casing.value - found[0].casing.value, float(smooth))
+
+
+def test_other_inertias_of_a_case_leave_the_speeds_of_other_cases():
+    """Of two wheels with starts of 80 and 40 rad/s; an inertia of 1 % changes none of them by more than 1 rad/s."""
+    t = np.arange(0, 20, 0.1)
+    noise = np.random.default_rng(0).normal(0, 0.035, len(t))
+    records = [
+        make_record(
+            casing=(t, start - 0.3 * t + noise, np.full(len(t), 0.035)), rotor=[], I_rotor=2e-3,
+            I_casing=2e-3, I_casing_u=2e-5, quantity="omega", single=True, label=label,
+        )
+        for label, start in (("a", 80.0), ("b", 40.0))
+    ]  # fmt: skip
+    found = fit(Model.of(["touchpoint.constant"]), records)
+    for case, data in enumerate(found.problem.data):
+        (change,) = _replica._other_inertias(FittedMotion(found, case, data), np.random.default_rng(1))
+        assert 1e-4 < np.abs(change).max() < 1.0

@@ -313,6 +313,24 @@ class TestMeasured:
         else:
             assert again.misfit[1] > 0.5 * before
 
+    @pytest.mark.parametrize(("height", "excluded"), [(0.2, False), (0.36, True)])
+    def test_a_disturbance_beside_a_marker_is_twice_the_largest_misfit(self, height, excluded):
+        """An object over six columns; a quarter of the height of the marker."""
+        profile = self.profile()[None].copy()
+        profile[0, 48:54] += height
+        every = np.ones((1, 61), dtype=bool)
+        found = tracker.match(profile, self.profile(), np.zeros(1), every)
+        before = found.misfit[0]
+        found.misfit[0] = 0.2
+        given = SimpleNamespace(
+            marker=SimpleNamespace(body="casing"),
+            template=lambda count: self.profile(),
+            _matters=lambda window: (np.abs(self.X) <= 12)[None],
+        )
+        window = SimpleNamespace(known=np.ones(1, dtype=bool), profile=profile)
+        again = tracker.MarkerTracker._without_neighbours(given, window, found, every)
+        assert again.misfit[0] == pytest.approx(0.0 if excluded else before, abs=1e-3)
+
     def test_light_is_learnt_where_a_marker_covers_two_fifths_of_a_sample(self):
         learnt = []
         given = SimpleNamespace(
@@ -342,6 +360,22 @@ class TestMeasured:
         (weight,) = asked
         for row, middle in zip(weight, (0, 3), strict=True):
             assert row == pytest.approx(np.clip(5.5 - np.abs(self.X - middle), 0.0, 1.0) / 10)
+
+    def test_the_first_radial_template_extends_over_the_marker(self, monkeypatch):
+        """From 103 to 109 px in a strip from 100 to 120 px, with edges of three samples."""
+        tried = []
+        monkeypatch.setattr(tracker, "match", lambda *given: tried.append(given[1]) or matches(2))
+        monkeypatch.setattr(tracker, "mean_profile", lambda *_, **__: None)
+        radii = np.linspace(100.0, 120.0, 41)
+        given = SimpleNamespace(
+            strip=SimpleNamespace(ring=SimpleNamespace(step=0.01, radii=radii), half=30), _along=None,
+            marker=SimpleNamespace(half_width=0.1, inner=103.0, outer=109.0, radius=106.0),
+        )  # fmt: skip
+        window = SimpleNamespace(scores=np.zeros((2, 5, 61)), along=lambda weight: np.zeros((2, 41)))
+        tracker.MarkerTracker._matched_along(given, window, matches(2), np.ones(2, dtype=bool))
+        (template,) = tried
+        edge = np.clip((7.5 - 2.0 * np.abs(radii - 106.0)) / 3.0, 0.0, 1.0)
+        assert template == pytest.approx(edge)
 
     @pytest.mark.parametrize(("before", "rounds", "after"), [(0.2, 1, 0.3), (None, 3, 0.4)])
     def test_a_known_template_moves_half_way_to_that_of_a_batch(self, monkeypatch, before, rounds, after):

@@ -17,6 +17,7 @@ from gyrotrack.tracking._registration import (
     TURN,
     Ring,
     Template,
+    _mean_body,
     follow,
     learn,
     register,
@@ -414,3 +415,30 @@ def test_a_radius_has_the_finest_number_of_samples_and_a_row_of_an_arc_too(span,
     ring = Ring.about((0.0, 0.0), 300.0, 400.0, finest=40.0, span=span)
     assert ring.rows == rows
     assert samples - 1 <= ring.columns <= 1.1 * samples
+
+
+def test_parts_of_a_body_seen_in_less_than_half_a_frame_have_the_mean_level_of_their_radius():
+    """Half of the ring is in the picture; the body turns by a quarter after the first frame, whose weight is small."""
+    body = np.outer(np.ones(4), 10.0 + np.arange(64) % 5).astype(np.float32)
+    usable = np.tile(np.arange(64) < 32, (4, 1)).astype(np.float32)
+    turns = np.array([0.0, 16.0, 16.0])
+    polars = [np.roll(body, int(t), axis=1) for t in turns]
+    for weight, seen in ((0.3, False), (0.7, True)):
+        counted = np.array([weight, 1.0, 1.0])
+        found = _mean_body(polars, turns, counted, np.zeros_like(body), usable)
+        first, later = slice(16, 32), np.arange(-16, 16)
+        known = np.arange(-16, 32) if seen else later
+        level = body[:, known].mean(axis=1)
+        np.testing.assert_allclose(found[:, later], body[:, later], rtol=1e-4)
+        expected = body[:, first] if seen else np.repeat(level[:, None], 16, axis=1)
+        np.testing.assert_allclose(found[:, first], expected, rtol=1e-4)
+
+
+def test_the_noise_of_a_picture_is_that_of_the_samples_in_most_frames():
+    """A third of a ring is in the picture. The last frame alone shows another third, without a residual."""
+    ring = Ring((0.0, 0.0), 20, 60, 12, 240)
+    allowed = np.tile(np.arange(240) < 80, (12, 1))
+    noise = np.random.default_rng(0).normal(0, 3.0, (20, 12, 240)).astype(np.float32)
+    angles = np.zeros(20)
+    angles[-1] = 80 * ring.step
+    assert learn(noise, angles, allowed, ring, separate=False).noise > 5.0
