@@ -242,7 +242,8 @@ def classes(command: str) -> dict[str, list[type]]:
 def _table(kinds: Sequence[type]) -> list[str]:
     rows = ["| key | type | unit | meaning |", "|---|---|---|---|"]
     for k in (key for kind in kinds for key in keys(kind).values()):
-        meaning = f"Optional. {k.meaning}." if k.optional else f"{k.meaning}."
+        meaning = k.meaning if k.meaning.startswith("`") else k.meaning[:1].upper() + k.meaning[1:]
+        meaning = f"Optional. {meaning}." if k.optional else f"{meaning}."
         unit = unit_text(k.unit) or k.unit  # "1" is shown
         unit = unit.replace(" ", "\N{NO-BREAK SPACE}") if len(unit) < _SHORT else unit
         rows.append(f"| `{k.name}` | {type_text(k.type)} | {unit} | {meaning} |".replace("|  |", "| |"))

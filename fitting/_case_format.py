@@ -183,7 +183,7 @@ INPUT = Table(
     ),
     signal="value",
     attributes=(
-        Attribute("unit", str, "", "unit of value and u: A, V, N m, K, 1 ...", "1"),
+        Attribute("unit", str, "", "unit of value and u, for example A, V, N m, K or 1", "1"),
         Attribute(
             "interpolation",
             str,
