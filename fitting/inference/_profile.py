@@ -3,7 +3,7 @@
 The deviance with one parameter held and all others fitted anew rises by the quantile of chi-square with one degree of
 freedom at the ends of the interval, 3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)); the noise is that of
 the fit. Its square root is nearly linear in the parameter, so a few fits find each end. A side on which the deviance
-does not reach the quantile is open: the data set no limit there.
+does not reach the quantile is open: the data do not limit the parameter there.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ Array = NDArray[np.float64]
 LEVEL = 0.95
 """Coverage of an interval [1]. Chosen: the usual value; a larger one widens intervals, a smaller one narrows them."""
 _NEAR = 0.02
-"""Tolerance of an end [standard deviations]. Chosen: a smaller value costs fits, a larger one rounds the end."""
+"""Tolerance of an end [standard deviations]. Chosen: a smaller value costs fits, a larger one makes the ends less
+accurate."""
 _FITS = 20
 """Largest number of fits for each end [1]. Chosen: fewer leave ends open, more cost time."""
 _MOST_STEPS = 300
 """Largest number of steps of each fit [1]. Chosen: fewer stop before convergence, more delay the failure."""
 _WEAK = 0.3
 """Relative uncertainty above which a parameter is weakly determined [1]. Chosen: a smaller value profiles parameters
-with symmetric intervals, a larger one trusts linear ones."""
+whose intervals are symmetric, a larger one keeps inaccurate linear intervals."""
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,7 @@ def near_corners(
 
 
 _SIDE_FROM = 0.12
-"""Begin of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
+"""Start of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
 smaller value includes the rounded corner, a larger one extrapolates farther."""
 _SIDE_TO = 0.85
 """End of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
