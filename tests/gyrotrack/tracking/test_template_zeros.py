@@ -116,7 +116,7 @@ def test_a_harmonic_averages_out_below_a_mean_of_a_fifth(mean, used):
     assert bool(found[0] > 0) is used
 
 
-def test_white_noise_has_no_amplitude():
+def test_white_noise_is_no_amplitude():
     """Its expected square, 4 s^2 / n, is subtracted."""
     angle = np.cumsum(np.full(N, 1.234))
     batches = list(np.arange(N).reshape(COUNT, BATCH))
