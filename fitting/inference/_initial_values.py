@@ -151,7 +151,7 @@ def _deflection(data: CaseData, times: Array) -> Array:
 
 
 def _period_by_period(problem: Problem, theta: Array) -> Array:
-    """Return initial values from the first periods of oscillations: two periods, doubled up to half of the record.
+    """Return initial values from the first periods of oscillations: two periods, doubled to at least half of the record.
 
     Over a record of n periods a relative frequency error of 1 / 2n is a slip by half a period, and the search ends in a
     wrong minimum; the frequency from k periods is accurate enough for 2 k periods.
@@ -274,7 +274,7 @@ def _equations(
         state[:, count] = deflection
     linear = _strengths(layout, dynamics.parameters)
     with np.errstate(all="ignore"):
-        # with zero strengths: the rates by held parameters
+        # the rates at zero strengths, due to the other parameters
         constant, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
     columns = np.array([dynamics.parameters.index(k) for k in linear], dtype=np.intp)
     weight = np.array([numbers[k] for k in dynamics.mechanism.inertias])

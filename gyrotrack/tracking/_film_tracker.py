@@ -344,9 +344,9 @@ class FilmTracker:
         """Hold the next frame of the film until enough of them are held.
 
         `step` is the time from the previous frame in periods of the camera. A frame that repeats the previous one shows
-        the same moment. It replaces a missing frame, so its step is added to that of the next frame. Exception:
-        repeated frames are regular in a film that is not timed by its timestamps (`stamped`). Frames are not compared
-        while hardly anything turns.
+        the same moment. It replaces a missing frame, so its step is added to that of the next frame. Exception: in a
+        film that is not timed by its timestamps (`stamped`), regular repeats were inserted, and their steps are not
+        added. Frames are not compared while hardly anything turns.
         """
         again = self.repeats is not None and self.repeats.same(frame)
         again = again and max(body.step for body in self.bodies.values()) > SLOW

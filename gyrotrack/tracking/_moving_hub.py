@@ -196,7 +196,7 @@ def track_by_features(
 
 
 def may_be_loose(frames: Iterable[Plane], motion: Motion) -> bool:
-    """Return whether the features of reduced frames show a body that turns by a small angle and hardly moves."""
+    """Return whether the features of reduced frames show a body that turns by a small angle and moves little."""
     return _loose_motion(frames, motion, travel=_LENIENT, least=_LEAST_RANGE / _LENIENT) is not None
 
 

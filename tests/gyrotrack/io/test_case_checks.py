@@ -133,7 +133,7 @@ def test_segments_are_64_bit_integers(file, dtype, value, words):
 
 
 @pytest.mark.parametrize(
-    ("value", "words"), [(4.0, ""), (127.0, ""), (128.0, "beyond -128 to 127"), (300.0, "beyond")]
+    ("value", "words"), [(4.0, ""), (127.0, ""), (128.0, "outside the range -128 to 127"), (300.0, "outside")]
 )
 def test_a_status_is_an_8_bit_integer(recording, tmp_path, value, words):
     path = write_recording(tmp_path / "r.h5", recording, command="", settings={})
