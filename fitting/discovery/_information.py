@@ -249,7 +249,7 @@ class Rival:
 
 
 MOST_RIVALS = 6
-"""Rivals of an effect that a plan considers [1]. Chosen: fewer omit explanations, more cost time."""
+"""Largest number of rival explanations that a plan considers [1]. Chosen: fewer omit explanations, more cost time."""
 
 
 def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:

@@ -151,7 +151,7 @@ def _deflection(data: CaseData, times: Array) -> Array:
 
 
 def _period_by_period(problem: Problem, theta: Array) -> Array:
-    """Return initial values from the first periods of oscillations: two periods, doubled to at least half of the record.
+    """Return initial values from the first periods of oscillations: two, doubled up to at least half of the record.
 
     Over a record of n periods a relative frequency error of 1 / 2n is a slip by half a period, and the search ends in a
     wrong minimum; the frequency from k periods is accurate enough for 2 k periods.

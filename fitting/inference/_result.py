@@ -355,9 +355,9 @@ class Fit(FitSummary):
     estimates : dict of str to Estimate
         Every parameter and initial value by name.
     chi2, rows, n_eff, deviance, bic : float
-        Chi-square of the rows that a model can describe, and their number; effective number of samples; minus twice the
-        log-likelihood (up to a constant of the data); deviance + p ln rows. Only these rows differ between models; all
-        other combinations of the samples are noise.
+        Chi-square of the rows that a model can describe, and the number of these rows; effective number of samples;
+        minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows. Only these rows differ
+        between models; all other combinations of the samples are noise.
     converged : bool
         Whether the optimisation converged.
     """

@@ -76,8 +76,8 @@ _SETTLED = 1e-3
 """Change of the angles, relative to the motion, that ends the iterations [1]. Chosen: a larger value stops early, a
 smaller one costs time."""
 _HIDDEN = 6.0
-"""Largest mean square residual, over its median, of a frame that shows the body [1]. Chosen: a smaller value omits
-frames of uneven light, a larger one keeps frames with a hand."""
+"""Largest mean square residual, divided by its median, of a frame that shows the body [1]. Chosen: a smaller value
+omits frames of uneven light, a larger one keeps frames with a hand."""
 _LARGEST_STEP = 2.0
 """Largest correction of the path by a registration [px]. Chosen: a smaller value needs more iterations, a larger one
 follows wrong fits."""
