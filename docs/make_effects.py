@@ -20,9 +20,9 @@ on the rotor with law and on the casing with -n law, where `slip` is omega_r - n
 contacts. A *factor* multiplies the whole bearing torque. The law of a camera is an error [rad] added to the measured
 angle, a function of the angle `psi` and the angular velocity `omega` of the filmed body; it does not act on the motion.
 
-`gyrotrack fit --add` and `--json` use the names in the first column. For a case of a single body the role may be
-left out (`air.quadratic`), and the touch point is its support (`support.constant`); its name replaces the casing's
-in words. User-defined laws may contain t, omega_r, omega_c, psi_r, psi_c and delta; any other name is a parameter.
+`gyrotrack fit --add` and `--json` use the names in the first column. For a case of a single body the role may be left
+out (`air.quadratic`), and the touch point is its support (`support.constant`); in words, the name of the body replaces
+"casing". User-defined laws may contain t, omega_r, omega_c, psi_r, psi_c and delta; any other name is a parameter.
 Times of events, for example t0 in `heaviside(t - t0)` or `exp(-((t - t0)/w)**2)`, are searched for in the whole record.
 """
 

@@ -74,7 +74,7 @@ def defect_of_mode(basis: Any, covariance: Any, measured: Any) -> Defect | None:
 
 
 def _is_covariance(matrix: Any) -> bool:
-    """Return whether a matrix of finite numbers is a covariance, but for rounding."""
+    """Return whether a matrix of finite numbers is a covariance, apart from rounding errors."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     with np.errstate(over="ignore"):
         correlation = matrix / scale[:, None] / scale
@@ -135,7 +135,7 @@ def defect_of_joints(names: Sequence[str], joints: Mapping[str, Sequence[str]]) 
     )
     if wrong is not None:
         return Defect(
-            f"{str(wrong)[:40]!r} cannot be the name of a body or a joint: laws have a meaning for it",
+            f"{str(wrong)[:40]!r} cannot be the name of a body or a joint: it has another meaning in laws",
             "choose another name, for example wheel or belt",
         )
     if len({*names, *joints}) < len(names) + len(joints):

@@ -1,7 +1,7 @@
 """Reading of files of the layout, which may be damaged or malicious, for both packages.
 
-A file is validated before anything is read (`fitting._hdf5`). Before a dataset is read, it is checked that it is stored
-in the file itself, has the declared type and dimensions, and is not larger than its stored chunks can be.
+A file is validated before anything is read (`fitting._hdf5`). Before a dataset is read, its storage is checked: it must
+be stored in the file itself, have the declared type and dimensions, and not be larger than its stored chunks can be.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ _KIND_NAMES: dict[type[Any], str] = {
 
 @dataclass(frozen=True)
 class Reader(Guard):
-    """Reads files of the layout; its errors are those that `fail` makes of a sentence and a hint."""
+    """Reads files of the layout; `fail` makes its errors from a sentence and a hint."""
 
     @contextmanager
     def open(self, path: Path, kind: str | None = None) -> Iterator[h5py.File]:
         """Validate and open a file: a recording, a case, or either; faults of HDF5 while it is read become errors.
 
-        The context contains reading only: an error of any other code would be taken for damage of the file.
+        The context must contain only code that reads, because any other error would be reported as damage to the file.
         """
         path = Path(path)
         self._check_signature(path, kind)
@@ -161,7 +161,7 @@ class Reader(Guard):
             if f.dtype != "f8" and found.size:
                 least, most = np.iinfo(f.dtype).min, np.iinfo(f.dtype).max
                 if int(found.min()) < least or int(found.max()) > most:
-                    what = f"{location(dataset)} contains integers beyond {least} to {most}."
+                    what = f"{location(dataset)} contains integers outside the range {least} to {most}."
                     raise self.fail(what, _OTHER_LAYOUT)
             values[f.name] = found.astype(f.dtype, copy=False)
         return values
@@ -171,7 +171,7 @@ class Reader(Guard):
         return {**self.table(group, table, lengths), **self.attributes(group, table.attributes)}
 
     def _check_shape(self, dataset: Any, f: Field, known: dict[str, int]) -> None:
-        """Refuse a dataset of other dimensions than the known ones, to which its own are added."""
+        """Refuse a dataset whose dimensions differ from the known ones; its new dimensions become known."""
         shape, dims = tuple(dataset.shape), [d.removeprefix("other_") for d in f.dims]
         for dim, length in zip(dims, shape, strict=False):
             known.setdefault(dim, length)

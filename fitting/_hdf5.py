@@ -46,12 +46,12 @@ _BLOCK = 2**20
 
 @dataclass(frozen=True)
 class Guard:
-    """Checks of HDF5 files whose errors are those that `fail` makes of a sentence and a hint."""
+    """Checks of HDF5 files; `fail` makes the errors from a sentence and a hint."""
 
     fail: Callable[[str, str], Exception]
 
     def check_file(self, path: Path, recreate: str) -> None:
-        """Refuse a file that another program writes, or that is damaged; `recreate` is what to do then."""
+        """Refuse a file that another program is writing, or a damaged file, for which `recreate` is the hint."""
         if is_open_elsewhere(path):
             raise self.fail(f"{path} is open in another program.", "Close it there.")
         if checksum_fails(path):

@@ -4,7 +4,8 @@ Numbers are in SI units. JSON has neither nan nor infinity: nan is written as nu
 `fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
 that files of older versions stay readable.
 
-A comment `#:` at a key is its meaning, with the unit in brackets; docs/reference/json.md is made from them.
+A comment `#:` at a key states its meaning, with the unit in brackets; docs/reference/json.md is made from these
+comments.
 
 Files are written and locked as `fitting._files` describes.
 """
@@ -37,7 +38,7 @@ from fitting.effects._library import LIBRARY
 
 
 def _ledger_error(what: str, hint: str) -> LedgerError:
-    """Return the error of this package with a sentence and a hint of `fitting._files`."""
+    """Return an error of this package with the sentence and the hint of an error in `fitting._files`."""
     return LedgerError(what.removesuffix("."), f"{hint[:1].lower()}{hint[1:].removesuffix('.')}")
 
 
@@ -65,7 +66,7 @@ def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda:
     except OSError as fault:
         raise _FILES.refusal(path, fault) from None
     finally:
-        with suppress(OSError):  # on a read-only disk not even that is allowed
+        with suppress(OSError):  # a read-only disk does not even allow removal
             part.unlink(missing_ok=True)
 
 
@@ -136,7 +137,8 @@ class EstimateDocument(WithOptionalKeys):
     value: Number  #: Value [`unit`].
     #: Standard error; null if a bound is active or the fit did not converge [`unit`].
     stderr: Number = math.nan
-    unit: str = ""  #: Unit: SI, or for a torque without moment of inertia that of an angular acceleration.
+    #: Unit: SI, or the unit of an angular acceleration for a torque without a moment of inertia.
+    unit: str = ""
     at_bound: Flag = False  #: Whether a bound is active.
     interval: IntervalDocument | None = None  #: 95 % interval, with `--profile`.
 
@@ -155,7 +157,8 @@ class BodyDocument(Document):
 
     r2: Number  #: Coefficient of determination of the smoothed angular velocity [1].
     rmse: Number  #: Rms residual of the smoothed angular velocity [rad s-1].
-    reduced_chi2: Number  #: Chi-square of what was fitted over the effective number of samples [1].
+    #: Chi-square of the fitted quantity, divided by the effective number of samples [1].
+    reduced_chi2: Number
     held_out: Number  #: Cross-validation error divided by the noise; 1 is the noise limit [1].
 
 
@@ -163,11 +166,11 @@ class MetricsDocument(Document):
     """Figures of merit of one case."""
 
     label: str  #: Name of the case.
-    casing: BodyDocument  #: The casing; of other cases the single body, or the first body of a chain.
+    casing: BodyDocument  #: The casing; in other cases, the single body, or the first body of a chain.
     rotor: BodyDocument  #: The rotor, or the second body of a chain.
     energy_drift: Number  #: Energy balance error, as a share of the initial or largest kinetic energy [1].
     further: list[BodyDocument] = []  #: The third and the following bodies of a chain.
-    #: Chi-square over the number of rows that a model can describe [1].
+    #: Chi-square, divided by the number of rows that a model can describe [1].
     chi2_per_row: Number = Field(validation_alias=AliasChoices("chi2_per_row", "misfit"))
     # the default is for fits that were stored without it
     #: Number of these rows, which are combinations of the samples.
@@ -204,7 +207,7 @@ class CaseDocument(MetricsDocument):
     torque_unresolved_Nm: Number = Field(
         0.0, validation_alias=AliasChoices("torque_unresolved_Nm", "unresolved")
     )
-    #: White noise of the casing's samples over their stated standard uncertainty [1].
+    #: White noise of the casing's samples, divided by their stated standard uncertainty [1].
     noise_scale: Number = Field(validation_alias=AliasChoices("noise_scale", "scale"))
     #: Correlated angle noise of the casing; null if not significant.
     angle_noise: AngleNoiseDocument | None = None
@@ -297,14 +300,14 @@ class FailureDocument(Document):
     kind: str  #: `loses torque` or `gains torque` relative to the model; `ripple` for a harmonic.
     where: str  #: Place in words, for example `while speeding up`.
     size_sigma: Number  #: Largest distance from zero [standard uncertainties].
-    residual_rad_s: Number  #: Extreme residual of the speed; of a harmonic its amplitude [rad s-1].
-    residual_torque_Nm: Number  #: Mean unmodelled torque; of a harmonic its amplitude [torque].
+    residual_rad_s: Number  #: Extreme residual of the speed, or amplitude of a harmonic [rad s-1].
+    residual_torque_Nm: Number  #: Mean unmodelled torque, or amplitude of a harmonic [torque].
     torque_sigma_Nm: Number = math.nan  #: Standard uncertainty of `residual_torque_Nm` [torque].
     omega_c: tuple[Number, Number]  #: Smallest and largest speed of the casing or single body [rad s-1].
 
 
 class StoredFailure(FailureDocument):
-    """The same with the name of the body in sentences and the uncertainty of the torque."""
+    """A failure as it is stored, with the name of the body in sentences and the unit of the torque."""
 
     called: str
     unit: str = TORQUE
@@ -331,14 +334,14 @@ class CandidateDocument(Document):
 class RemainderDocument(Document):
     """The unmodelled torque that is still significant with the named effect."""
 
-    torque_rms_Nm: Number  #: Rms torque of the body with the larger one [torque].
+    torque_rms_Nm: Number  #: Rms torque on the body where it is larger [torque].
     share: Number  #: Share of the mean square unmodelled torque, 0 to 1 [1].
     p_value: Number  #: Probability of such a remainder by noise [1].
     sentence: str  #: Size, and the variable on which it depends.
 
 
 class NuisanceDocument(Document):
-    """An always fitted camera effect of one case."""
+    """A camera effect that is always fitted, in one case."""
 
     effect: str  #: Name of the effect.
     label: str  #: Name of the case.
@@ -380,18 +383,19 @@ class StepDocument(Document):
     """One fit of a history: the change, and the errors."""
 
     fit_id: str  #: Name of the fit in the ledger.
-    added: str  #: The change: `+effect`, `-effect`, or a text; of a first fit its model, or empty.
+    added: str  #: The change: `+effect`, `-effect`, or a text; for a first fit, its model, or empty.
     words: str = ""  #: The change in words.
     model: list[str]  #: Names of the effects.
     samples: int = 0  #: Number of samples of all cases.
     n_eff: Number = math.nan  #: Number of equivalent independent samples [1].
     rmse_casing: Number  #: Rms residual of the smoothed angular velocity of the casings [rad s-1].
     rmse_noise: Number = math.nan  #: The same for noise alone [rad s-1].
-    reduced_chi2: Number  #: Chi-square of the casings over the effective number of samples [1].
+    reduced_chi2: Number  #: Chi-square of the casings, divided by the effective number of samples [1].
     misfit: Number = math.nan  #: Rms residual divided by that of the noise; null in older files [1].
     held_out: Number  #: Cross-validation error of the casings divided by the noise; 1 is the noise limit [1].
     bic: Number = math.nan  #: Bayesian information criterion [1].
-    bic_noise: Number = math.nan  #: BIC of a model with as many parameters whose residuals are noise [1].
+    #: BIC that a model with the same number of parameters would have if its residuals were noise [1].
+    bic_noise: Number = math.nan
     delta_bic: Number  #: BIC minus that of the fit before; 0 for the first one [1].
     energy_drift: Number  #: Largest energy balance error of a case, as a share of the kinetic energy [1].
     torque_left_Nm: Number  #: Largest rms of the random torque in the residuals of a case [torque].
@@ -400,7 +404,7 @@ class StepDocument(Document):
 
 
 class ListedStep(StepDocument):
-    """One fit of a history, with its place and what the user wrote about it."""
+    """One fit of a history, with the fit on which it is based, and the name and note of the user."""
 
     parent: str  #: Name of the fit on which it is based; empty for a first fit.
     name: str  #: Name, from `--name`.
@@ -421,7 +425,7 @@ class NoiseDocument(Document):
 
 
 class StoredNoise(NoiseDocument):
-    """The same with the correlation time [s], the excess, and the variables about which it is linearised."""
+    """Noise with its correlation time [s], its excess, and the variables about which it is linearised."""
 
     time: Number
     excess: Number
@@ -429,7 +433,7 @@ class StoredNoise(NoiseDocument):
 
 
 class StoredFit(Document):
-    """The state from which a fit is restored without a search; valid for the code with this digest alone."""
+    """The state from which a fit is restored without a search; valid only for the code with this digest."""
 
     code: str
     theta: list[Number]
@@ -576,7 +580,7 @@ class SavedFitDocument(Document):
 
 
 def own_effects(effects: Iterable[Effect]) -> list[Effect]:
-    """Return the effects that are not, or not in this form, in the library, as are the laws of a chain of bodies."""
+    """Return the effects that the library does not contain in this form, for example the laws of a chain of bodies."""
     return [e for e in effects if LIBRARY.get(e.name) != e]
 
 

@@ -27,7 +27,7 @@ than the gain in time justifies."""
 
 @contextmanager
 def single_blas_thread() -> Iterator[None]:
-    """Limit BLAS to one thread; a context manager, and when called a decorator.
+    """Limit BLAS to one thread; a context manager that can also be used as a decorator.
 
     The matrices of a fit have a few hundred rows: more threads are slower.
     """
@@ -105,7 +105,7 @@ class WorkerPool:
         items: Sequence[Item],
         shared: Callable[[Common], Sequence[object]] = _nothing,
     ) -> list[T]:
-        """Return ``work(common, item)`` of each item; workers start with the first items, the caller with the last.
+        """Return ``work(common, item)`` for each item; workers start with the first items, the caller with the last.
 
         ``shared(common)``, a module-level function, returns the parts of `common` to which results refer instead of
         holding copies of them.
@@ -198,7 +198,7 @@ def _run(work: Any, common: Any, item: Any, shared: Any) -> bytes:
 
 
 def _start_worker(start: Callable[..., object] | None, *arguments: Any) -> None:
-    warnings.simplefilter("ignore")  # as in the program, which this process does not inherit
+    warnings.simplefilter("ignore")  # as in the program, whose filters this process does not inherit
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the calling process, which ends the workers
     Thread(target=_end_with_parent, daemon=True).start()
     if start is not None:

@@ -125,7 +125,7 @@ class Certificate:
     seed : int
         Seed of the random errors.
     body : str
-        The body of the first case, by which effects are put into words.
+        The name of the body of the first case, used for effects in words.
     """
 
     n: int

@@ -72,8 +72,8 @@ _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 decade from far below the noise to far above it; in a shorter range the optimum may be outside, a coarser grid rounds
 it."""
 _LENGTHS = np.geomspace(0.03, 3.0, 9)
-"""Trial correlation lengths over the range of the variable [1]. Chosen: shorter ones are not resolved by the splines,
-longer ones do not differ from a straight line."""
+"""Trial correlation lengths, divided by the range of the variable [1]. Chosen: shorter ones are not resolved by the
+splines, longer ones do not differ from a straight line."""
 _WORDS = {
     "omega_c": "the speed of the casing",
     "omega_r": "the speed of the rotor",

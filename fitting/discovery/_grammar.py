@@ -51,16 +51,16 @@ _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
 """Trial exponents of a power law [1]. Chosen: quarters and halves in addition to the integers of the library; fewer
 start far from the optimum, more cost time."""
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
-"""Trial speeds of a law over the largest speed [1]. Chosen: six per decade; fewer start far from the optimum, more cost
-time."""
+"""Trial speeds of a law, divided by the largest speed [1]. Chosen: six per decade; fewer start far from the optimum,
+more cost time."""
 _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
-"""Trial thresholds of a law over the largest speed [1]. Chosen: in steps of 0.05; fewer overlook narrow laws, more cost
-time."""
+"""Trial thresholds of a law, divided by the largest speed [1]. Chosen: in steps of 0.05; fewer overlook narrow laws,
+more cost time."""
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
 """Trial time constants, divided by the length of the record [1]. Chosen: shorter ones affect few rows, longer ones give
 a straight line."""
 _NEAR_ZERO = 0.01
-"""Speed, over the largest one, below which a speed is near zero and negative powers are not tried [1]. Chosen: a
+"""Speed, divided by the largest one, below which a speed is near zero and negative powers are not tried [1]. Chosen: a
 smaller value admits torques that diverge, a larger one excludes laws of slow bodies."""
 _COARSE_MOMENTS = MOMENTS[::3]
 """Trial moments of a law with several shape constants, divided by the length of the record [1]. Chosen: every third of
@@ -76,8 +76,8 @@ _HIGHEST = 1000.0
 because the periodogram finds faster oscillations; a larger value tests these twice, a smaller one overlooks slow
 oscillations."""
 _MOST_FREQUENCIES = 800
-"""Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
-time."""
+"""Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; more
+cost time."""
 
 
 @dataclass(frozen=True)

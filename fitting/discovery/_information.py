@@ -58,7 +58,7 @@ _RANK = 1e-7
 rounding errors, a larger one counts information twice."""
 _TINY = 1e-12
 """Relative eigenvalue below which a direction of the information is not determined [1]. Chosen: a smaller value inverts
-rounding, a larger one omits weakly determined strengths."""
+rounding errors, a larger one omits weakly determined strengths."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class Run:
     duration: float  # length of the recording of the casing [s]
     windows: tuple[float, ...]  # start of each rotor window [s]
     window_length: float  # length of each window [s]
-    ring: float = 1.0  # moment of inertia of the casing over the present one
-    surface: float = 1.0  # friction at the touch point over the present one
+    ring: float = 1.0  # moment of inertia of the casing, divided by the present one
+    surface: float = 1.0  # friction at the touch point, divided by the present one
 
 
 class Information:
@@ -233,9 +233,9 @@ _COLLINEAR = 1e-6
 """Determinant of the correlation of candidates below which no data separate them [1]. Chosen: a smaller value keeps
 sets with undetermined strengths, a larger one drops rivals that data could separate."""
 _ABSORBED = 1e-12
-"""Information about a strength with free shared parameters, over that with fixed ones, below which they absorb the
-candidate [1]. Chosen: at the rounding error of the projection; a larger value drops weakly determined candidates, a
-smaller one keeps rounding."""
+"""Information about a strength with free shared parameters, divided by that with fixed ones, below which these
+parameters absorb the candidate [1]. Chosen: the rounding error of the projection; a larger value drops weakly
+determined candidates, a smaller one keeps rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ class Rival:
 
 
 MOST_RIVALS = 6
-"""Rivals of an effect that a plan considers [1]. Chosen: fewer omit explanations, more cost time."""
+"""Largest number of rival explanations that a plan considers [1]. Chosen: fewer omit explanations, more cost time."""
 
 
 def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:

@@ -93,7 +93,7 @@ def nonparametric_law(fit: Fit, site: str, speed: str) -> float:
 
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
-rounding, a larger one omits deviations that are nearly absorbed."""
+rounding errors, a larger one omits deviations that are nearly absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
@@ -177,7 +177,7 @@ def _smooth_rows(fit: Fit) -> tuple[list[str], list[Array], Array, Array, list[f
 
 
 def _choices(values: Array, torques: int = 2) -> list[tuple[int, Array, int]]:
-    """Return which speed, the knots in it [rad/s], and whether on the casing (0) or in which joint (from 1)."""
+    """Return the index of the speed, the knots [rad/s], and the place of the torque: casing (0) or joint (from 1)."""
     return [
         (which, np.linspace(speed.min(), speed.max(), count), body)
         for (which, speed), count, body in product(enumerate(values), KNOTS, range(torques))
@@ -185,8 +185,8 @@ def _choices(values: Array, torques: int = 2) -> list[tuple[int, Array, int]]:
 
 
 _FEWEST_PERIODS = 10
-"""Smallest number of periods in a record at which a frequency is tried [1]. Chosen: fewer are a trend, which the test
-against slow torques covers; a larger value leaves a gap between both tests."""
+"""Smallest number of periods in a record at which a frequency is tried [1]. Chosen: with fewer, the torque is a trend,
+which the test against slow torques covers; a larger value leaves a gap between the two tests."""
 _PER_PEAK = 2
 """Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: fewer overlook peaks,
 more cost time; the finer search follows."""
@@ -195,7 +195,7 @@ _FINER = 16
 more cost time."""
 _RETAINED = 1e-3
 """Smallest share of the response to a torque that is orthogonal to the free columns [1]. Chosen: a smaller value tests
-rounding, a larger one omits torques that are nearly absorbed."""
+rounding errors, a larger one omits torques that are nearly absorbed."""
 
 
 _NEAR_RESONANCE = 0.01
@@ -436,7 +436,7 @@ UNKNOWN_IN_TIME = "a torque that changes slowly in time"
 def contradiction(
     chosen: Candidate | None, end: Fit, criteria: Criteria
 ) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
-    """Return the lack-of-fit test that contradicts an answer, the effect `chosen` or none; None if no test does.
+    """Return the lack-of-fit test that contradicts an answer (the effect `chosen`, or no effect); None if no test does.
 
     `end` is the fit with this effect.
     """

@@ -40,7 +40,7 @@ value makes chi-square vanish, a smaller one understates the errors of slow devi
 _BLOCKS = 12
 """Parts of the jackknife [1]. Chosen: fewer give uncertain standard errors, more have correlated parts."""
 _OF_AVERAGING = 5e-3
-"""Relative error of a strength by the averaged equations, which are of first order [1]. Measured: up to 0.5 % for a
+"""Relative error of a strength from the averaged equations, which are of first order [1]. Measured: up to 0.5 % for a
 pendulum of 94 degrees and for springs that soften by a tenth; the recordings are not stated."""
 _CONTRADICTING_SHARE = 0.2
 """Relative difference from the averaged equations above which an exact value contradicts them [1]. Chosen: a smaller
@@ -72,7 +72,7 @@ class Strength:
 
 @dataclass(frozen=True)
 class LawSet:
-    """A set of laws with their strengths by the averaged equations."""
+    """A set of laws with their strengths from the averaged equations."""
 
     restoring: Names  #: Names of the restoring torques.
     damping: Names  #: Names of the damping torques.
@@ -101,9 +101,9 @@ class OscillatorLaws:
         exact = [tuple(n for n in group if n in names) for group in ((_SPRING, _CUBIC, _GRAVITY), _DAMPING)]
         if exact[0] not in self.restoring_classes:
             return self, (
-                f"The fitted model restores by {' + '.join(exact[0]) or 'no law of the list'}, but amplitude and phase "
-                f"alone are described by {' + '.join(self.restoring)}: the data separate these laws, and neither "
-                "describes everything."
+                f"The restoring torque of the fitted model is {' + '.join(exact[0]) or 'no law of the list'}, but "
+                f"amplitude and phase alone are described by {' + '.join(self.restoring)}: the data separate these "
+                "laws, and neither describes everything."
             )
         values = {k: Strength(e.value, e.stderr, e.unit, approximate=False) for k, e in fit.estimates.items()}
         wrong = next(

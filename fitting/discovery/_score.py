@@ -50,7 +50,7 @@ _LEVELS = 9
 """Trial levels of the process noise [1]. Chosen: fewer make the profiled score coarse, more cost time and memory."""
 _ABSORBED = 1e-7
 """Share of a column orthogonal to the free columns of the base, before whitening, below which the base absorbs it [1].
-Chosen: a smaller value scores rounding, a larger one drops weakly determined effects."""
+Chosen: a smaller value scores rounding errors, a larger one drops weakly determined effects."""
 RANK = 1e-10
 """Relative singular value below which a direction of the free columns is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
@@ -185,8 +185,8 @@ _FASTEST = 1.0
 """Highest trial frequency that the cells resolve [rad per cell]. Chosen: a larger value blurs the torque within a cell,
 a smaller one overlooks fast chirps."""
 _MAX_FREQUENCIES = 1500
-"""Largest number of trial frequencies [1]. Chosen: fewer lower the highest frequency in long records, more cost
-time."""
+"""Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; more
+cost time."""
 _FINER = 8
 """Ratio of the declared spacing of changepoints to the trial spacing [1]. Chosen: a smaller value overlooks narrow
 maxima of the score, a larger one costs time."""
@@ -295,7 +295,7 @@ class CaseColumns:
 
     @property
     def typical_torque(self) -> Array:
-        """Torque of the bearing in each cell [N m]; of a single body, or the main one of a chain, the net torque."""
+        """Torque of the bearing in each cell [N m]; for a single body or a chain, the net torque on the main body."""
         return np.asarray(self._typical[self.case.data.record.spun.role])
 
     @staticmethod
@@ -424,7 +424,7 @@ class Score:
 
     effect: Effect  # the candidate
     score: float  # predicted fall of the deviance
-    # strength of each column (sine and cosine of a law with a phase; separate ones for each case if per case)
+    # strength of each column (sine and cosine of a law with a phase; one set for each case if the effect is per case)
     gamma: Array = field(repr=False)
     shape: tuple[dict[str, float], ...]  # shape constants, for each case
     columns: int  # degrees of freedom of its strengths

@@ -92,7 +92,8 @@ if TYPE_CHECKING:
 _MOST_CANDIDATES = 10
 """Candidates that a notebook shows [1]. Chosen: fewer hide alternatives, more make a long table."""
 _IN_REPR = 8
-"""Lines of the sentence, and candidates, of a repr [1]. Chosen: fewer hide alternatives, more fill the console."""
+"""Largest number of lines of the sentence, and of candidates, in a repr [1]. Chosen: fewer hide alternatives, more fill
+the console."""
 _WIDTH = 100
 """Columns of a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller one cuts
 sentences."""
@@ -117,13 +118,14 @@ class Diagnosis:
         Candidate effects, best first.
     form : {"exact", "approximate", None}
         "exact": with the named effect or equivalence class no remainder is significant, and the data would show a
-        deviation larger than an approximate answer may have. "approximate": a remainder is significant, but the effect
-        explains at least `Criteria.explained` of the unmodelled torque. None: no single effect explains this share, or
-        no remainder is significant but the data cannot test the form, or the verdict is not "missing_effect".
+        larger deviation than is allowed for an approximate answer. "approximate": a remainder is significant, but the
+        effect explains at least `Criteria.explained` of the unmodelled torque. None: no single effect explains this
+        share, or no remainder is significant but the data cannot test the form, or the verdict is not
+        "missing_effect".
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without a best effect. If
-        only a shape constant of its law remains, and the base absorbs most of the law, the share refers to the torque
-        of the law.
+        the effect changes only a shape constant of a law of the model, and the base absorbs most of this law, the share
+        refers to the torque of the law.
     remainder : Remainder or None
         The remainder that is still significant with the best effect.
     nuisance : tuple of Nuisance
@@ -349,7 +351,7 @@ def _with_findings(found: Diagnosis) -> Diagnosis:
 def slipped(fit: Fit, slips: Sequence[Slip]) -> Candidate:
     """Return slipped turns as a candidate.
 
-    The score is half the sum of squares of the steps of 2 pi turns, each divided by the smallest white noise of a
+    The score is half the sum of the squared steps (2 pi times the turns), each divided by the smallest white noise of a
     sample.
     """
     sigma = min(
@@ -427,7 +429,7 @@ def _diagnosis(
     )
     if noisy:
         random = with_random_torque(fit, criteria)
-        # a random torque above its ceiling is not noise: below it, the torque has to describe the data
+        # a random torque above its ceiling is not noise, so it has to describe the data with a level below the ceiling
         random = random if random.is_raised and describes(random, criteria) else None
     if hint or noisy or random is not None:
         unexplained = random is None and (misfit or noisy or doubt is not None)

@@ -43,8 +43,8 @@ NODES = 10
 """Gauss nodes of an interval [1]. Chosen: the method has twice this order; fewer need more intervals, more make larger
 systems."""
 _MANY_PER_INTERVAL = 12
-"""Times per interval above which one product for each interval is faster than one for each time [1]. Chosen: another
-value costs time and does not change the result."""
+"""Number of times per interval above which one matrix product per interval is faster than one per time [1]. Chosen:
+another value costs time and does not change the result."""
 TOLERANCE = 1e-10
 """Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value costs
 intervals, a larger one makes derivatives inaccurate."""
@@ -340,7 +340,7 @@ class Propagator:
         return other
 
     def of_speeds(self, count: int) -> Propagator:
-        """Return the equations of the first states, which are speeds, the others held."""
+        """Return the equations of the first states, which are speeds, with the other states held fixed."""
         if self._a.shape[-1] == count:
             return self
         jumps = {i: m[:count, :count] for i, m in self._jumps.items()}
@@ -582,7 +582,7 @@ def runge_kutta(
     times = np.append(times.ravel(), mesh.edges[-1])
     with np.errstate(all="ignore"):
         jacobian = dynamics.tangent(times[:1], start[None], numbers, sense)[1][0]
-    # the root of a speed has no derivative at rest, but the rates are finite there
+    # the square root of a speed has no derivative at rest, but the rates are finite there
     known = np.isfinite(jacobian).all()
     decay = max(0.0, float(-np.linalg.eigvals(jacobian).real.min())) if known else 0.0
     parts = next((n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n), None)

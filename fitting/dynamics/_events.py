@@ -53,7 +53,8 @@ ROUNDING = 1e-10
 """Relative speed below which a change of sign is rounding error [1]. Derived: the truncation error of the motion,
 `fitting.dynamics._collocation.TOLERANCE`."""
 _STOPPED = 1e-11
-"""Share of the largest speed below which the casing is at rest [1]. Derived: rounding, below `ROUNDING`."""
+"""Share of the largest speed below which the casing is at rest [1]. Derived: the size of rounding errors, below
+`ROUNDING`."""
 
 
 @dataclass(frozen=True)
@@ -434,7 +435,7 @@ def _until(path: Path, edge: int) -> Path:
 
 
 def halved(path: Path, rough: NDArray[np.bool_], most: int) -> Path:
-    """Return a path with its `rough` intervals halved, at `most` in total; senses and jumps keep their times."""
+    """Return a path with its `rough` intervals halved (at most `most` in all); senses and jumps keep their times."""
     edges = path.mesh.edges
     parent = np.repeat(np.arange(len(rough)), 1 + rough)
     middle = 0.5 * (edges[1:] + edges[:-1])[rough]
@@ -479,8 +480,8 @@ number of events may still change, a larger one costs time."""
 _MOST_STEPS = 25
 """Largest number of Newton steps for the times of all reversals [1]. Chosen: fewer stop early, more delay failures."""
 _HORIZON = 2.0
-"""Time within which the next event is first searched, relative to the largest time between two reversals [1]. Chosen: a
-smaller value overlooks the next reversal, a larger one integrates needlessly."""
+"""Time within which the next event is first searched for, relative to the largest time between two reversals [1].
+Chosen: a smaller value overlooks the next reversal, a larger one integrates needlessly."""
 _NEARBY = (1.0, 0.97)
 """Shares of the reversals that are solved simultaneously near a known solution [1]. Chosen: the second share omits
 reversals at the end that may not exist; a smaller one costs time."""

@@ -8,12 +8,12 @@ With the fundamental matrix Phi(t) of the linearised equations, the response to 
 The integrals are running sums over the times at which u is known, for any frequency of u. After the casing has come to
 rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an inverse.
 
-Where one mode decays long before the end of the record, all columns of Phi become parallel to the others, and the
-inverse is inaccurate. Then the columns are the modes from slow to fast decay: with the QR decompositions of the steps,
-Phi_(i+1) Q_i = Q_(i+1) R_i, they are Q_i C_i with triangular C_i = R_i^-1 C_(i+1), computed backwards from the end, in
-which direction a mode grows faster than all slower ones; the integrals of decaying modes as well. This is the dichotomy
-of U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary Value Problems for Ordinary Differential
-Equations, SIAM (1995), ch. 6.
+If one mode decays long before the end of the record, all columns of Phi become parallel to each other, and the inverse
+is inaccurate. In this case the columns are the modes from slow to fast decay. With the QR decompositions of the steps,
+Phi_(i+1) Q_i = Q_(i+1) R_i, the modes are Q_i C_i with triangular C_i = R_i^-1 C_(i+1). They are computed backwards
+from the end, because in this direction a mode grows faster than all slower ones. The integrals of decaying modes are
+also computed backwards. This is the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary
+Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
 
 All sensitivities solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the solution (`Propagator` of
 `fitting.dynamics._collocation`). The derivative with respect to the time of a jump is an impulse at that time.
@@ -75,7 +75,7 @@ class LinearMotion:
     def impulses(self, times: Array, direction: Array) -> Array:
         """Return Phi^-1(s) b, shape (times, n).
 
-        b = `direction` (2,) contains the accelerations of free bodies by a torque of 1 N m [rad s-2].
+        b = `direction` (2,) contains the accelerations of free bodies due to a torque of 1 N m [rad s-2].
         """
         return self._impulses(Sampler(self._mesh, times), direction)
 

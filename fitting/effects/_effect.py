@@ -155,7 +155,7 @@ def variables_of(mechanism: Mechanism) -> dict[str, str]:
     """Return the variables of laws about the bodies of a mechanism, with their units."""
     if mechanism == GYROSCOPE:
         return VARIABLES
-    # a body oscillates alone
+    # only a single body may oscillate
     absent = {*GYROSCOPE.variables, "deflection"}
     return {k: u for k, u in VARIABLES.items() if k not in absent} | mechanism.variables
 
@@ -201,13 +201,13 @@ _CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", 
 
 
 THE_ROTOR, THE_CASING = frozenset({"rotor"}), frozenset({"casing"})
-# bodies of the places of a gyroscope that are neither a body nor its bearing
+# bodies affected by laws whose place is neither a body of a gyroscope nor its bearing
 _BODIES: dict[str, frozenset[str]] = {
     "camera.rotor": THE_ROTOR,
     "camera.casing": THE_CASING,
     **dict.fromkeys(("contact", "factor", "inertia"), THE_ROTOR | THE_CASING),
 }
-# body or joint of a gyroscope on which a law acts that is written for a factor or an inertia
+# body or joint of a gyroscope on which a factor or an inertia acts
 _SITES = {"factor": "bearing", "inertia": "casing"}
 
 
@@ -327,7 +327,7 @@ class Effect:
         Effects that a usual recording does not separate from this one.
     searched : bool
         Whether the effect is a candidate of every search. Contacts between bodies, which are visible on the apparatus,
-        and laws that few motions separate from simpler laws are not.
+        and laws that few motions separate from simpler laws are not candidates.
     contact : bool
         Whether the effect is friction whose states depend on the angle since the last reversal: a body that turns in
         one sense slides after a small angle, and the law is then a function of the speed.
@@ -442,7 +442,7 @@ class Effect:
 
     @cached_property
     def about_equilibrium(self) -> Effect:
-        """The law of an oscillating body: its angle is that from the equilibrium, a state of the motion.
+        """The law for an oscillating body: its angle is measured from the equilibrium and is a state of the motion.
 
         A response linearised about the measured angle is not sufficient: over a hundred periods, a change of the
         frequency accumulates to a large phase.

@@ -191,7 +191,7 @@ def parse(text: str) -> Expr:
     if len(text) > MAX_LENGTH:
         raise ExpressionError(f"the formula has {len(text)} characters; {MAX_LENGTH} are allowed")
     if not text.isascii() or not text.strip():
-        raise ExpressionError(f"the formula {text[:60]!r} is empty or has other than ASCII characters")
+        raise ExpressionError(f"the formula {text[:60]!r} is empty or contains non-ASCII characters")
     if text.count("(") > MAX_DEPTH or text.count("**") > MAX_DEPTH:
         raise ExpressionError("the formula is nested too deeply", f"at most {MAX_DEPTH} levels are allowed")
     try:

@@ -69,7 +69,7 @@ AIR = (
         (
             Parameter("k", "N m s", meaning="braking torque per unit of speed, at low speed"),
             Parameter("w", "s-1", "shape", 1e-3, 1e3, 0.3, (0.007, 0.02, 0.07, 0.2, 0.7, 2.0), scale="speed",
-                meaning="critical speed, at which the torque is largest"),
+                meaning="critical speed, of the largest torque"),
         ),
         words="eddy-current braking of the casing",
         signature="linear at low speed; the torque decreases above the critical speed",
@@ -149,11 +149,10 @@ _BRISTLE = "(omega_c - abs(omega_c)*{z}/(1 + r*exp(-(omega_c/w)**2)))/{s}"
 _SLOW = (0.007, 0.013, 0.033, 0.08, 0.2, 0.6)
 """Trial speeds at which the additional friction of slow motion has decreased, relative to the largest speed [1].
 Chosen: 1 to 90 rad/s for the casing of the paper; fewer omit narrow maxima of the score, more cost time."""
-_STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7),
-    meaning="ratio of static to Coulomb friction, minus 1")
+_STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7), meaning="static over Coulomb friction - 1")
 _STRIBECK = Parameter(
     "w", "s-1", "shape", 1e-5, 3.0, 0.15, (0.01, 0.15), scale="speed",
-    meaning="Stribeck speed, at which the excess has decreased to 1/e",
+    meaning="Stribeck speed, at which the excess is 1/e",
 )
 
 TOUCHPOINT = (
@@ -215,7 +214,7 @@ TOUCHPOINT = (
                 meaning="ratio of damping to stiffness of the bristles"),
         ),
         words="LuGre friction of the casing",
-        signature="dry friction with hysteresis near rest, and a maximum before the contact slides",
+        signature="dry friction with hysteresis near rest, and a maximum before it slides",
         confused_with=("casing.friction.presliding", "touchpoint.stribeck", "casing.friction.gms"),
         source="C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 419 (1995), without its viscous term",
         state=State("bristle", _BRISTLE.format(z="bristle", s="s")), contact=True, searched=False),
@@ -265,12 +264,12 @@ CASING = (
     Effect("casing.unbalance", "casing", "k*sin(psi_c - phi)",
         (Parameter("k", "N m", meaning="gravity on a tilted, unbalanced casing"), _PHASE),
         words="unbalance of the casing",
-        signature="a first harmonic of the angle; its speed amplitude falls as 1/omega_c",
+        signature="a first harmonic of the angle; in speed, its amplitude falls as 1/omega_c",
         confused_with=("camera.centre",), source="m g s sin(tilt), once a turn"),
     Effect("casing.asymmetry", "casing", "k*sin(2*psi_c - phi)",
         (Parameter("k", "N m", meaning="torque of an asymmetric casing"), _PHASE),
         words="asymmetry of the casing",
-        signature="a second harmonic of the angle; its speed amplitude falls as 1/omega_c",
+        signature="a second harmonic of the angle; in speed, its amplitude falls as 1/omega_c",
         confused_with=("camera.tilt",), source="unequal moments of inertia across the axis"),
     Effect("casing.precession", "casing", "k*cos(chirp + phi)",
         (
@@ -280,12 +279,12 @@ CASING = (
             _PHASE,
         ),
         words="precession torque on the casing",
-        signature="a chirp whose rate grows as the rotor slows; it also appears in the tracked centre",
+        signature="a chirp whose rate grows as the rotor slows, also in the tracked centre",
         source="precession of a fast top at m / omega_r", state=State("chirp", "m/omega_r")),
     Effect("external.constant", "casing", "k",
         (
             Parameter("k", "N m", lower=_ANY,
-                meaning="constant torque, for example of a falling weight, minus dry friction missing from the model"),
+                meaning="constant torque, for example of a falling weight, minus dry friction that the model lacks"),
         ),
         words="constant external torque on the casing",
         signature="the same as dry friction while the casing keeps its sense of rotation",
@@ -330,13 +329,13 @@ CAMERA = (
     Effect("camera.centre", "camera.casing", "eps*sin(psi - phi)",
         (Parameter("eps", "rad", meaning="offset of the centre, divided by the marker's radius"), _PHASE),
         kind="measurement", words="camera centre offset",
-        signature="a first harmonic of constant angle",
+        signature="a first harmonic of the angle with a constant amplitude",
         confused_with=("casing.unbalance", "camera.shutter"), source="first order of an offset centre",
         nuisance=True),
     Effect("camera.tilt", "camera.casing", "eps*sin(2*psi - phi)",
         (Parameter("eps", "rad", meaning="a quarter of the square of the tilt"), _PHASE),
         kind="measurement", words="camera tilt",
-        signature="a second harmonic of constant angle",
+        signature="a second harmonic of the angle with a constant amplitude",
         confused_with=("casing.asymmetry",), source="a circle seen as an ellipse", nuisance=True),
     Effect("camera.shutter", "camera.casing", "-k*omega*sin(psi - phi)",
         (Parameter("k", "s", meaning="time in which the shutter moves by the marker's radius"), _PHASE),
@@ -390,15 +389,15 @@ CONTACT = (
             Parameter("T", "s", "fixed", 1e-3, math.inf, 0.1, meaning="relaxation time of the slip"),
         ),
         words="rolling contact of both bodies",
-        signature="a constant ratio of the speeds of the two bodies",
-        source="the constraint omega_r = n omega_c, stabilised as proposed by J. Baumgarte, Comput. Methods Appl. "
-        "Mech. Eng. 1, 1 (1972), and linear creep: K. L. Johnson, Contact Mechanics (1985), ch. 8",
+        signature="a constant ratio of the speeds of both bodies",
+        source="the constraint omega_r = n omega_c, stabilised as by J. Baumgarte, Comput. Methods Appl. Mech. "
+        "Eng. 1, 1 (1972), and linear creep: K. L. Johnson, Contact Mechanics (1985), ch. 8",
         searched=False, rigid=True),
     Effect("contact.sliding", "contact", "-k*tanh(slip/w)",
         (
             Parameter("k", "N m", meaning="torque of the sliding contact on the rotor"),
             _RATIO,
-            Parameter("w", "s-1", "fixed", 1e-9, math.inf, 1.0, meaning="slip above which the contact slides"),
+            Parameter("w", "s-1", "fixed", 1e-9, math.inf, 1.0, meaning="slip from which the contact slides"),
         ),
         words="sliding contact of both bodies",
         signature="the faster rim loses speed to the slower one at a constant rate until both roll",

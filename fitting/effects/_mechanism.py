@@ -153,7 +153,7 @@ class Mechanism:
 
     @cached_property
     def bodies_by_symbol(self) -> dict[str, frozenset[str]]:
-        """The bodies of each body, joint and variable."""
+        """The bodies to which each body, joint or variable refers."""
         found = {
             name: frozenset({body})
             for body, *symbols in zip(self.bodies, self.speeds, self.angles, strict=True)

@@ -149,7 +149,7 @@ _VARIABLES = {
     "deflection": "angle of the casing from its equilibrium",
     "temperature": "temperature rise of the bearing",
     "chirp": "phase of the precession",
-    "strain": "elastic deflection of the contact over its largest one",
+    "strain": "elastic deflection of the contact, relative to its largest value",
     "lag": "state variable of the law, zero at the start",
     "tau": "torque of the bearing",
     "slip": "ω_r − n ω_c",

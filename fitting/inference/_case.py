@@ -42,7 +42,7 @@ _VARIABLES = {"omega": "omega_c", "psi": "psi_c"}
 
 
 def outward(name: str, body: str) -> str:
-    """Return a name of the library as that of a body alone; names of a gyroscope stay as they are."""
+    """Return the name that a name of the library has for a single body; names for a gyroscope are not changed."""
     if not body:
         return name
     joint, colon, law = name.partition(":")
@@ -59,7 +59,7 @@ def outward(name: str, body: str) -> str:
 
 
 def inward(name: str, body: str) -> str:
-    """Return the name in the library of an effect, a parameter or a formula of a body alone."""
+    """Return the name in the library of an effect, a parameter or a formula of a single body."""
     if not body:
         return name
     joint, colon, law = name.partition(":")
@@ -125,7 +125,7 @@ class Case:
         Parameters
         ----------
         label, surface : str
-            Name of the recording, and what it turned on.
+            Name of the recording, and the surface on which the body turned.
         inputs : mapping of str to mapping, or sequence of Input
             Recorded inputs on which torques may depend: ``{"current": {"t": t, "value": i, "unit": "A"}}``.
         joints : mapping of str to (str, str), optional
@@ -135,12 +135,12 @@ class Case:
             One body by its name, ``casing`` and ``rotor`` of a gyroscope, or several bodies with `joints`. The first of
             several may come to rest and reverse; the others turn in one sense. Each has times ``t`` [s] and ``omega``
             [rad/s] or ``angle`` [rad], their standard uncertainty ``u`` (array or number; estimated without it), and
-            ``inertia`` [kg m2] with its uncertainty ``inertia_u``. Without an inertia torques of a body alone are per
-            unit of inertia [rad/s2]; several bodies need all. The rotor, and each body of a chain but the first, may
-            have several such mappings, one for each window in which it was measured. ``modes`` are errors that samples
-            share, by name: ``{"tilt": {"basis": b, "covariance": c}}`` with a row of `b` for each sample (see
-            `fitting.ErrorMode`), and optionally the name of a ``group`` whose amplitudes several series share, and an
-            ``origin``.
+            ``inertia`` [kg m2] with its uncertainty ``inertia_u``. Without an inertia, torques on a single body are per
+            unit of inertia [rad/s2]; several bodies need all inertias. The rotor, and each body of a chain but the
+            first, may have several such mappings, one for each window in which it was measured. ``modes`` are errors
+            that samples share, by name: ``{"tilt": {"basis": b, "covariance": c}}`` with a row of `b` for each sample
+            (see `fitting.ErrorMode`), and optionally the name of a ``group`` whose amplitudes several series share, and
+            an ``origin``.
 
         Returns
         -------
@@ -167,7 +167,7 @@ class Case:
         mechanism = _mechanism(names, joints) if joints else GYROSCOPE
         if len(names) == 1 and not is_body_name(names[0]):
             raise RecordError(
-                f"{names[0][:40]!r} cannot be the name of a body alone: laws have a meaning for it",
+                f"{names[0][:40]!r} cannot be the name of a single body: it has another meaning in laws",
                 "choose another name, for example wheel or disc",
             )
         main = "casing" if gyroscope else names[0]
@@ -264,7 +264,7 @@ class Case:
 
 
 def model_of(effects: str | Sequence[str], record: Record) -> Model:
-    """Return the model of some laws, named as the body of a record is."""
+    """Return the model with these laws, which are named after the body of the record."""
     names = [effects] if isinstance(effects, str) else list(effects)
     wrong = next((type(e).__name__ for e in names if not isinstance(e, str)), "")
     if wrong or not names:

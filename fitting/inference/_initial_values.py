@@ -8,9 +8,9 @@ and the same for the rotor: a linear least-squares problem with bounds.
 
 At strength zero, chi-square has no gradient with respect to the shape of a law, and with a wrong shape the search may
 end in a wrong minimum. So the model is fitted without the law; then, for every shape on a grid, the derivative of the
-rows by the strength gives the fall of the deviance (a score test), and the full search starts at the best shape. At the
-level of random torque of the model without the law, any shape would be consistent with the data: the level is optimised
-as well.
+rows with respect to the strength gives the fall of the deviance (a score test), and the full search starts at the best
+shape. At the level of random torque of the model without the law, any shape would be consistent with the data: the
+level is optimised as well.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ _FIRST_SHARE = 0.1
 """Share of the bearing torque that the power law has at the start of the search [1]. Chosen: at zero the exponent has
 no gradient; a larger value prefers the power law."""
 _LEAST_SHARE = 1e-5
-"""Smallest first torque of a bearing, over the torque that would stop the rotor within the record [1]. Chosen: it keeps
-the search from a zero strength; a larger value starts above weak bearings."""
+"""Smallest initial value of a bearing torque, divided by the torque that would stop the rotor within the record [1].
+Chosen: it keeps the search from a zero strength; a larger value starts above weak bearings."""
 _AT_REST = 0.01
 """Share of its largest speed below which the casing counts as at rest, for initial values [1]. Chosen: a smaller value
 uses the sign of noise, a larger one omits slow parts."""
 _END = 10
-"""Parts of a run of which the last one is its end [1]. Chosen: more parts leave few speeds, fewer include the middle of
-the run."""
+"""Number of equal parts of a run, the last of which is the end of the run [1]. Chosen: with more parts, the end
+contains few speeds; with fewer, it includes the middle of the run."""
 _DEAD_TIMES = 40
 """Dead times of an input that are tried [1]. Chosen: fewer start far from the optimum, more cost time."""
 _LONGEST_DEAD_TIME = 0.1
@@ -151,7 +151,7 @@ def _deflection(data: CaseData, times: Array) -> Array:
 
 
 def _period_by_period(problem: Problem, theta: Array) -> Array:
-    """Return initial values from the first periods of oscillations: two of them, then twice as many, up to half.
+    """Return initial values from the first periods of oscillations: two, doubled up to at least half of the record.
 
     Over a record of n periods a relative frequency error of 1 / 2n is a slip by half a period, and the search ends in a
     wrong minimum; the frequency from k periods is accurate enough for 2 k periods.
@@ -274,7 +274,7 @@ def _equations(
         state[:, count] = deflection
     linear = _strengths(layout, dynamics.parameters)
     with np.errstate(all="ignore"):
-        # with zero strengths: the rates by held parameters
+        # the rates at zero strengths, due to the other parameters
         constant, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
     columns = np.array([dynamics.parameters.index(k) for k in linear], dtype=np.intp)
     weight = np.array([numbers[k] for k in dynamics.mechanism.inertias])
@@ -381,7 +381,7 @@ def _with_dead_times(
 def _regress(
     layout: ParameterLayout, parts: Sequence[tuple[NDArray[np.intp], Array, Array]]
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the places of all strengths and their values within bounds, by linear least squares."""
+    """Return the indices of all strengths and their values within bounds, by linear least squares."""
     places = np.unique(np.concatenate([of_case for of_case, _, _ in parts]))
     rows, aims = [], []
     for of_case, design, target in parts:
@@ -420,10 +420,10 @@ _MOST = 80
 """Largest number of trial shapes of a law [1]. Chosen: fewer may omit the best one, more cost time."""
 _COLLINEAR = 1e-7
 """Relative singular value below which columns are collinear [1]. Chosen: a smaller value gives large opposite steps, a
-larger one holds degenerate strengths."""
+larger one holds well-determined strengths fixed."""
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
-"""Trial levels over the level of random torque without the law [1]. Chosen: at the level without the law any shape is
-consistent; fewer may choose a wrong shape, more cost time."""
+"""Trial levels, divided by the level of random torque without the law [1]. Chosen: at the level without the law any
+shape is consistent; fewer may choose a wrong shape, more cost time."""
 
 
 def _laws_of_joint(model: Model, site: str) -> int:

@@ -174,8 +174,8 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
 
 
 _SLOW_START = 0.1
-"""Initial over largest kinetic energy below which a motion begins at a turning point [1]. Chosen: a smaller value
-divides by a small energy, a larger one changes the scale of usual runs."""
+"""Initial kinetic energy, divided by the largest one, below which a motion begins at a turning point [1]. Chosen: a
+smaller value divides by a small energy, a larger one changes the scale of usual runs."""
 FOLDS = 6
 """Folds of the cross-validation [1]. Chosen: fewer leave large gaps in the data, more leave neighbours that share slow
 torques."""
@@ -184,10 +184,10 @@ torques."""
 def held_out(
     data: CaseData, project: Projection, prediction: Prediction, bodies: Sequence[str] | None = None
 ) -> dict[str, float]:
-    """Return the cross-validation error of bodies: rms error of rows left out of the fit over their noise, limit 1.
+    """Return the cross-validation error of bodies: rms error of omitted rows divided by their noise; 1 is the limit.
 
-    For ``casing``, and for all bodies of a chain, each of six intervals of time, for ``rotor`` each window is predicted
-    from all other rows. All measured bodies by default.
+    Each part of the data is predicted from all other rows. A part is one of six intervals of time for ``casing`` and
+    for all bodies of a chain, and a window for ``rotor``. All measured bodies by default.
     """
     jacobian = project(prediction.columns)
     size = np.linalg.norm(jacobian, axis=0)
@@ -254,7 +254,7 @@ class BodyMetrics:
     # of the measured angular velocity minus the modelled one, both smoothed as in the paper [1, rad/s]
     r2: float
     rmse: float
-    reduced_chi2: float  # chi-square of what was fitted over the effective number of samples
+    reduced_chi2: float  # chi-square of the fitted quantity, divided by the effective number of samples
     held_out: float  # cross-validation error divided by the noise; 1 = noise limit
 
 
@@ -262,7 +262,7 @@ class BodyMetrics:
 class CaseMetrics:
     """Figures of merit of one case; `rows` is the number of rows that a model can describe.
 
-    Of a chain, `casing` is the main body, `rotor` the first of the others, and `further` are the rest.
+    For a chain, `casing` is the main body, `rotor` the first of the others, and `further` are the rest.
     """
 
     label: str
@@ -275,7 +275,7 @@ class CaseMetrics:
 
     @property
     def bodies(self) -> tuple[BodyMetrics, ...]:
-        """The figures of merit of each measured body, of the main body first."""
+        """The figures of merit of each measured body, the main body first."""
         return tuple(b for b in (self.casing, self.rotor, *self.further) if not math.isnan(b.rmse))
 
     @property
@@ -293,7 +293,7 @@ class CaseMetrics:
 
 
 def chi2_per_row(data: CaseData, project: Projection, residual: Array) -> tuple[float, int]:
-    """Return chi-square of projected residuals over the number of rows that contain a model, and this number."""
+    """Return chi-square of projected residuals per row that a model can describe, and the number of these rows."""
     rows = max(1, data.row_count - project.basis.shape[1])
     return float(np.sum(residual**2)) / rows, rows
 
@@ -368,12 +368,12 @@ _THIRD_DIFFERENCE = 20.0
 
 
 def smoothing_noise(data: CaseData, path: Path) -> float:
-    """Return the rms error of the casing's smoothed speed by noise alone [rad/s].
+    """Return the rms error of the casing's smoothed speed due to noise alone [rad/s].
 
-    It is the difference of the modelled angle with added noise from that without, after the smoothing of the paper. The
+    It is the difference between the modelled angles with and without added noise, after the smoothing of the paper. The
     noise is white: the sigma of the samples times a factor from the third differences of the residuals, whose rms is
-    sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do irregular times (pulses, of
-    which the time is what is measured).
+    sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do irregular times (of pulses,
+    whose times are measured).
     """
     measured = data.record.casing
     exact = _model_at(data, path, MAIN, measured.time)
@@ -390,8 +390,8 @@ KNOTS = 21
 """Knots of the slow torques of the lack-of-fit test [1]. Chosen: a twentieth of the record apart; fewer overlook short
 torques, more lower the power for slow ones."""
 _RANK = 1e-4
-"""Relative singular value below which a tested direction is one of the model [1]. Chosen: a smaller value tests
-rounding, a larger one omits torques that are nearly absorbed."""
+"""Relative singular value below which a tested direction is absorbed by the model [1]. Chosen: a smaller value tests
+rounding errors, a larger one omits torques that are nearly absorbed."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one leaves a part of the free columns."""
@@ -455,7 +455,7 @@ def _case_by_case(
 ) -> tuple[float, int]:
     """Return the lack of fit of many cases: P(S, B) - P(B), with each case's S projected out first.
 
-    The same except that ranks are determined for each case; the cost is linear in the number of cases.
+    The result is the same, except that ranks are determined for each case; the cost is linear in the number of cases.
     """
     total, rank, rests = 0.0, 0, []
     for s, b, r in zip(slow, free, residual, strict=True):
@@ -479,8 +479,8 @@ def _case_by_case(
 def slow_responses(data: CaseData, prediction: Prediction) -> Array:
     """Return the responses of a case's rows to slow torques of 1 N m, on the casing and in the bearing.
 
-    One column for each knot of each, shape (rows, 42), and in a chain for the main body and every joint; between the
-    knots, a twentieth of the record apart, a torque is linear.
+    There is one column for each knot of each torque, shape (rows, 42); in a chain, the torques act on the main body and
+    in every joint. A torque is linear between the knots, which are a twentieth of the record apart.
     """
     response = TorqueResponse(data, prediction.motion)
     times = response.centres

@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 ResidualFunction = Callable[[Array], tuple[Array, Array]]
 
 _NEGLIGIBLE_FALL = 0.01
-"""Fall of the sum of squares with which no parameter changes by a tenth of its standard error [variances of the noise].
-Derived: the square of a tenth."""
+"""Fall of the sum of squares below which no parameter changes by a tenth of its standard error [variances of the
+noise]. Derived: the square of a tenth."""
 _NO_DAMPING = 1e-20
-"""Damping of a Gauss-Newton step [1]. Derived: far below rounding, so that the step is undamped."""
+"""Damping of a Gauss-Newton step [1]. Derived: far below rounding errors, so that the step is undamped."""
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,11 @@ _SHARE = 0.01
 """Hysteresis of a reversal, as a share of the range [1]. Chosen: a smaller value counts vibrations as reversals, a
 larger one ends a decaying oscillation early."""
 _FEWEST = 3
-"""Reversals of an oscillation at least [1]. Derived: three successive turning points determine the equilibrium."""
+"""Smallest number of reversals of an oscillation [1]. Derived: three successive turning points determine the
+equilibrium."""
 _PROGRESS = 0.6
-"""Largest net rotation over the total path of a body that oscillates [1]. Chosen: a larger value takes a rotation with
-a reversal for an oscillation, a smaller one refuses strongly damped oscillations."""
+"""Largest net rotation of a body that oscillates, divided by its total path [1]. Chosen: a larger value takes a
+rotation with a reversal for an oscillation, a smaller one refuses strongly damped oscillations."""
 _PHASE_DEGREE = 5
 """Degree of the polynomial of the phase [1]. Chosen: a smaller value does not follow a changing frequency, a larger one
 oscillates at the ends."""
@@ -64,7 +65,7 @@ class SlowMotion(NamedTuple):
 
 
 class Rotation:
-    """A motion without reversals: what an oscillation has is empty, zero or unlimited."""
+    """A motion without reversals: the properties of an oscillation are empty, zero or unlimited."""
 
     is_smooth = True
     reversals: Array = np.zeros(0)
@@ -92,7 +93,7 @@ class Rotation:
         return np.zeros((samples, 0))
 
     def offsets(self, samples: int) -> Array:
-        """Return the functions of an unknown zero of measured speeds: none, they are those of a torque."""
+        """Return the functions of an unknown zero of measured speeds: none, because a torque has the same functions."""
         return np.zeros((samples, 0))
 
     def beyond_motion(self, columns: Array, _angle: Array) -> Array:
@@ -106,8 +107,8 @@ class Oscillation:
 
     reversals: Array  # shape (n,); times at which the body reverses [s]
     period: float  # median of twice the time between neighbouring reversals [s]
-    # shape (samples,); angle from the equilibrium [rad] at the samples; of measured speeds their integral, without
-    # its drift
+    # shape (samples,); angle from the equilibrium [rad] at the samples; for measured speeds, their integral without its
+    # drift
     time: Array
     deflection: Array
 
@@ -130,7 +131,7 @@ class Oscillation:
         return math.ceil(_POINTS_PER_PERIOD * self.periods), _ROUGH_SAMPLES
 
     def samples_per_period(self, samples: int) -> float:
-        """Return the number of samples in a period, of a number of samples of the record."""
+        """Return the number of samples in a period, given the number of samples of the record."""
         return samples / self.periods
 
     def offsets(self, samples: int) -> Array:
@@ -153,9 +154,9 @@ class Oscillation:
     def slow_motion(self) -> SlowMotion | None:
         """Amplitude and phase in windows of a period or more; None for a few periods, or few samples in each.
 
-        In each window the first and the third harmonic, the first with linearly varying amplitude and phase, a
-        constant and a drift are fitted by least squares. The phase by the reversals, whose times are known to a sample,
-        is corrected by that of the windows, and the fit is repeated.
+        A least-squares fit in each window contains the first harmonic with linearly varying amplitude and phase, the
+        third harmonic, a constant and a drift. The phase from the reversals, whose times are known to a sample, is
+        corrected by the phase from the windows, and the fit is repeated.
         """
         # within one period a drift and a change of the phase are hardly distinguishable
         count = min(_MOST_WINDOWS, int(max(self.periods / 3, min(self.periods, _WINDOWS))))

@@ -26,7 +26,7 @@ _SCREEN = 20
 """Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
 LEAST_CORRELATION = 0.1
 """Smallest correlation in a report [1]. Source: lmfit, whose report has the same default."""
-# what a user may set of a parameter
+# settings that a user may change for a parameter
 SETTINGS = ("value", "vary", "min", "max", "expr")
 
 
@@ -187,7 +187,7 @@ class Settings:
     ties: dict[str, str] = field(default_factory=dict)
 
     def joined(self, other: Settings) -> Settings:
-        """Return both, where the other one is preferred."""
+        """Return the settings of both; those of the other one take precedence."""
         return Settings(*(getattr(self, f.name) | getattr(other, f.name) for f in fields(self)))
 
 
@@ -290,7 +290,7 @@ class Names:
         return False
 
     def tie(self, text: str) -> str:
-        """Return an expression with the names of the library for those with the name of the body."""
+        """Return an expression in which names of the library replace those with the name of the body."""
         if not self.body or not isinstance(text, str):
             return text
         for key in sorted(self.keys, key=len, reverse=True):
@@ -299,7 +299,7 @@ class Names:
 
 
 def shown_name(key: str, body: str, cases: int) -> str:
-    """Return the name of a parameter of a fit for a user: of one case without its label."""
+    """Return the name of a parameter of a fit for a user, without the label of the case if there is only one case."""
     return outward(key.partition("@")[0] if cases == 1 else key, body)
 
 

@@ -1,9 +1,9 @@
 """Process noise of a recording: a random acceleration of the casing, estimated once and used for every fit.
 
 The estimate depends neither on a model nor on a moment of inertia. The motion is described by a polynomial in each of a
-few stretches of time, with the camera's nuisance functions free. The estimate maximises the restricted likelihood of
-the rows orthogonal to these functions (H. Patterson, R. Thompson, Biometrika 58, 545 (1971)). The polynomials absorb a
-slow torque, fitted or missing.
+few stretches of time, with the camera's nuisance functions free. The estimate uses the restricted likelihood of the
+rows orthogonal to these functions (H. Patterson, R. Thompson, Biometrika 58, 545 (1971)). The polynomials absorb a slow
+torque, fitted or missing.
 
 The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. Level and time are the
 posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is the

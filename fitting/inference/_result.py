@@ -175,7 +175,7 @@ class FitSummary:
 
     @property
     def body_name(self) -> str:
-        """Name of a body alone; empty for a gyroscope, and where it has none."""
+        """Name of a single body; empty for a gyroscope and for a body without a name."""
         return ""
 
     def shown_name(self, key: str) -> str:
@@ -184,7 +184,7 @@ class FitSummary:
 
     @property
     def shown_model(self) -> str:
-        """Names of the effects, joined by " + "; those of a body alone begin with its name."""
+        """Names of the effects, joined by " + "; those of a single body begin with its name."""
         return " + ".join(outward(name, self.body_name) for name in self.model.names)
 
     @cached_property
@@ -239,7 +239,7 @@ def summary_lines(fit: FitSummary) -> list[str]:
         lines += ["", *wrap(GENERATED, 79)]
     weak = not_determined(fit.estimates)
     if weak:
-        lines += ["", *wrap(f"not determined by this data: {', '.join(weak)}", 79)]
+        lines += ["", *wrap(f"not determined by these data: {', '.join(weak)}", 79)]
     return lines
 
 
@@ -341,7 +341,7 @@ def not_determined(estimates: Mapping[str, Estimate], limit: float = 1.0) -> lis
 _FEWEST_TURNS = 5.0
 """Smallest number of turns of the casing for which a harmonic of its angle is not treated as a slow torque [1].
 Measured: constant torques have up to 6 standard deviations of a first harmonic within 1.5 turns, 2.9 within three, and
-those of noise within six; the recordings are not stated."""
+no more than noise within six; the recordings are not stated."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -355,9 +355,9 @@ class Fit(FitSummary):
     estimates : dict of str to Estimate
         Every parameter and initial value by name.
     chi2, rows, n_eff, deviance, bic : float
-        Chi-square over the rows that contain a model, and their number; effective number of samples; minus twice the
-        log-likelihood (up to a constant of the data); deviance + p ln rows: only these rows differ between models, all
-        other combinations of the samples are noise.
+        Chi-square of the rows that a model can describe, and the number of these rows; effective number of samples;
+        minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows. Only these rows differ
+        between models; all other combinations of the samples are noise.
     converged : bool
         Whether the optimisation converged.
     """
@@ -403,7 +403,7 @@ class Fit(FitSummary):
 
     @property
     def body_name(self) -> str:
-        """Name of a body alone; empty for a gyroscope, and where it has none."""
+        """Name of a single body; empty for a gyroscope and for a body without a name."""
         return self.problem.data[0].record.name
 
     def fit_report(self, least_correlation: float = LEAST_CORRELATION) -> str:
@@ -467,7 +467,7 @@ class Fit(FitSummary):
 
     @cached_property
     def residual(self) -> Array:
-        """Measured minus fitted value of every sample over its stated standard uncertainty.
+        """Measured minus fitted value of every sample, divided by its stated standard uncertainty.
 
         Samples of the casing or the single body come first, then those of the windows of the rotor, case by case.
         """
@@ -548,8 +548,8 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `lack_of_fit` bounds the p-value of slow torques, and that of chi2 of each case, whose `reduced_chi2` is
-            exceeded. By default those of the fit.
+            Its `lack_of_fit` is the limit of the p-value of slow torques, and of the p-value of chi2 in each case that
+            exceeds `reduced_chi2`. By default those of the fit.
         """
         criteria = criteria or self.criteria
         return self.converged and (
@@ -590,9 +590,9 @@ class Fit(FitSummary):
         return any(n.level > n.pure + criteria.excess_noise * n.pure_u for n in self.noise)
 
     def needs_random_torque(self, criteria: Criteria | None = None) -> bool:
-        """Return whether only a random torque describes the data that the recording does not show without the model.
+        """Return whether the fit needs a random torque that the recording does not show without the model.
 
-        Of a joint fit, whose levels depend on what the recordings share, the lack-of-fit test alone decides.
+        For a joint fit, only the lack-of-fit test decides, because its levels depend on what the recordings share.
 
         Parameters
         ----------
@@ -608,7 +608,7 @@ class Fit(FitSummary):
         return excess and n.excess > criteria.random_torque_evidence
 
     def needs_unestablished_torque(self, criteria: Criteria | None = None) -> bool:
-        """Return whether a case needs a random torque whose level its recording may not have.
+        """Return whether a case needs a random torque whose level is not established by its recording.
 
         The residuals are then consistent with noise, but a missing effect may describe them better.
 
@@ -623,7 +623,7 @@ class Fit(FitSummary):
     def has_smooth_torque(self, criteria: Criteria | None = None) -> bool:
         """Return whether a smooth or periodic torque describes a case better than the random torque of the model.
 
-        Only a random torque that the recording may not have is compared (see `needs_unestablished_torque`).
+        Only a random torque that the recording does not establish is compared (see `needs_unestablished_torque`).
 
         Parameters
         ----------
@@ -689,7 +689,7 @@ class Fit(FitSummary):
 
     @property
     def bic_noise(self) -> float:
-        """BIC of a model with as many parameters whose residuals are noise."""
+        """BIC that a model with the same number of parameters would have if its residuals were noise."""
         logs = sum(n.whitener.at(n.tested).log_determinant for n in self.noise)
         free = int(self.problem.layout.is_free.sum())
         return logs + self.rows - free + free * float(np.log(self.rows))
@@ -847,7 +847,7 @@ class Fit(FitSummary):
         Returns
         -------
         dict of str to Interval, or of str to dict of float to Interval
-            `lower` and `upper` in the unit of the parameter, and whether each end is open; of several levels one
+            `lower` and `upper` in the unit of the parameter, and whether each end is open; for several levels, one
             interval for each.
 
         Raises
@@ -979,10 +979,10 @@ value enlarges uncertainties by chance, a larger one understates them."""
 def _with_slow_residuals(problem: Problem, predictions: Sequence[Prediction], covariance: Array) -> Array:
     """Return the covariance, increased where slow residuals change a variable by more than its standard error.
 
-    The fit of a driven body is that of white noise, and the residuals of a model that is not exact follow each change
-    of the input. With the scores s of the blocks, J'r, the variance is that of W. Newey, K. West, Econometrica 55, 703
-    (1987), (J'J)^-1 [sum of w_l s_i s_(i+l)'] (J'J)^-1, with weights w that fall linearly to zero over the cube root
-    of the number of blocks. Correlations stay those of the fit.
+    The fit of a driven body assumes white noise, but the residuals of a model that is not exact follow each change of
+    the input. With the scores s of the blocks, J'r, the variance is that of W. Newey, K. West, Econometrica 55, 703
+    (1987), (J'J)^-1 [sum of w_l s_i s_(i+l)'] (J'J)^-1, with weights w that fall linearly to zero over the cube root of
+    the number of blocks. Correlations stay those of the fit.
     """
     count = len(covariance)
     information, scatter = np.zeros((count, count)), np.zeros((count, count))
@@ -1011,7 +1011,7 @@ def _with_slow_residuals(problem: Problem, predictions: Sequence[Prediction], co
 def _by_integration_errors(
     problem: Problem, theta: Array, predictions: Sequence[Prediction], covariance: Array
 ) -> Array:
-    """Return the covariance of the variables by the errors of integrated angles, which are arguments of laws."""
+    """Return the covariance of the variables due to the errors of integrated angles, which are arguments of laws."""
     parts = [np.zeros((len(theta), 0))]
     for case, project, p in zip(problem.cases, problem.projections, predictions, strict=True):
         errors = case.integration_errors(p, theta)
@@ -1027,7 +1027,7 @@ def _with_unresolved(
 ) -> Iterator[Noise]:
     """Yield the noise of each case with the random torque that its residuals do not exclude.
 
-    Only correlated deviations of an angle may be those of a random torque as well; white ones are none.
+    Only correlated deviations of an angle can also be caused by a random torque; white deviations cannot.
     """
     for data, p, n in zip(problem.data, predictions, noise, strict=True):
         unresolved = 0.0

@@ -1,7 +1,7 @@
 """Simulated recordings: a model integrated exactly, sampled as the cameras do, with noise.
 
-The smooth torques are integrated with all others; a random torque, small as it is, enters through the
-linearised motion about that solution.
+The smooth torques are integrated with all others; a random torque is small and enters through the linearised motion
+about that solution.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from fitting.inference._record import Record, Samples
 Array = NDArray[np.float64]
 
 _PER_TURN = 0.5
-"""Turns per interval of the mesh at most, for a law of the casing's angle [1]. Chosen: a larger value does not resolve
-a turn, a smaller one costs time."""
+"""Largest number of turns per interval of the mesh, for a law of the casing's angle [1]. Chosen: a larger value does
+not resolve a turn, a smaller one costs time."""
 _FIRST_INTERVAL = 1e-6
 """First interval of a mesh for a boundary layer at the start, divided by the duration [1]. Chosen: a larger value does
 not resolve fast transients, a smaller one costs intervals."""
@@ -151,7 +151,7 @@ def simulate(
     SimulationError
         As `simulate_path`; or a window lies outside the recording.
     """
-    model.refuse_chain("a simulation", "replicas of a fit are: gyrotrack certify, or fitting.certify")
+    model.refuse_chain("a simulation", "gyrotrack certify, or fitting.certify, simulates replicas of a fit")
     random = np.random.default_rng(seed)
     values = {**model.constants, **numbers, INERTIA_ROTOR: inertia_rotor, INERTIA_CASING: inertia_casing}
     missing = [k for k in model.parameters if k not in values]

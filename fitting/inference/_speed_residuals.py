@@ -1,10 +1,10 @@
 """Measured, modelled and residual speeds of a fit, with their standard uncertainties.
 
-A fit compares rows: the measured angles of a block projected on polynomials, minus those of the model,
-r = z - m. The polynomial of the rows of a block has a mean slope in each part of it, which is the residual of the
-speed there; this is linear, D r. With the noise covariance C of the rows and the columns X of all
-free parameters, the covariance of r is C - X (X' C^-1 X)^-1 X', which gives the uncertainty band: angle noise, random
-torque, and the part of both that the fit absorbs.
+A fit compares rows: the measured angles of a block projected on polynomials, minus those of the model, r = z - m. The
+polynomial of the rows of a block has a mean slope in each part of it, which is the residual of the speed there; it is a
+linear function D r of the rows. With the noise covariance C of the rows and the columns X of all free parameters, the
+covariance of r is C - X (X' C^-1 X)^-1 X', which gives the uncertainty band: angle noise, random torque, and the part
+of both that the fit absorbs.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Fitted(Protocol):
 
 
 def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Array, Array]:
-    """Return the modelled speed of a body and its uncertainty sqrt(s' C s) by the sensitivities s [rad/s].
+    """Return the modelled speed of a body and its uncertainty sqrt(s' C s) from the sensitivities s [rad/s].
 
     The response to laws of an angle is smoothed as the measured speeds are.
     """

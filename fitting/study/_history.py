@@ -332,7 +332,7 @@ class Ledger:
         found : Diagnosis
             Its diagnosis.
         extra : sequence of Effect
-            Own effects that were tested with the library.
+            User-defined effects that were tested with the library.
         """
         with self._locked():
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))

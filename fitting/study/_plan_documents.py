@@ -14,7 +14,7 @@ from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits
 
 
 class LimitsDocument(TypedDict):
-    """Limits and power for one effect; numbers are null if the model absorbs it, torques also if it has none."""
+    """Limits and power for one effect; numbers are null if the model absorbs it, torques also if it has no torque."""
 
     unit: str  #: Unit of the strength.
     shape: dict[str, float]  #: Shape constants of the limits, by symbol [SI units].
@@ -23,7 +23,7 @@ class LimitsDocument(TypedDict):
     upper_limit: float  #: Upper limit of the strength; null if the effect is significant [`unit`].
     size: float  #: Strength for which `power` and `runs_needed` are computed [`unit`].
     power: float  #: Probability of finding an effect of this size [1].
-    #: Number of such runs, including these, that find it; null also if no number does [1].
+    #: Number of such runs, including these, that are needed to find it; null also if no number suffices [1].
     runs_needed: float
     absorbed: bool  #: Whether the model absorbs the effect, so that it has no limit.
     #: Effects that are not separated at the larger of `size` and `detection_limit`.
@@ -89,7 +89,7 @@ def plan_document(found: Plan) -> PlanDocument:
 
 
 def _limits(e: EffectLimits, found: Plan) -> LimitsDocument:
-    """Return limits and power for one effect; not finite where the model absorbs it, or no torque exists."""
+    """Return limits and power for one effect; they are not finite if the model absorbs it, or if it has no torque."""
     return as_document(
         LimitsDocument,
         e,

@@ -143,7 +143,7 @@ class PopulationDocument(TypedDict):
     #: Correlation of the parameters between runs; null if a spread is zero [1].
     correlation: list[list[float]]
     outlying: list[OutlyingRun]  #: Outlying runs, which are excluded.
-    #: Number of runs that do not determine a parameter, by parameter of too few runs.
+    #: Number of runs that do not determine a parameter, for each parameter that too few runs determine.
     untested: dict[str, int]
     sentences: list[str]  #: The result in words.
 

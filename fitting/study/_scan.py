@@ -226,7 +226,8 @@ def predict_recordings(
     """
     if len(data) < 2:
         raise EstimationError(
-            "one recording cannot be predicted from others", "give several cases, or look at held-out times"
+            "one recording cannot be predicted from others",
+            "give several cases, or use the cross-validation error of the fit",
         )
     surface = {f"{e.name}.{p.symbol}" for e in model.effects if e.per_surface for p in e.free}
     shared = [key for key in model.free if key not in surface]
@@ -251,8 +252,8 @@ def _prediction_error(body: BodyMetrics) -> float:
 
 
 _SAME_MINIMUM = 0.1
-"""Largest difference of two deviances that are from the same minimum [1]. Chosen: a third of a standard error; a
-smaller value repeats fits, a larger one accepts a wrong minimum."""
+"""Largest difference between two deviances at the same minimum [1]. Chosen: a third of a standard error; a smaller
+value repeats fits, a larger one accepts a wrong minimum."""
 
 Progress = Callable[[int, int | None], None]
 

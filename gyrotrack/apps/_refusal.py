@@ -18,7 +18,7 @@ _HUB = (0, 0, 255)
 
 @contextmanager
 def pictured_refusal(target: Path) -> Iterator[None]:
-    """Write a picture beside `target` if the film is refused in this context, and name it in the hint of the error.
+    """Write a picture next to `target` if the film is refused in this context, and name it in the hint of the error.
 
     TARGET.refused.png shows frames of the film and the best hub. An earlier picture is replaced.
     """

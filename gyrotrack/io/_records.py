@@ -382,7 +382,7 @@ class Placement:
     id: str  #: Name of the clip.
     clock_offset: float  #: Start of the clip on the clock of the casing's camera [s].
     clock_offset_sigma: float  #: Standard uncertainty of the start [s].
-    clock_rate: float  #: Rate of the clock of the clip on that of the casing's camera [1].
+    clock_rate: float  #: Rate of the clock of the clip, relative to that of the casing's camera [1].
     clock_rate_sigma: float  #: Standard uncertainty of the rate [1].
     angle_offset: float  #: Angle added to the angles of the clip [rad].
     ambiguous: bool  #: Whether another start is not excluded.

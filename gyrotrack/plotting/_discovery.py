@@ -343,7 +343,7 @@ def correlation_picture(view: StudyView) -> Picture | None:
     symbols = [symbol(n, cases) for n in names]
     keys = [n.partition("@")[0].rpartition(".")[0] for n in names]
     effects = [plain(view.name(k).key.rpartition(".")[2] or k, 12) for k in keys]
-    # effects distinguish equal symbols
+    # equal symbols are distinguished by their effects
     labels = [f"{s} {e}" if symbols.count(s) > 1 else s for s, e in zip(symbols, effects, strict=True)]
     with style({"axes.grid": False}):
         size = min(7.5, 1.6 + 0.5 * len(names))

@@ -1,9 +1,9 @@
 """The ghost: the outline of a marker at the angle predicted by a model, drawn together with the real marker.
 
-A fit gives the difference between the measured and the modelled angle at the time of each frame, with its own clock and
-zero of the angle (`fitting.inference._angle_residuals`). The outline of the marker consists of its two corners near the
-hub and two outer corners. It is turned about the hub by minus this difference, multiplied by a factor if the difference
-is too small to be visible; every picture states the factor.
+A fit gives the difference between the measured and the modelled angle at the time of each frame, on the clock of the
+clip and with its zero of the angle (`fitting.inference._angle_residuals`). The outline of the marker consists of its
+two corners near the hub and two outer corners. It is turned about the hub by minus this difference, multiplied by a
+factor if the difference is too small to be visible; every picture states the factor.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ def without_outliers(curve: Curve) -> Curve:
 
 
 def harmonics(angle: Floats) -> Floats:
-    """Return sine and cosine of the orders 1 and 2 of an angle (n, 4): the errors by a centre offset and a tilt."""
+    """Return sine and cosine of the orders 1 and 2 of an angle (n, 4): the errors due to a centre offset and a tilt."""
     return np.column_stack([np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle)])
 
 

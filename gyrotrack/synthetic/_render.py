@@ -84,7 +84,7 @@ class PolarPicture:
         )
 
     def seen_columns(self, angle: Picture, psi: Array) -> Picture:
-        """Return the columns for `sample` at angles (in columns, within half a turn) of a body at the angle psi."""
+        """Return the columns for `sample` at angles (in columns, within half a turn) for a body at the angle psi."""
         n = self.columns
         shift = np.mod(-np.asarray(psi) * self.per_rad, n) + 0.5 * n
         return angle + shift.astype(np.float32)
@@ -160,7 +160,8 @@ def cut_window(scene: Scene, camera: Camera, light: Light, table: Array) -> Wind
     x, y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     u, v = camera.unproject(x, y)
     r = np.hypot(u, v)
-    inside = r < 0.5 * (scene.ring_inner + scene.ring_outer)  # with the border below the ring
+    # including the edge of the rotor, which the ring hides
+    inside = r < 0.5 * (scene.ring_inner + scene.ring_outer)
     lamps = light.field(camera)[rows, columns] / FULL
     near = min((m.near for m in scene.on("rotor")), default=np.inf)
     far = max((m.near + m.length for m in scene.on("rotor")), default=0.0)
@@ -236,7 +237,7 @@ class _Canvas:
 
 
 def paint_rotor(scene: Scene, camera: Camera) -> PolarPicture:
-    """Paint the rotor, opaque to below the ring of the casing: red, green, blue, and the fraction of bare metal."""
+    """Paint the rotor, opaque to a radius hidden by the casing ring: red, green, blue, and fraction of bare metal."""
     canvas = _Canvas(scene, camera, scene.ring_outer + 4.0)
     lathe = 1.0 + scene.structure * (np.sin(3.1 * canvas.r) + 0.6 * np.sin(7.7 * canvas.r + 1.0))
     uneven = scene.structure * (
@@ -320,7 +321,7 @@ FOLD = 256  # rows of lists of points for cv2.remap, which is limited to 32767 c
 SOFT_SHADOW = 0.05  # blur of the shadow of the bar [rad]
 
 BANKS = 4
-MARGIN = 96  # margin of a bank [px], for 9216 different crops
+MARGIN = 96  # margin of a stored noise picture [px], which gives 9216 different crops
 
 
 class Noise:
@@ -361,7 +362,7 @@ class Renderer:
         self._buffers: dict[str, NDArray[np.generic]] = {}
 
     def frames(self, count: int) -> Iterator[Frame]:
-        """Yield ``count`` frames, (height, width, 3) RGB, 8 bits; a ValueError if the motion is unknown."""
+        """Yield ``count`` frames, (height, width, 3) RGB, 8 bits; a ValueError is raised if the motion is unknown."""
         times = self.camera.times(count)
         reach = 0.5 * self.camera.exposure + abs(self.camera.readout)
         if count and (times[0] - reach < self.motion.start or times[-1] + reach > self.motion.stop):

@@ -364,7 +364,7 @@ def find_markers(
     radius: float | None,
     where: str,
 ) -> tuple[dict[str, Marker], dict[str, tuple[float, float]], tuple[str, ...]]:
-    """Find the visible markers of a profile; also `Scene.offsets` and `Scene.doubts`.
+    """Find the visible markers of a profile; also return `Scene.offsets` and `Scene.doubts`.
 
     Each body is searched for in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the
     centre of its orbits if this differs. `radius` is that of the largest orbit [px], `where` the name of the film for
@@ -662,7 +662,7 @@ def _refuse_second_body(
         raise TrackingError(
             f"Two bodies with markers of these colours turn in {where}: one about ({x:.0f}, {y:.0f}) px, one about "
             f"({u:.0f}, {v:.0f}) px.",
-            "Give the centre of the body to track in the profile (hub).",
+            "In the profile, give the centre of the body to track (hub).",
         )
 
 
@@ -670,11 +670,11 @@ _LEAST_SCORE = 6.0
 """Smallest score of a blob [grey levels]. Chosen: as `LEAST_CONTRAST`; a smaller value accepts noise, a larger one
 loses faint markers."""
 _OVER_NOISE = 4.0
-"""Smallest score of a blob over the 90th percentile of the scores [1]. Chosen: a smaller value accepts noise, a larger
-one loses faint markers."""
+"""Smallest score of a blob, divided by the 90th percentile of the scores [1]. Chosen: a smaller value accepts noise, a
+larger one loses faint markers."""
 _OF_PEAK = 0.4
-"""Smallest score of a blob over the typical peak of its colour [1]. Chosen: a smaller value joins blobs with their
-surroundings, a larger one divides them."""
+"""Smallest score of a blob, divided by the typical peak of its colour [1]. Chosen: a smaller value joins blobs with
+their surroundings, a larger one divides them."""
 
 
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:

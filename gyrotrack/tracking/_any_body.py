@@ -96,7 +96,8 @@ _DISPLACED = 0.05
 """Smallest distance of a better hub from the given hub that triggers a warning [radii]. Chosen: a smaller value warns
 of accurate hubs, a larger one accepts biased angles."""
 _PATH_ERROR = 0.1
-"""Error of a displacement by position, due to background and interpolation [px]. Measured: drawn films: 0.06 px."""
+"""Position-dependent error of a displacement, due to background and interpolation [px]. Measured: drawn films: 0.06
+px."""
 # options for a film in which no hub is found
 _GIVE_HUB = "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y."
 _COARSE = 48.0
@@ -180,8 +181,8 @@ _STATIC_SPAN = 1.0
 confuses the fixed picture with the body, a larger one leaves glare in the template."""
 _CLEARLY_BETTER = 0.02
 """Smallest increase of the explained share for which a fixed picture is part of the model at smaller ranges [1].
-Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it due to noise, a larger one
-not."""
+Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it due to noise, a larger one omits
+it."""
 
 
 class NothingMovesError(RefusedFilmError):
@@ -216,7 +217,7 @@ def track_body(
     if shake is not None:
         film.stabilise(shake)
         still, margin = film.some(chosen), shake.margin(sample[0].shape)
-        # if this fails, or the picture is not calmer, the body before a blank wall was mistaken for the background
+        # if this fails, or the picture is not calmer, the body in front of a blank wall was mistaken for the background
         with suppress(NothingMovesError):
             if calmer(sample, still, margin):
                 return _with_shake(
@@ -355,7 +356,7 @@ def _track(
             f"All of the picture moves in {film.path.name}: the camera moves, or the body fills the picture."
         )
         raise TrackingError(
-            what, "Give the centre of rotation of a body that fills the picture with --hub X,Y."
+            what, "If the body fills the picture, give its centre of rotation with --hub X,Y."
         )
     moved, allowed = 0.0, math.inf
     if hub is None:  # if a given hub is wrong, the displacement is the error of the hub
@@ -432,7 +433,7 @@ class _Candidates:
 def _candidates(
     block: StoredPictures, motion: Motion, hub: tuple[float, float] | None, share: float = 1.0
 ) -> _Candidates:
-    """Propose hubs unless it is given, track about each, and keep the candidates that may explain enough.
+    """Propose hubs unless the hub is given, track about each, and keep the candidates that may explain enough.
 
     Before the refinement, which is the slowest step, a candidate must reach the fraction `share` of the required share.
     """
@@ -604,7 +605,7 @@ def refuse_link(name: str, block: StoredPictures, motion: Motion, best: _Trial) 
     x, y = best.ring.hub
     raise RefusedFilmError(
         f"Two linked bodies turn in {name}: one about ({x:.0f}, {y:.0f}) px, and one that is joined to it, extends "
-        f"beyond it and turns differently; outside the first one, {100 * share:.0f} % as many pixels change.",
+        f"beyond it and turns differently; outside the first one, {100 * share:.0f} % as many pixels change as inside.",
         FOLLOW_LINKS,
         kind="two links",
         evidence={"explained": best.score, "elsewhere": share},
@@ -633,7 +634,7 @@ def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]],
             return (
                 f"Two hubs explain the film: ({x:.0f}, {y:.0f}) px, {100 * score:.0f} %, with angles over "
                 f"{np.ptp(angle):.3g} rad in the frames compared, and ({u:.0f}, {v:.0f}) px, {100 * share:.0f} %, over "
-                f"{np.ptp(other):.3g} rad. The first one is used; --hub X,Y selects."
+                f"{np.ptp(other):.3g} rad. The first one is used; --hub X,Y selects another one."
             )
     return None
 
@@ -971,7 +972,7 @@ def _measure(
         ring, after, distance = _at_distance_of_path(ring, pictures.at(some), before, area, separate=separate)
         if not math.isfinite(distance):
             raise TrackingError(
-                f"The body in {film.path.name} moves along a straight line; its rotation is not that about a hub.",
+                f"The body in {film.path.name} moves along a straight line, so it does not turn about a hub.",
                 _GIVE_HUB,
             )
         angle = np.asarray(np.polyval(np.polyfit(before, after, 1), angle), dtype=np.float64)
@@ -1050,7 +1051,8 @@ class _BodyPath:
     radius: float  # r: distance of the body from the hub [px]
     theta: Floats  # (n,) angle of the position about the hub, 0 in the middle [rad]
     bend: float  # b [px]
-    bend_sigma: float  # its standard uncertainty, with correlated residuals and errors by position [px]
+    # its standard uncertainty, with correlated residuals and position-dependent errors [px]
+    bend_sigma: float
     across: float  # c [px]
 
     @classmethod
@@ -1083,7 +1085,7 @@ class _BodyPath:
 def _at_distance_of_path(
     ring: Ring, pictures: Sequence[Plane], angle: Floats, area: Area, *, separate: bool
 ) -> tuple[Ring, Floats, float]:
-    """Return ring and angles with the hub at the distance from the curvature of the path, and its uncertainty.
+    """Return ring and angles with the hub at the distance given by the curvature of the path, and its uncertainty.
 
     If a body is far from its hub, its displacements are precise, but its rotation, from which the distance is first
     estimated, is not; moreover, the ball of a pendulum need not turn with its thread. The hub is moved if the path
@@ -1143,7 +1145,7 @@ def _finish(
     if (tilt := ring.tilt) is not None and tilt[0] > _TILTED:
         warnings.append(
             f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees relative to the line of sight (the "
-            f"orbits are ellipses with the ratio {math.cos(tilt[0]):.2f} of their axes, the short one at "
+            f"orbits are ellipses with an axis ratio of {math.cos(tilt[0]):.2f} and the short axis at "
             f"{math.degrees(tilt[1]):.0f} degrees): the angles are those in the plane of the body. The film does "
             "not show which side of the body is nearer; the sense of rotation is the one seen."
         )

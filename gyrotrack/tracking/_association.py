@@ -237,7 +237,6 @@ def net_turn(angle: Floats) -> float:
 SENSE_TURN = 0.5
 """Smallest net turn that determines the sense of rotation [rad]. Chosen: a smaller value takes drift for a rotation, a
 larger one ignores short films."""
-"""Net rotation [rad] from which a body shows the sense of rotation."""
 
 
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:

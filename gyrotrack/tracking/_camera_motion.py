@@ -35,7 +35,7 @@ _STILL = 0.35
 motion that is noise, a larger one ignores a shaking camera."""
 _OFTEN = 0.8
 """Smallest share of frames in which a feature of the background is an inlier [1]. Chosen: a hand or the body may
-occlude it; a smaller value accepts a body at rest at times."""
+occlude it; a smaller value accepts a body that is sometimes at rest."""
 _MOST_ROLL = 0.05
 """Largest roll of the camera [rad]. Chosen: a body that turns farther is not the background; a smaller value refuses
 cameras that roll."""
@@ -46,7 +46,7 @@ _TRIES = 300
 """Number of random pairs of features [1]. Derived: with nine outliers in ten, the probability of a pair without
 outliers is 1 - 0.99^300 = 95 %."""
 _WIDEST_BODY = 0.05
-"""Smallest share of the picture within the features of its background [1]. Chosen: the ball of a pendulum before a
+"""Smallest share of the picture within the features of its background [1]. Chosen: the ball of a pendulum in front of a
 blank wall covers less; a larger value refuses narrow backgrounds."""
 _CLEAR = 5.0
 """Smallest significant motion of the camera in standard uncertainties [1]. Chosen: a smaller value corrects noise, a
@@ -258,7 +258,7 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
 
 
 def _significant_roll(roll: Floats, sigma: float) -> tuple[Floats, float]:
-    """Return a roll (n,) [rad] and its standard uncertainty; zero unless significant, as of a tripod on a table."""
+    """Return a roll (n,) [rad] and its standard uncertainty; zero if it is not significant (a tripod on a table)."""
     if roll.std() >= _CLEAR * sigma:
         return roll, sigma
     return np.zeros(len(roll)), float(np.sqrt(max(roll.var() - sigma**2, 0.0)))
@@ -280,8 +280,8 @@ _PATCH = 70
 film the halves give 0.11 mrad for an error of 0.10 mrad, in a drawn one 0.14 for 0.06; patches of 40 px give several
 times the error, patches of 126 px half of it."""
 _HALVES_EVERY = 16
-"""Distance of the frames in which the halves of the background are compared [frames]. Chosen: a smaller one costs time,
-a larger one leaves few differences."""
+"""Distance between the frames in which the halves of the background are compared [frames]. Chosen: a smaller one costs
+time, a larger one leaves few differences."""
 
 
 def background_roll(frames: Iterable[Plane], body: tuple[float, float, float]) -> Shake | None:

@@ -16,7 +16,7 @@ causes.
 
 In the unrolled ring a marker has two radial edges and a nearly tangential near edge. At an edge, the score crosses the
 level half way between the marker and the background beyond this edge. The background may differ from edge to edge, for
-example beside a coloured bar under the marker. Lines are fitted through the crossings in several bands of rows and
+example next to a coloured bar under the marker. Lines are fitted through the crossings in several bands of rows and
 columns; the corners are the intersections of the lines.
 """
 
@@ -145,7 +145,7 @@ def near_corners(
 
 
 _SIDE_FROM = 0.12
-"""Begin of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
+"""Start of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
 smaller value includes the rounded corner, a larger one extrapolates farther."""
 _SIDE_TO = 0.85
 """End of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a

@@ -31,8 +31,8 @@ class Tilt:
     Attributes
     ----------
     angle : float
-        Angle between the axis of rotation and the line of sight [rad]: a circle is an ellipse with the ratio
-        cos(angle) of its axes.
+        Angle between the axis of rotation and the line of sight [rad]: a circle appears as an ellipse with the axis
+        ratio cos(angle).
     azimuth : float
         Direction of the short axis of the ellipse in the picture, counter-clockwise from the right [rad].
     """
@@ -56,8 +56,8 @@ _FILE = 32_000_000
 """Size of one temporary file [bytes]. Chosen: memory; a larger file occupies more pages, a smaller one opens more
 files."""
 _RELEASES = 2
-"""Number of parts of a temporary file after which its pages are released [1]. Chosen: memory; more release earlier and
-cost time."""
+"""Number of parts of a temporary file after which its pages are released [1]. Chosen: memory; with more, pages are
+released earlier, which costs time."""
 
 
 class Film:

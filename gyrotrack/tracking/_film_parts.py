@@ -59,8 +59,8 @@ Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 PART = 2500
-"""Largest number of frames of a part, up to the distance of key frames [frames]. Chosen: more leave few parts for
-processes, fewer learn templates from less."""
+"""Largest number of frames of a part, to within the distance between key frames [frames]. Chosen: more leave few parts
+for processes; with fewer, templates are learnt from less data."""
 LEAST_PART = 400
 """Smallest number of frames of a part [frames]. Chosen: enough for illumination and templates; fewer give
 noisy ones, more leave few parts."""
@@ -75,7 +75,7 @@ MOST_LEARNT = 8
 does not grow with the film; more cost time, fewer give noisier maps."""
 _RATE = 24
 """Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: fewer give a noisy speed, more
-include a change of it."""
+include a change of the speed."""
 _STAMPS = "stamps"
 
 
@@ -274,7 +274,10 @@ def _run(task: Task[T], film: Film, part: Part, threads: int, count: Callable[[i
 
 
 class PartWorkers:
-    """Processes that track parts of a film: `workers` with the caller (default: one per core), none for one part."""
+    """Processes that track parts of a film: `workers` including the caller (default: one per core).
+
+    A single part is tracked without a further process.
+    """
 
     def __init__(self, path: Path, workers: int | None = None) -> None:
         self.packets = read_packets(path)
@@ -480,7 +483,7 @@ class _PartResults:
             self._facts[index], self._place[index] = record.facts, place
 
     def _belongs(self, record: Record) -> bool:
-        """Whether a record has the form of a part of this film: the file may not be a journal of this film."""
+        """Whether a record has the form of a part of this film: the file may be the journal of another film."""
         numbers = [record.facts.get(key) for key in ("part", "parts", "frames", "bad_packets", "corrupt")]
         if (
             not all(isinstance(n, int) and n >= 0 for n in numbers)

@@ -42,8 +42,8 @@ MARGIN = 0.05
 """Largest distance of a marker from its prediction [rad]. Chosen: with a smaller value whole rings are searched more
 often, a larger one needs more samples."""
 CHECK_EVERY = 2
-"""Distance of the frames that are used to check the prediction [frames]. Chosen: a larger value notices a loss later, a
-smaller one costs time."""
+"""Distance between the frames that are used to check the prediction [frames]. Chosen: a larger value notices a loss
+later, a smaller one costs time."""
 COVERAGE_FACTOR = 3.0
 """Factor of the standard uncertainty of a prediction; the product must be less than `MARGIN` [1]. Chosen: three
 standard deviations; a smaller value cuts markers off, a larger one searches whole rings."""
@@ -138,7 +138,7 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
-        """Refine coarse angles (n,) by the coloured markers, weighted by height^8 for occlusions; add a frame mask."""
+        """Refine coarse angles (n,) by coloured markers, with weights height^8 for occlusions; also return a mask."""
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
@@ -344,9 +344,9 @@ class FilmTracker:
         """Hold the next frame of the film until enough of them are held.
 
         `step` is the time from the previous frame in periods of the camera. A frame that repeats the previous one shows
-        the same moment. It replaces a missing frame, so its step is added to that of the next frame. Exception:
-        repeated frames are regular in a film that is not timed by its timestamps (`stamped`). Frames are not compared
-        while hardly anything turns.
+        the same moment. It replaces a missing frame, so its step is added to that of the next frame. Exception: in a
+        film that is not timed by its timestamps (`stamped`), regular repeats were inserted, and their steps are not
+        added. Frames are not compared while hardly anything turns.
         """
         again = self.repeats is not None and self.repeats.same(frame)
         again = again and max(body.step for body in self.bodies.values()) > SLOW

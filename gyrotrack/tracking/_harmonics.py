@@ -1,9 +1,9 @@
 """Errors of an angle that are periodic in the turn, determined by their amplitudes in batches of frames.
 
 In each batch, a polynomial and harmonics of the angle psi are fitted to psi. Harmonics caused by the camera (centre,
-tilt) have constant amplitudes. The shadow of a body is displaced from the body by a constant vector and merges with
-the blurred edges of the body. The shadow causes an amplitude of order 1 that grows with the blur, in proportion to the
-speed. A torque that is periodic in the turn, for example by an unbalance, has the amplitude A / omega^2.
+tilt) have constant amplitudes. The shadow of a body is displaced from the body by a constant vector and merges with the
+blurred edges of the body. The shadow causes an amplitude of order 1 that grows with the blur, in proportion to the
+speed. A torque that is periodic in the turn, for example due to an unbalance, has the amplitude A / omega^2.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _DEGREE = 5
 larger one absorbs harmonics of slow bodies."""
 _FEWEST_BATCHES = 3
 """Smallest number of batches, beyond the number of free constants, for a variance of the amplitudes [1]. Chosen: the
-six amplitudes of three determine the error to 30 %; fewer give an uncertain variance, more leave the error of short
-films unstated."""
+six amplitudes of three batches determine the error to 30 %; fewer give an uncertain variance, more leave the error of
+short films unstated."""
 _FEWEST_OF_CHANGE = 5
 """Smallest number of batches for a change with the speed [1]. Chosen: fewer do not separate it from a torque, more
 leave the error of short films."""
 _RESEMBLES_MOTION = 2.0
-"""Variance of an amplitude, over the variance for a complete set of angles, above which an order resembles the motion
-[1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""
+"""Variance of an amplitude, divided by the variance for a complete set of angles, above which an order resembles the
+motion [1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""
 _FAR_FROM_NOISE = 3.0
 """Smallest mean square of an error that is stated, in standard deviations of the noise [1]. Chosen: a smaller value
 states noise as an error, a larger one hides small errors."""
@@ -79,8 +79,8 @@ def harmonic_error(angle: Floats) -> float:
     which then varies slowly.
 
     Amplitudes of orders 1 and 2 may be constant (centre, tilt), proportional to the speed (rolling shutter), to its
-    square (motion blur), or to its inverse square (a torque that depends on the angle, for example by an unbalance).
-    The residuals of a fit of these four terms are the error of these orders.
+    square (motion blur), or to its inverse square (a torque that depends on the angle, for example due to an
+    unbalance). The residuals of a fit of these four terms are the error of these orders.
 
     Parameters
     ----------
@@ -115,14 +115,14 @@ _CHANGE_SIGMA = 2e-3
 """Prior standard deviation of the change of an amplitude per `_REFERENCE_SPEED` [rad]. Measured: 1.5
 mrad in a rendered film with a shadow of 16 %; a smaller value keeps the error, a larger one amplifies noise."""
 _WIDE_SIGMA = 20e-3
-"""Prior standard deviation of a constant amplitude, and of the amplitude by a torque at `_REFERENCE_SPEED` [rad].
+"""Prior standard deviation of a constant amplitude, and of the amplitude due to a torque at `_REFERENCE_SPEED` [rad].
 Derived: no information; a torque of the acceleration 200 rad/s2 has 20 mrad."""
 _BATCH_SIGMA = 0.1e-3
 """Standard deviation of an amplitude in a batch in addition to noise [rad]. Chosen: a smaller value trusts few
 batches."""
 _LAW_ERROR = 0.1
-"""Relative error of the law A / omega^2 for the amplitude by a torque [1]. Chosen: a smaller value lets slow batches
-determine the change with the blur, a larger one ignores these batches."""
+"""Relative error of the law A / omega^2 for the amplitude due to a torque [1]. Chosen: a smaller value lets slow
+batches determine the change with the blur, a larger one ignores these batches."""
 
 
 @dataclass(frozen=True)

@@ -76,8 +76,8 @@ _SETTLED = 1e-3
 """Change of the angles, relative to the motion, that ends the iterations [1]. Chosen: a larger value stops early, a
 smaller one costs time."""
 _HIDDEN = 6.0
-"""Largest mean square residual, over its median, of a frame that shows the body [1]. Chosen: a smaller value omits
-frames of uneven light, a larger one keeps frames with a hand."""
+"""Largest mean square residual, divided by its median, of a frame that shows the body [1]. Chosen: a smaller value
+omits frames of uneven light, a larger one keeps frames with a hand."""
 _LARGEST_STEP = 2.0
 """Largest correction of the path by a registration [px]. Chosen: a smaller value needs more iterations, a larger one
 follows wrong fits."""
@@ -86,8 +86,8 @@ _BACKGROUND = 60
 """Number of frames for the background, which is their median [frames]. Chosen: memory and time; fewer keep a slow body
 in the background."""
 _LAG = 4
-"""Frames between which the picture of a moving body changes [frames]. Chosen: fewer show less motion than noise, more
-shift the ends of the motion."""
+"""Distance between two frames in which the pictures of a moving body differ measurably [frames]. Chosen: fewer show
+less motion than noise, more shift the ends of the motion."""
 _CONTRAST = 6.0
 """Smallest difference of a body from the background in standard deviations of the noise [1]. Chosen: a smaller value
 finds noise, a larger one loses faint bodies."""
@@ -126,8 +126,8 @@ _TURNED = 0.2
 """Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen:
 changes by the codec at rest exceed the noise; a smaller value includes them, a larger one cuts slow ends."""
 _STEADY = 9
-"""Frames of a window in which most show the motion [frames]. Chosen: fewer end the motion at a single frame, more blur
-its ends."""
+"""Length of a window in which most frames show the motion [frames]. Chosen: fewer end the motion at a single frame,
+more blur its ends."""
 _WITHIN = 0.9
 """Share of the radius within which the picture shows the body alone [1]. Chosen: a larger value includes the
 background, a smaller one loses marks near the rim."""
@@ -196,7 +196,7 @@ def track_by_features(
 
 
 def may_be_loose(frames: Iterable[Plane], motion: Motion) -> bool:
-    """Return whether the features of reduced frames show a body that turns by a small angle and travels less."""
+    """Return whether the features of reduced frames show a body that turns by a small angle and moves little."""
     return _loose_motion(frames, motion, travel=_LENIENT, least=_LEAST_RANGE / _LENIENT) is not None
 
 
@@ -286,7 +286,8 @@ class Path:
     frame: Frames  # frames in which the outline is complete, (m,)
     place: Floats  # centroid of the outline (x, y) [px], (m, 2)
     radius: float  # radius of a circle of the same area [px]
-    share: float = 1.0  # changed area of the picture in these frames over the changed area in all frames
+    # changed area of the picture in these frames, divided by the changed area in all frames
+    share: float = 1.0
 
 
 @dataclass
@@ -473,8 +474,8 @@ def _along_path(
         if np.std(theta[use] - before) < _SETTLED * np.std(theta):
             break
     polars = unwrapped()
-    # equal variances for all samples: over a small range of angles, uniform parts of the body, in which only shading
-    # that is fixed in the image changes, would have the smallest ones
+    # equal variances for all samples: over a small range of angles, the variances would be smallest in uniform parts of
+    # the body, where only shading that is fixed in the image changes
     template = learn(polars, theta[use], allowed, ring, separate=False, plain=True)
     parts = template.halves()
     every: list[Pose] = []

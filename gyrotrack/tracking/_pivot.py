@@ -115,7 +115,7 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
 
 _MOST_TRIALS = 100
 """Largest number of trial ellipses of the first fit of an orbit [1]. Derived: orbits of rendered films need 5 to 53;
-the fit of a short arc, which determines no ellipse, does not end after 500 either."""
+the fit of a short arc, which determines no ellipse, does not converge even after 500."""
 CELLS = 12
 """Parts of an arc, each with one position-dependent error [1]. Derived: a full orbit has 12 independent
 position-dependent errors, see `_orbit.CELL`."""
@@ -162,8 +162,8 @@ class Arc:
 
 
 _OUTLIER = 5.0
-"""Largest distance of an inlier from the circle, in robust standard deviations [1]. Chosen: a smaller
-value rejects good positions, a larger one keeps other matches."""
+"""Largest distance of an inlier from the circle, in robust standard deviations [1]. Chosen: a smaller value rejects
+good positions, a larger one keeps false matches."""
 
 
 def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
@@ -262,7 +262,7 @@ def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[n
 def _covariance(
     jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
 ) -> tuple[float, float, Floats]:
-    """Return noise, position-dependent error, and the covariance of the parameters with both."""
+    """Return the noise, the position-dependent error, and the covariance of the parameters due to both."""
     count = max(len(rest) - 3, 1)
     weight = 1.0 / sigma**2
     inverse = np.linalg.pinv((jacobian * weight[:, None]).T @ jacobian)

@@ -15,7 +15,7 @@ gyroscope of the paper. A profile is a TOML file::
     colour = "green"            # red, orange, yellow, green, cyan, blue, magenta, white
     body = "rotor"              # casing or rotor
     hue = 231.5                 # optional, degrees in the (U, V) plane: the exact shade
-    mount_angle = 0.0           # optional, rad: fixes the body's zero; else that is the first marker
+    mount_angle = 0.0           # optional, rad: fixes the zero of the body; by default the first marker does
 
 In the chroma plane (U - U0, V - V0) a hue is a direction that does not depend on the brightness. A name covers a sector
 of +-45 degrees about its direction: "red" includes dark red and orange-red, "blue" also cyan-blue, "green" also

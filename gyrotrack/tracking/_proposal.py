@@ -92,7 +92,8 @@ class MovingColour:
 def moving_colour(samples: Samples) -> MovingColour:
     """Find the moving colours of sample frames.
 
-    Where a marker covers a place in most samples, the others have the opposite change, of less saturation: excluded.
+    If a marker covers a pixel in most samples, the other samples have the opposite change, with less saturation; this
+    change is excluded.
     """
     chroma = samples.chroma
     still = np.median(chroma, axis=1).astype(np.float32)

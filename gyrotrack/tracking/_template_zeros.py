@@ -15,8 +15,8 @@ markers contain little information about the zero. The blur of a template depend
 steady body. q, p and x maximise the likelihood, and the zeros are smoothed.
 
 Within a batch the zero is z_b + c_b (omega - omega_b). c_b is the posterior mean of the slope of the differences, with
-p as the prior standard deviation, beside the harmonics with the prior variance A_k^2 / 2 of each coefficient. Frames
-that are in step with a harmonic would otherwise tilt the zero by the error of the marker.
+p as the prior standard deviation, fitted together with the harmonics, whose coefficients have the prior variance A_k^2
+/ 2. Frames that are in step with a harmonic would otherwise tilt the zero by the error of the marker.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _AVERAGED_OUT = 0.2
 """Largest absolute mean of exp(i k a) in a batch that is used for the amplitude of harmonic k [1]. Chosen: a
 smaller value uses few batches, a larger one includes the zero in the amplitude."""
 _STEADY = 0.01
-"""Largest change of speed (rms) between batches, over the speed, of a steady body [1]. Chosen: a smaller value fits p
-to noise, a larger one ignores the change of motion blur."""
+"""Largest change of speed (rms) of a steady body between batches, divided by the speed [1]. Chosen: a smaller value
+fits p to noise, a larger one ignores the change of motion blur."""
 _MOTION = 4
 """Degree of the polynomial that describes the angle in a batch [1]. Chosen: a smaller value leaves changes of the
 speed, a larger one fits noise."""
@@ -55,10 +55,10 @@ _FAR = 5.0
 """Smallest difference of an outlier in a batch, in robust standard deviations [1]. Chosen: a smaller value rejects
 good frames, a larger one keeps slips."""
 _STEPS = np.concatenate([[0.0], np.geomspace(0.1, 50.0, 10)])
-"""Grid of q, and of p times the change of speed (rms), over the typical uncertainty of a mean [1]. Chosen:
+"""Grid of q, and of p times the change of speed (rms), divided by the typical uncertainty of a mean [1]. Chosen:
 factors of 2; finer ones cost time, a smaller range limits the drift."""
 _COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
-"""Grid of common errors x, over the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer ones cost
+"""Grid of common errors x, divided by the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer ones cost
 time, a smaller range limits the error."""
 
 

@@ -56,7 +56,8 @@ TURN = 2.0 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
 
 ZONES = 8
-"""Zones of the radius [1]. Chosen: more separate errors more finely, and each determines the angle less well."""
+"""Number of zones in radius [1]. Chosen: with more zones, errors are separated more finely, but each zone determines
+the angle less well."""
 ROWS = 4
 """Rows of a zone [rows]. Chosen: a bar or a rim extends over many pixels in radius; fewer lose texture, more cost
 time."""
@@ -142,8 +143,8 @@ LOWEST_LIGHT_ORDER = 3
 """Lowest order of the static light that is subtracted [periods per turn]. Derived: orders 1 and 2 are caused by a
 displaced centre and an oblique view, which are measured with the markers."""
 _SLOPE_EVERY = 8
-"""Distance of the frames in which the derivative with respect to the radius is measured [frames]. Chosen: a smaller one
-costs time, a larger one leaves noise in it."""
+"""Distance between the frames in which the derivative with respect to the radius is measured [frames]. Chosen: a
+smaller one costs time, a larger one leaves noise in it."""
 _FEWEST_SLOPES = 4
 """Smallest number of such frames [frames]. Chosen: for fewer frames, the derivative of the mean picture between rows
 is less noisy."""
@@ -276,8 +277,8 @@ class _Zones:
         turned, misfit = parts[:, :, 0], square / self.usual[:, None]
         # a hand of uniform brightness fits a template without contrast
         similar = (misfit < LARGEST_MISFIT) & (1.0 + parts[:, :, 2] > LEAST_CONTRAST)
-        # at larger angles the picture is not linear in the angle; a blurred picture is noisier, but linear
-        # farther. A zone that scatters more does not turn with the body
+        # at larger angles the picture is not linear in the angle; a blurred picture is noisier, but linear up to larger
+        # angles. A zone that scatters more does not turn with the body
         farthest = FAR * np.array([[spread(one)] for one in turned])
         wide = (farthest > LARGEST_TURN) & (farthest < REACH)
         similar &= np.abs(turned) < np.where(wide, farthest, LARGEST_TURN)
@@ -498,7 +499,7 @@ class TextureTracker:
         return self._centre[:count].copy()
 
     def measure(self, count: int, angle: Floats) -> tuple[TextureObservations, TextureObservations]:
-        """Measure the first `count` frames, whose angles (count,) [rad] are known to some mrad.
+        """Measure the first `count` frames, whose angles (count,) [rad] are known to a few mrad.
 
         The second observations are for a slow body, with the view determined from its ring.
         """
@@ -568,7 +569,7 @@ class TextureTracker:
         return np.asarray(np.mean(slopes, axis=0))
 
     def _turned(self, use: npt.NDArray[np.int64], ahead: Floats, light: Singles | None = None) -> Singles:
-        """Return the samples of the frames `use`, turned by more columns `ahead`, (n, rows, COLUMNS).
+        """Return the samples of the frames `use`, turned by a further `ahead` columns, (n, rows, COLUMNS).
 
         Static light (rows, COLUMNS) is subtracted. The samples are floats: rounding to grey levels would lose subpixel
         displacements of faint edges.
@@ -580,7 +581,7 @@ class TextureTracker:
 
 
 def _columns_ahead(strip: Singles, ahead: float) -> Singles:
-    """Return a strip (rows, COLUMNS + 2 MARGIN) without its margins, turned by more columns `ahead`."""
+    """Return a strip (rows, COLUMNS + 2 MARGIN) without its margins, turned by a further `ahead` columns."""
     shift = np.array([[1.0, 0.0, -MARGIN - ahead], [0.0, 1.0, 0.0]])
     return np.asarray(cv2.warpAffine(strip, shift, (COLUMNS, len(strip)), flags=cv2.INTER_LINEAR))
 

@@ -33,8 +33,8 @@ _SMALL_STEP = 1e-3
 """Change of the correlation that ends an alignment [1]. Chosen: a larger value stops early, a smaller one costs
 time."""
 _GAIN = 0.5
-"""Largest residual of translation, over the residual of rotation, of a body that does not turn [1]. Chosen: a larger
-value refuses bodies that turn little, a smaller one measures carts."""
+"""Largest residual of translation, divided by the residual of rotation, of a body that does not turn [1]. Chosen: a
+larger value refuses bodies that turn little, a smaller one measures carts."""
 
 
 def translates(

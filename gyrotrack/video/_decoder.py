@@ -424,8 +424,8 @@ def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 REGULAR = 0.8
-"""Smallest share of equal distances between repeats that are periodic [1]. Chosen: a smaller value
-finds a period in chance, a larger one needs all repeats to be detected."""
+"""Smallest share of equal distances between repeats that are periodic [1]. Chosen: a smaller value finds a period by
+chance, a larger one fails if a repeat is not detected."""
 
 
 def _regular(start: npt.NDArray[np.int64]) -> bool:

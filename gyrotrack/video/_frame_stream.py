@@ -1,4 +1,4 @@
-"""Frames of a file in a format unknown to the decoder, as a stream of raw 8 bit pixels for its demultiplexer."""
+"""Frames of a file in a format unknown to the decoder, as a stream of raw 8-bit pixels for its demultiplexer."""
 
 from __future__ import annotations
 

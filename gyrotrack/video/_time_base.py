@@ -33,7 +33,7 @@ class CaptureRate:
 
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Return the requested rate [1/s], or that of the profile, of the camera's tag, or of a container from 100 fps."""
+    """Return the requested rate [1/s], or that of the profile, the camera's tag, or a container of at least 100 fps."""
     for fps, source in (
         (requested, "--capture-fps"),
         (profile, "profile"),
@@ -75,11 +75,12 @@ discards timestamps in whole ms."""
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
     """Return the numbers of a film's frames from their timestamps (n,) [s] (NaN where missing); gaps skip numbers.
 
-    `tick` is the unit of the timestamps in s, at most 1 ms is used. The period is the median spacing. A step is a gap
-    only if it exceeds 1.5 periods, and one period by 1.1 ticks, because timestamps in whole ticks jitter by one tick:
-    in Matroska (1 ms) a single missing frame cannot be detected above 900 frames/s. Frames are numbered without gaps in
-    two cases: the timestamps are otherwise not equally spaced (one step in ten is not a whole number of periods), or
-    they do not increase (one step in a hundred; AVI stores the order of decoding, not of display).
+    `tick` is the unit of the timestamps [s]; a larger unit counts as 1 ms. The period is the median spacing. A step is
+    a gap only if it is longer than 1.5 periods and longer than one period plus 1.1 ticks, because timestamps in whole
+    ticks jitter by one tick: in Matroska (1 ms) a single missing frame cannot be detected above 900 frames/s. Frames
+    are numbered without gaps in two cases: the timestamps are otherwise not equally spaced (one step in ten is not a
+    whole number of periods), or they do not increase (one step in a hundred; AVI stores the order of decoding, not of
+    display).
     """
     plain = np.arange(len(pts), dtype=np.int64)
     step = np.diff(pts)

@@ -28,7 +28,7 @@ WORKER = "gyrotrack.apps.cli._batch"
 
 Answer = dict[str, Any]
 
-_WATCH = 0.5  # time between two checks of the sign of a batch [s]
+_WATCH = 0.5  # time between two checks whether a batch still runs [s]
 _GRACE = 5.0  # time for a worker to remove unfinished outputs before it is killed [s]
 _MAX_ANSWER = 2**26  # bytes
 
@@ -309,7 +309,7 @@ class Cluster:
     tls_key: Path | None = None
 
     def workers(self, folder: Path, processes: int | None = None) -> Workers:
-        """Return workers for commands with outputs in `folder`: of the cluster, or processes of this machine."""
+        """Return workers for commands with outputs in `folder`: those of the cluster, or processes on this machine."""
         if self.scheduler is None:
             return LocalWorkers(processes or available_cores())
         return ClusterWorkers(self.scheduler, new_sign(folder), self._security(self.scheduler))

@@ -111,7 +111,8 @@ def main(last: list[Callable[[], None]]) -> None:
     Functions in `last` are called when the process ends, after everything else.
     """
     with suppress(OSError):
-        while os.open(os.devnull, os.O_RDWR) <= _STDERR:  # no file may get the number of a closed stream
+        # no file may get the descriptor of a closed standard stream
+        while os.open(os.devnull, os.O_RDWR) <= _STDERR:
             pass
     if sys.stderr is None:
         sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - open until the process ends
@@ -122,12 +123,12 @@ def main(last: list[Callable[[], None]]) -> None:
     code, marks = FAULT, ExitStack()
 
     def end() -> None:
-        """Remove the marks of the outputs, which are needed only after a kill, and end immediately."""
+        """End immediately, without the marks of unfinished outputs, which are needed only if the process is killed."""
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError, AttributeError):
                 stream.flush()
         marks.close()
-        os._exit(code)  # otherwise Python needs some tenths of a second to clear its modules
+        os._exit(code)  # otherwise Python needs a few tenths of a second to clear its modules
 
     last.append(end)
     marks.enter_context(marking())

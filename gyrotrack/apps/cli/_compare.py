@@ -68,9 +68,9 @@ def compare_command(
     """Compare fits of several runs: differences, spread, and with many runs drifts, steps and outlying runs.
 
     Each parameter has a mean and a spread between the runs (random effects); the total uncertainty of a single run
-    includes the spread. From eight or more runs the command also names outlying runs and the parameters that drift or
+    includes the spread. With eight or more runs, the command also names outlying runs and the parameters that drift or
     step with the time of the run, with one false-alarm probability (0.01) for all parameters and times. Without --model
-    the latest fit of each run is taken. With it, runs are fitted in parallel, and each fit is kept beside its case: a
+    the latest fit of each run is taken. With it, runs are fitted in parallel, and each fit is kept next to its case: a
     command that was interrupted continues. The runs are assumed to be independent.
 
     Example: gyrotrack compare left.h5 right.h5 --picture difference.png

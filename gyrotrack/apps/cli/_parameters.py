@@ -22,7 +22,7 @@ def parameter_lines(fit: Fit, intervals: Mapping[str, Interval] | None = None) -
     if getattr(fit, "generated", False):
         lines += ["", *textwrap.wrap(GENERATED, _WIDTH)]
     if weak := not_determined(fit.estimates):
-        text = f"not determined by this data: {'; '.join(in_words(fit, n) for n in weak)}"
+        text = f"not determined by these data: {'; '.join(in_words(fit, n) for n in weak)}"
         lines += ["", *textwrap.wrap(text, _WIDTH)]
     for direction in not_determined_together(fit):
         parts = "; ".join(f"{in_words(fit, n)} by {100 * w:+.0f} %" for n, w in direction.items())

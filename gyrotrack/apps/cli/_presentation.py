@@ -43,7 +43,7 @@ class FiguresDocument(TypedDict):
 
 
 class ViewDocument(TypedDict):
-    """The workbench; the command prints this line when the page is ready, and runs on."""
+    """The workbench; the command prints this line when the page is ready, and keeps running."""
 
     url: str  #: Address of the page, with its secret.
 

@@ -33,7 +33,7 @@ class BodyReading(TypedDict):
 
     kind: str  #: `picture of a body`.
     hub_px: list[float]  #: Centre of rotation, x and y [px].
-    hub_from: str  #: How it was found; `outline` of a body that moves across the picture.
+    hub_from: str  #: How it was found; `outline` for a body that moves across the picture.
     ring_px: list[float]  #: Inner and outer radius of the texture [px].
     explained: float  #: Share of the change of brightness that the rotation explains, 0 to 1 [1].
 
@@ -93,7 +93,7 @@ def profile_command(
     output: shared.OptionalOutputFile = None,
     picture: Annotated[
         Path | None,
-        option("--picture FILE.png", "Also draw the markers that were found into a frame of the film."),
+        option("--picture FILE.png", "Also draw a frame of the film with the markers that were found."),
     ] = None,
     capture_fps: Annotated[
         float | None, option("--capture-fps N", "Capture rate of the camera, for the profile [1/s].")
@@ -132,7 +132,7 @@ def profile_command(
     try:
         found = propose(video, capture_fps=capture_fps, hub=place)
     except TrackingError:
-        with out.progress(f"searching a body in {video.name}", "frames") as progress:
+        with out.progress(f"searching for a body in {video.name}", "frames") as progress:
             body = read_excerpt(video, place, progress)
         if body is None:
             raise
@@ -143,7 +143,7 @@ def profile_command(
         out.show(f"No coloured markers were found. {_body_sentence(reading, video)}")
         return NOT_TRUSTED
     if len({m.profile.body for m in found.markers}) == 1:
-        with out.progress(f"searching a body in {video.name}", "frames") as progress:
+        with out.progress(f"searching for a body in {video.name}", "frames") as progress:
             body = read_excerpt(video, place, progress)
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
     with new_outputs(target, picture, force=force, reads=reads):
@@ -523,7 +523,7 @@ def _extraction_lines(document: Mapping[str, Any]) -> str:
 
 
 class ClipDocument(TypedDict):
-    """The clock of one clip on that of the casing's camera."""
+    """The clock of one clip, relative to the clock of the casing's camera."""
 
     source: Path  #: The recording.
     offset_s: float  #: Start of the clip [s].

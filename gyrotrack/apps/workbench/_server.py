@@ -1,6 +1,6 @@
 """The server of the workbench, on this machine only.
 
-The server listens on the loopback interface and rejects requests of other sites. The Host header reveals other host
+The server listens on the loopback interface and rejects requests from other sites. The Host header reveals other host
 names (DNS rebinding), and the Origin or Sec-Fetch-Site header reveals forms and scripts of other sites. Each request
 also needs the token, which is new at each start. The first visit has the token in the address, and exchanges the token
 for a cookie.
@@ -114,7 +114,7 @@ class Guard:
             o.removeprefix(b"http://") not in self._hosts or not o.startswith(b"http://") for o in origins
         ):
             return _FORBIDDEN
-        # the browser also sends the cookie with requests of pages on other ports
+        # the browser also sends the cookie with requests from pages on other ports
         if any(k == b"sec-fetch-site" and v not in {b"same-origin", b"none"} for k, v in headers):
             return _FORBIDDEN
         if scope["path"] == "/" and scope["method"] == "GET" and b"token=" in scope["query_string"]:

@@ -156,7 +156,7 @@ def _delay(time: Floats, value: Floats | None, k: int) -> tuple[float, float] | 
 def _without_forward_steps(
     path: Path, time: Floats, line: Integers, value: Floats | None, notes: list[str]
 ) -> Floats:
-    """Return times without steps ahead, which are gaps of a sampler with a change of the values as in one interval."""
+    """Return times without forward steps: gaps of a sampler across which the values change as in one interval."""
     step = np.diff(time)
     usual = float(np.median(step)) if len(step) else 0.0
     equal = np.abs(step - usual) < _EQUAL * usual

@@ -165,7 +165,7 @@ def read_names(
         if role_name == quantity and prefix != body:
             continue
         names[column.casefold()] = (role_name, "")
-        last = _LAST_UNIT.fullmatch(column)  # after a header that contains a separate unit
+        last = _LAST_UNIT.fullmatch(column)  # for a header with a unit after its name
         base, unit = last.groups() if last else (column, "")
         if unit:
             names.setdefault(base.casefold(), (role_name, clean(unit)))
@@ -536,7 +536,7 @@ def _refuse_unusual(raw: RawTable, columns: Columns, made: MotionTable) -> None:
     """Raise a DatasetError for an unstated unit if the motion would be unusual in s and rad."""
     asked = [r for r in columns.place if not columns.unit[r] and columns.why[r] != "by --column"]
     names = {r: raw.names[columns.place[r]] or str(columns.place[r] + 1) for r in asked}
-    if "t" in asked and raw.numeric(columns.place["t"]) is not None:  # no time of day
+    if "t" in asked and raw.numeric(columns.place["t"]) is not None:  # not for a time of day
         refuse_slow_clock(raw.header_place, names["t"], made.time)
     if "angle" in asked and (doubt := doubt_of_rad(made.value)):
         stated = (f"--column 'angle={names['angle']} [{unit}]'" for unit in _CHOICES["angle"])
@@ -755,7 +755,7 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
 
 
 def pieces(time: Floats) -> list[slice]:
-    """Return the pieces between gaps: intervals over 20 times the local median of eleven (a body slows down)."""
+    """Return the pieces between gaps: intervals over 20 times the median of eleven neighbours (a body slows down)."""
     step = np.diff(time)
     if not len(step):
         return [slice(0, len(time))]

@@ -96,7 +96,7 @@ _FOREIGN = "Supported: analysis files of SLEAP, tables of DeepLabCut, poses of m
 
 
 def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
-    """Read points from an HDF5 file of another program, or a body from a case or exported netCDF file; no links."""
+    """Read points from an HDF5 file of another program, or a body from a case or exported netCDF; refuse links."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             READER.check_tree(file)

@@ -65,16 +65,16 @@ _MAX_MISSED = 20
 _SMOOTHED = 5  # number of intervals of the running median
 _SWING = 0.2  # smallest relative change of the speed between turning points of a driven motion
 _MOST_RISES = 1  # a motor at the start of a record
-# quantile of the periods of a pendulum, factor by which longer periods do not exceed it unless a passage is missing,
-# and largest share that does
+# quantile of the periods of a pendulum; factor by which a period exceeds this quantile only if a passage is missing;
+# largest share of such periods
 _SHORT_PERIODS, _LONGER, _MOST_LOST = 0.1, 1.25, 0.3
 _SAME_SPEED = 0.3  # logarithm of the ratio of speeds before and after a time without pulses
 _LEAST_SINGLE = 0.5  # smallest share of times without repetition
 _END = 3  # number of intervals at each end that have too few neighbours on one side
 _LINE = 4  # number of intervals whose speed is continued to the ends
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-# largest relative scatter of the intervals for which a single interval shows a missed or double pulse (a fifth of a
-# deviation)
+# largest relative scatter of the intervals for which a single interval shows a missed or double pulse (about a fifth of
+# the deviation that such a pulse causes)
 _REGULAR = 0.13
 _SIGNIFICANT_STEP = 3.5  # smallest significant step of the counts [standard errors]
 _STRETCH = 60  # number of pulses between the knots of the spline through the counts
@@ -84,10 +84,11 @@ _MAX_MARKS = 512
 # smallest excess of the cube root of chi2 for unequal marks [standard deviations]
 _UNEQUAL_MARKS = 3.0
 _MOST_HARMONICS = 32  # largest number of periods per turn in the error mode of the marks
-# smallest share of changes between equally spaced rows, while the body turns, in which a counter does not count, for
-# counts that are coarser than the rows; then only the changes are used
+# smallest share of equally spaced rows without a new count, while the body turns, for which the counts are coarser than
+# the rows; then only the changes are used
 _IDLE = 0.05
-# smallest ratio of the speed on one side of a change to that on both sides for which the body rests on the other side
+# smallest ratio of the speed before (or after) a change to the mean speed around it for which the body is at rest on
+# the other side
 _ONE_SIDED = 1.6
 _TURNING = 3.0  # smallest ratio of a time without counts to the previous one for which its ends are samples
 # number of rows whose speed is continued over an interval, and largest unambiguous part of a turn in it
@@ -163,7 +164,7 @@ def rising_edges(time: Floats, signal: Floats, name: str, notes: list[str]) -> t
 def _without_drift(time: Floats, signal: Floats) -> Floats:
     """Return a signal minus its running mean if this reveals pulses; otherwise the signal.
 
-    Because of a drift larger than the amplitude, local extremes do not show pulses. The width of the mean begins with
+    If a drift is larger than the amplitude, local extremes do not show the pulses. The width of the mean begins with
     half of the record and is halved repeatedly; it must contain two typical periods and give a quarter more pulses.
     """
     edges, after = _local_edges(time, signal)
@@ -193,7 +194,7 @@ def _regular_pulses(edges: Floats, after: Integers) -> tuple[int, float]:
 
 
 def _local_edges(time: Floats, signal: Floats) -> tuple[Floats, Integers]:
-    """Return the rising edges from the extremes of parts with a length of a few longest typical periods."""
+    """Return the rising edges, from the extremes in parts of the record that are a few long periods long."""
     part = len(signal)
     while True:
         edges, after = _edges(time, signal, part)
@@ -427,7 +428,7 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
 
 
 def _refuse_lost_passages(raw: RawTable, time: Floats) -> None:
-    """Refuse passages if many are missing between them, so that the shortest period is not the usual one."""
+    """Refuse passages if missing passages make the shortest period differ from the usual one."""
     pair = time[2:] - time[:-2]
     usual = float(np.quantile(pair, _SHORT_PERIODS))
     longer = float((pair > _LONGER * usual).mean())
@@ -743,7 +744,7 @@ def mark_errors(
     off -= (np.bincount(turn, apart) / np.bincount(turn))[turn]
     errors = np.array([np.median(off[pulses]) for pulses in of_mark])
     errors -= errors.mean()
-    # the variance of a median of n normal values is pi / 2n of theirs; (n - 3) / (n - 1): 1 / the mean of Student's t^2
+    # the variance of a median of n normal values is pi / 2n times theirs; (n - 3) / (n - 1): 1 / mean of Student's t^2
     u2 = np.pi / 2 / number * np.array([np.var(off[pulses], ddof=1) for pulses in of_mark])
     t2 = errors**2 / np.maximum(u2, 1e-24) * (number - 3) / (number - 1)
     # marks with mean zero have marks - 1 degrees of freedom, and the cube root of chi2 / dof is nearly normal
@@ -836,7 +837,7 @@ def read_counter(
     restarts, odd = int(resets.sum()), float(((step < 0) | (step > _MAX_MISSED)).mean())
     if restarts > _MAX_RESTARTS or odd > 0.02 or (~unique).mean() > 0.2:
         raise DatasetError(
-            f"{raw.path}: the column {column + 1} is not a counter on the times of the column {time_column + 1}.",
+            f"{raw.path}: the column {column + 1} is not a counter at the times of the column {time_column + 1}.",
             "For an encoder that restarts at each turn give its counts per turn, --pulses-per-turn N; else choose the "
             "columns by --column revolutions=N and --column t=N.",
         )
@@ -894,10 +895,10 @@ def from_changes(
     """Return the angle of a body at the changes of its counts, which were sampled at equal intervals.
 
     Rows with the same count have the same error of up to a step of the angle, so later ones contain no information. If
-    the body turns by r < 1 steps between two rows, it passes the boundary of two counts at their middle with an
-    uncertainty of r / sqrt(12) steps. If r > 1, or if it passes several boundaries (as between rows with missing rows),
-    each row is at the middle of its count within 1 / sqrt(12) steps. If the body reverses or rests, the ends of the
-    time without counts are at the middle of the count.
+    the body turns by r < 1 steps between two rows, it passes the boundary between two counts in the middle between the
+    rows, with an uncertainty of r / sqrt(12) steps. If r > 1, or if it passes several boundaries (as between rows with
+    missing rows), each row is at the middle of its count within 1 / sqrt(12) steps. If the body reverses or rests, the
+    ends of the time without counts are at the middle of the count.
     """
     at = np.flatnonzero(np.diff(count)) + 1
     if len(at) < MIN_SAMPLES:

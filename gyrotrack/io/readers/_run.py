@@ -5,10 +5,10 @@ before this point the speed is constant or increases, afterwards the body slows 
 least three times the previous deceleration, until the end of the motion. Rest is a speed that is consistent with zero.
 A disturbance is a speed that increases again. The motion of a body that does not slow down in between is not cut.
 
-The start of an oscillation is cut while a hand holds or moves the body, where periods and amplitudes do not continue
-the later values smoothly. Rest at the end of an oscillation is cut only if the resolution of the file exceeds the
-noise. The error of a quantised value is white while the value passes through several steps. At rest, this error is a
-constant of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
+The start of an oscillation is cut as long as a hand holds or moves the body: periods and amplitudes there do not
+continue the later values smoothly. Rest at the end of an oscillation is cut only if the resolution of the file exceeds
+the noise. The error of a quantised value is white while the value passes through several steps. At rest, this error is
+a constant of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MIN_STEPS = 2  # smallest deflection with independent quantisation errors [step
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits by the user, on the clock of the recording [s]: first and last time, and intervals to exclude."""
+    """Limits set by the user, on the clock of the recording [s]: first and last time, and intervals to exclude."""
 
     start: float | None = None
     stop: float | None = None

@@ -71,7 +71,7 @@ def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tu
             for number, line in lines
             if not ("#" in line and _COMMENT_LINE.match(line))
         ]
-    del text, rows  # free memory: as large as the file; the lines are copies
+    del text, rows  # free the memory of the text, which is as large as the file; the lines are copies
     notes = []
     first = next((i for i, (_, line) in enumerate(lines) if _holds_samples(line)), len(lines))
     for _, line in lines[:first]:

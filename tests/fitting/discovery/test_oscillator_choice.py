@@ -144,7 +144,9 @@ class TestExactFit:
     def test_a_contradiction_is_stated_and_changes_nothing(self):
         other, found, sentence = self.combined((*self.LINEAR, "casing.spring.cubic"), {})
         assert found is other
-        assert "restores by casing.spring.linear + casing.spring.cubic" in sentence
+        assert (
+            "restoring torque of the fitted model is casing.spring.linear + casing.spring.cubic" in sentence
+        )
         other, found, sentence = self.combined(self.LINEAR, {"casing.spring.linear.k": 1.3})
         assert found is other
         assert "The exact fit gives casing.spring.linear.k = 1.3 N m" in sentence

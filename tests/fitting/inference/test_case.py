@@ -303,7 +303,7 @@ ARRAYS = {"t": T, "omega": OMEGA}
     [
         ({}, "a case needs a body"),
         ({"wheel": ARRAYS, "drum": ARRAYS}, "a case has one body, or the casing and the rotor"),
-        ({"rotor": ARRAYS}, "'rotor' cannot be the name of a body alone"),
+        ({"rotor": ARRAYS}, "'rotor' cannot be the name of a single body"),
         ({"a b": ARRAYS}, "'a b' cannot be the name"),
         ({"wheel": T}, "wheel is a ndarray, not a mapping"),
         ({"wheel": [ARRAYS, ARRAYS]}, "wheel is a list, not a mapping"),

@@ -515,7 +515,7 @@ def test_a_fit_that_contradicts_the_averaged_equations_is_stated():
     assert "k = 12.0100 +- 0.0020 rad/s2" in _tracking._oscillator_lines(same)[0]
     kept, sentence = laws.with_fit(SimpleNamespace(model=Model.of(["casing.gravity"]), estimates={}))
     assert kept == laws
-    assert "restores by casing.gravity" in sentence
+    assert "restoring torque of the fitted model is casing.gravity" in sentence
 
 
 def _exact(value, stderr):

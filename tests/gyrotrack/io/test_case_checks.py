@@ -115,10 +115,10 @@ def test_a_summary_in_memory_has_every_required_attribute(recording):
     ("dtype", "value", "words"),
     [
         ("f8", 2.0**62, ""),
-        ("f8", 1e30, "integers beyond -9223372036854775808 to 9223372036854775807"),
-        ("f8", 2.0**63, "integers beyond"),
+        ("f8", 1e30, "integers outside the range -9223372036854775808 to 9223372036854775807"),
+        ("f8", 2.0**63, "integers outside"),
         ("u8", 2**63 - 1, ""),
-        ("u8", 2**63, "integers beyond"),
+        ("u8", 2**63, "integers outside"),
     ],
 )  # fmt: skip
 def test_segments_are_64_bit_integers(file, dtype, value, words):
@@ -133,7 +133,7 @@ def test_segments_are_64_bit_integers(file, dtype, value, words):
 
 
 @pytest.mark.parametrize(
-    ("value", "words"), [(4.0, ""), (127.0, ""), (128.0, "beyond -128 to 127"), (300.0, "beyond")]
+    ("value", "words"), [(4.0, ""), (127.0, ""), (128.0, "outside the range -128 to 127"), (300.0, "outside")]
 )
 def test_a_status_is_an_8_bit_integer(recording, tmp_path, value, words):
     path = write_recording(tmp_path / "r.h5", recording, command="", settings={})
