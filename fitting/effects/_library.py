@@ -69,7 +69,7 @@ AIR = (
         (
             Parameter("k", "N m s", meaning="braking torque per unit of speed, at low speed"),
             Parameter("w", "s-1", "shape", 1e-3, 1e3, 0.3, (0.007, 0.02, 0.07, 0.2, 0.7, 2.0), scale="speed",
-                meaning="critical speed, of the largest torque"),
+                meaning="critical speed, at which the torque is largest"),
         ),
         words="eddy-current braking of the casing",
         signature="linear at low speed; the torque decreases above the critical speed",
@@ -149,10 +149,11 @@ _BRISTLE = "(omega_c - abs(omega_c)*{z}/(1 + r*exp(-(omega_c/w)**2)))/{s}"
 _SLOW = (0.007, 0.013, 0.033, 0.08, 0.2, 0.6)
 """Trial speeds at which the additional friction of slow motion has decreased, relative to the largest speed [1].
 Chosen: 1 to 90 rad/s for the casing of the paper; fewer omit narrow maxima of the score, more cost time."""
-_STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7), meaning="static over Coulomb friction - 1")
+_STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7),
+    meaning="ratio of static to Coulomb friction, minus 1")
 _STRIBECK = Parameter(
     "w", "s-1", "shape", 1e-5, 3.0, 0.15, (0.01, 0.15), scale="speed",
-    meaning="Stribeck speed, at which the excess is 1/e",
+    meaning="Stribeck speed, at which the excess has decreased to 1/e",
 )
 
 TOUCHPOINT = (
@@ -214,7 +215,7 @@ TOUCHPOINT = (
                 meaning="ratio of damping to stiffness of the bristles"),
         ),
         words="LuGre friction of the casing",
-        signature="dry friction with hysteresis near rest, and a maximum before it slides",
+        signature="dry friction with hysteresis near rest, and a maximum before the contact slides",
         confused_with=("casing.friction.presliding", "touchpoint.stribeck", "casing.friction.gms"),
         source="C. Canudas de Wit et al., IEEE Trans. Autom. Control 40, 419 (1995), without its viscous term",
         state=State("bristle", _BRISTLE.format(z="bristle", s="s")), contact=True, searched=False),
@@ -279,12 +280,12 @@ CASING = (
             _PHASE,
         ),
         words="precession torque on the casing",
-        signature="a chirp whose rate grows as the rotor slows, also in the tracked centre",
+        signature="a chirp whose rate grows as the rotor slows; it also appears in the tracked centre",
         source="precession of a fast top at m / omega_r", state=State("chirp", "m/omega_r")),
     Effect("external.constant", "casing", "k",
         (
             Parameter("k", "N m", lower=_ANY,
-                meaning="constant torque, for example of a falling weight, minus dry friction that the model lacks"),
+                meaning="constant torque, for example of a falling weight, minus dry friction missing from the model"),
         ),
         words="constant external torque on the casing",
         signature="the same as dry friction while the casing keeps its sense of rotation",
@@ -389,15 +390,15 @@ CONTACT = (
             Parameter("T", "s", "fixed", 1e-3, math.inf, 0.1, meaning="relaxation time of the slip"),
         ),
         words="rolling contact of both bodies",
-        signature="a constant ratio of the speeds of both bodies",
-        source="the constraint omega_r = n omega_c, stabilised as by J. Baumgarte, Comput. Methods Appl. Mech. "
-        "Eng. 1, 1 (1972), and linear creep: K. L. Johnson, Contact Mechanics (1985), ch. 8",
+        signature="a constant ratio of the speeds of the two bodies",
+        source="the constraint omega_r = n omega_c, stabilised as proposed by J. Baumgarte, Comput. Methods Appl. "
+        "Mech. Eng. 1, 1 (1972), and linear creep: K. L. Johnson, Contact Mechanics (1985), ch. 8",
         searched=False, rigid=True),
     Effect("contact.sliding", "contact", "-k*tanh(slip/w)",
         (
             Parameter("k", "N m", meaning="torque of the sliding contact on the rotor"),
             _RATIO,
-            Parameter("w", "s-1", "fixed", 1e-9, math.inf, 1.0, meaning="slip from which the contact slides"),
+            Parameter("w", "s-1", "fixed", 1e-9, math.inf, 1.0, meaning="slip above which the contact slides"),
         ),
         words="sliding contact of both bodies",
         signature="the faster rim loses speed to the slower one at a constant rate until both roll",
