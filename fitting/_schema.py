@@ -137,7 +137,7 @@ class EstimateDocument(WithOptionalKeys):
     value: Number  #: Value [`unit`].
     #: Standard error; null if a bound is active or the fit did not converge [`unit`].
     stderr: Number = math.nan
-    #: Unit: SI, or the unit of an angular acceleration for a torque without a moment of inertia.
+    #: SI unit; the unit of an angular acceleration for a torque on a body of unknown moment of inertia.
     unit: str = ""
     at_bound: Flag = False  #: Whether a bound is active.
     interval: IntervalDocument | None = None  #: 95 % interval, with `--profile`.
@@ -229,7 +229,7 @@ class FirstOrderDocument(Document):
 
     label: str  #: Name of the case.
     body: str  #: Name of the body.
-    time_constant: EstimateDocument  #: Moment of inertia over linear drag.
+    time_constant: EstimateDocument  #: Moment of inertia divided by the coefficient of linear drag.
     gains: dict[str, EstimateDocument]  #: Change of the final speed per unit of an input, by input.
     delays: dict[str, EstimateDocument]  #: Dead time of an input, by input for which one is fitted.
 
@@ -336,7 +336,7 @@ class RemainderDocument(Document):
 
     torque_rms_Nm: Number  #: Rms torque on the body where it is larger [torque].
     share: Number  #: Share of the mean square unmodelled torque, 0 to 1 [1].
-    p_value: Number  #: Probability of such a remainder by noise [1].
+    p_value: Number  #: Probability that noise alone causes such a remainder [1].
     sentence: str  #: Size, and the variable on which it depends.
 
 
@@ -348,7 +348,7 @@ class NuisanceDocument(Document):
     value: Number  #: Amplitude [`unit`].
     stderr: Number  #: Its standard error [`unit`].
     unit: str  #: Unit of both.
-    p_value: Number  #: Probability of such an amplitude by noise [1].
+    p_value: Number  #: Probability that noise alone causes such an amplitude [1].
 
 
 class UpperLimitDocument(Document):
@@ -383,7 +383,8 @@ class StepDocument(Document):
     """One fit of a history: the change, and the errors."""
 
     fit_id: str  #: Name of the fit in the ledger.
-    added: str  #: The change: `+effect`, `-effect`, or a text; for a first fit, its model, or empty.
+    #: The change: `+effect`, `-effect`, or a text; for a first fit the name of its model, or empty.
+    added: str
     words: str = ""  #: The change in words.
     model: list[str]  #: Names of the effects.
     samples: int = 0  #: Number of samples of all cases.

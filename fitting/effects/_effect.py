@@ -1,8 +1,8 @@
 """Effect: a torque law, the body or joint on which it acts, and its parameters.
 
 The unit of every torque law is the newton metre. A dimension is a vector of exponents of (kg, m, s, K, A, V); radians
-and pixels count as 1. The volt is a base unit here: the constant of a motor is proposed in N m A-1 or N m V-1.
-Exponents that are parameters (the g of a power law) have the given values.
+and pixels count as 1. The volt is a base unit here: the constant of a motor is proposed in N m A-1 or N m V-1. If an
+exponent is a parameter (the g of a power law), its value must be given to determine the dimension.
 
 A law may depend on recorded inputs. Inputs have separate symbols (`input_symbol`), so that the name of an input may be
 equal to that of a variable or a parameter.
@@ -327,7 +327,7 @@ class Effect:
         Effects that a usual recording does not separate from this one.
     searched : bool
         Whether the effect is a candidate of every search. Contacts between bodies, which are visible on the apparatus,
-        and laws that few motions separate from simpler laws are not candidates.
+        and laws that can be distinguished from simpler laws only in few motions, are not candidates.
     contact : bool
         Whether the effect is friction whose states depend on the angle since the last reversal: a body that turns in
         one sense slides after a small angle, and the law is then a function of the speed.
@@ -453,7 +453,7 @@ class Effect:
         return replace(self, law=renamed(self.law, {angle: "deflection"}))
 
     def parameters_at(self, speeds: Mapping[str, float], length: float) -> tuple[Parameter, ...]:
-        """Return the parameters of recordings with these largest speeds by symbol [rad/s] and length [s]."""
+        """Return the parameters for recordings with these largest speeds [rad/s], by symbol, and this length [s]."""
         used = symbols(self.expression).union(*map(symbols, self.rates))
         main = self.mechanism.speeds[MAIN]
         symbol = next((s for s in self.mechanism.speeds if s in used and s != main), main)

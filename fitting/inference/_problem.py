@@ -52,7 +52,7 @@ class Projection:
         return orthogonal_to(self.basis, self.whitener(rows))
 
     def unexplained(self, columns: Array) -> Array:
-        """Return whitened columns, orthogonal to the nuisance columns; zero where these explain all but rounding."""
+        """Return whitened columns, orthogonal to the nuisance columns; zero if only rounding errors remain."""
         white = self.whitener(columns)
         projected = orthogonal_to(self.basis, white)
         size = np.linalg.norm(white, axis=0)

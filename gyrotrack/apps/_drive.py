@@ -143,7 +143,7 @@ def _response(series: Series, quantity: str, cause: Driver | None) -> Response |
     measured = np.interp(even, time, measured)
     value = np.ones(len(even))
     if cause is not None:
-        early = 1e-6 * float(even[1] - even[0])  # rounding
+        early = 1e-6 * float(even[1] - even[0])  # for rounding errors of the times
         rows = np.clip(np.searchsorted(time, even + early, side="right") - 1, 0, None)
         value = np.nan_to_num(cause.value)[rows]
     several = len(np.unique(value)) > 1

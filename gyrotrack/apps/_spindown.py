@@ -621,7 +621,7 @@ class BodyResponse(TypedDict):
 
     label: str  #: Name of the case.
     body: str  #: Name of the body.
-    time_constant: StoredEstimate  #: Moment of inertia divided by linear drag.
+    time_constant: StoredEstimate  #: Moment of inertia divided by the coefficient of linear drag.
     gains: dict[str, StoredEstimate]  #: Change of the final speed per unit of an input, by input.
     delays: dict[str, StoredEstimate]  #: Dead time of an input, by input for which one is fitted.
 

@@ -57,8 +57,8 @@ ONE_CLOCK = 2e-4
 """Smallest difference of the rates of clips that proves two cameras [1]. Chosen: a crystal changes by 1e-6 in a run,
 and slow errors of tracking imitate about 1e-5; a larger value joins two cameras."""
 UNLIKELY = 1e-4
-"""Probability that white errors cause a larger difference of rates, below which the rates are taken to differ [1].
-Chosen: a larger value separates clips of one camera, a smaller one joins two."""
+"""Largest p-value of a significant difference of clock rates, for white errors [1]. Chosen: a larger value
+separates clips of one camera, a smaller one joins two."""
 MAX_LENGTH = 3.0
 """Largest length of the part of a clip that is compared in the search [s]. Chosen: a cubic describes the motion over
 it; a longer part needs a higher degree, a shorter one is noisy."""
@@ -82,7 +82,8 @@ INTERVALS = (2, 4, 8, 16, 32)
 """Numbers of intervals of the spline that are tried [1]. Chosen: factors of two; more cost time, fewer smooth the
 motion."""
 BIC_BLOCKS = 30
-"""Number of blocks whose means are taken as independent [1]. Chosen: fewer leave no selection, more are correlated."""
+"""Number of blocks whose means are taken as independent [1]. Chosen: with fewer, the number of intervals cannot be
+selected; the means of more blocks are correlated."""
 PARAMETERS = 16
 """Number of parameters in addition to one per interval [1]. Derived: 5 for the ends of the spline, 8 harmonics, start,
 rate and direction."""
@@ -111,8 +112,8 @@ AGREE = 4.0
 """Largest difference of equal directions, or rates, in standard deviations [1]. Chosen: a smaller value separates equal
 ones, a larger one joins different ones."""
 RESOLVED = TURN / 10
-"""Largest uncertainty of a direction that identifies the turn [rad]. Chosen: a tenth of a turn, five standard
-deviations from the next half turn; a larger value counts turns wrongly."""
+"""Largest uncertainty of a direction that identifies the turn [rad]. Chosen: a tenth of a turn, so that half a turn is
+five standard deviations; a larger value counts turns wrongly."""
 MAX_COMBINATIONS = 64
 """Largest number of combinations of starts that are compared [1]. Chosen: time; fewer may omit the true one."""
 
@@ -400,7 +401,7 @@ def match_clips(
     cameras: Sequence[object],
     progress: Callable[[int, int | None], None] | None = None,
 ) -> list[Match]:
-    """Determine start, rate and direction of every clip from the casing's angle; equal `cameras` are one camera."""
+    """Determine start, rate and direction of every clip; clips with equal entries of `cameras` are from one camera."""
     surveys = {half: survey(casing, half) for half in {half_length(clip) for clip in clips}}
     prepared = []
     for clip, name in zip(clips, names, strict=True):
@@ -471,7 +472,7 @@ def _solve(
 
 
 def _are_two_clocks(free: Solution) -> bool:
-    """Return whether the separate rates of clips differ by more than one clock and their uncertainties explain."""
+    """Return whether the rates of clips differ by more than the drift of one clock plus their uncertainties."""
     rate = np.array([s.eps for s in free.starts])
     sigma = np.array([free.sigma(k)[1] for k in range(len(rate))])
     best = int(np.argmin(sigma))

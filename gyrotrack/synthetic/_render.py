@@ -27,7 +27,7 @@ Picture = NDArray[np.float32]
 Paint = NDArray[np.uint16]
 
 FULL = 40000.0  # stored value of the intensity 1; 16-bit integers are faster than floats
-WIDTH_STEP = 0.25  # rounding of the width of the blur [columns], about 0.1 px
+WIDTH_STEP = 0.25  # step to which the width of the blur is rounded [columns], about 0.1 px
 
 
 @dataclass(frozen=True)

@@ -29,11 +29,11 @@ _FAST = 0.25
 """Smallest turn per frame, in periods, for which the other rotation is tried [1]. Chosen: slower motions leave only
 implausibly fast alternatives; a smaller value adds doubts, a larger one misses aliases."""
 _EQUAL = 0.02
-"""Smallest difference of the explained shares by which the pictures decide [1]. Chosen: a smaller value decides by
-noise, a larger one leaves clear cases to the change of speed."""
+"""Smallest difference of the explained shares by which the pictures decide [1]. Chosen: with a smaller value, noise
+decides; a larger one leaves clear cases to the change of speed."""
 _STEADY = 0.02
-"""Smallest relative change of the speed that counts as speeding up or slowing down [1]. Chosen: a smaller value
-decides by noise, a larger one leaves slow decays undecided."""
+"""Smallest relative change of the speed that counts as speeding up or slowing down [1]. Chosen: with a smaller value,
+noise decides; a larger one leaves slow decays undecided."""
 
 
 class Alias(NamedTuple):
@@ -107,8 +107,8 @@ def unaliased(
 
 
 _FEWEST = 10
-"""Number of angles that must be exceeded to determine a change of the speed [frames]. Chosen: fewer decide by noise,
-more leave short films aliased."""
+"""Number of angles that must be exceeded to determine a change of the speed [frames]. Chosen: with fewer, noise
+decides; more leave short films aliased."""
 
 
 def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:

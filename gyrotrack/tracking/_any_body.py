@@ -96,8 +96,8 @@ _DISPLACED = 0.05
 """Smallest distance of a better hub from the given hub that triggers a warning [radii]. Chosen: a smaller value warns
 of accurate hubs, a larger one accepts biased angles."""
 _PATH_ERROR = 0.1
-"""Position-dependent error of a displacement, due to background and interpolation [px]. Measured: drawn films: 0.06
-px."""
+"""Position-dependent error of a displacement, due to background and interpolation [px]. Measured: 0.06 px in drawn
+films."""
 # options for a film in which no hub is found
 _GIVE_HUB = "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y."
 _COARSE = 48.0
@@ -145,7 +145,7 @@ _CLEAR = 0.6
 """Smallest explained share for which a candidate is refined immediately [1]. Chosen: with a smaller value more
 candidates are refined, with a larger one all candidates are first refined cheaply."""
 _FEW_FRAMES = 12
-"""Frames of the cheap refinement of a candidate [frames]. Chosen: fewer decide by noise, more cost time."""
+"""Frames of the cheap refinement of a candidate [frames]. Chosen: with fewer, noise decides; more cost time."""
 _FEW_STEPS = 3
 """Iterations of the cheap refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
 _PROMISING = 0.85

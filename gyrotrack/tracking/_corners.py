@@ -117,7 +117,7 @@ NEAR_BANDS = 5
 """Number of bands into which the columns of the near edge are averaged [1]. Chosen: a parabola has 3 coefficients;
 fewer leave no redundancy, more have noisier edges."""
 _LEAST_FALL = 1e-9
-"""Fall of the score below which an edge is flat [1]. Derived: rounding of floating-point numbers."""
+"""Fall of the score below which an edge is flat [1]. Derived: rounding errors of floating-point numbers."""
 
 
 def near_corners(

@@ -26,7 +26,7 @@ Frames = npt.NDArray[np.int64]
 Complexes = npt.NDArray[np.complex128]
 
 _PAIRS = 16
-"""Pairs of frames that are compared [1]. Chosen: fewer decide by chance, more cost time."""
+"""Pairs of frames that are compared [1]. Chosen: with fewer, chance decides; more cost time."""
 _LAGS = (1, 2, 4, 8)
 """Lags between the frames of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
 longer ones lose features of fast bodies."""

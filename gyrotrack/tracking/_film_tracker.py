@@ -255,8 +255,8 @@ SLOW = 3.0 * LEAST_SCATTER
 """Smallest step of the fastest body for which equal frames are repeated frames [rad]. Derived: three times the lower
 limit of the scatter of a coarse angle."""
 _MOVE = 0.6
-"""Distance of the disc from the centre of the rings beyond which the rings are moved [px]. Chosen: a smaller value
-moves them by noise, a larger one displaces the markers in their windows."""
+"""Distance of the disc from the centre of the rings beyond which the rings are moved [px]. Chosen: with a smaller
+value, noise moves them; a larger one displaces the markers in their windows."""
 
 
 @dataclass(frozen=True)

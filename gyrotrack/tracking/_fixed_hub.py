@@ -44,7 +44,7 @@ hubs, a larger one measures bodies that translate."""
 def drift(
     ring: Ring, frames: Sequence[Plane], angle: Floats, area: Area, *, separate: bool
 ) -> tuple[float, float]:
-    """Return the displacement of a body from its circles about a hub [px], and the limit for a body on an axle [px].
+    """Return the displacement of a body from a rotation about a hub [px], and the limit for a body on an axle [px].
 
     The displacement is the 80 % quantile over the frames, because a hand or a shadow may disturb the other frames. It
     is measured at the middle of the details of the body, where it is determined best, even for a bob far from its hub.

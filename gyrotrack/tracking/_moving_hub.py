@@ -56,8 +56,8 @@ _EXPLAINED = 0.4
 accepts bodies that only translate, a larger one refuses uneven light."""
 _RIGID = 0.7
 """Smallest explained share for a body whose path is the path of its outline; for a rigid body, rotation explains
-nearly the whole change [1]. Measured: real pucks and a cylinder: 0.79 to 0.99; a wave, a part of a turning rod, wires
-on a puck: 0.56 to 0.63."""
+nearly the whole change [1]. Measured: 0.79 to 0.99 for real pucks and a cylinder, 0.56 to 0.63 for a wave, a part of a
+turning rod and wires on a puck."""
 _ROUGHLY_RIGID = 0.5
 """Smallest explained share with rough angles, for which a body is registered [1]. Measured: registration changes the
 share by less than 0.1; the films are not recorded."""

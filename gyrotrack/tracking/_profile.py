@@ -7,7 +7,7 @@ gyroscope of the paper. A profile is a TOML file::
     centre = "orbit"            # no mark at the centre: it is found from the paths of the markers
     capture_fps = 300           # optional
     sense = -1                  # optional: -1 turns clockwise as seen, +1 counter-clockwise
-    wander = false              # optional: whether the centre of an orbit moves; by default only if it moves far
+    wander = false              # optional: whether the centre of an orbit may move; by default only if it moves far
     tilt_correction = true      # optional: correct the angles for the tilt of the camera
 
     [[marker]]
@@ -178,8 +178,8 @@ class MarkerProfile(BaseModel):
 class Profile(BaseModel):
     """A scene: the markers, and the mark at the centre.
 
-    `centre` is the colour of a disc at the centre (or the word ``"circle"``, a red one), or ``"orbit"`` if the centre
-    has no mark. `hub`, (x, y) in px, is a given centre.
+    `centre` is the colour of a disc at the centre (or the word ``"circle"`` for a red disc), or ``"orbit"`` if the
+    centre has no mark. `hub`, (x, y) in px, is a given centre.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -192,7 +192,7 @@ class Profile(BaseModel):
     hub: tuple[float, float] | None = None  #: Given centre, x and y [px].
     capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)  #: Capture rate of the camera [s-1].
     sense: Literal[-1, 1] | None = None  #: Given sense of rotation; null: measured.
-    wander: bool | None = None  #: Whether the centre of an orbit moves; null: only if it moves far.
+    wander: bool | None = None  #: Whether the centre of an orbit may move; null: only if it moves far.
     tilt_correction: bool = True  #: Whether the view of the camera is corrected.
 
     @field_validator("marker")

@@ -524,7 +524,7 @@ def _off_line(angle: Floats, at: npt.NDArray[np.int64], k: int) -> float:
 
 _COMPARED = 100
 """Largest number of frames for estimating a template for a comparison, and for comparing it [frames]. Chosen: time;
-fewer decide by noise."""
+with fewer, noise decides."""
 
 
 def every(count: int) -> int:

@@ -21,9 +21,10 @@ WIDEST = 3.0
 """Smallest range of the angle in which rotation does not resemble translation [rad]. Chosen: about half a turn; a
 smaller value skips the test of carts, a larger one costs time."""
 _FRAMES = 24
-"""Number of frames that are compared [frames]. Chosen: fewer decide by noise, more cost time."""
+"""Number of frames that are compared [frames]. Chosen: with fewer, noise decides; more cost time."""
 _FEWEST = 30
-"""Smallest number of pixels that change [pixels]. Chosen: fewer decide by noise, more skip the test of small bodies."""
+"""Smallest number of pixels that change [pixels]. Chosen: with fewer, noise decides; more skip the test of small
+bodies."""
 _SMOOTHED = 5
 """Width of the smoothing before an alignment [px]. Chosen: a smaller value fails for large displacements, a larger one
 loses detail."""

@@ -107,8 +107,8 @@ class ReadAhead(Generic[T]):
 
 
 _STAMP_S = 2e-3
-"""Largest difference of the declared duration that rounding of timestamps explains [s]. Derived: twice the resolution
-of timestamps in whole ms."""
+"""Largest difference of the declared duration that rounding errors of timestamps explain [s]. Derived: twice the
+resolution of timestamps in whole ms."""
 _NO_STAMP = -(1 << 63)
 """Value for a missing timestamp [ticks]. Source: AV_NOPTS_VALUE of FFmpeg."""
 
@@ -429,6 +429,6 @@ chance, a larger one fails if a repeat is not detected."""
 
 
 def _regular(start: npt.NDArray[np.int64]) -> bool:
-    """Return whether runs are periodic up to one frame of rounding, as after a conversion."""
+    """Return whether runs are periodic up to a rounding error of one frame, as after a conversion."""
     apart = np.diff(start)
     return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > REGULAR)

@@ -19,7 +19,7 @@ _MOVES = 8.0
 """Smallest change between frames of a moving pixel [grey levels]. Chosen: a smaller value includes noise, a
 larger one leaves few pixels."""
 _FEWEST_MOVING = 50
-"""Smallest number of moving pixels that determine the order of the fields [pixels]. Chosen: fewer decide by noise,
+"""Smallest number of moving pixels that determine the order of the fields [pixels]. Chosen: with fewer, noise decides;
 more leave slow films undecided."""
 
 

@@ -158,7 +158,7 @@ class FrameTimes:
     place: Floats | None = None
     # standard deviation of a place, due to the tick of the timestamps; independent between frames
     sigma: float = 0.0
-    # shape (n,); the places without jitter beyond rounding, for jitter that is not due to the camera
+    # shape (n,); the places without jitter beyond rounding errors, for jitter that is not due to the camera
     smooth: Floats | None = None
     warnings: tuple[str, ...] = ()  # for the user
     again: Mask | None = None  # shape (n,); frames that repeat the previous frame; None if there are none
@@ -287,8 +287,8 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
     """Return places with the rounding of stamps to whole ticks reduced by smoothing, and their standard deviation.
 
     A place rounded to a tick d has the standard deviation d / sqrt(12). After smoothing by a parabola through its
-    neighbours, the variance is multiplied by the leverage of the place; scatter beyond rounding is an error of the
-    parabola. If this error is larger than the rounding error, or a place would change by more than rounding error,
+    neighbours, the variance is multiplied by the leverage of the place; scatter beyond rounding errors is an error of
+    the parabola. If this error is larger than the rounding error, or a place would change by more than rounding error,
     nothing changes.
     """
     rounding = tick**2 / 12.0

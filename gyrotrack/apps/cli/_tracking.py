@@ -656,7 +656,8 @@ def spindown_command(
     capture_fps: Annotated[
         float | None,
         option(
-            "--capture-fps --casing-fps N", "Frames per second of the camera, also of a table without times."
+            "--capture-fps --casing-fps N",
+            "Frames per second of the camera, or rows per second of a table without times.",
         ),
     ] = None,
     inertia: shared.BodyInertia = None,
@@ -826,7 +827,7 @@ def _first_order_lines(document: Mapping[str, Any]) -> list[str]:
 
 
 def _law_lines(document: Mapping[str, Any]) -> list[str]:
-    """Return the strengths of the fitted laws and their effects on the motion; for an oscillator, only the effects."""
+    """Return the strengths of the fitted laws (not for an oscillator), and their effects on the motion."""
     from fitting._numbers import rounded
 
     known = () if document["oscillator"] is None else document["oscillator"].parameters

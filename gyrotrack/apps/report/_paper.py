@@ -294,7 +294,7 @@ _TABLE = re.compile(r"\\begin\{table\}.*?\\label\{tab:([^}]*)\}.*?\\end\{table\}
 _PRINT = {"pdf.fonttype": 42, "svg.fonttype": "path"}
 
 
-MAIN = "tables.tex"  # the first output
+MAIN = "tables.tex"  # first in the list of outputs; if it exists, the folder contains an output
 
 
 def write_figures(
