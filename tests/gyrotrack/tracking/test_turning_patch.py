@@ -8,7 +8,7 @@ import pytest
 
 from gyrotrack.tracking import _point_motion, _point_tracker
 from gyrotrack.tracking._point_motion import TrackedPoint, _on_second_link, _with_error
-from gyrotrack.tracking._point_tracker import PointPath, _best_turn, _clicked, _cut, _follow
+from gyrotrack.tracking._point_tracker import PointPath, _best_turn, _clicked, _cut, _follow, _Layers
 from gyrotrack.tracking._silhouettes import Foreground, Spot
 
 TIME = np.arange(40) / 40.0
@@ -55,6 +55,30 @@ def test_the_rotation_of_a_patch_is_followed_where_its_picture_shows_it(contrast
     assert found.all()
     assert np.abs(there - place).max() < 0.5
     assert np.abs(turns - (turn if seen else 0.0)).max() < 0.05
+
+
+def test_a_patch_is_where_its_covariance_says():
+    """A picture of known layers, with white noise of 5 grey levels."""
+    v, u = np.mgrid[-12:13, -12:13].astype(np.float64)
+    spot = 90.0 * np.exp(-0.5 * (np.hypot(u, v) / 3.0) ** 2)
+    layers = _Layers(
+        np.stack([u, v]),
+        np.ones(u.shape, np.float32),
+        spot.astype(np.float32),
+        np.full(u.shape, 25.0, np.float32),
+        FULL,
+    )
+    y, x = np.mgrid[0:120, 0:160]
+    rng, error, claimed = np.random.default_rng(3), [], []
+    for _ in range(60):
+        at = np.array([80.0, 60.0]) + rng.uniform(-0.5, 0.5, 2)
+        clean = FULL + 90.0 * np.exp(-0.5 * (np.hypot(x - at[0], y - at[1]) / 3.0) ** 2)
+        frame = (clean + rng.normal(0.0, 5.0, clean.shape)).astype(np.float32)
+        place, covariance, misfit, _ = layers.register(frame, np.array([80.0, 60.0]), 0.0)
+        error.append(place - at)
+        claimed.append(np.diag(covariance))
+    assert misfit < 1.5
+    assert np.std(error, axis=0) / np.sqrt(np.mean(claimed, axis=0)) == pytest.approx(1.0, abs=0.25)
 
 
 @pytest.mark.parametrize(("away", "caught"), [(0.8, True), (2.5, False)])
