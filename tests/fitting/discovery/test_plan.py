@@ -707,7 +707,9 @@ def test_a_planned_run_has_the_moments_of_inertia_of_the_plan(described):
     """With viscous friction alone the angle of a body is w (I / k) (1 - exp(-k t / I))."""
     start, end = PLAN.index("[parameters]"), PLAN.index("[noise]")
     laws = '[parameters]\n"rotor.air.linear.a1" = 2e-6\n"casing.air.linear.b2" = 3e-6\n'
-    plain = (PLAN[:start] + laws + PLAN[end:]).replace('"reduced"', '["rotor.air.linear", "casing.air.linear"]')
+    plain = (PLAN[:start] + laws + PLAN[end:]).replace(
+        '"reduced"', '["rotor.air.linear", "casing.air.linear"]'
+    )
     path = described("", "")
     path.write_text(plain.replace("torque = 1e-7", "torque = 0.0"))
     (record,) = read_planned(path)._records(0)

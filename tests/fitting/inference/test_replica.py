@@ -209,9 +209,7 @@ def test_white_noise_of_each_camera_has_the_level_of_its_recording(gyroscope):
     moved = motion(gyroscope)
     data = moved.data
     scales = (2.0, 3.0, 5.0)
-    loud = replace(
-        data, rotor=tuple(replace(w, scale=s) for w, s in zip(data.rotor, scales, strict=True))
-    )
+    loud = replace(data, rotor=tuple(replace(w, scale=s) for w, s in zip(data.rotor, scales, strict=True)))
     (new,) = [_replica._recording(FittedMotion(gyroscope, 0, loud), np.random.default_rng(4))]
     for window, known, scale in zip(new.rotor, moved.values()[1:], scales, strict=True):
         measured = np.std(np.diff(window.value - known)) / np.sqrt(2) / window.sigma[0]

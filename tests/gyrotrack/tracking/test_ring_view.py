@@ -169,7 +169,11 @@ class TestWhatAViewExplains:
         view = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
         a = THETA + angles[:, None]
         edge = 2.0 * np.cos(a)
-        added = {"third": 30.0 * np.cos(3.0 * a), "body": 30.0 * np.cos(THETA + 0.0 * a), "shadow": 4.0 * np.sin(2.0 * a)}
+        added = {
+            "third": 30.0 * np.cos(3.0 * a),
+            "body": 30.0 * np.cos(THETA + 0.0 * a),
+            "shadow": 4.0 * np.sin(2.0 * a),
+        }
         found = {k: response.explains(view, [edge + v], angles).tolist() for k, v in added.items()}
         assert found == {"third": [True], "body": [True], "shadow": [False]}
 
