@@ -140,6 +140,20 @@ class TestLevels:
         (found,) = _with_unresolved(problem, [fitted], [known], np.zeros(1, dtype=bool))
         assert found.unresolved == pytest.approx(level, rel=0.03)
 
+    def test_a_parameter_at_its_bound_does_not_absorb_a_torque(self):
+        residual = 2.0 * np.append(RESPONSE[:, 0], 0.0)
+        data = SimpleNamespace(angle_noise=SimpleNamespace(is_white=False), nuisance=FREE[:, :0], z=residual)
+        known = noise.Noise(1.0, pure=3.0, pure_u=1.0, level=0.0, time=1.0, whitener=WHITENER, process=None)
+        levels = []
+        for columns, held in ((residual[:, None], True), (residual[:, None], False), (FREE[:, :0], False)):
+            places = np.arange(columns.shape[1])
+            fitted = SimpleNamespace(columns=columns, places=places, rows=np.zeros(ROWS))
+            problem = SimpleNamespace(data=[data])
+            (found,) = _with_unresolved(problem, [fitted], [known], np.array([held]))
+            levels.append(found.unresolved)
+        assert levels[0] == pytest.approx(levels[2])
+        assert levels[1] < 0.9 * levels[0]
+
     def test_the_peak_of_a_parabola_in_the_logarithm(self):
         levels = np.append(0.0, np.geomspace(0.01, 100.0, 30))
         likelihood = np.append(-50.0, -((np.log(levels[1:] / 1.7)) ** 2))

@@ -177,6 +177,16 @@ class TestWhatAViewExplains:
         found = {k: response.explains(view, [edge + v], angles).tolist() for k, v in added.items()}
         assert found == {"third": [True], "body": [True], "shadow": [False]}
 
+    def test_the_template_of_a_short_arc_contains_the_mean_of_a_view(self):
+        """Over 0.45 turns the mean of exp(i psi) is 0.7: half of what is static is in the template."""
+        angles = np.linspace(0.0, 0.45 * TURN, 40)
+        change = np.zeros((1, COLUMNS, ring_view.VIEW_SIZE), np.float32)
+        change[0, :, :2] = np.stack([np.cos(THETA), np.sin(THETA)], axis=1)
+        response = ViewResponse(change, np.zeros((1, 8)), np.zeros((1, 8, 8)), COLUMNS)
+        edge = 2.0 * np.cos(THETA + angles[:, None])
+        view = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        assert response.explains(view, [edge - edge.mean(axis=0)], angles).all()
+
 
 class TestViewOfARing:
     def test_displacement_and_flattening_are_found(self):
