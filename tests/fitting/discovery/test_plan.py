@@ -703,6 +703,22 @@ def test_an_upper_limit_respects_the_bound_of_a_correlated_parameter():
     assert bounds.largest_strength(apart, np.zeros(3), without, one_sided=True) == without
 
 
+def test_a_planned_run_has_the_moments_of_inertia_of_the_plan(described):
+    """With viscous friction alone the angle of a body is w (I / k) (1 - exp(-k t / I))."""
+    start, end = PLAN.index("[parameters]"), PLAN.index("[noise]")
+    laws = '[parameters]\n"rotor.air.linear.a1" = 2e-6\n"casing.air.linear.b2" = 3e-6\n'
+    plain = (PLAN[:start] + laws + PLAN[end:]).replace(
+        '"reduced"', '["rotor.air.linear", "casing.air.linear"]'
+    )
+    path = described("", "")
+    path.write_text(plain.replace("torque = 1e-7", "torque = 0.0"))
+    (record,) = read_planned(path)._records(0)
+    assert (record.I_rotor, record.I_casing) == (5.54e-5, 2.06e-5)
+    for run, w, k, inertia in ((record.casing, 5.0, 3e-6, 2.06e-5), (record.rotor[2], 900.0, 2e-6, 5.54e-5)):
+        angle = -w * inertia / k * np.exp(-k * run.time / inertia)
+        assert np.ptp(run.value) == pytest.approx(np.ptp(angle), abs=0.01)
+
+
 def test_each_run_of_each_simulation_has_its_own_noise(described):
     """Two equal runs, simulated twice."""
     short = PLAN.replace("= 60.0\ncasing", "= 5.0\ncasing").replace("2.0, 30.0, 50.0", "1.0")

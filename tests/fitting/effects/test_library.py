@@ -291,6 +291,16 @@ ELASTIC = {"casing.spring.linear", "casing.spring.cubic", "casing.gravity", "cas
 ELASTIC |= {"casing.friction.lugre", "casing.friction.gms"}
 
 
+def test_the_strength_of_a_friction_is_not_negative():
+    """The change of a friction with time may have either sign."""
+    changes = {"touchpoint.step", "touchpoint.drift"}
+    names = sorted(n for n in TABLE if not LIBRARY[n].camera and n not in DRIVERS | ELASTIC | changes)
+    frictions = [LIBRARY[n] for n in names if LIBRARY[n].joint in {"rotor", "casing", "bearing"}]
+    bounds = {(e.name, p.lower, p.upper) for e in frictions for p in e.parameters if p.role == "amplitude"}
+    assert {b for b in bounds if b[1:] != (0.0, np.inf)} == set()
+    assert ("bearing.power", 0.0, np.inf) in bounds
+
+
 # k omega_r^2 pushes the casing forward whatever it does: friction only while the rotor is the faster body,
 # as it is through every run of this experiment.
 FORWARD_ONLY = {"bearing.load"}

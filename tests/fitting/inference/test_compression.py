@@ -12,6 +12,7 @@ from fitting.inference._compression import (
     ROTOR_DEGREE,
     _cut_where_slow,
     compress,
+    independent_harmonics,
     responses_to_harmonics,
 )
 from fitting.inference._record import Samples
@@ -216,6 +217,16 @@ def test_harmonics_that_are_nearly_polynomials_do_not_bias_the_noise():
         samples = Samples(t, angle + noise, np.full(len(t), 3e-3))
         variances.append(compress(samples, degree=CASING_DEGREE, angle=samples.value).scale ** 2)
     assert np.mean(variances) == pytest.approx(1.0, abs=3 * np.std(variances) / np.sqrt(30))
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.19, False), (0.21, True)])
+def test_a_harmonic_needs_a_fifth_of_its_amplitude_beside_the_polynomials(share, kept):
+    """Over whole turns the part of cos y orthogonal to sqrt(1 - s^2) cos y + s cos 5y has the amplitude s."""
+    y = np.linspace(0.0, 6 * np.pi, 600, endpoint=False)
+    alike = np.sqrt(1 - share**2) * np.cos(y) + share * np.cos(5 * y)
+    found = independent_harmonics(y, np.stack([np.ones_like(y), alike], axis=1))
+    waves = np.stack([kept * np.cos(y), np.sin(y), np.cos(2 * y), np.sin(2 * y)], axis=1)
+    assert found == pytest.approx(waves)
 
 
 @pytest.mark.parametrize("per_turn", [1, 2])

@@ -1,5 +1,7 @@
 """The least-squares solver on problems with certified solutions, at bounds and in undefined regions."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from nist import PROBLEMS
@@ -7,7 +9,8 @@ from scipy.optimize import lsq_linear
 
 from fitting import EstimationError, SimulationError
 from fitting.effects._expression import Tape, derivative, parse
-from fitting.inference._optimisation import minimise
+from fitting.inference._optimisation import _out_of_bounds, minimise, search
+from fitting.inference._parameters import PowerLaw
 from fitting.inference._problem import covariance_of
 
 
@@ -134,3 +137,60 @@ def test_undetermined_directions_have_large_standard_errors():
     held = covariance_of(j, np.array([True, False]))
     assert held[0, 0] == pytest.approx(1 / 14)
     assert held[1, 1] == 0
+
+
+@pytest.mark.parametrize(
+    ("theta", "alone", "broken"),
+    [
+        ((0.0, 2.0, 1.2), False, False),
+        ((-0.1, 1.0, 1.2), False, True),
+        ((3.1, 1.0, 1.2), False, True),
+        ((1.0, -0.1, 1.2), False, True),
+        ((1.0, 2.1, 1.2), False, True),
+        ((-0.1, 1.0, 1.2), True, False),
+        ((-0.1, 2.1, 1.2), True, True),
+    ],
+)
+def test_strengths_of_power_laws_are_checked_against_both_bounds(theta, alone, broken):
+    """A straight law of 0 to 3 beside a power law of 0 to 2, or the power law alone."""
+    law = PowerLaw(None if alone else 0, 1, 2, 10.0)
+    found = _out_of_bounds((law,), np.array(theta), np.array([0.0, 0.0, 0.3]), np.array([3.0, 2.0, 1.4]))
+    assert found == [law] * broken
+
+
+@pytest.mark.parametrize(("laws", "found"), [(("a law",), 1.5), ((), 1.0)])
+def test_responses_to_laws_of_an_angle_are_computed_again_at_the_minimum(laws, found):
+    """Residuals x - 1 - x0 / 2, with the x0 at which the response was computed: 1 after one pass, 1.5 after two."""
+
+    class Problem:
+        power_laws = ()
+        layout = SimpleNamespace(
+            bounds=lambda: (np.array([-9.0]), np.array([9.0])),
+            model=SimpleNamespace(angle_dependent=laws, measurement=()),
+        )
+
+        def __init__(self):
+            self.response = None
+            self.cases = [self]
+
+        def forget_columns(self):
+            self.response = None
+
+        def __call__(self, x):
+            if self.response is None:
+                self.response = 1.0 + 0.5 * x
+            return x - self.response, np.eye(1)
+
+        @staticmethod
+        def transformed(theta):
+            return theta
+
+        @staticmethod
+        def physical(x):
+            return x
+
+        @staticmethod
+        def transformed_bounds(*limits):
+            return limits
+
+    assert search(Problem(), np.zeros(1)).theta == pytest.approx([found], abs=1e-3)

@@ -271,6 +271,9 @@ class TestStretches:
             def __call__(self, time, x):
                 return -0.5 * self._slope * np.abs(levels - self._best)
 
+            def _on_levels(self, times):
+                return [levels], self(times[0], levels)[None]
+
         fine, coarse = Given(40, 6.1), Given(50, apart / 10)
         assert StretchLikelihood.is_consistent_with(coarse, fine, np.ones(1)) is consistent
 

@@ -21,6 +21,7 @@ from fitting.inference._noise import (
 )
 from fitting.inference._process_noise import StretchLikelihood, estimate_process_noise, mean_acceleration
 from fitting.inference._record import Samples
+from fitting.inference._result import _with_unresolved
 
 RNG = np.random.default_rng(0)
 ROWS = 6
@@ -120,6 +121,38 @@ class TestLevels:
         deaf = Whitener(VECTORS, 1e-9 * VALUES, 0.0)
         found = unresolved_level(deaf, 0.8 * RESIDUAL, FREE, 1.0)
         assert found == pytest.approx(1.0 / np.sqrt(2.0), rel=0.03)
+
+    @pytest.mark.parametrize(
+        ("excess", "white", "level"),
+        [(5.9, False, 3.0 / np.sqrt(2.0)), (6.1, False, 0.0), (5.9, True, 0.0)],
+    )
+    def test_correlated_deviations_of_an_angle_may_be_those_of_a_torque(self, excess, white, level):
+        """Residuals without information leave the prior, whose width is the level of the recording."""
+        deaf = Whitener(VECTORS, 1e-9 * VALUES, 0.0)
+        data = SimpleNamespace(
+            angle_noise=SimpleNamespace(is_white=white), nuisance=FREE[:, 1:], z=0.8 * RESIDUAL
+        )
+        fitted = SimpleNamespace(columns=FREE[:, :1], places=np.array([0]), rows=np.zeros(ROWS))
+        known = noise.Noise(
+            1.0, pure=3.0, pure_u=1.0, level=0.2, time=1.0, whitener=deaf, process=None, excess=excess
+        )
+        problem = SimpleNamespace(data=[data])
+        (found,) = _with_unresolved(problem, [fitted], [known], np.zeros(1, dtype=bool))
+        assert found.unresolved == pytest.approx(level, rel=0.03)
+
+    def test_a_parameter_at_its_bound_does_not_absorb_a_torque(self):
+        residual = 2.0 * np.append(RESPONSE[:, 0], 0.0)
+        data = SimpleNamespace(angle_noise=SimpleNamespace(is_white=False), nuisance=FREE[:, :0], z=residual)
+        known = noise.Noise(1.0, pure=3.0, pure_u=1.0, level=0.0, time=1.0, whitener=WHITENER, process=None)
+        levels = []
+        for columns, held in ((residual[:, None], True), (residual[:, None], False), (FREE[:, :0], False)):
+            places = np.arange(columns.shape[1])
+            fitted = SimpleNamespace(columns=columns, places=places, rows=np.zeros(ROWS))
+            problem = SimpleNamespace(data=[data])
+            (found,) = _with_unresolved(problem, [fitted], [known], np.array([held]))
+            levels.append(found.unresolved)
+        assert levels[0] == pytest.approx(levels[2])
+        assert levels[1] < 0.9 * levels[0]
 
     def test_the_peak_of_a_parabola_in_the_logarithm(self):
         levels = np.append(0.0, np.geomspace(0.01, 100.0, 30))

@@ -205,6 +205,40 @@ def test_each_run_has_the_slow_errors_of_its_camera(gyroscope, monkeypatch):
         np.testing.assert_allclose(a.value - b.value, 2.0)
 
 
+def test_white_noise_of_each_camera_has_the_level_of_its_recording(gyroscope):
+    """Successive differences contain twice its variance."""
+    moved = motion(gyroscope)
+    data = moved.data
+    scales = (2.0, 3.0, 5.0)
+    loud = replace(data, rotor=tuple(replace(w, scale=s) for w, s in zip(data.rotor, scales, strict=True)))
+    (new,) = [_replica._recording(FittedMotion(gyroscope, 0, loud), np.random.default_rng(4))]
+    for window, known, scale in zip(new.rotor, moved.values()[1:], scales, strict=True):
+        measured = np.std(np.diff(window.value - known)) / np.sqrt(2) / window.sigma[0]
+        assert measured == pytest.approx(scale, rel=0.2)
+
+
+def test_random_torque_includes_what_the_residuals_do_not_exclude(gyroscope):
+    noise = gyroscope.noise[0]
+    known, unknown = (
+        _replica._random_torque(motion(replace(gyroscope, noise=(n,))), np.random.default_rng(0))
+        for n in (replace(noise.at(1e-6), unresolved=0.0), replace(noise.at(1e-8), unresolved=1e-6))
+    )
+    assert np.abs(known[0]).max() > 0.1
+    for a, b in zip(known, unknown, strict=True):
+        np.testing.assert_allclose(b, a)
+
+
+@pytest.mark.parametrize("body", ["slow", "turn"])
+def test_the_level_of_correlated_noise_is_uncertain(monkeypatch, body):
+    """Levels of 3 +- 4 mrad have an rms of 5 mrad; here the noise has the value 1 throughout."""
+    monkeypatch.setattr(_replica, "_ornstein_uhlenbeck", lambda t, *_: np.ones(len(t)))
+    run = Samples(np.zeros(1), np.array([0.0]), np.ones(1))
+    levels = {"slow": {"sigma": 3e-3, "sigma_u": 4e-3}, "turn": {"turn_sigma": 3e-3, "turn_sigma_u": 4e-3}}
+    random = np.random.default_rng(1)
+    drawn = [_replica._slow_error(run, AngleNoise(**levels[body]), random)[0] for _ in range(4000)]
+    assert np.sqrt(np.mean(np.square(drawn))) == pytest.approx(5e-3, rel=0.05)
+
+
 def test_no_random_torque_where_the_recording_has_none(speeds):
     silent = replace(speeds, noise=(speeds.noise[0].at(0.0),))
     (change,) = _replica._random_torque(motion(silent), np.random.default_rng(0))

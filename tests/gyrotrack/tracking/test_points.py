@@ -161,6 +161,30 @@ def drawn(radius=300.0, reach=0.2, hub=(80.0, -180.0), flat=1.0, count=160):
     return PointPath(np.arange(count), place, covariance, 9.0, count, turns=False, picture=np.zeros((9, 9)))
 
 
+@pytest.mark.parametrize(("formal", "factor"), [(0.05, 2.0), (0.4, 1.0)])
+def test_a_path_without_a_pivot_has_the_larger_of_bound_and_scatter(formal, factor):
+    """White noise of 0.1 px beside a parabola."""
+    t = np.linspace(0.0, 1.0, 600)
+    place = np.stack([90.0 * t, 40.0 * t**2], axis=1) + np.random.default_rng(1).normal(0.0, 0.1, (600, 2))
+    covariance = np.tile(formal**2 * np.eye(2), (600, 1, 1))
+    path = PointPath(np.arange(600), place, covariance, 9.0, 600, turns=False, picture=np.zeros((9, 9)))
+    assert _point_motion._white_scale(path) == pytest.approx(factor, rel=0.1)
+
+
+@pytest.mark.parametrize("formal", [0.01, 0.1])
+def test_positions_and_angles_have_the_uncertainty_of_their_scatter(formal):
+    """White noise of 0.1 px at 90 px; the Cramer-Rao bound may be smaller."""
+    rng = np.random.default_rng(1)
+    true = np.linspace(0.0, 12.0, 400)
+    exact = np.array([160.0, 120.0]) + 90.0 * np.stack([np.cos(true), -np.sin(true)], axis=1)
+    covariance = np.tile(formal**2 * np.eye(2), (400, 1, 1))
+    place = exact + rng.normal(0.0, 0.1, (400, 2))
+    path = PointPath(np.arange(400), place, covariance, 9.0, 400, turns=False, picture=np.zeros((9, 9)))
+    found = about_pivot(path, "film")
+    assert found.place_sigma == pytest.approx(np.full((400, 2), 0.1), rel=0.15)
+    assert found.sigma == pytest.approx(np.full(400, 0.1 / 90.0), rel=0.15)
+
+
 def test_a_given_hub_near_the_centre_of_the_path_is_kept():
     found = about_pivot(drawn(), "film", (80.0, -180.0))
     assert not found.ambiguous

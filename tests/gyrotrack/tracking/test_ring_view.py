@@ -160,6 +160,33 @@ class TestWhatAViewExplains:
         times = 1.0 / (1.0 - np.sqrt(share))
         assert (response.explains(view, [times * c for c in caused], angles) == explained).all()
 
+    def test_only_orders_of_a_view_that_do_not_turn_are_compared(self):
+        """A pattern on the body or with three periods in the picture is no lack of a displaced edge."""
+        angles = np.linspace(0.0, TURN, 24, endpoint=False)
+        change = np.zeros((1, COLUMNS, ring_view.VIEW_SIZE), np.float32)
+        change[0, :, :2] = np.stack([np.cos(THETA), np.sin(THETA)], axis=1)  # of a circular edge
+        response = ViewResponse(change, np.zeros((1, 8)), np.zeros((1, 8, 8)), COLUMNS)
+        view = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        a = THETA + angles[:, None]
+        edge = 2.0 * np.cos(a)
+        added = {
+            "third": 30.0 * np.cos(3.0 * a),
+            "body": 30.0 * np.cos(THETA + 0.0 * a),
+            "shadow": 4.0 * np.sin(2.0 * a),
+        }
+        found = {k: response.explains(view, [edge + v], angles).tolist() for k, v in added.items()}
+        assert found == {"third": [True], "body": [True], "shadow": [False]}
+
+    def test_the_template_of_a_short_arc_contains_the_mean_of_a_view(self):
+        """Over 0.45 turns the mean of exp(i psi) is 0.7: half of what is static is in the template."""
+        angles = np.linspace(0.0, 0.45 * TURN, 40)
+        change = np.zeros((1, COLUMNS, ring_view.VIEW_SIZE), np.float32)
+        change[0, :, :2] = np.stack([np.cos(THETA), np.sin(THETA)], axis=1)
+        response = ViewResponse(change, np.zeros((1, 8)), np.zeros((1, 8, 8)), COLUMNS)
+        edge = 2.0 * np.cos(THETA + angles[:, None])
+        view = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        assert response.explains(view, [edge - edge.mean(axis=0)], angles).all()
+
 
 class TestViewOfARing:
     def test_displacement_and_flattening_are_found(self):
@@ -233,6 +260,41 @@ class TestViewOfARing:
 
 def learnt(strips, angles):
     return texture._OwnView.learn(strips, angles, RADIUS, radial(strips.mean(axis=0)))
+
+
+class TestLearning:
+    """A body over an arc, from a centre that is displaced."""
+
+    ANGLES = np.linspace(0.0, 0.8 * TURN, 40)
+
+    def strips(self):
+        return np.stack([spots((0.5, -0.3), (0.0, 0.0), a) for a in self.ANGLES])
+
+    def test_the_zones_are_weighted_by_their_rotations_without_the_view(self, monkeypatch):
+        given = []
+        weighted = texture._Zones.weighted
+        monkeypatch.setattr(
+            texture._Zones, "weighted", lambda zones, *a: given.append(a) or weighted(zones, *a)
+        )
+        found = learnt(self.strips(), self.ANGLES)
+        ((angle, turned, _),) = given
+        assert angle == pytest.approx(self.ANGLES + turned, nan_ok=True)
+        caused = found.response.seen(found.view.value, self.ANGLES)
+        assert turned[2:].std() < 0.3 * (caused - caused.mean(axis=1, keepdims=True))[2:].std()
+
+    def test_circular_edges_count_in_rows_that_a_view_explains(self, monkeypatch):
+        clear = np.arange(len(RADIUS)) % 3 == 0
+        given = []
+        response = texture._Zones.response
+        monkeypatch.setattr(ViewResponse, "explains", lambda *_: clear)
+        monkeypatch.setattr(
+            texture._Zones, "response", lambda zones, *a: given.append(a[0]) or response(zones, *a)
+        )
+        edges = radial(spots()) + 20.0
+        texture._OwnView.learn(self.strips(), self.ANGLES, RADIUS, edges)
+        assert given[0] == pytest.approx(edges)
+        assert given[1][clear] == pytest.approx(edges[clear])
+        assert given[1][~clear].mean(axis=1) == pytest.approx(np.zeros((~clear).sum()), abs=1e-3)
 
 
 def both(angle, start, pictures):

@@ -11,7 +11,7 @@ import pytest
 
 from gyrotrack import read_case
 from gyrotrack.tracking._any_body import track_body
-from gyrotrack.tracking._camera_motion import Shake, _significant_roll, background_roll, camera_shake
+from gyrotrack.tracking._camera_motion import Shake, _rigid, _significant_roll, background_roll, camera_shake
 from gyrotrack.tracking._extract import _stabilised, extract
 from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations, FilmTracker, _by_markers
@@ -101,6 +101,35 @@ def test_points_are_where_the_picture_moves_them():
     assert shake.still(shake.seen(place)) == pytest.approx(place, abs=1e-9)
 
 
+class TestRigidMotion:
+    """Displacement and roll of features that are displaced by known amounts."""
+
+    PLACES = np.random.default_rng(0).uniform(0, 400, (60, 2)).astype(np.float32)
+
+    def moved(self, shift, roll, noise=0.0):
+        x, y = (self.PLACES - self.PLACES.mean(axis=0)).T
+        turned = roll[:, None, None] * np.stack([-y, x], axis=1)
+        error = noise * np.random.default_rng(1).standard_normal((len(roll), *self.PLACES.shape))
+        return shift[:, None] + turned + error
+
+    def test_the_displacement_is_that_of_the_centroid_of_all_features(self):
+        """In some frames, half of the features are occluded."""
+        shift, roll = np.array([[0.0, 0.0], [2.0, -1.0], [-3.0, 0.5]]), np.array([0.0, 0.02, -0.01])
+        moved = self.moved(shift, roll)
+        moved[1:, self.PLACES[:, 0] > 150.0] = np.nan
+        found = _rigid(self.PLACES, moved)
+        assert found.shift == pytest.approx(shift, abs=1e-3)
+        assert found.roll == pytest.approx(roll, abs=1e-5)
+
+    def test_its_uncertainties_are_those_of_repeated_measurements(self):
+        """The median distance from the rigid motion is 1.18 standard deviations per axis."""
+        rng = np.random.default_rng(2)
+        shift, roll = rng.normal(0, 2.0, (300, 2)), rng.normal(0, 0.02, 300)
+        found = _rigid(self.PLACES, self.moved(shift, roll, 0.1))
+        assert np.std(found.roll - roll) / found.roll_sigma == pytest.approx(0.85, abs=0.12)
+        assert np.std(found.shift - shift) / found.shift_sigma == pytest.approx(0.85, abs=0.12)
+
+
 def test_a_camera_on_a_tripod_is_left_alone():
     frames = film(np.zeros((30, 2)), np.zeros(30))
     assert camera_shake(frames, frames) is None
@@ -142,6 +171,22 @@ class TestBackgroundRoll:
         assert not found.shift.any()
         assert found.shift_sigma == 0.0
         assert found.still(np.tile(self.BODY[:2], (96, 1))) == pytest.approx(np.tile(self.BODY[:2], (96, 1)))
+
+    def test_the_uncertainty_follows_from_the_differences_of_two_halves(self, monkeypatch):
+        """Two independent halves with errors of sqrt(2) mrad have a mean with an error of 1 mrad."""
+        rng = np.random.default_rng(5)
+        halves = np.sqrt(2.0) * 1e-3 * rng.standard_normal((2, 150))
+        # each sixteenth frame is registered three times
+        whole = rng.uniform(-0.03, 0.03, (150, 16))
+        rolls = iter(np.concatenate([whole[:, :1], halves.T, whole[:, 1:]], axis=1).ravel().tolist())
+
+        def registered(*_):
+            turn = next(rolls)
+            return 1.0, np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0]])
+
+        monkeypatch.setattr(cv2, "findTransformECC", registered)
+        found = background_roll((np.zeros((24, 32), np.uint8) for _ in range(16 * 150)), (16.0, 12.0, 5.0))
+        assert found.roll_sigma == pytest.approx(1e-3, rel=0.25)
 
     @pytest.mark.slow
     def test_a_camera_that_does_not_roll_is_left_alone(self):

@@ -53,6 +53,25 @@ def test_the_angles_are_those_in_the_plane_of_the_body(degrees, short):
     assert np.sqrt(np.mean(np.square(of_tilt))) < 2.0
 
 
+def test_positions_on_an_ellipse_have_the_uncertainty_of_their_scatter():
+    found = about_pivot(_path(_seen(TURNS, 0.4, 1.0)), "film.mp4")
+    assert found.orbit is not None
+    assert found.place_sigma == pytest.approx(np.full((len(found.frame), 2), 0.05), rel=0.2)
+
+
+@pytest.mark.parametrize("formal", [0.01, 0.05])
+def test_a_second_link_has_the_uncertainty_of_both_its_ends(formal):
+    """Errors of 0.05 px at both ends, 70 px apart; the Cramer-Rao bound of the end may be smaller."""
+    first, second = 0.5 * np.sin(TURNS) - 1.4, 0.9 * np.sin(1.3 * TURNS) - 1.2
+    joint = _seen(first, 0.0, 0.0, 90.0)
+    end = _path(joint + 70.0 * np.stack([np.cos(second), -np.sin(second)], axis=1), seed=1)
+    end = replace(end, covariance=(formal / 0.05) ** 2 * end.covariance)
+    found = second_link(about_pivot(_path(joint), "film.mp4"), end, "film.mp4")
+    white = np.sqrt(found.sigma**2 - found.off_axis**2)
+    assert np.median(white) == pytest.approx(np.hypot(0.05, 0.05) / 70.0, rel=0.3)
+    assert np.sqrt(found.path.covariance[:, 0, 0]) == pytest.approx(0.05, rel=0.3)
+
+
 def test_a_circle_and_a_short_arc_show_no_tilt():
     assert about_pivot(_path(_seen(TURNS, 0.0, 0.0)), "film.mp4").orbit is None
     arc = _path(_seen(1.3 + 0.4 * np.sin(TURNS), 0.7, 1.5))

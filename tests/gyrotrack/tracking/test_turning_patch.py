@@ -8,7 +8,15 @@ import pytest
 
 from gyrotrack.tracking import _point_motion, _point_tracker
 from gyrotrack.tracking._point_motion import TrackedPoint, _on_second_link, _with_error
-from gyrotrack.tracking._point_tracker import PointPath, _best_turn, _clicked, _cut, _follow
+from gyrotrack.tracking._point_tracker import (
+    PointPath,
+    _best_turn,
+    _clicked,
+    _cut,
+    _follow,
+    _Layers,
+    _track_spot,
+)
 from gyrotrack.tracking._silhouettes import Foreground, Spot
 
 TIME = np.arange(40) / 40.0
@@ -55,6 +63,46 @@ def test_the_rotation_of_a_patch_is_followed_where_its_picture_shows_it(contrast
     assert found.all()
     assert np.abs(there - place).max() < 0.5
     assert np.abs(turns - (turn if seen else 0.0)).max() < 0.05
+
+
+def test_a_patch_is_where_its_covariance_says():
+    """A picture of known layers, with white noise of 5 grey levels."""
+    v, u = np.mgrid[-12:13, -12:13].astype(np.float64)
+    spot = 90.0 * np.exp(-0.5 * (np.hypot(u, v) / 3.0) ** 2)
+    layers = _Layers(
+        np.stack([u, v]),
+        np.ones(u.shape, np.float32),
+        spot.astype(np.float32),
+        np.full(u.shape, 25.0, np.float32),
+        FULL,
+    )
+    y, x = np.mgrid[0:120, 0:160]
+    rng, error, claimed = np.random.default_rng(3), [], []
+    for _ in range(60):
+        at = np.array([80.0, 60.0]) + rng.uniform(-0.5, 0.5, 2)
+        clean = FULL + 90.0 * np.exp(-0.5 * (np.hypot(x - at[0], y - at[1]) / 3.0) ** 2)
+        frame = (clean + rng.normal(0.0, 5.0, clean.shape)).astype(np.float32)
+        place, covariance, misfit, _ = layers.register(frame, np.array([80.0, 60.0]), 0.0)
+        error.append(place - at)
+        claimed.append(np.diag(covariance))
+    assert misfit < 1.5
+    assert np.std(error, axis=0) / np.sqrt(np.mean(claimed, axis=0)) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_large_patch_is_followed_in_a_reduced_picture(monkeypatch):
+    """Of means of 2 x 2 px: half of the noise, and half of all lengths."""
+    covariance = 0.01**2 * np.eye(2)[None]
+    small = PointPath(np.zeros(1), np.array([[10.0, 20.0]]), covariance, 12.0, 1, False, FULL)
+    asked = []
+    monkeypatch.setattr(_point_tracker, "_tracked", lambda *args, **_: asked.append(args) or small)
+    seen = SimpleNamespace(noise=4.0, background=FULL)
+    found = _track_spot(None, np.zeros(1), _spot((20.5, 40.5), 24.0), seen, None, None, (20.0, 40.0))
+    assert found.place == pytest.approx(np.array([[20.5, 40.5]]))
+    assert found.covariance == pytest.approx(0.02**2 * np.eye(2)[None])
+    assert found.radius == 24.0
+    _, _, spot, background, noise, *_ = asked[0]
+    assert (spot.place, spot.radius, noise) == ((10.0, 20.0), 12.0, 2.0)
+    assert background.shape == (60, 80)
 
 
 @pytest.mark.parametrize(("away", "caught"), [(0.8, True), (2.5, False)])
@@ -257,7 +305,7 @@ def test_a_body_that_keeps_its_orientation_is_reported_beyond_half_a_turn(keeps,
     )
     film = SimpleNamespace(path=SimpleNamespace(name="film.mp4"), tilt=None, warnings=())
     found = _point_motion._of_path(film, path, (250.0, 160.0), None)
-    assert any("not its orientation" in w for w in found.warnings) == said
+    assert any("not the orientation of the body" in w for w in found.warnings) == said
 
 
 def test_the_angles_of_a_joint_contain_the_error_by_rods_in_its_patch(monkeypatch):
