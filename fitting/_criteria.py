@@ -155,8 +155,8 @@ class Criteria:
     """Family-wise p-value above which candidates of an oscillation are not refitted [1]. Chosen: a larger value costs
     time, a smaller one may omit the right effect."""
     gross_misfit: float = 0.7
-    """Smallest rms phase drift due to the residual torque that is a gross lack of fit [rad]. Chosen: a smaller value
-    takes small deviations for a wrong motion, a larger one linearises about a wrong motion."""
+    """Rms phase drift due to residual torque above which a lack of fit is gross [rad]. Chosen: a smaller value takes
+    small deviations for a wrong motion, a larger one linearises about a wrong motion."""
     quieter: float = 0.8
     """Ratio below which process noise counts as reduced [1]. Chosen: a larger value takes the uncertainty of the noise
     for an improvement, a smaller one overlooks improvements."""
