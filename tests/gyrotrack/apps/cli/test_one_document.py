@@ -81,7 +81,11 @@ def test_a_closed_terminal_ends_a_command_and_leaves_nothing(tmp_path, ignored):
     words = "simulate -o a.h5 --film films --duration 20 --window-length 1 --json"
     start = "trap '' HUP; exec" if ignored else "exec"
     process = subprocess.Popen(
-        ["bash", "-c", f"{start} {PROGRAM} {words}"], cwd=tmp_path, stdout=subprocess.PIPE
+        ["bash", "-c", f"{start} {PROGRAM} {words}"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        # the tests themselves may run under `nohup`
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )
     end = time.monotonic() + 60
     while not list(tmp_path.glob("films/*.part")) and time.monotonic() < end and process.poll() is None:
