@@ -71,7 +71,7 @@ if TYPE_CHECKING:
 
 
 VERDICT_TEXT = {
-    "no_lack_of_fit": "no significant lack of fit; run `gyrotrack diagnose` for candidates",
+    "no_lack_of_fit": "no significant lack of fit in its tests; `gyrotrack diagnose` has more",
     "lack_of_fit": "significant lack of fit; run `gyrotrack diagnose`",
     "not_determined": "a parameter is not determined: its uncertainty exceeds its value a hundredfold",
     "not_converged": "not converged; the values are not reliable",

@@ -104,7 +104,7 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     variance = np.array([float(off[batches[b]].var()) / len(batches[b]) for b in used])
     squares = [_squared_amplitudes(off, a, [batches[b] for b in used], variance) for a in angles]
     for angle, each in zip(angles, squares, strict=True):
-        variance = variance + [0.5 * float(each @ _left(angle, batches[b])) for b in used]
+        variance = variance + [0.5 * float(each @ _squared_resultants(angle, batches[b])) for b in used]
     speed = np.array([_mean_rate(angles[0][batches[b]], batches[b]) for b in used])
     change = np.diff(speed) ** 2
     if change.mean() < _STEADY**2 * np.mean(speed**2):
@@ -157,8 +157,8 @@ def _squared_amplitudes(off: Floats, angle: Floats, batches: Sequence[Integers],
     return total
 
 
-def _left(angle: Floats, frames: Integers) -> Floats:
-    """Return |<exp(i k a)>|^2 over some frames for each order k, (orders,)."""
+def _squared_resultants(angle: Floats, frames: Integers) -> Floats:
+    """Return the squared mean resultant length |<exp(i k a)>|^2 of an angle in some frames for each k, (orders,)."""
     frames = frames[np.isfinite(angle[frames])]
     if len(frames) < _FEWEST_FRAMES:
         return np.zeros(len(_ORDERS))
@@ -181,9 +181,9 @@ def _within(
 ) -> tuple[Floats, float]:
     """Return the zero of a template in the frames of its batch, less the zero at the mean speed [rad].
 
-    The second result is the mean variance of this difference [rad^2]. `frames` are the frames whose difference `off` is
-    used, `squares` are the squared amplitudes of the harmonics of each angle [rad^2], and `per_speed` is the prior
-    standard deviation of the slope [rad per (rad per frame)].
+    The second result is the mean variance of this difference over the frames [rad^2]. `frames` are the frames whose
+    difference `off` is used, `squares` are the squared amplitudes of the harmonics of each angle [rad^2], and
+    `per_speed` is the prior standard deviation of the slope [rad per (rad per frame)].
     """
     middle = 0.5 * (frames[0] + frames[-1])
     motion = np.polynomial.Polynomial.fit(frames - middle, angles[0][frames], _MOTION).deriv()

@@ -99,10 +99,25 @@ def test_the_amplitude_of_a_harmonic_is_that_of_batches_in_which_it_averages_out
     assert found[2] == pytest.approx(4e-3**2, rel=0.05)
     assert np.delete(found, 2).max() < 0.2 * 4e-3**2  # some orders are in step with the third one
     assert module._squared_amplitudes(off, angle, batches, white)[2] == pytest.approx(found[2], rel=0.05)
-    left = np.array([module._left(angle, each) for each in batches])
+    left = np.array([module._squared_resultants(angle, each) for each in batches])
     assert left[:12, 2] == pytest.approx(1.0)
     assert left[12:, 2].max() < 0.01
     assert left[:, 0].max() < 0.01
+
+
+def test_a_harmonic_in_step_adds_half_its_squared_amplitude_to_the_variance_of_a_mean(monkeypatch):
+    given = []
+
+    def smoothed(mean, variance, gaps, change):
+        given.append(variance)
+        return mean, variance, 0.0
+
+    monkeypatch.setattr(module, "_smoothed", smoothed)
+    relative, error = beside_a_neighbour(3e-3)
+    template_zeros(error + noise(), TEMPLATE, (ANGLE, relative))
+    (variance,) = given
+    assert variance[12:15] == pytest.approx(0.5 * 3e-3**2, rel=0.1)
+    assert np.delete(variance, [12, 13, 14]).max() < 0.02 * 3e-3**2
 
 
 @pytest.mark.parametrize(("mean", "used"), [(0.19, True), (0.21, False)])
