@@ -299,3 +299,17 @@ def to_json(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
     return value
+
+
+def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE) -> str:
+    """Return a torque with the unit prefix of its size, rounded to its standard uncertainty if that is known.
+
+    The units are nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, and N m; for `unit` "rad/s2" they are
+    urad/s2, mrad/s2 and rad/s2.
+    """
+    size = max(abs(value), abs(sigma) if sigma == sigma else 0.0)
+    steps = Units.by_torque(unit).steps
+    _, scale, unit = next((step for step in steps if size >= step[0]), steps[-1])
+    if not math.isfinite(sigma) or sigma <= 0:
+        return f"{plain(value * scale)} {unit}"
+    return rounded(value * scale, sigma * scale, unit)

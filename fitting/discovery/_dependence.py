@@ -33,9 +33,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.discovery._score import RANK, CaseColumns, Level, ScoreContext, over_many_tests
+from fitting.discovery._score import RANK, CaseColumns, Level, ScoreContext
 from fitting.effects._effect import Effect, Joint, Parameter, bodies_of
 from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
+from fitting.inference._multiple_tests import over_many_tests
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]

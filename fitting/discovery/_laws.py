@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._numbers import on_screen, rounded
+from fitting._numbers import format_torque, on_screen, rounded
 from fitting._workers import WorkerPool, single_blas_thread
 from fitting.discovery._dependence import Dependence, context_without, dependence, torque_rows
 from fitting.discovery._difference import (
@@ -54,7 +54,6 @@ from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
 from fitting.discovery._next_run import separating_run
 from fitting.discovery._refine import initial_values_of, refined, refitted_at
 from fitting.discovery._remainder import ranges_of
-from fitting.discovery._residuals import format_torque
 from fitting.discovery._score import (
     CaseColumns,
     FamilywiseNull,

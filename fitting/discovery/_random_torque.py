@@ -1,49 +1,29 @@
-"""A slow random torque as the alternative to every answer.
+"""A slow random torque as the alternative to a named effect.
 
-The process noise of a recording is measured without a model, in short stretches whose fit follows any slow motion.
-A random torque that is slower than these stretches counts as motion and is not measured. Therefore its level s and its
-correlation time T are free here. T is between `Criteria.random_torque_shortest` and `Criteria.random_torque_longest`; s
-is at most the share `Criteria.random_torque` of the mean torque. To first order the deviance is
-
-    D = min over s, T of  log det C + min over x of (r - J x)' C^-1 (r - J x),
-
-with the covariance C(s, T) of the whitened rows, the residuals r and the free columns J.
-
-The random torque is free in the fit without an effect (D0) and in the fit with the effect (D1). The effect is
-established if it is significant with any random torque: D0 - D1 exceeds the penalty of BIC, and the p-value for the
-whole list of effects is below the significance.
+The random torque (`fitting.inference._random_torque`) is free in the fit without an effect (deviance D0) and in the fit
+with the effect (D1). The effect is established if it is significant with any random torque: D0 - D1 exceeds the penalty
+of BIC, and the p-value for the whole list of effects is below the significance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
-from fitting._numbers import percentage
-from fitting.discovery._residuals import format_torque
+from fitting._numbers import format_torque, percentage
 from fitting.discovery._score import RANK, NullDistribution, Score
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import Prediction
-from fitting.inference._level_profile import LevelProfile, least_between, scaled_columns
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
+from fitting.inference._random_torque import LikelyNoise, most_likely_noise
 from fitting.inference._result import Fit
 
 Array = NDArray[np.float64]
 
-_TIMES = 8
-"""Trial correlation times of a random torque [1]. Chosen: fewer overlook the maximum of the likelihood, more cost
-time."""
-_LEVELS = 16
-"""Trial levels of a random torque [1]. Chosen: fewer overlook the maximum of the likelihood, more cost time."""
-_FEWEST_TIMES = 6.0
-"""Smallest length of a record, divided by the correlation time of the random torque [1]. Chosen: at a smaller value the
-torque is a trend, which absorbs any effect; a larger value leaves slow torques untried."""
 _CERTAIN = 3.0
 """Inflation of the deviance above which the inflation need not be simulated [1]. Measured: the inflation in all
 simulated recordings is 1.0 to 1.8."""
@@ -59,9 +39,6 @@ _NEAR_TIMES = 7
 """Trial correlation times of a simulated recording [1]. Chosen: fewer understate the inflation, more cost time."""
 _NEAR_LEVELS = 11
 """Trial levels of a simulated recording [1]. Chosen: fewer understate the inflation, more cost time."""
-_LOWEST = 1e-3
-"""Lowest trial level, as a share of the ceiling [1]. Chosen: a smaller level cannot be distinguished from zero, a
-larger one leaves a gap above zero."""
 
 
 @dataclass(frozen=True)
@@ -88,87 +65,22 @@ class RandomTorque:
         )
         return f"a random torque of {size} rms{share} with a correlation time of {noise.time:.2g} s"
 
-    @cached_property
+    @property
+    def likely(self) -> LikelyNoise:
+        """Noise and deviance without the fit."""
+        return LikelyNoise(self.fit.noise, self.deviance, self.mean_torque)
+
+    @property
     def is_raised(self) -> bool:
         """Whether the random torque exceeds the process noise that a recording shows without a model."""
-        return any(n.raised for n in self.fit.noise)
+        return self.likely.is_raised
 
 
 def with_random_torque(fit: Fit, criteria: Criteria) -> RandomTorque:
     """Return a fit with the most likely random torque of each case, if that lowers the deviance."""
-    found: list[tuple[Noise, float]] = []
-    moving = ~fit.problem.layout.at_bound(fit.theta)
-    for i, (data, p, noise) in enumerate(zip(fit.problem.data, fit.predictions, fit.noise, strict=True)):
-        columns = np.concatenate([p.columns[:, moving[p.places]], data.nuisance], axis=1)
-        torque = mean_torque(fit, i)
-        found.append(
-            (_most_likely(data, p, columns, noise, criteria.random_torque * torque, criteria), torque)
-        )
-    noises = tuple(n for n, _ in found)
-    deviance = _deviance(fit, noises, moving)
-    if deviance >= fit.deviance:
-        deviance, noises = fit.deviance, fit.noise
-    largest = int(np.argmax([n.level for n in noises]))
-    return RandomTorque(replace(fit, noise=noises, deviance=deviance), deviance, found[largest][1])
-
-
-def mean_torque(fit: Fit, case: int) -> float:
-    """Return the mean absolute net torque along the fitted motion, of the body with the largest one [N m]."""
-    model, prediction = fit.problem.cases[case], fit.predictions[case]
-    numbers = fit.problem.layout.numbers(fit.theta, case)
-    path, record = prediction.path, fit.problem.data[case].record
-    rates = (
-        np.abs(model.dynamics.rates(path.mesh.times, path.y, numbers))
-        .reshape(-1, path.y.shape[-1])
-        .mean(axis=0)
-    )
-    return float(max(b.inertia * rates[b.state] for b in record.bodies))
-
-
-def _most_likely(
-    data: CaseData, prediction: Prediction, columns: Array, noise: Noise, ceiling: float, criteria: Criteria
-) -> Noise:
-    """Return the noise of one case with the most likely random torque up to a ceiling [N m]."""
-    first, last = data.record.span
-    longest = min(criteria.random_torque_longest, (last - first) / _FEWEST_TIMES)
-    times = np.geomspace(min(criteria.random_torque_shortest, longest), longest, _TIMES)
-    levels = np.geomspace(_LOWEST, 1.0, _LEVELS) * ceiling
-    response = TorqueResponse(data, prediction.motion)
-    both = scaled_columns(columns, data.z - prediction.rows)
-    # the level of the fit, at the correlation time of the recording, is always one of the alternatives
-    own = noise.at(min(noise.level, ceiling))
-    if not ceiling > 0:
-        return own
-    best = (LevelProfile(own.whitener, both)(own.level), own)
-
-    def at(log_time: float) -> float:
-        nonlocal best
-        time = float(np.exp(log_time))
-        whitener = response.whitener(TorqueNoise(0.0, time))
-        level, deviance = LevelProfile(whitener, both).least(levels)
-        if deviance < best[0]:
-            pure = min(noise.pure, level)
-            best = (
-                deviance,
-                replace(noise, pure=pure, level=level, time=time, whitener=whitener.at(level)),
-            )
-        return deviance
-
-    k = int(np.argmin([at(float(np.log(t))) for t in times]))
-    bounds = times[max(k - 1, 0)], times[min(k + 1, _TIMES - 1)]
-    if bounds[1] > bounds[0]:
-        least_between(at, *np.log(bounds))
-    return best[1]
-
-
-def _deviance(fit: Fit, noises: Sequence[Noise], moving: NDArray[np.bool_]) -> float:
-    """Return the deviance of all cases with the given noise, to first order in the parameters."""
-    r, j = fit.problem.with_noise(noises).residuals(fit.predictions)
-    size = np.linalg.norm(j, axis=0)
-    used = moving & (size > 0)
-    both = np.concatenate([j[:, used] / size[used], r[:, None]], axis=1)
-    least = np.abs(np.diag(np.linalg.qr(both, mode="r")))[-1]
-    return float(least**2) + sum(n.whitener.log_determinant for n in noises)
+    likely = most_likely_noise(fit.problem, fit.predictions, fit.noise, fit.theta, fit.deviance, criteria)
+    found = replace(fit, noise=likely.noise, deviance=likely.deviance)
+    return RandomTorque(found, likely.deviance, likely.mean_torque)
 
 
 def is_established(
@@ -250,9 +162,5 @@ def _mean_fall(
 
 
 def describes(without: RandomTorque, criteria: Criteria) -> bool:
-    """Return whether the residuals of a fit are consistent with noise at the most likely random torque.
-
-    The reduced chi-square must be below `Criteria.reduced_chi2`.
-    """
-    logs = sum(n.whitener.log_determinant for n in without.fit.noise)
-    return (without.deviance - logs) < criteria.reduced_chi2 * without.fit.rows
+    """Return whether the residuals of a fit are consistent with noise at the most likely random torque."""
+    return without.likely.describes(without.fit.rows, criteria)

@@ -28,18 +28,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import Criteria
-from fitting._numbers import percentage, rounded
+from fitting._numbers import format_torque, percentage, rounded
 from fitting.discovery._lack_of_fit import (
     HarmonicTest,
-    PeriodogramPeak,
-    SmoothTest,
     harmonic_test,
-    smooth_test,
     unknown_law,
 )
 from fitting.discovery._named_effect import FormTest, form_test
 from fitting.discovery._refine import with_shape_parameter
-from fitting.discovery._residuals import ResidualTorque, format_torque, residual_torques
+from fitting.discovery._residuals import ResidualTorque, residual_torques
 from fitting.discovery._select import Candidate, Selection
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._inputs import values_at
@@ -52,8 +49,10 @@ from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
 from fitting.inference._fit import fit
 from fitting.inference._initial_values import averaged_fit
 from fitting.inference._noise import Noise
+from fitting.inference._periodogram import PeriodogramPeak
 from fitting.inference._problem import fails_grossly
 from fitting.inference._result import Fit
+from fitting.inference._smooth_test import SmoothTest
 from fitting.inference._trace import attempt
 
 Array = NDArray[np.float64]
@@ -409,7 +408,7 @@ def grade(
         parts.append(f"an angle-dependent torque of {format_torque(of_angle, unit=base.torque_unit)} rms")
     p = _likelihood_ratio(selection.named, end)
     if significant:
-        found = doubt if doubt is not None else smooth_test(end)
+        found = doubt if doubt is not None else end.smooth_test
         p = min(p, end.lack_of_fit.p_value, found.p_value)
         weak = f" (p = {found.p_value:.1g})" if found.p_value >= criteria.doubt_adequate else ""
         parts.append(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._criteria import DEFAULT, Criteria
-from fitting._numbers import TORQUE, Units, interval, plain, rounded, span_of
+from fitting._numbers import TORQUE, format_torque, interval, span_of
 from fitting.dynamics._collocation import Sampler
 from fitting.effects._mechanism import MAIN
 from fitting.inference._angle_harmonics import AngleHarmonics
@@ -244,20 +244,6 @@ class Failure:
     def times(self) -> tuple[str, str]:
         """Start and end of the interval [s], with enough digits to show its length."""
         return interval(self.t_start, self.t_stop)
-
-
-def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE) -> str:
-    """Return a torque with the unit prefix of its size, rounded to its standard uncertainty if that is known.
-
-    The units are nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, and N m; for `unit` "rad/s2" they are
-    urad/s2, mrad/s2 and rad/s2.
-    """
-    size = max(abs(value), abs(sigma) if sigma == sigma else 0.0)
-    steps = Units.by_torque(unit).steps
-    _, scale, unit = next((step for step in steps if size >= step[0]), steps[-1])
-    if not np.isfinite(sigma) or sigma <= 0:
-        return f"{plain(value * scale)} {unit}"
-    return rounded(value * scale, sigma * scale, unit)
 
 
 def find_failures(

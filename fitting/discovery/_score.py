@@ -40,6 +40,7 @@ from fitting.effects._effect import Effect, Parameter, State
 from fitting.effects._expression import Expr, Tape, derivative
 from fitting.inference._case_model import CaseModel, Prediction
 from fitting.inference._linear_algebra import block_diagonal, orthogonal_to, orthonormal
+from fitting.inference._multiple_tests import any_of, independent_tests, number_of_trials
 from fitting.inference._noise import Noise, TorqueResponse, Whitener, possible_scales
 from fitting.inference._record import scales_of
 from fitting.inference._result import Fit
@@ -546,8 +547,8 @@ class NullDistribution:
         middle = float(np.median(self.draws))
         tail = float(np.quantile(self.draws, 0.9))
         self._number_of_trials = max(
-            _number_of_trials(float(_tail(middle, score.columns)), 0.5),
-            _number_of_trials(float(_tail(tail, score.columns)), 0.1),
+            number_of_trials(float(_tail(middle, score.columns)), 0.5),
+            number_of_trials(float(_tail(tail, score.columns)), 0.1),
         )
 
     def __call__(self, score: float) -> Array:
@@ -562,7 +563,7 @@ class NullDistribution:
     def at_one_level(self, score: float) -> float:
         """Return the p-value of a score if the process noise is known exactly."""
         single = min(float(_tail(score, max(self._columns, 1))), 1 - 1e-12)
-        return float(_any_of(self._number_of_trials, np.array(single)))
+        return float(any_of(self._number_of_trials, np.array(single)))
 
     def of_draws(self) -> Array:
         """Return the p-value of each null data set."""
@@ -577,37 +578,15 @@ def _tail(chi2: float | Array, columns: int) -> Array:
     return np.asarray(chdtrc(columns, np.maximum(chi2, 0.0)))
 
 
-def _number_of_trials(single: float, share: float) -> float:
-    # share = 1 - (1 - single)^N, solved for N
-    return float(np.log1p(-share) / np.log1p(-min(max(single, 1e-12), 1 - 1e-12)))
-
-
-def over_many_tests(p: float, smallest: Array) -> float:
-    """Return the family-wise p-value of the smallest p of many correlated tests of the same data.
-
-    `smallest` contains the smallest p-value in each of many null data sets.
-    """
-    return float(_any_of(_independent_tests(smallest), np.array(p)))
-
-
-def _independent_tests(smallest: Array) -> float:
-    """Return the number of independent tests with the same lower tail of the smallest p as the correlated tests."""
-    return max(1.0, _number_of_trials(float(np.quantile(smallest, 0.1)), 0.1))
-
-
-def _any_of(tests: float, p: Array) -> Array:
-    return np.asarray(-np.expm1(tests * np.log1p(-np.minimum(p, 1 - 1e-12))))
-
-
 class FamilywiseNull:
     """Family-wise p-values over the list of candidates, calibrated on the smallest p of each null data set."""
 
     def __init__(self, nulls: Sequence[NullDistribution]) -> None:
-        self._tests = _independent_tests(np.min([n.of_draws() for n in nulls], axis=0))
+        self._tests = independent_tests(np.min([n.of_draws() for n in nulls], axis=0))
 
     def __call__(self, p: Array, weights: Array) -> float:
         """Return the family-wise p-value from the p-values at each level, averaged over the levels."""
-        return float(_any_of(self._tests, p) @ weights)
+        return float(any_of(self._tests, p) @ weights)
 
 
 _ROUNDS = 3

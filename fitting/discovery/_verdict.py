@@ -29,18 +29,14 @@ from fitting._display import (
     printable,
     table,
 )
-from fitting._numbers import percentage, plain, probability, rounded, short, typeset, unit_text
+from fitting._numbers import format_torque, percentage, plain, probability, rounded, short, typeset, unit_text
 from fitting._workers import Task, WorkerPool, single_blas_thread
 from fitting.discovery._difference import DifferentParameter
 from fitting.discovery._lack_of_fit import (
     HarmonicTest,
-    PeriodogramPeak,
-    SmoothTest,
     contradiction,
     is_unknown,
     nonparametric_rivals,
-    significant_peak,
-    smooth_test,
 )
 from fitting.discovery._measurement import slip_estimates
 from fitting.discovery._named_effect import (
@@ -59,7 +55,6 @@ from fitting.discovery._residuals import (
     ResidualTorque,
     Whiteness,
     find_failures,
-    format_torque,
     residual_torques,
     whiteness,
 )
@@ -81,8 +76,10 @@ from fitting.inference._budget import combined_uncertainties
 from fitting.inference._fit import measured_with
 from fitting.inference._oscillation import are_smooth
 from fitting.inference._params import Estimate
+from fitting.inference._periodogram import PeriodogramPeak
 from fitting.inference._result import Fit
 from fitting.inference._slips import Slip
+from fitting.inference._smooth_test import SmoothTest
 from fitting.inference._trace import Refit, recording
 
 if TYPE_CHECKING:
@@ -387,11 +384,10 @@ def _diagnosis(
     if separate is not None:
         torques, ripples = curves.result(), harmonics.result()
         failures = find_failures(fit, torques, ripples, criteria)
-        where = f": {failures[0]}" if failures else ""
         return Diagnosis(
             fit=fit,
             verdict="unexplained",
-            sentence=f"Significant lack of fit{where}. {separate.parameter.sentence}",
+            sentence=f"{_opening(fit, failures, criteria)} {separate.parameter.sentence}",
             failures=tuple(failures),
             candidates=tuple(ranked),
             form=None,
@@ -413,7 +409,7 @@ def _diagnosis(
     size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
     if size.form is None and isinstance(doubt, PeriodogramPeak):
         # an effect that does not explain the sinusoidal torque is not part of the answer
-        peak = significant_peak(fit, criteria)
+        peak = fit.significant_peak(criteria)
         selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
     verdict = _verdict(selection, size, criteria, significant=misfit or doubt is not None)
     complete = verdict == "missing_effect" and size.remainder is None
@@ -506,7 +502,7 @@ def _random_alternative(
     ):
         return None
     # an unmodelled law of a speed makes the residuals a function of this speed; a random torque does not
-    return random if smooth_test(random.fit).p_value > criteria.doubt_adequate else None
+    return random if random.fit.smooth_test.p_value > criteria.doubt_adequate else None
 
 
 def _undecided(
@@ -552,7 +548,7 @@ def _contradiction(
         return contradiction(selection.chosen, selection.final, criteria)
     # a sinusoidal torque in time is neither noise nor an effect of the library
     any_lines = any(d.spectral_lines for d in fit.problem.data)
-    return significant_peak(selection.final, criteria) if any_lines else None
+    return selection.final.significant_peak(criteria) if any_lines else None
 
 
 def _graded(
@@ -667,7 +663,8 @@ def _sentence(
                 "The recording is too short or too noisy for a useful upper limit of another effect."
             )
     else:
-        parts = [f"Significant lack of fit{f': {failures[0]}' if failures else ''}."]
+        added = selection.chosen if verdict == "missing_effect" else None
+        parts = [_opening(fit, failures, criteria, added)]
         parts += (
             _unexplained(selection, doubt, size, criteria)
             if verdict == "unexplained"
@@ -675,6 +672,16 @@ def _sentence(
         )
         parts += _active_bounds(selection.final if verdict == "missing_effect" else fit)
     return " ".join([*parts, *_nuisance(selection.chosen, nuisance, criteria)])
+
+
+def _opening(
+    fit: Fit, failures: Sequence[Failure], criteria: Criteria, added: Candidate | None = None
+) -> str:
+    """Return whether the tests of the fit find a lack of fit, and the p-value of a named effect if they do not."""
+    if fit.has_lack_of_fit(criteria):
+        return f"Significant lack of fit{f': {failures[0]}' if failures else ''}."
+    but = "" if added is None else f", but an added effect is (p = {probability(added.p_value)})"
+    return f"No test of lack of fit is significant{but}."
 
 
 def _unexplained(

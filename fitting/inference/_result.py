@@ -54,11 +54,14 @@ from fitting.inference._metrics import (
 from fitting.inference._noise import Noise, unresolved_level, variance_factor
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._params import LEAST_CORRELATION, Estimate, Names, Params, report, shown_name
+from fitting.inference._periodogram import PeriodogramPeak, periodogram_peak
 from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem, Projection, free_columns, surely_at_bound
 from fitting.inference._process_noise import CONSISTENT
+from fitting.inference._random_torque import LikelyNoise, most_likely_noise
 from fitting.inference._record import speeds
 from fitting.inference._sampled import evaluate, residuals_of
+from fitting.inference._smooth_test import SmoothTest, smooth_test
 from fitting.inference._smooth_torque import smooth_torques
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
 from fitting.inference._ties import chain, find_key, follow
@@ -71,7 +74,7 @@ if TYPE_CHECKING:
 
 
 VERDICT_TEXT = {
-    "no_lack_of_fit": "no significant lack of fit in its tests; `gyrotrack diagnose` has more",
+    "no_lack_of_fit": "no significant lack of fit; `gyrotrack diagnose` tests other effects",
     "lack_of_fit": "significant lack of fit; run `gyrotrack diagnose`",
     "not_determined": "a parameter is not determined: its uncertainty exceeds its value a hundredfold",
     "not_converged": "not converged; the values are not reliable",
@@ -512,17 +515,54 @@ class Fit(FitSummary):
         return lack_of_fit(self.problem, self.predictions, self.noise)
 
     @cached_property
+    def smooth_test(self) -> SmoothTest:
+        """The speed on which the residual torque depends most significantly; p = 1 if no torque can be tested."""
+        return smooth_test(self.problem, self.predictions, self.noise)
+
+    @cached_property
+    def periodogram_peak(self) -> PeriodogramPeak | None:
+        """The most significant peak of the periodograms of all cases; None if no record is long enough."""
+        return periodogram_peak(self.problem, self.predictions, self.noise)
+
+    def significant_peak(self, criteria: Criteria | None = None) -> PeriodogramPeak | None:
+        """Return the most significant peak of the periodograms if it contradicts an adequate fit, else None.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Its `doubt_adequate` is the limit of the p-value. By default those of the fit.
+        """
+        peak, limit = self.periodogram_peak, (criteria or self.criteria).doubt_adequate
+        return peak if peak is not None and peak.p_value < limit else None
+
+    @cached_property
     def verdict(self) -> str:
         """One of "no_lack_of_fit", "lack_of_fit", "not_determined" and "not_converged"."""
         if self.lacks_restoring_torque:
             return "lack_of_fit"  # whether or not the search for the best of the wrong parameters converged
         if not self.converged:
             return "not_converged"
-        if self.fails() or self.needs_random_torque() or self.has_torque_of_the_angle():
-            return "lack_of_fit"
-        if self.has_smooth_torque():
+        if self.has_lack_of_fit():
             return "lack_of_fit"
         return "not_determined" if self.undetermined else "no_lack_of_fit"
+
+    def has_lack_of_fit(self, criteria: Criteria | None = None) -> bool:
+        """Return whether a test finds a significant lack of fit; no candidate effect is tested.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            The limits of all tests. By default those of the fit.
+        """
+        criteria = criteria or self.criteria
+        return (
+            self.fails(criteria)
+            or self.needs_random_torque(criteria)
+            or self.has_torque_of_the_angle(criteria)
+            or self.has_smooth_law(criteria)
+            or self.significant_peak(criteria) is not None
+            or self.has_smooth_torque(criteria)
+        )
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -619,6 +659,38 @@ class Fit(FitSummary):
         """
         criteria = criteria or self.criteria
         return any(n.raised and n.excess > criteria.random_torque_evidence for n in self.noise)
+
+    def most_likely_noise(self, criteria: Criteria | None = None) -> LikelyNoise:
+        """Return the noise with the most likely slow random torque of each case, if that lowers the deviance.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Limits of level and correlation time. By default those of the fit.
+        """
+        return most_likely_noise(
+            self.problem, self.predictions, self.noise, self.theta, self.deviance, criteria or self.criteria
+        )
+
+    def has_smooth_law(self, criteria: Criteria | None = None) -> bool:
+        """Return whether the residual torque depends on a speed, and no slow random torque explains that.
+
+        Parameters
+        ----------
+        criteria : Criteria
+            Its `doubt_adequate` is the limit of the p-value. By default those of the fit.
+        """
+        criteria = criteria or self.criteria
+        limit = criteria.doubt_adequate
+        if self.smooth_test.p_value >= limit:
+            return False
+        if not all(d.motion.is_smooth for d in self.problem.data):
+            return True
+        likely = self.most_likely_noise(criteria)
+        if not (likely.is_raised and likely.describes(self.rows, criteria)):
+            return True
+        # an unmodelled law of a speed makes the residuals a function of this speed; a random torque does not
+        return smooth_test(self.problem, self.predictions, likely.noise).p_value <= limit
 
     def has_smooth_torque(self, criteria: Criteria | None = None) -> bool:
         """Return whether a smooth or periodic torque describes a case better than the random torque of the model.

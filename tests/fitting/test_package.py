@@ -89,7 +89,7 @@ def test_models_compose():
 
 def test_a_fit_prints_itself():
     lines = repr(fitted(seed=0)).splitlines()
-    assert lines[0] == "fit: no significant lack of fit in its tests; `gyrotrack diagnose` has more"
+    assert lines[0] == "fit: no significant lack of fit; `gyrotrack diagnose` tests other effects"
     assert max(map(len, lines)) <= 80
     assert any("bearing.linear.d" in line and "+-" in line and "N m s" in line for line in lines)
     held = fit(Model.of("linear"), data(seed=0), fixed={"b1": 2.88e-6})

@@ -106,7 +106,6 @@ def test_a_torque_that_decays_in_time_is_not_named_heating_only():
 @pytest.mark.release
 def test_nine_in_ten_deviations_of_the_limit_are_detected():
     """Rows of the linear theory itself: random smooth deviations of twice the limit, put through the smooth test."""
-    from fitting.discovery._lack_of_fit import smooth_test
 
     limit = form_test(drag(2e-6), DRAG, DEFAULT).limit
     random, hits = np.random.default_rng(1), 0
@@ -121,5 +120,5 @@ def test_nine_in_ten_deviations_of_the_limit_are_detected():
         motion = twobody.simulate(hidden=twobody.Hidden(casing=law), seed=seed)
         film = twobody.film(motion, seed, twobody.FEWER_FRAMES)
         deviating = fit(Model.of(REDUCED).with_effect(DRAG), [CaseData.of(make_record(**film))])
-        hits += smooth_test(deviating).p_value < DEFAULT.doubt_named
+        hits += deviating.smooth_test.p_value < DEFAULT.doubt_named
     assert hits >= 4

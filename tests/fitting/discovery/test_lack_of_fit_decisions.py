@@ -8,26 +8,24 @@ import pytest
 from linearised import covariance, gyroscope
 from scipy import stats
 
-from fitting import LIBRARY, Candidate, Estimate, EstimationError
+from fitting import LIBRARY, Candidate, Estimate, EstimationError, Fit
 from fitting._criteria import DEFAULT
 from fitting.discovery import _lack_of_fit as module
 from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAWS,
     HarmonicTest,
-    PeriodogramPeak,
-    SmoothTest,
     contradiction,
     harmonic_test,
     nonparametric_law,
     nonparametric_rivals,
-    periodogram_peak,
-    significant_peak,
-    smooth_test,
-    speeds,
 )
 from fitting.discovery._score import CaseColumns
 from fitting.effects._mechanism import GYROSCOPE
+from fitting.inference import _periodogram as periodogram_module
+from fitting.inference import _smooth_test as smooth_module
+from fitting.inference._periodogram import PeriodogramPeak, periodogram_peak
+from fitting.inference._smooth_test import SmoothTest, smooth_test, speeds
 from fitting.inference._spectral_lines import false_alarm_probability
 
 DRAG, UNBALANCE = LIBRARY["casing.air.quadratic"], LIBRARY["casing.unbalance"]
@@ -116,15 +114,15 @@ class TestSmooth:
     def run(self, monkeypatch, choices, rows):
         names, columns = zip(*choices, strict=True)
         monkeypatch.setattr(
-            module, "_smooth_rows", lambda fit: (list(names), list(columns), self.FREE, rows, ["share"])
+            smooth_module, "_smooth_rows", lambda *_: (list(names), list(columns), self.FREE, rows, ["share"])
         )
 
         def tail(chi2, dof, noise, shares):
             assert (noise, shares) == ("noise", ["share"])
             return stats.chi2.sf(chi2, dof)
 
-        monkeypatch.setattr(module, "tail_probability", tail)
-        return smooth_test(SimpleNamespace(noise="noise"))
+        monkeypatch.setattr(smooth_module, "tail_probability", tail)
+        return smooth_test("problem", "predictions", "noise")
 
     def single(self, columns, rows):
         before, after = rest(self.FREE, rows), rest(np.column_stack([self.FREE, columns]), rows)
@@ -158,13 +156,15 @@ class TestSmooth:
     def test_torques_of_each_speed_act_on_the_casing_or_in_the_bearing(self, monkeypatch):
         base = gyroscope(level=1e-7)
         monkeypatch.setattr(
-            module,
+            smooth_module,
             "FewRows",
             SimpleNamespace(
                 of=lambda data, p, noise, rows: (rows, np.zeros((len(rows), 1)), rows[:, 0], 0.5)
             ),
         )
-        names, tried, free, residual, shares = module._smooth_rows(base)
+        names, tried, free, residual, shares = smooth_module._smooth_rows(
+            base.problem, base.predictions, base.noise
+        )
         assert names == [n for n in ("casing", "rotor", "bearing") for _ in range(4)]
         columns = CaseColumns(base, 0)
         for i, found in enumerate(tried):
@@ -182,7 +182,7 @@ class TestPeriodogram:
         # a level that a lack of fit has raised
         (noise,) = gyroscope(level=3e-7).noise
         noise.tested = 1e-7
-        periodogram = module._Periodogram(data, prediction, noise)
+        periodogram = periodogram_module._Periodogram(data, prediction, noise)
         rates = np.array([6.0, 9.5])
         power, torque = periodogram(rates)
         columns = CaseColumns(base, 0)
@@ -197,7 +197,9 @@ class TestPeriodogram:
 
     def test_frequencies_have_ten_periods_and_a_radian_per_cell(self, noisy):
         (base, *_), span = noisy, 12.0
-        periodogram = module._Periodogram(base.problem.data[0], base.predictions[0], base.noise[0])
+        periodogram = periodogram_module._Periodogram(
+            base.problem.data[0], base.predictions[0], base.noise[0]
+        )
         assert periodogram.span == pytest.approx(span, rel=0.01)
         low, high, step = periodogram.band
         cell = np.diff(CaseColumns(base, 0).response.edges)[0]
@@ -207,7 +209,7 @@ class TestPeriodogram:
 
     @pytest.mark.parametrize(("own", "power"), [(0.04, 4.0 + 9.0), (0.025, 0.0)])
     def test_a_torque_that_is_all_but_absorbed_has_no_power(self, own, power):
-        found = module._Periodogram.__new__(module._Periodogram)
+        found = periodogram_module._Periodogram.__new__(periodogram_module._Periodogram)
         found._basis = np.eye(6)[:, :2]
         found._residual = np.array([0.0, 0.0, 2.0, 3.0, 5.0, 0.0])
         columns = np.zeros((6, 2))
@@ -220,7 +222,7 @@ class TestPeriodogram:
             assert torque == pytest.approx([math.hypot(2.0, 3.0) / own])
 
     def test_a_cosine_and_a_sine_that_are_not_orthogonal(self):
-        found = module._Periodogram.__new__(module._Periodogram)
+        found = periodogram_module._Periodogram.__new__(periodogram_module._Periodogram)
         found._basis = np.eye(6)[:, :2]
         found._residual = np.array([0.0, 0.0, 2.0, 3.0, 5.0, 0.0])
         columns = np.zeros((6, 2))
@@ -249,7 +251,7 @@ class Peak:
 
 class TestHighestPeak:
     def peak(self, monkeypatch, *, period=math.inf, amplitude=math.inf, tracked=False, cases=1, **changes):
-        monkeypatch.setattr(module, "_Periodogram", type("Other", (Peak,), changes))
+        monkeypatch.setattr(periodogram_module, "_Periodogram", type("Other", (Peak,), changes))
         sigma = np.array([1e-9, 0.09, 1.0])
         record = SimpleNamespace(
             mechanism=GYROSCOPE,
@@ -258,7 +260,7 @@ class TestHighestPeak:
         )  # fmt: skip
         data = SimpleNamespace(motion=SimpleNamespace(period=period, amplitude=amplitude), record=record)
         process = SimpleNamespace(ratios=np.array([1.0, 4.0]), weights=np.array([0.75, 0.25]))
-        return module._highest_peak(data, None, SimpleNamespace(process=process), cases)
+        return periodogram_module._highest_peak(data, None, SimpleNamespace(process=process), cases)
 
     def test_frequency_amplitude_and_probability(self, monkeypatch):
         found = self.peak(monkeypatch, cases=3)
@@ -320,17 +322,18 @@ class TestHighestPeak:
             value = peaks[data]
             return None if value is None else PeriodogramPeak(2.0, 1e-6, 1e-4, data, "casing", value)
 
-        monkeypatch.setattr(module, "_highest_peak", highest)
+        monkeypatch.setattr(periodogram_module, "_highest_peak", highest)
 
-        def fit(*labels):
-            return SimpleNamespace(problem=SimpleNamespace(data=labels), predictions=labels, noise=labels)
+        def peak(*labels):
+            return periodogram_peak(SimpleNamespace(data=labels), labels, labels)
 
-        found = periodogram_peak(fit("b", "a", "c"))
+        found = peak("b", "a", "c")
         assert (found.label, found.p_value) == ("a", p)
-        assert (significant_peak(fit("b", "a", "c"), DEFAULT) is not None) is significant
-        monkeypatch.setattr(module, "_highest_peak", lambda *_: None)
-        assert periodogram_peak(fit("c")) is None
-        assert significant_peak(fit("c"), DEFAULT) is None
+        base = SimpleNamespace(periodogram_peak=found)
+        assert (Fit.significant_peak(base, DEFAULT) is not None) is significant
+        monkeypatch.setattr(periodogram_module, "_highest_peak", lambda *_: None)
+        assert peak("c") is None
+        assert Fit.significant_peak(SimpleNamespace(periodogram_peak=None), DEFAULT) is None
 
     def test_its_words(self):
         found = PeriodogramPeak(4.0, 2e-6, 3e-3, "run", "casing", 1e-6)
@@ -505,10 +508,11 @@ class TestContradiction:
             "harmonic": HarmonicTest(3, harmonic),
             "smooth": SmoothTest("casing", smooth),
         }
-        monkeypatch.setattr(module, "significant_peak", lambda fit, criteria: results["peak"])
         monkeypatch.setattr(module, "harmonic_test", lambda fit, criteria: results["harmonic"])
-        monkeypatch.setattr(module, "smooth_test", lambda fit: results["smooth"])
-        assert contradiction(chosen, "end", DEFAULT) is (results[found] if found else None)
+        end = SimpleNamespace(
+            significant_peak=lambda criteria: results["peak"], smooth_test=results["smooth"]
+        )
+        assert contradiction(chosen, end, DEFAULT) is (results[found] if found else None)
 
 
 class TestRivals:

@@ -9,7 +9,6 @@ from oscillators import motion, record
 from scipy import stats
 
 from fitting import REDUCED, Model, diagnose, fit, make_record
-from fitting.discovery._lack_of_fit import periodogram_peak
 from fitting.effects._user import resolve
 from fitting.inference._spectral_lines import false_alarm_probability
 
@@ -33,7 +32,7 @@ def shaken():
 def test_a_sinusoidal_torque_is_found_and_is_not_process_noise(shaken):
     assert shaken.verdict == "lack_of_fit"
     assert shaken.noise[0].pure == pytest.approx(NOISE, rel=0.5)
-    line = periodogram_peak(shaken)
+    line = shaken.periodogram_peak
     assert line.p_value < 1e-6
     span = shaken.problem.data[0].record.span
     assert line.rate == pytest.approx(RATE, abs=0.3 / (span[1] - span[0]))
@@ -47,7 +46,7 @@ def test_amplitude_of_a_driven_oscillator_is_that_of_the_formula():
     own, rate, drive = 25.0, 2.0, 0.2
     t, angle, _ = motion(lambda t, x, v: -own * x - 0.02 * v + drive * math.cos(rate * t), (0.3, 0.0), 60.0)
     data = record(t, angle, 2e-4, 1)
-    line = periodogram_peak(fit(Model.of(["casing.spring.linear", "casing.air.linear"]), [data]))
+    line = fit(Model.of(["casing.spring.linear", "casing.air.linear"]), [data]).periodogram_peak
     assert line.rate == pytest.approx(rate, abs=0.05)
     assert line.angle == pytest.approx(drive / (own - rate**2), rel=0.1)
     assert line.p_value < 1e-6
@@ -56,7 +55,7 @@ def test_amplitude_of_a_driven_oscillator_is_that_of_the_formula():
 @pytest.mark.slow
 def test_diagnosis_names_the_sinusoid_and_its_law_fits(shaken):
     answer = diagnose(shaken, candidates=[])
-    line = periodogram_peak(shaken)
+    line = shaken.periodogram_peak
     assert answer.verdict == "unexplained"
     assert f"is sinusoidal with a period of {2 * math.pi / line.rate:.4g} s" in answer.sentence
     assert f'"{line.law}"' in answer.sentence
@@ -66,13 +65,13 @@ def test_diagnosis_names_the_sinusoid_and_its_law_fits(shaken):
     assert abs(k.value) == pytest.approx(TORQUE, abs=4 * k.stderr)
     assert math.cos(phi.value - PHASE) * np.sign(k.value) == pytest.approx(1.0, abs=0.01)
     assert mended.noise[0].level < 2 * NOISE
-    assert periodogram_peak(mended).p_value > 1e-3
+    assert mended.periodogram_peak.p_value > 1e-3
 
 
 @pytest.mark.slow
 def test_on_film_a_sinusoid_below_the_angle_noise_is_not_an_evidence():
     faint = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: 0.1 * SHAKEN.casing(t, wr, wc, pr, pc))
-    told, filmed = (periodogram_peak(found(faint, 4, tracked=tracked)) for tracked in (False, True))
+    told, filmed = (found(faint, 4, tracked=tracked).periodogram_peak for tracked in (False, True))
     assert told.p_value < 0.01
     assert filmed.p_value == 1.0
     assert (filmed.rate, filmed.label) == (told.rate, told.label)

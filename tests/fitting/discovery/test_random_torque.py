@@ -21,6 +21,7 @@ from fitting.discovery._random_torque import (
 from fitting.discovery._select import Selection
 from fitting.discovery._verdict import _undetermined
 from fitting.inference._noise import TorqueNoise, TorqueResponse
+from fitting.inference._random_torque import _deviance
 
 ROWS = 500
 
@@ -130,7 +131,7 @@ def test_the_most_likely_random_torque_is_found_between_the_points_of_a_grid(slo
             other = noise.at(noise.level)
             other = replace(other, whitener=whitener.at(level * noise.level))
             moving = ~slow.problem.layout.at_bound(slow.theta)
-            assert _random_torque._deviance(slow, (other,), moving) > found.deviance - 0.5
+            assert _deviance(slow.problem, slow.predictions, (other,), moving) > found.deviance - 0.5
     assert 0.6e-7 < noise.level < 6e-7
 
 
@@ -245,11 +246,11 @@ def test_every_effect_must_be_established_with_a_random_torque(monkeypatch, name
     from fitting.discovery import _verdict
 
     fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
+    fit.smooth_test = SimpleNamespace(p_value=0.5)
     random = SimpleNamespace(fit=fit, is_raised=False)
     monkeypatch.setattr(_verdict, "with_random_torque", lambda *_: random)
     monkeypatch.setattr(_verdict, "describes", lambda *_: True)
     monkeypatch.setattr(_verdict, "is_established", lambda *_: established)
-    monkeypatch.setattr(_verdict, "smooth_test", lambda _: SimpleNamespace(p_value=0.5))
     chosen = SimpleNamespace(effect=LIBRARY[name], screened=None, physical=LIBRARY[name].kind == "physical")
     selection = Selection([], chosen, None, None)
     found = _verdict._random_alternative(fit, selection, "missing_effect", None, DEFAULT)
@@ -263,10 +264,10 @@ def test_without_an_effect_the_random_torque_must_be_larger_than_that_of_the_rec
     from fitting.discovery import _verdict
 
     fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
+    fit.smooth_test = SimpleNamespace(p_value=0.5)
     random = SimpleNamespace(fit=fit, is_raised=raised)
     monkeypatch.setattr(_verdict, "with_random_torque", lambda *_: random)
     monkeypatch.setattr(_verdict, "describes", lambda *_: True)
-    monkeypatch.setattr(_verdict, "smooth_test", lambda _: SimpleNamespace(p_value=0.5))
     found = _verdict._random_alternative(fit, Selection([], None, None, None), "unexplained", None, DEFAULT)
     assert (found is random) == alternative
 

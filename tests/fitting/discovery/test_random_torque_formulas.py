@@ -17,10 +17,10 @@ from fitting.discovery._random_torque import (
     RandomTorque,
     inflation,
     is_established,
-    mean_torque,
     with_random_torque,
 )
 from fitting.dynamics._collocation import Sampler
+from fitting.inference import _random_torque as likelihood
 from fitting.inference._noise import TorqueNoise, TorqueResponse
 
 
@@ -56,6 +56,10 @@ def seen(residual, level=1e-9, deviance=1e9, values=None):
     base = gyroscope(values=values, level=level, residual=[residual])
     noise = tuple(Level(n.level, n.pure, 1.0, n.least, n.whitener) for n in base.noise)
     return Seen(base.problem, base.theta, base.predictions, noise, deviance)
+
+
+def mean_torque(base, case):
+    return likelihood.mean_torque(base.problem, base.predictions, base.theta, case)
 
 
 def whitened(base, level, time):
@@ -127,7 +131,7 @@ def test_a_random_torque_is_limited_to_a_share_of_the_mean_torque():
 
 
 def test_a_model_without_torque_has_no_random_torque(monkeypatch):
-    monkeypatch.setattr("fitting.discovery._random_torque.mean_torque", lambda *_: 0.0)
+    monkeypatch.setattr(likelihood, "mean_torque", lambda *_: 0.0)
     assert with_random_torque(seen(rows_of(4e-7, 1.0)), DEFAULT).noise.level == 0.0
 
 
@@ -232,7 +236,7 @@ def test_a_parameter_at_its_bound_absorbs_no_random_torque(monkeypatch):
         asked.append((columns, ceiling))
         return noise
 
-    monkeypatch.setattr(module, "_most_likely", most_likely)
+    monkeypatch.setattr(likelihood, "_most_likely", most_likely)
     with_random_torque(base, DEFAULT)
     ((columns, ceiling),) = asked
     jacobian = np.delete(

@@ -13,7 +13,7 @@ from fitting import LIBRARY, LINEAR, Candidate, Estimate, EstimationError, effec
 from fitting import Model as Laws
 from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as module
-from fitting.discovery._lack_of_fit import HarmonicTest, PeriodogramPeak, SmoothTest
+from fitting.discovery._lack_of_fit import HarmonicTest
 from fitting.discovery._named_effect import FormTest
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._remainder import (
@@ -28,6 +28,8 @@ from fitting.discovery._residuals import ResidualTorque
 from fitting.discovery._select import Selection
 from fitting.dynamics._collocation import Sampler
 from fitting.effects._expression import Tape
+from fitting.inference._periodogram import PeriodogramPeak
+from fitting.inference._smooth_test import SmoothTest
 
 DRAG, BEARING = "casing.air.quadratic", "bearing.quadratic"
 UNBALANCE = "casing.unbalance"
@@ -494,11 +496,11 @@ class TestGrade:
         monkeypatch.setattr(module, "form_test", lambda *_: STRONG)
         monkeypatch.setattr(module, "better_law", lambda *_: better)
         monkeypatch.setattr(module, "harmonic_test", lambda fit, criteria: HarmonicTest(3, harmonic_p))
-        monkeypatch.setattr(module, "smooth_test", lambda fit: SmoothTest("casing", smooth_p))
         monkeypatch.setattr(module, "_with_smooth_laws", lambda *_: iter(()))
         named = found(effect, deviance=80.0, converged=converged, theta=(0,) * 2, chi2=14.0)
         final = end = named if end is None else end
         object.__setattr__(end, "p_value", p_value)
+        object.__setattr__(end, "smooth_test", SmoothTest("casing", smooth_p))
         chosen = candidate(effect, fit=named)
         others = [candidate(n, value=v, fit=found(n)) for n, v, _ in rivals]
         Shares.rival_shares = {c.fit: s for c, (_, _, s) in zip(others, rivals, strict=True)}

@@ -22,13 +22,13 @@ from fitting.discovery._score import (
     Trial,
     best_group,
     has_phases,
-    over_many_tests,
     rows_of_case,
     score,
     score_of_columns,
     stacked,
 )
 from fitting.effects._user import resolve
+from fitting.inference._multiple_tests import over_many_tests
 
 # effect, strength of the difference, shape constants
 LAWS = [

@@ -18,7 +18,7 @@ from fitting import LIBRARY, Criteria, Model, diagnose, improve
 from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as remainder
 from fitting.discovery import _verdict as verdict
-from fitting.discovery._lack_of_fit import contradiction, smooth_test
+from fitting.discovery._lack_of_fit import contradiction
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, Torques, nuisance_parameters
 from fitting.discovery._residuals import find_failures, residual_torques, whiteness
@@ -324,8 +324,8 @@ class TestAnswer:
 
     def test_an_adequate_fit_is_not_contradicted(self):
         assert contradiction(None, base(0.0), DEFAULT) is None
-        assert smooth_test(base(0.0)).p_value > DEFAULT.doubt_adequate
-        assert smooth_test(base()).p_value < 1e-6
+        assert base(0.0).smooth_test.p_value > DEFAULT.doubt_adequate
+        assert base().smooth_test.p_value < 1e-6
 
     def test_one_effect_is_added_and_no_more(self):
         kept = []

@@ -22,13 +22,11 @@ from fitting.discovery._lack_of_fit import (
     harmonic_test,
     nonparametric_law,
     nonparametric_rivals,
-    periodogram_peak,
-    significant_peak,
-    smooth_test,
 )
 from fitting.discovery._refine import refit
 from fitting.discovery._score import CaseColumns, score
 from fitting.discovery._select import separate_values
+from fitting.inference import _periodogram
 from fitting.inference._angle_harmonics import angle_harmonics
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
@@ -92,7 +90,7 @@ class TestStep:
 
 class TestWave:
     def test_frequency_and_amplitude_are_those_of_the_torque(self):
-        peak = significant_peak(fitted("wave"), DEFAULT)
+        peak = fitted("wave").significant_peak(DEFAULT)
         assert peak.rate == pytest.approx(RATE, abs=0.02)
         assert peak.torque == pytest.approx(WAVE, rel=0.1)
         assert peak.angle == pytest.approx(peak.torque / (INERTIA * peak.rate**2), rel=1e-6)
@@ -101,9 +99,9 @@ class TestWave:
         assert contradiction(None, fitted("wave"), DEFAULT) == peak
 
     def test_noise_has_no_significant_peak(self):
-        peak = periodogram_peak(fitted("nothing"))
+        peak = fitted("nothing").periodogram_peak
         assert peak.p_value > DEFAULT.doubt_adequate
-        assert significant_peak(fitted("nothing"), DEFAULT) is None
+        assert fitted("nothing").significant_peak(DEFAULT) is None
         lowest, highest, step = self.periodogram("nothing").band
         assert lowest == pytest.approx(2 * np.pi * 10 / 30.0, rel=0.02)
         assert highest > 2 * RATE
@@ -111,20 +109,20 @@ class TestWave:
 
     def periodogram(self, hidden):
         found = fitted(hidden)
-        return lack_of_fit._Periodogram(found.problem.data[0], found.predictions[0], found.noise[0])
+        return _periodogram._Periodogram(found.problem.data[0], found.predictions[0], found.noise[0])
 
     @pytest.mark.parametrize(("share", "believed"), [(0.5, False), (2.0, True)])
     def test_on_film_it_has_to_exceed_the_noise_of_one_angle(self, share, believed):
         found = fitted("wave")
         data = found.problem.data[0]
-        angle = periodogram_peak(found).angle
+        angle = found.periodogram_peak.angle
         sigma = replace(data.record.casing, sigma=np.full(len(TIME), angle / share))
         film = SimpleNamespace(
             **{n: getattr(data.record, n) for n in ("I_casing", "label", "body", "torque_unit")}
         )
         film.tracked, film.casing = True, sigma
         monkey = _With(data, record=film)
-        peak = lack_of_fit._highest_peak(monkey, found.predictions[0], found.noise[0], 1)
+        peak = _periodogram._highest_peak(monkey, found.predictions[0], found.noise[0], 1)
         assert (peak.p_value < 1e-6) is believed
 
 
@@ -171,7 +169,7 @@ class TestHarmonic:
 
 class TestSpeed:
     def test_a_drag_depends_on_the_speed(self):
-        test = smooth_test(fitted("drag"))
+        test = fitted("drag").smooth_test
         assert test.body == "body"
         assert test.p_value < 1e-6
         assert contradiction(None, fitted("drag"), DEFAULT) is not None

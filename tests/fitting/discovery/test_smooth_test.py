@@ -8,7 +8,6 @@ import pytest
 import twobody
 
 from fitting import REDUCED, Model, diagnose, fit, make_record
-from fitting.discovery._lack_of_fit import smooth_test
 from fitting.discovery._select import rank
 from fitting.inference._case_data import CaseData
 
@@ -32,14 +31,14 @@ def found(seed, hidden, *more):
 def test_smooth_test_rejects_a_law_of_the_wrong_shape_that_slow_torques_accept():
     named = found(5, DIP, "touchpoint.step")
     assert named.verdict == "no_lack_of_fit"
-    assert smooth_test(named).p_value < 0.01
-    assert smooth_test(named).body == "casing"
+    assert named.smooth_test.p_value < 0.01
+    assert named.smooth_test.body == "casing"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_smooth_test_accepts_the_right_law(seed):
-    assert smooth_test(found(seed, DRAG, "casing.air.quadratic")).p_value > 0.01
+    assert found(seed, DRAG, "casing.air.quadratic").smooth_test.p_value > 0.01
 
 
 @pytest.mark.slow

@@ -17,14 +17,14 @@ from fitting.discovery._lack_of_fit import (
     UNKNOWN_IN_TIME,
     UNKNOWN_LAWS,
     HarmonicTest,
-    PeriodogramPeak,
-    SmoothTest,
 )
 from fitting.discovery._power import HiddenEffects
 from fitting.discovery._remainder import Grade, Nuisance, Remainder
 from fitting.discovery._select import Selection
 from fitting.discovery._verdict import slipped
 from fitting.effects._library import SLIP, START
+from fitting.inference._periodogram import PeriodogramPeak
+from fitting.inference._smooth_test import SmoothTest
 
 DRAG, LAMINAR, UNBALANCE = "casing.air.quadratic", "casing.air.laminar", "casing.unbalance"
 NAMED = f"quadratic air drag of the casing ({DRAG})"
@@ -66,6 +66,7 @@ class Found:
     noisy: bool = False
     needs_random: bool = False
     smooth: bool = False
+    lack_of_fit: bool = True
     findings: tuple = ()
     noise: tuple = (SimpleNamespace(level=2e-6, pure=1e-6),)
     torque_unit: str = "N m"
@@ -91,6 +92,9 @@ class Found:
 
     def has_smooth_torque(self, criteria):
         return self.smooth
+
+    def has_lack_of_fit(self, criteria):
+        return self.lack_of_fit
 
 
 def candidate(name=DRAG, *, alike=(), significant=True, fit=Found(), estimates=None, effect=None, score=50.0):
@@ -131,7 +135,13 @@ class Answer:
 
             return run
 
-        for name in self.given:
+        of_a_fit = {
+            "significant_peak": step("significant_peak"),
+            "smooth_test": property(step("smooth_test")),
+        }
+        for name, value in of_a_fit.items():
+            monkeypatch.setattr(Found, name, value, raising=False)
+        for name in self.given.keys() - of_a_fit:
             monkeypatch.setattr(module, name, step(name))
 
     def answer(self, fit=None, *, brief=True, **given):
@@ -210,6 +220,18 @@ class TestVerdict(Answer):
         assert f"Missing: {NAMED}, k = " in found.sentence
         assert found.next_experiment == ""
         assert self.answer(brief=False).next_experiment == "next run"
+
+    @pytest.mark.parametrize(
+        ("lack_of_fit", "opening"),
+        [
+            (True, "Significant lack of fit. Missing"),
+            (False, "No test of lack of fit is significant, but an added effect is (p = 1 × 10⁻⁶). Missing"),
+        ],
+    )
+    def test_a_lack_of_fit_is_stated_only_if_the_fit_has_one(self, lack_of_fit, opening):
+        chosen = candidate(estimates={f"{DRAG}.k": estimate()})
+        found = self.answer(Found(lack_of_fit=lack_of_fit), select=selection(chosen), grade=COMPLETE)
+        assert found.sentence.startswith(opening)
 
     def test_a_test_that_contradicts_the_final_fit_counts(self):
         found = self.answer(Found(), contradiction=SmoothTest("casing", 1e-5))

@@ -18,7 +18,6 @@ from fitting import (
     fit,
     simulate,
 )
-from fitting.discovery._lack_of_fit import periodogram_peak
 from fitting.dynamics._collocation import Mesh
 from fitting.dynamics._events import solve
 from fitting.dynamics._model import Dynamics
@@ -331,7 +330,7 @@ class TestSinusoid:
         }
         joints = None if site == "casing" else {"belt": ("motor", "drum")}
         laws = [f"{name}.air.linear" for name in names]
-        peak = periodogram_peak(fit(laws, Case.from_arrays(**bodies, joints=joints)))
+        peak = fit(laws, Case.from_arrays(**bodies, joints=joints)).periodogram_peak
         assert peak.law.startswith(f"{site}: k*cos(5.98")
         assert peak.rate == pytest.approx(6.0, rel=0.01)
         assert peak.p_value < 1e-6

@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import Model, fit, load_fit, make_record
+from fitting import Criteria, Fit, Model, fit, load_fit, make_record
+from fitting._criteria import DEFAULT
 from fitting._numbers import rounded
+from fitting.inference import _result
 from fitting.inference._params import _of_estimate, report
 from fitting.inference._result import estimate_text, merit_lines
 
@@ -36,9 +38,78 @@ def test_fit_reports_a_random_torque_beyond_the_recording(found, excess, told):
 def test_a_lack_of_fit_says_enough(found, monkeypatch):
     noise = replace(found.noise[0].at(2 * found.noise[0].least), excess=50.0)
     changed = replace(found, noise=(noise,))
-    monkeypatch.setattr(type(changed), "has_torque_of_the_angle", lambda _: True)
+    monkeypatch.setattr(type(changed), "has_torque_of_the_angle", lambda *_: True)
     assert changed.verdict == "lack_of_fit"
     assert TOLD not in "\n".join(merit_lines(changed))
+
+
+QUIET = {
+    "fails": False, "needs_random_torque": False, "has_torque_of_the_angle": False, "has_smooth_torque": False,
+    "has_smooth_law": False, "periodogram_peak": 0.0011,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("test", "lacks"),
+    [
+        ({}, False),
+        ({"fails": True}, True),
+        ({"needs_random_torque": True}, True),
+        ({"has_torque_of_the_angle": True}, True),
+        ({"has_smooth_torque": True}, True),
+        ({"has_smooth_law": True}, True),
+        ({"periodogram_peak": 0.0009}, True),
+        ({"periodogram_peak": None}, False),
+    ],
+)
+def test_each_test_shows_a_lack_of_fit(found, monkeypatch, test, lacks):
+    given, asked = QUIET | test, []
+
+    def answer(value):
+        return lambda fit, criteria: asked.append(criteria) or value
+
+    for name, value in given.items():
+        p_value = None if value is None else SimpleNamespace(p_value=value)
+        of_fit = answer(value) if isinstance(value, bool) else property(lambda _, p=p_value: p)
+        monkeypatch.setattr(type(found), name, of_fit)
+    changed = replace(found)
+    assert changed.has_lack_of_fit() is lacks
+    assert changed.verdict == ("lack_of_fit" if lacks else "no_lack_of_fit")
+    # looser limits are those of every test
+    loose = Criteria(doubt_adequate=1e-4)
+    assert changed.has_lack_of_fit(loose) is (lacks and True in test.values())
+    assert set(asked) == {changed.criteria, loose}
+
+
+@pytest.mark.parametrize(
+    ("p_value", "oscillates", "raised", "describes", "beside", "law"),
+    [
+        (0.0011, False, False, True, 0.0, False),
+        (0.0009, True, True, True, 0.5, True),
+        (0.0009, False, False, True, 0.5, True),
+        (0.0009, False, True, False, 0.5, True),
+        (0.0009, False, True, True, 0.0009, True),
+        (0.0009, False, True, True, 0.0011, False),  # a random torque explains it
+    ],
+)
+def test_a_random_torque_may_explain_that_the_residual_torque_depends_on_a_speed(
+    monkeypatch, p_value, oscillates, raised, describes, beside, law
+):
+    likely = SimpleNamespace(
+        is_raised=raised, describes=lambda rows, criteria: rows == 50 and describes, noise="raised"
+    )
+    problem = SimpleNamespace(data=[SimpleNamespace(motion=SimpleNamespace(is_smooth=not oscillates))])
+    base = SimpleNamespace(
+        smooth_test=SimpleNamespace(p_value=p_value), problem=problem, predictions="predictions", rows=50,
+        most_likely_noise=lambda criteria: likely,
+    )  # fmt: skip
+
+    def smooth_test(*given):
+        assert given == (problem, "predictions", "raised")
+        return SimpleNamespace(p_value=beside)
+
+    monkeypatch.setattr(_result, "smooth_test", smooth_test)
+    assert Fit.has_smooth_law(base, DEFAULT) is law
 
 
 @pytest.mark.parametrize(

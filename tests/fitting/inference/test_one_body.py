@@ -5,7 +5,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting import REDUCED, Case, EstimationError, Model, diagnose, fit, improve, make_record
-from fitting.discovery._lack_of_fit import smooth_test
 from fitting.effects._user import formula, resolve
 
 INERTIA = 2e-3
@@ -105,10 +104,10 @@ def test_a_missing_effect_of_a_single_body_is_found():
 def test_residuals_of_a_wrong_law_depend_on_the_speed():
     measured = wheel(SQUARE, quantity="angle")
     cubic = fit(BASE.with_effect(resolve("casing: -k*omega_c**3")), [measured])
-    assert smooth_test(cubic).body == "body"
-    assert smooth_test(cubic).p_value < 1e-3
+    assert cubic.smooth_test.body == "body"
+    assert cubic.smooth_test.p_value < 1e-3
     right = fit(BASE.with_effect(resolve("casing: -k*omega_c*abs(omega_c)")), [measured])
-    assert smooth_test(right).p_value > 1e-3
+    assert right.smooth_test.p_value > 1e-3
 
 
 def test_a_user_law_of_a_single_body_is_fitted():
