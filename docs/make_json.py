@@ -25,7 +25,7 @@ from gyrotrack.io._schema import RECORDING_ATTRIBUTES
 TARGET = Path(__file__).parent / "reference" / "json.md"
 
 _MODULES = """fitting._schema fitting._settings fitting.discovery._oscillator fitting.inference._budget
-fitting.study._comparison fitting.study._law_documents fitting.study._plan_documents fitting.study._scan_tables
+fitting.comparison._comparison fitting.law_search._documents fitting.planning._documents fitting.paper._tables
 fitting.study._serialisation gyrotrack.apps._spindown gyrotrack.apps.batch._runner gyrotrack.apps.cli._batch
 gyrotrack.apps.cli._data gyrotrack.apps.cli._fitting gyrotrack.apps.cli._presentation
 gyrotrack.apps.cli._simulation gyrotrack.apps.cli._tracking gyrotrack.io._contents gyrotrack.io._records

@@ -5,8 +5,8 @@ from ._errors import ExpressionError as ExpressionError, FittingError as Fitting
 from ._errors import LedgerError as LedgerError, RecordError as RecordError
 from ._errors import SimulationError as SimulationError
 from .discovery._certificate import Certificate as Certificate, certify as certify
-from .discovery._laws import laws as laws
-from .discovery._plan import plan as plan
+from .law_search._laws import laws as laws
+from .planning._plan import plan as plan
 from .discovery._select import Candidate as Candidate, improve as improve
 from .discovery._verdict import Diagnosis as Diagnosis, diagnose as diagnose
 from .dynamics._inputs import Input as Input
@@ -24,8 +24,8 @@ from .inference._profile import profile_interval as profile_interval
 from .inference._record import Record as Record, make_record as make_record
 from .inference._result import Fit as Fit
 from .inference._simulation import Experiment as Experiment, simulate as simulate
-from .study._comparison import compare as compare
+from .comparison._comparison import compare as compare
 from .study._history import Ledger as Ledger
-from .study._scan import Scan as Scan, predict_recordings as predict_recordings, scan as scan
-from .study._scan_tables import scan_lines as scan_lines
+from .paper._scan import Scan as Scan, predict_recordings as predict_recordings, scan as scan
+from .paper._tables import scan_lines as scan_lines
 from .study._serialisation import load_fit as load_fit

@@ -43,7 +43,7 @@ def load(path: str | Path, *, data: str | None = None, rotor: str = "windows") -
         If the file is missing or damaged, or has no angles where angles are requested.
     """
     from fitting.inference._case_file import read_record
-    from fitting.study._paper import prepared
+    from fitting.study._preparation import prepared
 
     require("path", path, PATH)
     require("data", data, TEXT.optional)

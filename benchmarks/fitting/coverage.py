@@ -24,7 +24,7 @@ from fitting.dynamics._model import Model
 from fitting.effects._library import REDUCED
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
-from fitting.study._paper import prepared
+from fitting.study._preparation import prepared
 
 TRUTH = twobody.truth()
 _NORMAL_95 = 1.959964

@@ -179,7 +179,7 @@ def shell(repeats: int) -> list[str]:
 
 def scan(repeats: int) -> list[str]:
     """The paper's tables of two cases."""
-    from fitting.study._scan import scan as run_scan
+    from fitting.paper._scan import scan as run_scan
 
     data = [recording(n) for n in ("glass", "steel")]
     _, cpu, wall = best(lambda: run_scan([CaseData.of(r) for r in data]), repeats)

@@ -23,10 +23,10 @@ from worlds import World
 from fitting._criteria import DEFAULT
 from fitting._workers import WorkerPool
 from fitting.discovery._grammar import LawForm
-from fitting.discovery._laws import _Chosen, _refined_shapes, _Scored, _Search, _Steps
 from fitting.discovery._score import CaseColumns, ScoreContext, score
 from fitting.dynamics._collocation import Sampler
 from fitting.inference._result import Fit
+from fitting.law_search._laws import _Chosen, _refined_shapes, _Scored, _Search, _Steps
 
 
 @dataclass(frozen=True)

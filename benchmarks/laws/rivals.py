@@ -27,7 +27,6 @@ import numpy as np
 from worlds import LAWS, World, world
 
 from fitting.discovery._grammar import LawForm, grammar
-from fitting.discovery._laws import ranges_of
 from fitting.discovery._score import CaseColumns, ScoreContext
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import Model
@@ -37,6 +36,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
 from fitting.inference._result import Fit
+from fitting.law_search._laws import ranges_of
 
 RESULTS = Path(__file__).parent / "rivals.jsonl"
 _SMOOTHED, _KEPT_EVERY = 51, 39

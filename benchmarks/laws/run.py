@@ -27,7 +27,6 @@ from worlds import EFFECTS, LAWS, World, of_library, world
 from fitting._criteria import DEFAULT
 from fitting._errors import FittingError
 from fitting._workers import WorkerPool
-from fitting.discovery._laws import Law, Laws, _Search, _Steps, laws, with_classes
 from fitting.discovery._verdict import diagnose
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Model
@@ -36,6 +35,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 from fitting.inference._record import make_record
 from fitting.inference._result import Fit
+from fitting.law_search._laws import Law, Laws, _Search, _Steps, laws, with_classes
 
 RESULTS = Path(__file__).parent / "results.jsonl"
 _POINTS = 1500
@@ -114,7 +114,7 @@ def third(found: Fit, data: CaseData) -> float:
 
     What the recordings share is held; touch point, drag of the casing and start speeds are free, as in a joint fit.
     """
-    from fitting.study._scan import _prediction_error
+    from fitting.paper._scan import _prediction_error
 
     shared = {k: found.estimates[k].value for k in found.model.free if k in found.estimates}
     # of an event every recording has its own; there is none here

@@ -23,9 +23,9 @@ import numpy as np
 from scipy.stats import binom
 
 from fitting import Experiment, Model, diagnose, fit, simulate
-from fitting.discovery._plan import _ESTIMATES, _SIMULATIONS, PlannedRecordings
 from fitting.discovery._power import Search, delta_of_power
 from fitting.effects._library import INERTIA_CASING, INERTIA_ROTOR, LIBRARY, PAPER, REDUCED
+from fitting.planning._plan import _ESTIMATES, _SIMULATIONS, PlannedRecordings
 
 NUMBERS = {name: value for name, value in PAPER.items() if name.rpartition(".")[0] in REDUCED}
 INERTIAS = (INERTIA_ROTOR, INERTIA_CASING)

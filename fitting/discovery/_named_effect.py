@@ -6,7 +6,7 @@ as a function of its variable v.
 
 *Detection limit.* Another law of v deviates by tau(v) h(v) with a smooth function h. Here h is piecewise linear with
 independent normal values at a few knots. Let S be the whitened responses to the functions of the knots, orthogonal to
-all free columns. The smooth test (`fitting.discovery._lack_of_fit`) then has the noncentrality
+all free columns. The smooth test (`fitting.inference._smooth_test`) then has the noncentrality
 
     lambda = h'S'S h.
 
@@ -74,11 +74,11 @@ _DRAWS = 4000
 """Random deviations from which the limit is computed [1]. Chosen: fewer make the limit random, more cost time."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
-`fitting.discovery._lack_of_fit`; a smaller value tests rounding errors, a larger one omits deviations that are nearly
+`fitting.inference._smooth_test`; a smaller value tests rounding errors, a larger one omits deviations that are nearly
 absorbed."""
 _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: as in
-`fitting.discovery._lack_of_fit`; a smaller value projects out rounding errors, a larger one ignores some free
+`fitting.inference._smooth_test`; a smaller value projects out rounding errors, a larger one ignores some free
 columns."""
 _TINY = 1e-300
 """Smallest mean square torque by which a square is divided [1]. Derived: it avoids a division by zero and is below any

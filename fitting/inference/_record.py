@@ -147,7 +147,7 @@ class Record:
     gradients : bool
         The speeds are gradients of filmed angles, including the errors of the camera.
     generated : bool
-        The rotor is a curve that was generated, not measured (see `fitting.study._paper`).
+        The rotor is a curve that was generated, not measured (see `fitting.study._preparation`).
     windows : tuple of Samples
         The measured windows of a generated rotor.
     start_sigma : tuple of float

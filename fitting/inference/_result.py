@@ -773,7 +773,7 @@ class Fit(FitSummary):
 
     @property
     def generated(self) -> bool:
-        """Whether a rotor curve was generated instead of measured (see `fitting.study._paper`)."""
+        """Whether a rotor curve was generated instead of measured (see `fitting.study._preparation`)."""
         return any(d.record.generated for d in self.problem.data)
 
     def measured_speeds(self, case: int, body: int) -> list[tuple[Array, Array]]:

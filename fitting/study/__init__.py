@@ -1,1 +1,1 @@
-"""Studies: history of fits, serialisation, tables of the paper."""
+"""Studies: history of fits, serialisation, preparation of the data as in the paper."""

@@ -85,7 +85,7 @@ from fitting.inference._problem import Problem, degenerate_directions
 from fitting.inference._profile import LEVEL, Interval
 from fitting.inference._record import Record
 from fitting.inference._result import Fit, FitSummary, Origin, not_determined, outcome
-from fitting.study._paper import CurveBias
+from fitting.study._preparation import CurveBias
 
 Array = NDArray[np.float64]
 

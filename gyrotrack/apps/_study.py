@@ -337,7 +337,7 @@ def read_cases(
             raise UsageError(what, f"Use one of: {', '.join(words)}.")
     records = [read_record(path) for path in cases]
     if data is not None or rotor != "windows":
-        from fitting.study._paper import prepared
+        from fitting.study._preparation import prepared
 
         records = [prepared(r, data, rotor) for r in records]
     return tuple(CaseData.of(r) for r in records)
@@ -571,7 +571,7 @@ def _paper_ranges(
 ) -> dict[str, tuple[float, float]]:
     from fitting.effects._library import REDUCED
     from fitting.inference._fit import fit
-    from fitting.study._scan import paper_ranges
+    from fitting.paper._scan import paper_ranges
 
     reduced = fit(study.model(REDUCED), study.data, share=share, per_case=per_case)
     return paper_ranges([reduced], reduced.labels)

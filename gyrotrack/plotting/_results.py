@@ -39,13 +39,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from fitting.comparison._comparison import Comparison
+    from fitting.comparison._population import Population
     from fitting.discovery._dependence import Dependence
-    from fitting.discovery._laws import Law, Laws
     from fitting.discovery._next_run import NextRun
-    from fitting.discovery._plan import Plan
     from fitting.discovery._power import EffectLimits
-    from fitting.study._comparison import Comparison
-    from fitting.study._population import Population
+    from fitting.law_search._laws import Law, Laws
+    from fitting.planning._plan import Plan
 
 _COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE)
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (2, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1)))

@@ -212,8 +212,8 @@ def test_results_of_a_diagnosis_print_within_a_screen():
 
 def test_a_plan_and_a_scan_print_within_a_screen():
     from fitting import Scan
-    from fitting.discovery._plan import Plan
-    from fitting.study._scan import ModelFits
+    from fitting.paper._scan import ModelFits
+    from fitting.planning._plan import Plan
 
     found = fitted(seed=0)
     scan = Scan(("case1",), ((),), ((),), (ModelFits("reduced", (found,) * 30, found, (), ()),))
@@ -234,7 +234,7 @@ def test_a_plan_and_a_scan_print_within_a_screen():
 )
 def test_a_scan_converged_if_all_its_separate_and_joint_fits_did(separate, joint, converged):
     from fitting import Scan
-    from fitting.study._scan import ModelFits
+    from fitting.paper._scan import ModelFits
 
     good, last = SimpleNamespace(verdict="adequate"), SimpleNamespace(verdict=separate)
     both = SimpleNamespace(verdict=joint) if joint else None

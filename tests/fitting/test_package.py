@@ -66,7 +66,9 @@ def test_a_fit_imports_nothing_slow_that_it_does_not_need(tmp_path):
         "import sys\nfrom gyrotrack.apps.cli._app import run\n"
         f"assert run(['fit', {str(path)!r}, '--json', '-q']) == 0\n"
         "slow = {'scipy.stats', 'scipy.signal', 'pandas', 'matplotlib', 'rich', 'cv2', 'av'} & set(sys.modules)\n"
-        "assert not slow, slow"
+        "assert not slow, slow\n"
+        "parts = {m.split('.')[1] for m in sys.modules if m.startswith('fitting.')}\n"
+        "assert not parts & {'law_search', 'planning', 'comparison', 'paper'}, parts"
     )
     done = python(code)
     assert done.returncode == 0, done.stderr

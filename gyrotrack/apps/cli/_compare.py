@@ -24,8 +24,8 @@ from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
-    from fitting.study._comparison import Comparison
-    from fitting.study._population import Population
+    from fitting.comparison._comparison import Comparison
+    from fitting.comparison._population import Population
 
 # largest number of runs whose values are listed; number of runs that a cluster worker fits in one command
 _LISTED, _PART = 12, 8
@@ -75,7 +75,7 @@ def compare_command(
 
     Example: gyrotrack compare left.h5 right.h5 --picture difference.png
     """
-    from fitting.study._comparison import compare
+    from fitting.comparison._comparison import compare
 
     files = _files(runs)
     if len(files) < 2:

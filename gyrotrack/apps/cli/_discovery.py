@@ -18,12 +18,12 @@ from gyrotrack.apps.cli._output import DONE, FAULT, NOT_TRUSTED
 from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
+    from fitting.comparison._comparison import Comparison
     from fitting.discovery._dependence import Dependence
-    from fitting.discovery._laws import Law, Laws
     from fitting.discovery._next_run import Bounds
-    from fitting.discovery._plan import Plan
     from fitting.discovery._power import EffectLimits
-    from fitting.study._comparison import Comparison
+    from fitting.law_search._laws import Law, Laws
+    from fitting.planning._plan import Plan
 
 _SHOWN = 8
 _MIN_P = 1e-300
@@ -57,9 +57,9 @@ def laws_command(
     Example: gyrotrack laws case1.h5 case2.h5 --save-law lab.saturation my_lab.toml
     """
     from fitting._workers import WorkerPool
-    from fitting.discovery._laws import laws
-    from fitting.study._law_documents import check_name, laws_document
-    from fitting.study._law_documents import save_law as save
+    from fitting.law_search._documents import check_name, laws_document
+    from fitting.law_search._documents import save_law as save
+    from fitting.law_search._laws import laws
 
     check_picture(picture, force=force, reads=with_ledgers(cases, ledger, effects))
     if save_law is not None:
@@ -222,10 +222,10 @@ def plan_command(
 
     Example: gyrotrack plan case1.h5 case2.h5 --picture plan.png
     """
-    from fitting.discovery._friction import friction_plan
     from fitting.discovery._next_run import Bounds
-    from fitting.discovery._plan import plan, read_planned
-    from fitting.study._plan_documents import plan_document
+    from fitting.planning._documents import plan_document
+    from fitting.planning._friction import friction_plan
+    from fitting.planning._plan import plan, read_planned
     from gyrotrack.io._atomic import refuse_special
 
     described = [p for p in recordings if p.suffix.lower() == ".toml"]

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from fitting.inference._budget import ParameterBudget
     from fitting.inference._profile import Interval
     from fitting.inference._result import Fit
+    from fitting.paper._scan import Predicted
 
 
 _LOSSES = ("linear", "huber", "cauchy")
@@ -90,8 +91,7 @@ def fit_command(
 
     Example: gyrotrack fit case1.h5 --add casing.air.quadratic
     """
-    from fitting.study._paper import curve_bias
-    from fitting.study._scan import predict_recordings
+    from fitting.study._preparation import curve_bias
     from fitting.study._serialisation import fit_document
 
     if (share or per_case or hold_out) and not joint:
@@ -116,13 +116,19 @@ def fit_command(
             own = shared.own_effects(effects, study.mechanism)
             found, fit_id = replace(request, own=own).fit(study, start)
             intervals = _intervals(found, profile or ())
-            predicted = predict_recordings(found.model, found.problem.data, found.noise) if hold_out else None
+            predicted = _predicted(found) if hold_out else None
             bias = curve_bias(found)
         documents.append(fit_document(found, fit_id, intervals, bias, predicted))
         out.show(*fit_tables(found, fit_id, intervals), *bias_tables(found, bias))
         out.show(*prediction_tables(predicted or ()))
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
     return NOT_TRUSTED if any(d["verdict"] == "not_converged" for d in documents) else DONE
+
+
+def _predicted(found: Fit) -> Sequence[Predicted]:
+    from fitting.paper._scan import predict_recordings
+
+    return predict_recordings(found.model, found.problem.data, found.noise)
 
 
 def _intervals(found: Fit, wanted: Sequence[str]) -> dict[str, Interval]:
@@ -262,8 +268,8 @@ def scan_command(
 
     Example: gyrotrack scan case1.h5 case2.h5 --latex tables.tex
     """
-    from fitting.study._scan import scan
-    from fitting.study._scan_tables import scan_csv, scan_document, scan_latex, scan_lines
+    from fitting.paper._scan import scan
+    from fitting.paper._tables import scan_csv, scan_document, scan_latex, scan_lines
     from gyrotrack.io._atomic import new_file
     from gyrotrack.io._outputs import new_outputs
 

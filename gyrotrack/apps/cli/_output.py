@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from fitting.inference._profile import Interval
     from fitting.inference._record import Record
     from fitting.inference._result import Fit
-    from fitting.study._paper import CurveBias
-    from fitting.study._scan import Predicted
+    from fitting.paper._scan import Predicted
+    from fitting.study._preparation import CurveBias
 
 # C0 and C1 controls except line feed and tab; characters that reorder or hide text; line separators
 _COMMANDS = re.compile(

@@ -140,7 +140,7 @@ def figures_command(
 
     Example: gyrotrack figures case1.h5 case2.h5 -o figures --format pdf --format png
     """
-    from fitting.study._scan import scan
+    from fitting.paper._scan import scan
     from gyrotrack.apps.report._paper import write_figures
     from gyrotrack.io._hdf5 import read_case
 

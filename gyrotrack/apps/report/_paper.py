@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from fitting.inference._case_data import CaseData
     from fitting.inference._result import Fit
-    from fitting.study._scan import Scan
+    from fitting.paper._scan import Scan
     from gyrotrack.io._records import Case
 
 
@@ -348,7 +348,7 @@ def _figures_tex(figures: Sequence[PaperFigure]) -> str:
 
 def _tables(scan: Scan) -> dict[str, str]:
     """Return all tables in one file, and each in a separate file."""
-    from fitting.study._scan_tables import scan_latex
+    from fitting.paper._tables import scan_latex
 
     whole = scan_latex(scan)
     head = whole[: whole.index("\\begin{table}")]

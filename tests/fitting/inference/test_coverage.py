@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
 from fitting import REDUCED, Model, fit, make_record
-from fitting.study._paper import prepared
+from fitting.study._preparation import prepared
 
 RECORDINGS = 18
 SPAN, WINDOWS = 200.0, (5.0, 70.0, 150.0)

@@ -8,7 +8,7 @@ from fitting import REDUCED, Model, RecordError, fit, make_record
 from fitting.inference._case_data import CaseData
 from fitting.inference._metrics import as_velocities, median_noise
 from fitting.inference._record import running_median
-from fitting.study._paper import _decay, curve_bias, prepared, with_generated_rotor
+from fitting.study._preparation import _decay, curve_bias, prepared, with_generated_rotor
 
 
 @pytest.fixture(scope="module")

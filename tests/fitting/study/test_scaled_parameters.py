@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from fitting import Model, make_record
-from fitting.discovery import _laws
 from fitting.discovery._next_run import _mean_values
 from fitting.effects._effect import Effect, Parameter
 from fitting.inference._parameters import ParameterLayout, parameters_at
-from fitting.study._law_documents import _tables
-from fitting.study._scan import _extended
+from fitting.law_search import _laws
+from fitting.law_search._documents import _tables
+from fitting.paper._scan import _extended
 
 LARGEST = 40.0
 TIME = np.linspace(0.0, 10.0, 200)

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting import read_effects
-from fitting.discovery._laws import Laws
+from fitting.law_search._laws import Laws
 
 
 def test_a_picture_needs_a_known_suffix(gyrotrack, simulated):
@@ -36,7 +36,7 @@ def test_the_result_is_printed_where_there_is_no_law_to_save(gyrotrack, simulate
     def nothing(base, extra, **options):
         return Laws(base, "none", "No law is significant.", (), None, (), "", 7)
 
-    monkeypatch.setattr("fitting.discovery._laws.laws", nothing)
+    monkeypatch.setattr("fitting.law_search._laws.laws", nothing)
     file = tmp_path / "lab.toml"
     said = gyrotrack("laws", simulated / "plain.h5", "--save-law", "lab.found", file, "--json")
     assert said.code == 1

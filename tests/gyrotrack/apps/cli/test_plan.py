@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from fitting.discovery import _plan, _power
+from fitting.discovery import _power
+from fitting.planning import _plan
 from gyrotrack.apps.cli._settings import own_effects
 
 GUIDE = Path(__file__).parents[4] / "docs" / "how-to" / "plan-an-experiment.md"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fitting import Case, fit
-from fitting.discovery._friction import Motion, _trials, friction_plan, torque_along
 from fitting.effects._library import find
+from fitting.planning._friction import Motion, _trials, friction_plan, torque_along
 
 DAHL, LUGRE, GMS = (f"casing.friction.{n}" for n in ("presliding", "lugre", "gms"))
 

@@ -24,11 +24,10 @@ from fitting import (
 )
 from fitting._criteria import DEFAULT
 from fitting._workers import WorkerPool
-from fitting.discovery import _dependence, _laws
+from fitting.discovery import _dependence
 from fitting.discovery._dependence import context_without, dependence
 from fitting.discovery._difference import different_parameter
 from fitting.discovery._lack_of_fit import UNKNOWN_LAWS
-from fitting.discovery._laws import Law, Laws, library_answer, ranges_of, with_classes
 from fitting.discovery._score import CaseColumns, ScoreContext
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
@@ -36,7 +35,9 @@ from fitting.effects._library import find
 from fitting.effects._user import resolve
 from fitting.inference._fit import fit
 from fitting.inference._noise import WHITE
-from fitting.study._law_documents import check_name, laws_document, save_law
+from fitting.law_search import _laws
+from fitting.law_search._documents import check_name, laws_document, save_law
+from fitting.law_search._laws import Law, Laws, library_answer, ranges_of, with_classes
 from fitting.study._serialisation import history_verdict, restored_diagnosis, stored_diagnosis
 
 K, W = 3e-6, 40.0

@@ -17,10 +17,10 @@ from fitting._criteria import DEFAULT
 from fitting.discovery import _next_run
 from fitting.discovery._information import Information, Rival, Run, rivals, schur, simulated
 from fitting.discovery._next_run import Bounds, _RunSearch, _Tried, next_run, separating_run
-from fitting.discovery._plan import read_planned
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._collocation import Sampler
 from fitting.inference._fit import fit
+from fitting.planning._plan import read_planned
 
 DRAG = LIBRARY["casing.air.quadratic"]
 NOISE = 1e-7

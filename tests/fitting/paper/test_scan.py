@@ -11,8 +11,8 @@ import twobody
 from fitting import GENERAL, REDUCED, EstimationError, Model, make_record, scan, scan_lines
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
-from fitting.study._scan import AIR, BEARING, COLUMNS, paper_ranges, shade
-from fitting.study._scan_tables import (
+from fitting.paper._scan import AIR, BEARING, COLUMNS, paper_ranges, shade
+from fitting.paper._tables import (
     concise,
     scan_csv,
     scan_document,

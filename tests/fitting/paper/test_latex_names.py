@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from fitting.study._scan_tables import _escaped, _short_names
+from fitting.paper._tables import _escaped, _short_names
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import NotRequired, TypedDict
 
 from fitting._schema import as_document
-from fitting.discovery._friction import FrictionDocument
 from fitting.discovery._next_run import Bounds, NextRun
-from fitting.discovery._plan import Plan
 from fitting.discovery._power import CONFIDENCE, POWER, EffectLimits
+from fitting.planning._friction import FrictionDocument
+from fitting.planning._plan import Plan
 
 
 class LimitsDocument(TypedDict):

@@ -17,7 +17,7 @@ from fitting._schema import FitDocument, PredictedDocument, as_document
 from fitting.inference._metrics import CaseMetrics
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
-from fitting.study._scan import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, ModelFits, Robustness, Row, Scan, shade
+from fitting.paper._scan import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, ModelFits, Robustness, Row, Scan, shade
 from fitting.study._serialisation import fit_document
 
 NEARLY_ZERO = 1e-4

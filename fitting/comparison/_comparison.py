@@ -32,8 +32,7 @@ from numpy.typing import NDArray
 
 from fitting._errors import EstimationError
 from fitting._numbers import on_screen, probability, rounded, to_json
-from fitting.effects._words import CASING, effect_name
-from fitting.study._population import (
+from fitting.comparison._population import (
     Fitted,
     MeanDocument,
     Population,
@@ -41,6 +40,7 @@ from fitting.study._population import (
     compared_parameters,
     population_of,
 )
+from fitting.effects._words import CASING, effect_name
 
 Array = NDArray[np.float64]
 

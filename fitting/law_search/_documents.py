@@ -24,10 +24,10 @@ from fitting._schema import (
     write_text,
 )
 from fitting.discovery._dependence import Dependence
-from fitting.discovery._laws import Difference, Law, Laws
 from fitting.effects._library import LIBRARY
 from fitting.effects._user import read_effects
 from fitting.inference._parameters import parameters_at
+from fitting.law_search._laws import Difference, Law, Laws
 from fitting.study._serialisation import shown_difference
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")

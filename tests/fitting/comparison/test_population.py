@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 from fitting import Estimate, EstimationError, Model
-from fitting.study._comparison import compare
-from fitting.study._population import (
+from fitting.comparison._comparison import compare
+from fitting.comparison._population import (
     FEWEST,
     _holm,
     _p_step,

@@ -1,0 +1,1 @@
+"""Comparison of recordings: differences of parameters, and models of many recordings."""

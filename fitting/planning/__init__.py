@@ -1,0 +1,1 @@
+"""Planning of further recordings: what they would determine or separate."""
