@@ -669,11 +669,13 @@ def select(
     criteria: Criteria,
     workers: WorkerPool,
     known: Sequence[Step] = (),
+    *,
+    follow_up: bool = False,
 ) -> Selection:
     """Return the effect to add to a fit, and the fit with this effect and any further parameters that are needed.
 
     `known` is the history of an earlier `improve` of the same fit; its first steps are reused if it added the same
-    effect.
+    effect. With `follow_up`, further effects are tried even if the fit with the first one has no lack of fit.
     """
     ranked = list(candidates)
     chosen = best(ranked, criteria)
@@ -691,7 +693,7 @@ def select(
         now_best = best(ranked, criteria)
         if now_best is not None and now_best.fit is not None:
             chosen, end = now_best, now_best.fit
-    if less_noise or end.fails(criteria):
+    if follow_up or less_noise or end.fails(criteria):
         most = 1 + criteria.follow_up
         # an exchange changes the effect that is named
         history = [s for s in known if not s.is_exchange][: 1 + most]

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -400,13 +400,13 @@ def _diagnosis(
             whiteness=tuple(whiteness(fit)),
             differs=separate.parameter,
         )
-    selection = select(fit, ranked, extra, criteria, workers, history)
-    as_given = selection.chosen
-    rival = with_free_inertia(fit, selection, tuple(extra), criteria)
-    selection = selection if rival is None else reselected(selection, rival)
-    misfit = selection.final.fails(criteria)
-    doubt = _contradiction(fit, selection, criteria, misfit=misfit)
-    size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
+    search = _Search(fit, ranked, tuple(extra), criteria, workers, history)
+    found = search.graded()
+    if found.size.unknown and found.selection.final.model.names == found.selection.named.model.names:
+        # two effects may describe what one smooth law does
+        both = search.graded(follow_up=True)
+        found = found if both.size.unknown else both
+    selection, as_given, rival, misfit, doubt, size = found
     if size.form is None and isinstance(doubt, PeriodogramPeak):
         # an effect that does not explain the sinusoidal torque is not part of the answer
         peak = fit.significant_peak(criteria)
@@ -465,6 +465,42 @@ def _diagnosis(
         without_limit=hidden.without_limit,
         form_limit=size.test.limit if size.test is not None and math.isfinite(size.test.limit) else None,
     )
+
+
+class _Graded(NamedTuple):
+    """A selection, its effect with the given moments of inertia, its tests, and its grade."""
+
+    selection: Selection
+    as_given: Candidate | None
+    rival: InertiaRival | None
+    misfit: bool
+    doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None
+    size: Grade
+
+
+class _Search(NamedTuple):
+    """The candidates about a fit, and what the selection among them needs."""
+
+    fit: Fit
+    ranked: Sequence[Candidate]
+    extra: tuple[Effect, ...]
+    criteria: Criteria
+    workers: WorkerPool
+    history: Sequence[Step]
+
+    def graded(self, *, follow_up: bool = False) -> _Graded:
+        """Select an effect, test the most complete fit, and grade the effect."""
+        fit, criteria = self.fit, self.criteria
+        selection = select(
+            fit, self.ranked, self.extra, criteria, self.workers, self.history, follow_up=follow_up
+        )
+        as_given = selection.chosen
+        rival = with_free_inertia(fit, selection, self.extra, criteria)
+        selection = selection if rival is None else reselected(selection, rival)
+        misfit = selection.final.fails(criteria)
+        doubt = _contradiction(fit, selection, criteria, misfit=misfit)
+        size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
+        return _Graded(selection, as_given, rival, misfit, doubt, size)
 
 
 def _undetermined(selection: Selection, criteria: Criteria) -> str:

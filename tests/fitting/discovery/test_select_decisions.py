@@ -873,6 +873,7 @@ class TestSelect:
         alike=(),
         at_noise=None,
         improved=(),
+        follow_up=False,
         general=None,
         known=(),
         first=None,
@@ -898,7 +899,8 @@ class TestSelect:
         monkeypatch.setattr(module, "with_free_shape", lambda found, effect, criteria: general)
         monkeypatch.setattr(module, "restarted_from", lambda named, end: calls.append("restarted") or named)
         other = candidate(LAMINAR, -39.0)
-        return calls, end, select(Found(), [chosen, other], (), DEFAULT, None, known)
+        found = select(Found(), [chosen, other], (), DEFAULT, None, known, follow_up=follow_up)
+        return calls, end, found
 
     def test_without_a_candidate_the_base_remains(self, monkeypatch):
         _, _, found = self.selected(monkeypatch, first=candidate(DRAG, significant=False))
@@ -932,6 +934,9 @@ class TestSelect:
         assert (found.named, found.final) == (steps[1].fit, steps[2].fit)
         calls, end, found = self.selected(monkeypatch, wrong=True, improved=steps[:1])
         assert (found.named, found.final) == (end, end)
+        # or where the caller asks for it
+        _, _, found = self.selected(monkeypatch, improved=steps, follow_up=True)
+        assert (found.named, found.final) == (steps[1].fit, steps[2].fit)
 
     @pytest.mark.parametrize(
         ("left", "superseded"),

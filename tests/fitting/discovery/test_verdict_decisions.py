@@ -186,7 +186,8 @@ class TestVerdict(Answer):
             base, (own,), criteria=strict, candidates=known, history=history, workers=workers, brief=True
         )
         assert self.arguments["separate_values"] == ((base, known, (own,), strict), {})
-        assert self.arguments["select"] == ((base, known, (own,), strict, workers, history), {})
+        expected = (base, known, (own,), strict, workers, history)
+        assert self.arguments["select"] == (expected, {"follow_up": False})
         final = self.given["select"]
         assert self.arguments["with_free_inertia"] == ((base, final, (own,), strict), {})
         assert self.arguments["grade"] == ((base, final, None, strict), {"misfit": False})
@@ -258,6 +259,41 @@ class TestVerdict(Answer):
         # with an approximate form the effect is part of the answer
         found = self.answer(grade=Grade("approximate", 0.97, LEFT), significant_peak=peak)
         assert found.verdict == "missing_effect"
+
+    @pytest.mark.parametrize(
+        ("unknown", "with_two", "followed", "verdict"),
+        [
+            ("omega_r", "", [False, True], "missing_effect"),
+            ("omega_r", "omega_r", [False, True], "unexplained"),  # the smooth law is better than two effects
+            ("", "", [False], "unexplained"),
+        ],
+    )
+    def test_two_effects_are_tried_before_a_law_outside_the_library(
+        self, monkeypatch, unknown, with_two, followed, verdict
+    ):
+        chosen, asked = candidate(), []
+        alone = selection(chosen)
+        both = selection(chosen, final=Found(model=named(DRAG, LAMINAR)))
+
+        def select(*_, follow_up):
+            asked.append(follow_up)
+            return both if follow_up else alone
+
+        grades = {
+            id(alone): Grade(None, 0.3, LEFT, unknown=unknown),
+            id(both): Grade(None, 0.3, LEFT, unknown=with_two),
+        }
+        monkeypatch.setattr(module, "select", select)
+        monkeypatch.setattr(module, "grade", lambda fit, found, *_, **__: grades[id(found)])
+        assert self.answer().verdict == verdict
+        assert asked == followed
+
+    def test_a_second_effect_is_sought_once(self, monkeypatch):
+        asked = []
+        both = selection(candidate(), final=Found(model=named(DRAG, LAMINAR)))
+        monkeypatch.setattr(module, "select", lambda *_, follow_up: asked.append(follow_up) or both)
+        self.answer(grade=Grade(None, 0.3, LEFT, unknown="omega_r"))
+        assert asked == [False]
 
     @pytest.mark.parametrize(
         ("text", "verdict"), [("within its uncertainty", "adequate"), ("", "missing_effect")]
