@@ -47,7 +47,7 @@ from fitting.discovery._score import (
     Trial,
     rows_of_case,
 )
-from fitting.discovery._select import applicable_effects, needed_evidence
+from fitting.discovery._select import Candidate, applicable_effects, needed_evidence
 from fitting.effects._effect import Effect
 from fitting.inference._linear_algebra import orthogonal_to, orthonormal
 from fitting.inference._process_noise import ProcessNoise
@@ -592,14 +592,22 @@ class Search:
         return tuple(names)
 
 
-def largest_hidden(fit: Fit, extra: Sequence[Effect], criteria: Criteria) -> HiddenEffects:
+def largest_hidden(
+    fit: Fit, extra: Sequence[Effect], criteria: Criteria, candidates: Sequence[Candidate] = ()
+) -> HiddenEffects:
     """Return the physical effects with the largest upper limits of the rms torque, and those without a limit.
 
     An effect has no limit if the model absorbs it. A limit above the torque of the bearing (for a single body: the net
-    torque) contains no information.
+    torque) contains no information. If an effect without shape constants was refitted as one of the `candidates`, its
+    limit is at least that of the refit.
     """
     search = Search(fit, extra, criteria, draws=1)
-    found = [search.limits(e) for e in search.effects if e.kind == "physical"]
+    refits = {c.effect.name: c.fit for c in candidates if c.fit is not None}
+    found = [
+        _at_least_of_refit(search.limits(e), refits.get(e.name))
+        for e in search.effects
+        if e.kind == "physical"
+    ]
     limited = [e for e in found if e.upper_torque < search.typical_torque]
     finite = sorted(limited, key=lambda e: -e.upper_torque)
     limits = [
@@ -608,6 +616,22 @@ def largest_hidden(fit: Fit, extra: Sequence[Effect], criteria: Criteria) -> Hid
     ]
     without = [e for e in found if e.absorbed or e.upper_torque >= search.typical_torque]
     return HiddenEffects(tuple(limits), tuple(e.effect.name for e in without))
+
+
+def _at_least_of_refit(limits: EffectLimits, refit: Fit | None) -> EffectLimits:
+    """Return the limits with at least the upper limit |k| + 1.64 se of the refit.
+
+    A torque of an angle changes the motion of a slow body so much that the motion is not linear in it.
+    """
+    if refit is None or limits.shape or limits.absorbed:
+        return limits
+    key = f"{limits.effect.name}.{limits.strength}"
+    found = [
+        abs(e.value) + _ONE_SIDED * e.stderr
+        for name, e in refit.estimates.items()
+        if name.partition("@")[0] == key and math.isfinite(e.stderr)
+    ]
+    return replace(limits, upper_limit=max(limits.upper_limit, *found)) if found else limits
 
 
 def _profile_limit(free: Array, response: Array, data: Array, bounds: Array, limit: float) -> float:

@@ -434,7 +434,11 @@ def _diagnosis(
         selection, size = _with_unknown_laws(fit, selection, as_given, size, criteria)
     nuisance = nuisance_parameters(selection.final)
     torques, ripples = [] if fit.lacks_restoring_torque else curves.result(), harmonics.result()
-    hidden = largest_hidden(fit, extra, criteria) if verdict == "adequate" and not brief else HiddenEffects()
+    hidden = (
+        largest_hidden(fit, extra, criteria, selection.candidates)
+        if verdict == "adequate" and not brief
+        else HiddenEffects()
+    )
     failures = find_failures(fit, torques, ripples, criteria) if verdict != "adequate" and not brief else []
     # for an oscillation, camera effects are hardly distinguishable from harmonics of the motion
     told = nuisance if are_smooth(d.motion for d in fit.problem.data) else ()

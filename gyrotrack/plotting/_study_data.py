@@ -378,18 +378,21 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
         differs=diagnosis.differs if diagnosis is not None else None,
         next_experiment=diagnosis.next_experiment if diagnosis is not None else "",
         whiteness=tuple((w.label, w.p_value) for w in whiteness(final)),
-        upper_limits=_upper_limits(final, diagnosis if len(history) == 1 else None),
+        upper_limits=_upper_limits(history[-1], diagnosis if len(history) == 1 else None),
         cases=tuple(case_view(history, diagnosis, torques, i) for i in range(len(base.problem.data))),
     )
 
 
-def _upper_limits(final: Fit, diagnosis: Diagnosis | None) -> tuple[UpperLimit, ...]:
+def _upper_limits(last: FitStep, diagnosis: Diagnosis | None) -> tuple[UpperLimit, ...]:
     """Return the limits from the diagnosis of the final model, or compute them."""
     from fitting.discovery._power import largest_hidden
 
     if diagnosis is not None:
         return diagnosis.upper_limits
-    return () if not final.converged or final.fails() else largest_hidden(final, (), DEFAULT).limits
+    final = last.fit
+    if not final.converged or final.has_lack_of_fit():
+        return ()
+    return largest_hidden(final, (), DEFAULT, last.candidates).limits
 
 
 def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:

@@ -9,7 +9,7 @@ import pytest
 from linearised import covariance, gyroscope, least_squares
 from scipy.stats import ncx2, norm
 
-from fitting import LIBRARY, Criteria
+from fitting import LIBRARY, Criteria, Estimate
 from fitting._criteria import DEFAULT
 from fitting.discovery import _power as module
 from fitting.discovery._power import (
@@ -362,6 +362,21 @@ class TestLargestHidden:
         ]  # fmt: skip
         assert found.limits[0].upper_limit == 4.5
         # above or at the torque of the bearing, or absorbed by the model; a significant effect ("nan") is not hidden
+        assert found.without_limit == ("d", "absorbed", "total")
+        # a refit may have a larger limit, |k| + 1.64 se; here of two cases
+        values = {
+            "a.k@1": (-1.0, 1.0), "a.k@2": (-0.2, 2.0), "a.phi": (9.0, 1.0), "b.k": (4.0, 0.1),
+            "f.k": (3.0, math.nan), "absorbed.k": (1.0, 1.0),
+        }  # fmt: skip
+        estimates = {k: Estimate(*v, "N m", at_bound=False) for k, v in values.items()}
+        tried = [
+            SimpleNamespace(effect=e, fit=None if e.name == "e" else SimpleNamespace(estimates=estimates))
+            for e in (*Known.effects, SimpleNamespace(name="other"))
+        ]
+        found = largest_hidden(base, (), DEFAULT, tried)
+        assert [(u.effect, u.torque_Nm) for u in found.limits] == [
+            ("b", 9.0), ("a", pytest.approx(2 * (0.2 + 1.6448536 * 2.0))), ("f", 5.0), ("e", 4.0), ("g", 2.0),
+        ]  # fmt: skip
         assert found.without_limit == ("d", "absorbed", "total")
 
 

@@ -193,7 +193,7 @@ class TestVerdict(Answer):
         assert self.arguments["grade"] == ((base, final, None, strict), {"misfit": False})
         assert self.arguments["contradiction"] == ((None, final.final, strict), {})
         self.answer(Found(), brief=False)
-        assert self.arguments["largest_hidden"][0][1:] == ((), DEFAULT)
+        assert self.arguments["largest_hidden"][0][1:] == ((), DEFAULT, [])
         self.answer(
             select=selection(candidate()), grade=COMPLETE, with_random_torque=random_torque(), describes=True
         )
