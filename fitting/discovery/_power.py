@@ -621,7 +621,7 @@ def largest_hidden(
 def _at_least_of_refit(limits: EffectLimits, refit: Fit | None) -> EffectLimits:
     """Return the limits with at least the upper limit |k| + 1.64 se of the refit.
 
-    A torque of an angle changes the motion of a slow body so much that the motion is not linear in it.
+    The motion of a slow body is not linear in an angle-dependent torque; the refit is not linearised.
     """
     if refit is None or limits.shape or limits.absorbed:
         return limits
