@@ -37,7 +37,7 @@ from fitting.discovery._lack_of_fit import (
 from fitting.discovery._named_effect import FormTest, form_test
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._residuals import ResidualTorque, residual_torques
-from fitting.discovery._select import Candidate, Selection
+from fitting.discovery._select import Candidate, Selection, reason_undetermined
 from fitting.dynamics._collocation import Sampler
 from fitting.dynamics._inputs import values_at
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
@@ -385,7 +385,10 @@ def grade(
     torques = Torques(base, harmonic or end, residual=significant and harmonic is None)
     slow = not chosen.effect.depends_on_angle
     share, rms = unexplained = torques.remaining(selection.named, slow=slow)
-    if others and slow and 1 - share < criteria.explained and selection.named.converged:
+    uncertain = any(
+        reason_undetermined(e, end, criteria) for e in end.model.effects if e.name in others and e.amplitude
+    )
+    if uncertain and slow and 1 - share < criteria.explained and selection.named.converged:
         alone = Torques(base, selection.named, residual=True).remaining(selection.named, slow=True)
         share, rms = unexplained = min(unexplained, alone)
     whole = (

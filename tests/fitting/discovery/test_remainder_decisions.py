@@ -1,7 +1,7 @@
 """How much of a torque an effect explains, against integrals of known laws; and what grade follows from it."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -312,7 +312,7 @@ class Found:
     converged: bool = True
     noise: tuple = ()
     torque_unit: str = "N m"
-    estimates: object = None
+    estimates: object = field(default_factory=dict)
     p_value: float = 1.0
     chi2: float = 10.0
 
@@ -554,13 +554,20 @@ class TestGrade:
         assert self.asked[0] == (end, False)
 
     @pytest.mark.parametrize(
-        ("share", "alone", "converged", "explained"),
-        [(0.4, 0.3, True, 0.7), (0.4, 0.6, True, 0.6), (0.4, 0.3, False, 0.6), (0.02, 0.01, True, 0.98)],
+        ("share", "alone", "converged", "strength", "explained"),
+        [
+            (0.4, 0.3, True, 2.9, 0.7),
+            (0.4, 0.6, True, 2.9, 0.6),
+            (0.4, 0.3, False, 2.9, 0.6),
+            (0.02, 0.01, True, 2.9, 0.98),
+            (0.4, 0.3, True, 3.1, 0.6),  # the second effect is determined
+        ],
     )
-    def test_beside_a_second_effect_the_smaller_remainder_counts(
-        self, monkeypatch, share, alone, converged, explained
+    def test_beside_an_undetermined_second_effect_the_smaller_remainder_counts(
+        self, monkeypatch, share, alone, converged, strength, explained
     ):
-        end = found(DRAG, "touchpoint.step", deviance=60.0, theta=(0,) * 4)
+        estimates = {"touchpoint.step.k": Estimate(strength, 1.0, "N m", at_bound=False)}
+        end = found(DRAG, "touchpoint.step", deviance=60.0, theta=(0,) * 4, estimates=estimates)
         size = self.graded(monkeypatch, share=share, alone=alone, end=end, converged=converged)
         assert size.explained == pytest.approx(explained)
 
