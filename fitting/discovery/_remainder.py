@@ -257,7 +257,8 @@ class Grade:
     """The size of an answer: form, explained share, remainder, and the rivals that explain the same share.
 
     `form` is "exact", "approximate", or None if the form is not established. `unknown` is the speed whose smooth law
-    describes the data better than the named effect; empty if there is none. `test` is the power of the form test. If
+    describes the data better than the named effect; empty if there is none. `unknown_bic` is the BIC of this law at the
+    noise of the fit with the named effect, if no second effect was tried. `test` is the power of the form test. If
     form and remainder are None, the residuals are consistent with noise, but the form is not established. With `noisy`,
     the reason is that the fit needs more process noise than the recording shows.
     """
@@ -267,6 +268,7 @@ class Grade:
     remainder: Remainder | None
     rivals: tuple[str, ...] = ()
     unknown: str = ""
+    unknown_bic: float = math.nan
     test: FormTest | None = None
     noisy: bool = False
 
@@ -467,7 +469,8 @@ def _complete(
         share, rms = Torques(base, best, residual=False).remaining(named)
         words = f"Remainder {format_torque(rms, unit=base.torque_unit)} rms: the torque is another function of {speed}."
         p_value = _likelihood_ratio(named, best)
-        return Grade(None, 1 - share, Remainder(rms, share, p_value, words), unknown=speed, test=tested)
+        remainder = Remainder(rms, share, p_value, words)
+        return Grade(None, 1 - share, remainder, unknown=speed, unknown_bic=best.bic, test=tested)
     width = criteria.equivalence_width
     rivals = tuple(unknown_law(speed) for f, speed in laws if f.bic < named.bic + width)
     replaceable = any(f.deviance < named.deviance + width for f, _ in laws)

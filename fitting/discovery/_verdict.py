@@ -403,9 +403,8 @@ def _diagnosis(
     search = _Search(fit, ranked, tuple(extra), criteria, workers, history)
     found = search.graded()
     if found.size.unknown and found.selection.final.model.names == found.selection.named.model.names:
-        # two effects may describe what one smooth law does
         both = search.graded(follow_up=True)
-        found = found if both.size.unknown else both
+        found = both if _are_two_effects(both, found.size.unknown_bic, criteria) else found
     selection, as_given, rival, misfit, doubt, size = found
     if size.form is None and isinstance(doubt, PeriodogramPeak):
         # an effect that does not explain the sinusoidal torque is not part of the answer
@@ -505,6 +504,18 @@ class _Search(NamedTuple):
         doubt = _contradiction(fit, selection, criteria, misfit=misfit)
         size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
         return _Graded(selection, as_given, rival, misfit, doubt, size)
+
+
+def _are_two_effects(found: _Graded, bic: float, criteria: Criteria) -> bool:
+    """Return whether two effects describe the data completely, and clearly better than a smooth law with this BIC.
+
+    The second effect is the best of N candidates; prior odds of 1:N add 2 ln N to the difference that is needed.
+    """
+    selection = found.selection
+    complete = not found.misfit and found.doubt is None and not found.size.unknown
+    more = set(selection.final.model.names) > set(selection.named.model.names)
+    needed = criteria.equivalence_width + 2 * math.log(max(len(selection.candidates), 1))
+    return complete and more and selection.final.bic < bic - needed
 
 
 def _undetermined(selection: Selection, criteria: Criteria) -> str:

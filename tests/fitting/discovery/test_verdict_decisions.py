@@ -66,6 +66,7 @@ class Found:
     noisy: bool = False
     needs_random: bool = False
     smooth: bool = False
+    bic: float = 100.0
     lack_of_fit: bool = True
     findings: tuple = ()
     noise: tuple = (SimpleNamespace(level=2e-6, pure=1e-6),)
@@ -261,32 +262,46 @@ class TestVerdict(Answer):
         assert found.verdict == "missing_effect"
 
     @pytest.mark.parametrize(
-        ("unknown", "with_two", "followed", "verdict"),
+        ("unknown", "with_two", "effects", "bic", "wrong", "doubt", "verdict"),
         [
-            ("omega_r", "", [False, True], "missing_effect"),
-            ("omega_r", "omega_r", [False, True], "unexplained"),  # the smooth law is better than two effects
-            ("", "", [False], "unexplained"),
+            ("omega_r", "", (DRAG, LAMINAR), 88.5, False, None, "missing_effect"),
+            ("omega_r", "omega_r", (DRAG, LAMINAR), 88.5, False, None, "unexplained"),  # a better smooth law
+            (
+                "omega_r",
+                "",
+                (DRAG, LAMINAR),
+                88.7,
+                False,
+                None,
+                "unexplained",
+            ),  # 10 + 2 ln 2 worse than the law
+            ("omega_r", "", (DRAG,), 88.5, False, None, "unexplained"),
+            ("omega_r", "", (DRAG, LAMINAR), 88.5, True, None, "unexplained"),
+            ("omega_r", "", (DRAG, LAMINAR), 88.5, False, SmoothTest("casing", 1e-5), "unexplained"),
+            ("", "", (DRAG, LAMINAR), 88.5, False, None, "unexplained"),
         ],
     )
     def test_two_effects_are_tried_before_a_law_outside_the_library(
-        self, monkeypatch, unknown, with_two, followed, verdict
+        self, monkeypatch, unknown, with_two, effects, bic, wrong, doubt, verdict
     ):
         chosen, asked = candidate(), []
-        alone = selection(chosen)
-        both = selection(chosen, final=Found(model=named(DRAG, LAMINAR)))
+        alone = selection(chosen, named=Found(model=named(DRAG)))
+        end = Found(model=named(*effects), bic=bic, wrong=wrong)
+        both = selection(chosen, named=Found(model=named(DRAG)), final=end, others=[candidate(LAMINAR)])
 
         def select(*_, follow_up):
             asked.append(follow_up)
             return both if follow_up else alone
 
         grades = {
-            id(alone): Grade(None, 0.3, LEFT, unknown=unknown),
+            id(alone): Grade(None, 0.3, LEFT, unknown=unknown, unknown_bic=100.0),
             id(both): Grade(None, 0.3, LEFT, unknown=with_two),
         }
         monkeypatch.setattr(module, "select", select)
         monkeypatch.setattr(module, "grade", lambda fit, found, *_, **__: grades[id(found)])
+        monkeypatch.setattr(module, "contradiction", lambda _, fit, __: doubt if fit is end else None)
         assert self.answer().verdict == verdict
-        assert asked == followed
+        assert asked == ([False, True] if unknown else [False])
 
     def test_a_second_effect_is_sought_once(self, monkeypatch):
         asked = []
