@@ -108,7 +108,8 @@ def test_an_inlier_is_within_one_and_a_half_pixels_or_five_percent_of_its_radius
 
 
 @pytest.mark.parametrize(
-    ("radius", "cover", "found"), [(5.9, 3.0, False), (6.1, 3.0, True), (40.0, 0.47, False), (40.0, 0.53, True)]
+    ("radius", "cover", "found"),
+    [(5.9, 3.0, False), (6.1, 3.0, True), (40.0, 0.47, False), (40.0, 0.53, True)],
 )
 def test_an_orbit_has_a_radius_of_six_pixels_and_covers_half_a_radian(radius, cover, found):
     other = _at(60.0, np.linspace(0.0, 3.0, 7))
@@ -170,11 +171,15 @@ def test_a_flattening_has_a_tilt_and_offsets_that_can_be_moved():
 
 def test_the_uncertainty_of_an_offset_acts_along_the_orbit():
     shape = Flattening({"a": (0.0, 0.0)}, 0.0, 0.0, {"a": np.array([[4.0, 1.0], [1.0, 9.0]])})
-    angle = np.array([0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi])  # tangents (0, 1), (-1, 0), (0, -1), (1, 0): mean 0
+    angle = np.array(
+        [0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi]
+    )  # tangents (0, 1), (-1, 0), (0, -1), (1, 0): mean 0
     np.testing.assert_allclose(shape.tangential_sigma("a", angle), [3.0, 2.0, 3.0, 2.0])
     # the mean of the tangents (0, 1) and (-1, 0) is (-1/2, 1/2): half of (1, 1) and of (-1, -1) remain
     expected = [np.sqrt(4.0 + 9.0 + 2.0) / 2.0] * 2
-    np.testing.assert_allclose(shape.tangential_sigma("a", np.array([0.0, 0.5 * np.pi, np.nan]))[:2], expected)
+    np.testing.assert_allclose(
+        shape.tangential_sigma("a", np.array([0.0, 0.5 * np.pi, np.nan]))[:2], expected
+    )
     np.testing.assert_array_equal(shape.tangential_sigma("b", angle), 0.0)
     np.testing.assert_array_equal(shape.tangential_sigma("a", np.full(3, np.nan)), 0.0)
 
@@ -228,7 +233,9 @@ def test_markers_without_positions_have_no_common_offset():
 def test_higher_harmonics_are_the_amplitudes_of_orders_three_to_six(count):
     theta = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     expected = np.array([0.8, -0.3, 0.5, 0.2, -0.4, 0.1, 0.25, 0.6])
-    radius = 70.0 + 2.0 * np.cos(theta) - 1.5 * np.sin(theta) + 1.2 * np.cos(2 * theta) + 0.7 * np.sin(2 * theta)
+    radius = (
+        70.0 + 2.0 * np.cos(theta) - 1.5 * np.sin(theta) + 1.2 * np.cos(2 * theta) + 0.7 * np.sin(2 * theta)
+    )
     for k in range(3, 7):
         radius += expected[2 * k - 6] * np.cos(k * theta) + expected[2 * k - 5] * np.sin(k * theta)
     radius[::50] += 30.0
