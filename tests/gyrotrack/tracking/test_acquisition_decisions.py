@@ -179,6 +179,14 @@ def test_a_marker_has_a_contrast_of_six_grey_levels(shade, found):
     assert (find_coloured(_rings(TURNING, shade=shade), BLUEISH) is not None) == found
 
 
+@pytest.mark.parametrize(("clear", "found"), [(1, False), (3, True)])
+def test_a_marker_is_clear_in_a_tenth_of_the_samples(clear, found, monkeypatch):
+    plain = module._brightest
+    seen = np.arange(18) < clear
+    monkeypatch.setattr(module, "_brightest", lambda *given: (plain(*given)[0], seen))
+    assert (find_coloured(_rings(TURNING), BLUEISH) is not None) == found
+
+
 def test_a_marker_at_rest_is_found_relative_to_its_row():
     seen = find_coloured(_rings(np.full(18, 1.3)), BLUEISH)
     assert seen.marker.contrast == pytest.approx((20.0, -30.0))
