@@ -319,7 +319,7 @@ def test_displacement_and_roll_are_fitted_without_outliers():
 
 def test_the_uncertainty_of_a_displacement_is_that_of_a_mean():
     off = np.where(np.arange(30) % 2, 1.0, -1.0)[:, None] * [0.3, 0.4]
-    moved = np.stack([_rigidly(GRID, np.zeros(2), 2e-3 * (-1) ** k) + off for k in range(10)])
+    moved = np.stack([_rigidly(GRID, np.zeros(2), 0.02 * (-1) ** k) + off for k in range(10)])
     found = camera._rigid(GRID, moved)
     assert found.shift_sigma == pytest.approx(0.5 / math.sqrt(30), rel=0.25)
     inertia = float(np.sum((GRID - GRID.mean(axis=0)) ** 2))
