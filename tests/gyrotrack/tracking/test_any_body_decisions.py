@@ -367,7 +367,7 @@ def test_a_tilt_of_a_third_of_a_radian_is_stated(tilt, stated, monkeypatch):
     assert any("tilted by" in text for text in found.warnings) == stated
 
 
-def _spinning(hub, stretch=(0.0, 0.0), count=12):
+def _spinning(hub, stretch=(0.0, 0.0), count=8):
     """Smooth pictures of 120 x 100 px of a body that turns about a hub, seen with a stretch."""
     p, q = stretch
     y, x = np.mgrid[0:100, 0:120].astype(float)
@@ -404,15 +404,15 @@ def test_a_step_is_limited_to_a_twentieth_of_the_radius():
     assert found[0] > 0
 
 
-SMALL = Ring.about((60.0, 50.0), 4.0, 24.0, finest=16.0)
+SMALL = Ring.about((60.0, 50.0), 6.0, 24.0, finest=12.0)
 
 
 def test_a_search_moves_a_ring_to_the_hub():
-    frames, angle = _spinning((61.0, 49.2), count=8)
+    frames, angle = _spinning((61.0, 49.2), count=6)
     few = StoredPictures.of(len(frames), iter(frames))
     area = (0, 0, 120, 100)
-    ring, found, share = module._search(SMALL, angle, few, area, separate=False, keep=False, steps=2)
-    assert ring.hub == pytest.approx((61.0, 49.2), abs=0.1)
+    ring, found, share = module._search(SMALL, angle, few, area, separate=False, keep=False, steps=1)
+    assert ring.hub == pytest.approx((61.0, 49.2), abs=0.2)
     np.testing.assert_allclose(np.diff(found), np.diff(angle), atol=5e-3)
     assert share > 0.99
     same, _, less = module._search(SMALL, angle, few, area, separate=False, keep=True, steps=0)
@@ -421,22 +421,23 @@ def test_a_search_moves_a_ring_to_the_hub():
 
 
 def test_a_candidate_is_refined_on_its_frames(monkeypatch):
-    monkeypatch.setattr(module, "_STEPS", 2)
-    frames, angle = _spinning((60.8, 49.5), count=8)
-    block = StoredPictures.of(8, iter(frames))
+    monkeypatch.setattr(module, "_STEPS", 1)
+    frames, angle = _spinning((60.8, 49.5), count=6)
+    block = StoredPictures.of(6, iter(frames))
     start = _trial(0.1, angle + 0.02, SMALL)
     found = module._refined_trial(start, block, (0, 0, 120, 100), keep=False)
-    assert found.ring.hub == pytest.approx((60.8, 49.5), abs=0.15)
+    assert found.ring.hub == pytest.approx((60.8, 49.5), abs=0.2)
     assert found.score > 0.9
     assert (found.way, found.band) == (start.way, start.band)
     np.testing.assert_allclose(np.diff(found.angle), np.diff(angle), atol=0.02)
 
 
 @pytest.mark.parametrize("turned", [0.8, 5.0])
-def test_trials_follow_a_body_with_and_without_a_fixed_picture(turned):
+def test_trials_follow_a_body_with_and_without_a_fixed_picture(turned, monkeypatch):
+    monkeypatch.setattr(module, "_COARSE", 20.0)
     frames, _ = _spinning((60.0, 50.0), count=2)
     base = frames[0]
-    angle = np.linspace(0.0, turned, 10)
+    angle = np.linspace(0.0, turned, 8)
     frames = [
         cv2.warpAffine(base, cv2.getRotationMatrix2D((60.0, 50.0), -np.degrees(a), 1.0), (120, 100))
         for a in angle
@@ -453,7 +454,7 @@ def test_trials_follow_a_body_with_and_without_a_fixed_picture(turned):
     assert np.ptp(best.angle) == pytest.approx(turned, rel=0.03)
     assert best.angle[-1] > best.angle[0]
     assert {t.separate for t in found if np.ptp(t.angle) > 1.0} <= {True}
-    assert module._trials(Proposal((60.0, 50.0), "edges"), [base] * 10, motion) == []
+    assert module._trials(Proposal((60.0, 50.0), "edges"), [base] * 8, motion) == []
 
 
 @pytest.mark.parametrize(

@@ -405,7 +405,7 @@ def test_a_rotation_about_a_hub_is_clockwise_as_seen():
 
 
 def test_a_residual_is_the_variance_of_pictures_transformed_back():
-    y, x = np.mgrid[0:40, 0:60]
+    _, x = np.mgrid[0:40, 0:60]
     pictures = [np.rint(100 + 2.0 * (x - k)).clip(0, 255).astype(np.uint8) for k in (0, 4, 8)]
     swept = np.zeros((40, 60), np.uint8)
     swept[10:30, 15:40] = 1

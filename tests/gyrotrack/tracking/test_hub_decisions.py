@@ -191,7 +191,7 @@ def test_the_rms_of_vectors_is_that_of_a_normal_distribution():
 def test_a_disc_that_moves_fast_suggests_camera_shake(reach, steps, rest, warned):
     unit = math.sqrt(math.log(2.0))  # equal lengths have the median of their squares
     centre = np.stack([steps * unit * (np.arange(20) % 2), np.zeros(20)], axis=1)
-    measured = centre + [0.0, rest * unit]
+    measured = centre + np.array([0.0, rest * unit])
     found = fast_motion(CentrePath(centre, np.full(20, 0.1), reach), measured)
     assert (warned is None and found is None) or warned in found
     assert fast_motion(CentrePath(centre, np.full(20, np.nan), reach), measured) is None

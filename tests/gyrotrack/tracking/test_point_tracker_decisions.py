@@ -241,8 +241,8 @@ def test_a_rotation_is_followed_within_its_prior():
 
 def test_a_displacement_by_half_of_the_patch_is_another_object():
     start = np.array([70.0, 50.0])
-    assert _layers().register(_picture(start + (4.0, 0.0)), start, 0.0)[2] < 1.0
-    assert _layers(6).register(_picture(start + (4.0, 0.0)), start, 0.0)[2] == math.inf
+    assert _layers().register(_picture(start + np.array([4.0, 0.0])), start, 0.0)[2] < 1.0
+    assert _layers(6).register(_picture(start + np.array([4.0, 0.0])), start, 0.0)[2] == math.inf
     assert _layers().register(_picture(start), np.array([-60.0, 50.0]), 0.0)[2] == math.inf
     flat = np.full((120, 160), 90.0, np.float32)
     blank = _Layers(_grid(6), *[np.zeros((13, 13), np.float32)] * 2, np.ones((13, 13), np.float32), flat)

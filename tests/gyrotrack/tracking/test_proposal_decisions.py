@@ -520,9 +520,10 @@ def test_a_candidate_with_a_rival_is_ambiguous(monkeypatch):
     monkeypatch.setattr(module, "search_ring", search_ring)
     monkeypatch.setattr(module, "_without", lambda rings, _: SimpleNamespace(without=True))
     for second, ambiguous in ((first, True), (faint, False), (None, False)):
-        pick = lambda rings, hue, second=second: (
-            (second if hasattr(rings, "without") else first) if hue < 150 else None
-        )  # noqa: E731
+
+        def pick(rings, hue, second=second):
+            return None if hue > 150 else second if hasattr(rings, "without") else first
+
         monkeypatch.setattr(module, "_candidate", pick)
         found_ring, found = module.find_candidates(samples, np.deg2rad([RED, GREEN]), ORBIT, None)
         assert found_ring is ring

@@ -153,11 +153,11 @@ def test_registration_finds_angle_gain_and_formal_uncertainty(shift):
 def test_the_misfit_is_the_weighted_mean_square_residual():
     rng = np.random.default_rng(0)
     noise = rng.normal(0.0, 3.0, (RING.rows, RING.columns))
-    misfit = lambda size, variance: (
-        register(  # noqa: E731
-            (_picture() + size * noise).astype(np.float32), _template(variance=variance), 0.0
-        ).misfit
-    )
+
+    def misfit(size, variance):
+        shown = (_picture() + size * noise).astype(np.float32)
+        return register(shown, _template(variance=variance), 0.0).misfit
+
     assert misfit(0.6, 4.0) == pytest.approx(4.0 * misfit(0.3, 4.0), rel=0.02)
     assert misfit(0.3, 4.0) == pytest.approx(4.0 * misfit(0.3, 16.0), rel=0.02)
     outlier = _picture().copy()

@@ -213,10 +213,10 @@ def test_a_scene_knows_the_axis_and_the_markers_of_a_body():
 
 
 def _frames(count, width=8):
+    full = lambda value, height, side: np.full((height, side), value, np.uint8)  # noqa: E731
     return tuple(
-        Frame(k, k, np.full((4, 2 * width), k, np.uint8), np.full((2, width), k, np.uint8), np.full((2, width), 2 * k, np.uint8))
-        for k in range(count)
-    )  # fmt: skip
+        Frame(k, k, full(k, 4, 2 * width), full(k, 2, width), full(2 * k, 2, width)) for k in range(count)
+    )
 
 
 @pytest.mark.parametrize(
