@@ -551,3 +551,137 @@ def test_a_second_body_explains_as_much_as_the_first(best, start, refined, found
     moving[40:60, 50:70] = moving[40:60, 290:310] = True
     motion = Motion(moving * 1.0, moving * 1.0, 1.0, moving, (0, 0, 400, 100))
     assert (module._second_body(None, motion, _trial(best)) is not None) == found
+
+
+def _still(height, width):
+    """A textured picture without uniform bars at its sides."""
+    return (30 + np.add.outer(9 * (np.arange(height) % 5), 9 * (np.arange(width) % 7))).astype(np.uint8)
+
+
+def _tracked(monkeypatch, hub=None, frames=None, **change):
+    """Track a film; all slow steps are replaced by given results."""
+    frames = [np.full((40, 60), 50 + 40 * (k % 2), np.uint8) for k in range(24)] if frames is None else frames
+    best = _trial(0.9, ring=Ring.about((30.0, 20.0), 3.0, 15.0, finest=48.0))
+    found = SimpleNamespace(
+        warnings=("of the film",), ambiguous=False, explained=0.9, ring=best.ring, correlated=0.0, sigma=np.full(24, 1e-3),
+        angle=np.linspace(0.0, 1.0, 24),
+    )  # fmt: skip
+    given = {
+        "pairs_of": [], "refuse_moving_camera": None, "track_by_features": None, "may_be_loose": True,
+        "_candidates": module._Candidates([best], best, 0.4), "_refined_trial": best, "_refuse_translation": None,
+        "refuse_link": None, "_second_body": None, "second_rotation": None, "_measure": found, "elsewhere": 0.0,
+        "drift": (0.0, 1.0), "_doubt_of_hub": None, "rival_hub": None, "hub_doubt": None, "halves_differ": None,
+    }  # fmt: skip
+    for name, value in {**given, **change}.items():
+        monkeypatch.setattr(module, name, lambda *_, value=value, **__: value)
+    monkeypatch.setattr(module, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
+    film = SimpleNamespace(path=SimpleNamespace(name="film"), some=lambda index: [frames[i] for i in index])
+    return module._track(film, np.arange(len(frames)), frames, hub, None)
+
+
+def test_a_film_without_doubts_has_only_its_own_warnings(monkeypatch):
+    found = _tracked(monkeypatch)
+    assert (found.warnings, found.ambiguous) == (("of the film",), False)
+
+
+@pytest.mark.parametrize(
+    ("change", "hub", "doubt"),
+    [
+        ({"drift": (1.1, 1.0)}, None, "The hub moves by 1.1 px"),
+        ({"hub_doubt": "the hub may move"}, None, "the hub may move"),
+        ({"rival_hub": "two hubs"}, None, "two hubs"),
+        ({"_doubt_of_hub": "another hub"}, (30.0, 20.0), "another hub"),
+        ({"drift": (0.9, 1.0)}, None, None),
+        ({"rival_hub": "two hubs"}, (30.0, 20.0), None),
+        ({"_doubt_of_hub": "another hub"}, None, None),
+        ({"hub_doubt": "the hub may move", "drift": (9.0, 1.0)}, (30.0, 20.0), None),
+    ],
+)
+def test_a_doubt_makes_the_result_ambiguous(change, hub, doubt, monkeypatch):
+    found = _tracked(monkeypatch, hub, **change)
+    assert found.ambiguous == (doubt is not None)
+    assert found.warnings[0] == "of the film"
+    if doubt:
+        assert doubt in found.warnings[1]
+
+
+@pytest.mark.parametrize(
+    ("span", "correlated", "hub", "doubted"),
+    [(TURN, 2e-3, None, True), (TURN, 0.5e-3, None, False), (6.0, 2e-3, None, False), (TURN, 2e-3, (30.0, 20.0), False)],
+)
+def test_halves_that_turn_differently_are_doubted_for_a_whole_ring(span, correlated, hub, doubted, monkeypatch):
+    ring = replace(RING, span=span)
+    measured = SimpleNamespace(
+        warnings=(), ambiguous=False, explained=0.9, ring=ring, correlated=correlated, sigma=np.full(24, 1e-3), angle=ANGLE
+    )  # fmt: skip
+    found = _tracked(monkeypatch, hub, _measure=measured, halves_differ=0.03)
+    assert found.ambiguous == doubted
+
+
+def test_the_last_warning_is_the_doubt_about_an_ambiguous_result(monkeypatch):
+    measured = SimpleNamespace(
+        warnings=("first", "an alias"), ambiguous=True, explained=0.9, ring=RING, correlated=0.0, sigma=np.ones(24),
+        angle=ANGLE,
+    )  # fmt: skip
+    found = _tracked(monkeypatch, _measure=measured, rival_hub="two hubs", drift=(1.5, 1.0))
+    assert found.warnings == ("first", "an alias two hubs")  # the hub may move because of the alias
+
+
+@pytest.mark.parametrize(("score", "hub", "needed"), [(0.41, (30.0, 20.0), None), (0.39, (30.0, 20.0), 0.4), (0.84, None, 0.85), (0.86, None, None)])
+def test_a_hub_outside_the_picture_must_explain_more(score, hub, needed, monkeypatch):
+    place = (-5.0, 20.0) if hub is None else (30.0, 20.0)
+    best = _trial(score, ring=Ring.about(place, 3.0, 25.0, finest=48.0))
+    asked = []
+
+    def refuse(*given):
+        asked.append(given[-1])
+        raise TrackingError("refused")
+
+    frames = [_still(40, 60) for _ in range(24)]
+    for k, frame in enumerate(frames):
+        frame[10:30, 10:30] += np.uint8(40 * (k % 2))
+    monkeypatch.setattr(module, "_refuse", refuse)
+    if needed is None:
+        _tracked(monkeypatch, hub, frames, _refined_trial=best, _candidates=module._Candidates([best], best, 0.4))
+    else:
+        with pytest.raises(TrackingError, match="refused"):
+            _tracked(monkeypatch, hub, frames, _refined_trial=best, _candidates=module._Candidates([best], best, 0.4))
+    assert asked == ([] if needed is None else [needed])
+
+
+def test_a_picture_that_moves_as_a_whole_about_a_hub_outside_is_a_moving_camera(monkeypatch):
+    best = _trial(0.9, ring=Ring.about((-5.0, 20.0), 3.0, 25.0, finest=48.0))
+    with pytest.raises(TrackingError, match="All of the picture moves"):
+        _tracked(monkeypatch, _refined_trial=best, _candidates=module._Candidates([best], best, 0.4))
+
+
+@pytest.mark.parametrize(("hub", "loose"), [(None, True), ((44.0, 20.0), True), ((46.0, 20.0), False)])
+def test_a_loose_body_is_tracked_by_its_features_near_a_given_hub(hub, loose, monkeypatch):
+    body = SimpleNamespace(ring=Ring.about((30.0, 20.0), 3.0, 15.0, finest=48.0))
+    assert (_tracked(monkeypatch, hub, track_by_features=body) is body) == loose
+
+
+@pytest.mark.parametrize("hub", [(math.nan, 20.0), (20.0, math.inf)])
+def test_a_hub_has_finite_coordinates(hub, monkeypatch):
+    with pytest.raises(module.UsageError, match="not finite"):
+        _tracked(monkeypatch, hub)
+
+
+def test_two_bodies_are_reported_with_both_hubs(monkeypatch):
+    other = _trial(0.7, ring=replace(RING, hub=(90.0, 12.0)))
+    with pytest.raises(module.RefusedFilmError, match="Two bodies turn") as error:
+        _tracked(monkeypatch, _second_body=other)
+    assert error.value.evidence == {"explained": 0.9, "other_explained": 0.7}
+    assert not _tracked(monkeypatch, (30.0, 20.0), _second_body=other).ambiguous
+
+
+@pytest.mark.parametrize(("pixels", "moves"), [(1, False), (40, True)])
+def test_a_film_in_which_few_pixels_change_shows_no_motion(pixels, moves, monkeypatch):
+    frames = [_still(100, 100) for _ in range(24)]
+    for k, frame in enumerate(frames):
+        frame[40 : 40 + pixels, 50 : 50 + pixels] += np.uint8(100 * (k % 2) * (pixels > 1))
+    if moves:
+        _tracked(monkeypatch, frames=frames)
+    else:
+        with pytest.raises(module.NothingMovesError):
+            _tracked(monkeypatch, frames=frames)
