@@ -563,15 +563,33 @@ def _tracked(monkeypatch, hub=None, frames=None, **change):
     frames = [np.full((40, 60), 50 + 40 * (k % 2), np.uint8) for k in range(24)] if frames is None else frames
     best = _trial(0.9, ring=Ring.about((30.0, 20.0), 3.0, 15.0, finest=48.0))
     found = SimpleNamespace(
-        warnings=("of the film",), ambiguous=False, explained=0.9, ring=best.ring, correlated=0.0, sigma=np.full(24, 1e-3),
+        warnings=("of the film",),
+        ambiguous=False,
+        explained=0.9,
+        ring=best.ring,
+        correlated=0.0,
+        sigma=np.full(24, 1e-3),
         angle=np.linspace(0.0, 1.0, 24),
-    )  # fmt: skip
+    )
     given = {
-        "pairs_of": [], "refuse_moving_camera": None, "track_by_features": None, "may_be_loose": True,
-        "_candidates": module._Candidates([best], best, 0.4), "_refined_trial": best, "_refuse_translation": None,
-        "refuse_link": None, "_second_body": None, "second_rotation": None, "_measure": found, "elsewhere": 0.0,
-        "drift": (0.0, 1.0), "_doubt_of_hub": None, "rival_hub": None, "hub_doubt": None, "halves_differ": None,
-    }  # fmt: skip
+        "pairs_of": [],
+        "refuse_moving_camera": None,
+        "track_by_features": None,
+        "may_be_loose": True,
+        "_candidates": module._Candidates([best], best, 0.4),
+        "_refined_trial": best,
+        "_refuse_translation": None,
+        "refuse_link": None,
+        "_second_body": None,
+        "second_rotation": None,
+        "_measure": found,
+        "elsewhere": 0.0,
+        "drift": (0.0, 1.0),
+        "_doubt_of_hub": None,
+        "rival_hub": None,
+        "hub_doubt": None,
+        "halves_differ": None,
+    }
     for name, value in {**given, **change}.items():
         monkeypatch.setattr(module, name, lambda *_, value=value, **__: value)
     monkeypatch.setattr(module, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
@@ -607,27 +625,48 @@ def test_a_doubt_makes_the_result_ambiguous(change, hub, doubt, monkeypatch):
 
 @pytest.mark.parametrize(
     ("span", "correlated", "hub", "doubted"),
-    [(TURN, 2e-3, None, True), (TURN, 0.5e-3, None, False), (6.0, 2e-3, None, False), (TURN, 2e-3, (30.0, 20.0), False)],
+    [
+        (TURN, 2e-3, None, True),
+        (TURN, 0.5e-3, None, False),
+        (6.0, 2e-3, None, False),
+        (TURN, 2e-3, (30.0, 20.0), False),
+    ],
 )
-def test_halves_that_turn_differently_are_doubted_for_a_whole_ring(span, correlated, hub, doubted, monkeypatch):
+def test_halves_that_turn_differently_are_doubted_for_a_whole_ring(
+    span, correlated, hub, doubted, monkeypatch
+):
     ring = replace(RING, span=span)
     measured = SimpleNamespace(
-        warnings=(), ambiguous=False, explained=0.9, ring=ring, correlated=correlated, sigma=np.full(24, 1e-3), angle=ANGLE
-    )  # fmt: skip
+        warnings=(),
+        ambiguous=False,
+        explained=0.9,
+        ring=ring,
+        correlated=correlated,
+        sigma=np.full(24, 1e-3),
+        angle=ANGLE,
+    )
     found = _tracked(monkeypatch, hub, _measure=measured, halves_differ=0.03)
     assert found.ambiguous == doubted
 
 
 def test_the_last_warning_is_the_doubt_about_an_ambiguous_result(monkeypatch):
     measured = SimpleNamespace(
-        warnings=("first", "an alias"), ambiguous=True, explained=0.9, ring=RING, correlated=0.0, sigma=np.ones(24),
+        warnings=("first", "an alias"),
+        ambiguous=True,
+        explained=0.9,
+        ring=RING,
+        correlated=0.0,
+        sigma=np.ones(24),
         angle=ANGLE,
-    )  # fmt: skip
+    )
     found = _tracked(monkeypatch, _measure=measured, rival_hub="two hubs", drift=(1.5, 1.0))
     assert found.warnings == ("first", "an alias two hubs")  # the hub may move because of the alias
 
 
-@pytest.mark.parametrize(("score", "hub", "needed"), [(0.41, (30.0, 20.0), None), (0.39, (30.0, 20.0), 0.4), (0.84, None, 0.85), (0.86, None, None)])
+@pytest.mark.parametrize(
+    ("score", "hub", "needed"),
+    [(0.41, (30.0, 20.0), None), (0.39, (30.0, 20.0), 0.4), (0.84, None, 0.85), (0.86, None, None)],
+)
 def test_a_hub_outside_the_picture_must_explain_more(score, hub, needed, monkeypatch):
     place = (-5.0, 20.0) if hub is None else (30.0, 20.0)
     best = _trial(score, ring=Ring.about(place, 3.0, 25.0, finest=48.0))
@@ -642,10 +681,18 @@ def test_a_hub_outside_the_picture_must_explain_more(score, hub, needed, monkeyp
         frame[10:30, 10:30] += np.uint8(40 * (k % 2))
     monkeypatch.setattr(module, "_refuse", refuse)
     if needed is None:
-        _tracked(monkeypatch, hub, frames, _refined_trial=best, _candidates=module._Candidates([best], best, 0.4))
+        _tracked(
+            monkeypatch, hub, frames, _refined_trial=best, _candidates=module._Candidates([best], best, 0.4)
+        )
     else:
         with pytest.raises(TrackingError, match="refused"):
-            _tracked(monkeypatch, hub, frames, _refined_trial=best, _candidates=module._Candidates([best], best, 0.4))
+            _tracked(
+                monkeypatch,
+                hub,
+                frames,
+                _refined_trial=best,
+                _candidates=module._Candidates([best], best, 0.4),
+            )
     assert asked == ([] if needed is None else [needed])
 
 

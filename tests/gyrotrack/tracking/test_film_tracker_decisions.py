@@ -202,9 +202,18 @@ def test_the_usual_step_is_the_mean_of_known_steps():
 def _film(**attributes):
     film = object.__new__(FilmTracker)
     given = {
-        "bodies": {"rotor": SimpleNamespace(step=1.0)}, "again": np.zeros(40, bool), "filled": 3, "held": [], "steps": [],
-        "pending_step": 0.0, "repeats": None, "hold": 10, "textures": {}, "disc": None, "centre": (50.0, 40.0),
-    }  # fmt: skip
+        "bodies": {"rotor": SimpleNamespace(step=1.0)},
+        "again": np.zeros(40, bool),
+        "filled": 3,
+        "held": [],
+        "steps": [],
+        "pending_step": 0.0,
+        "repeats": None,
+        "hold": 10,
+        "textures": {},
+        "disc": None,
+        "centre": (50.0, 40.0),
+    }
     vars(film).update({**given, **attributes})
     return film
 

@@ -175,7 +175,9 @@ def test_a_slow_error_of_the_distance_enlarges_the_uncertainty_of_the_point():
     joint, end, first, second = _links(400)
     slow = 0.2 * np.sin(np.linspace(0.0, 61.0, 400))  # 0.141 px rms along the link
     end = end + slow[:, None] * np.stack([np.cos(second), -np.sin(second)], axis=1)
-    found = second_link(_point(joint, angle=first, place_sigma=np.full((400, 2), 0.05)), _path(end, 0.02), "film")
+    found = second_link(
+        _point(joint, angle=first, place_sigma=np.full((400, 2), 0.05)), _path(end, 0.02), "film"
+    )
     expected = math.sqrt(0.02 - 0.05**2)
     assert np.sqrt(found.path.covariance[:, 0, 0]) == pytest.approx(np.full(400, expected), rel=0.1)
 
@@ -456,6 +458,19 @@ def test_the_covariance_of_a_circle_is_that_of_noise_and_of_twelve_places(least,
     variance = 0.01 / 108 + by_place**2 / 12.0
     np.testing.assert_allclose(np.diag(arc.covariance), 2.0 * variance, rtol=0.1)
     assert arc.curvature_u == pytest.approx(math.sqrt(variance) / 8100.0, rel=0.1)
+
+
+def test_the_covariance_of_an_orbit_does_not_depend_on_its_mean_position():
+    """Some more positions on one side displace the mean position by 4.8 and 5.2 % of the radius."""
+    found = []
+    for share in (0.048, 0.052):
+        k = np.arange(144)
+        theta = 2.0 * np.pi * k / 144 - 2.0 * share * np.sin(2.0 * np.pi * k / 144)
+        radius = 90.0 + 0.1 * np.where(k % 2, 1.0, -1.0)
+        found.append(fit_arc(_on(theta, radius), np.full(144, 0.1), 0.05))
+    one, two = found
+    np.testing.assert_allclose(one.covariance, two.covariance, rtol=0.05, atol=1e-6)
+    assert one.curvature_u == pytest.approx(two.curvature_u, rel=0.03)
 
 
 def test_errors_of_a_place_are_those_beyond_noise():
