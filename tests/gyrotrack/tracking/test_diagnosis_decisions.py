@@ -194,6 +194,8 @@ def test_a_camera_that_pans_moves_the_whole_picture():
     assert (step, share) == (pytest.approx(3.0), 1.0)
     assert off == pytest.approx(1.0)
     assert camera_motion([_pan(0.0, 0.05)] * 8, SHAPE) is None  # turns about the middle
+    corner = [_pair((PLACE, 10 + 20j, turn, 0.0)) for turn in (0.05, -0.04, 0.08)]
+    assert camera_motion(corner * 3, SHAPE) is None
 
 
 @pytest.mark.parametrize(("share", "moves"), [(0.69, False), (0.72, True)])
@@ -262,11 +264,13 @@ def test_a_hub_moves_by_a_quarter_of_the_reach(spread, count):
     assert _two(spread=spread).moving == count
     assert _two(spread=spread, joined=True).linked == (count == 1)
     assert not _two(spread=spread).linked
+    assert _two(spread=spread, places=(60 + 0j, 40 + 100j)).moving == count
 
 
 @pytest.mark.parametrize(("apart", "coaxial"), [(8.9, True), (9.1, False)])
 def test_two_hubs_within_15_percent_of_the_reach_are_coaxial(apart, coaxial):
     assert _two(hubs=(0j, apart + 0j), places=(40 + 0j, 60.0 + apart + 0j)).coaxial == coaxial
+    assert _two(hubs=(0j, apart + 0j), places=(60 + 0j, 40.0 + apart + 0j)).coaxial == coaxial
 
 
 A, B = PLACE[:40] * 0.4, 120 + 80j + PLACE[40:] * 0.3

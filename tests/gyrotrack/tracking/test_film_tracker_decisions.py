@@ -304,3 +304,95 @@ def test_the_angle_of_a_ring_is_the_mean_of_the_open_markers():
     np.testing.assert_allclose(module._by_markers(coarse, far, body, about), coarse)
     near = {"a": marker(-0.95 * module.REACH, 1.0, [True] * 6)}
     np.testing.assert_allclose(module._by_markers(coarse, near, body, about), coarse - 0.95 * module.REACH)
+
+
+@pytest.mark.parametrize(("disc", "keep_out"), [(None, 0.0), (8.0, 11.0)])
+@pytest.mark.parametrize(("size", "hold"), [((100, 100), 64), ((1000, 1000), 16), ((4000, 3000), 8)])
+def test_rings_are_outside_the_disc_and_about_the_axis_of_each_body(disc, keep_out, size, hold, monkeypatch):
+    made = []
+    monkeypatch.setattr(module, "BodyTracker", lambda *given: made.append(given) or SimpleNamespace(maps=[1]))
+    monkeypatch.setattr(module, "TextureTracker", lambda *given: given)
+    monkeypatch.setattr(module, "DiscWindow", lambda *given: given)
+    marker = SimpleNamespace(outer=70.0)
+    scene = SimpleNamespace(
+        disc=disc and SimpleNamespace(radius=disc),
+        centre=(50.0, 40.0),
+        bodies=("casing", "rotor"),
+        offsets={"rotor": (3.0, -4.0)},
+        of=lambda body: (marker, SimpleNamespace(outer=60.0)),
+        axis=lambda body: {"casing": (50.0, 40.0), "rotor": (53.0, 36.0)}[body],
+    )
+    frame = SimpleNamespace(y=np.zeros(size, np.uint8))
+    film = FilmTracker(scene, SimpleNamespace(size=size[::-1], frames=[frame]))
+    casing, rotor = made
+    assert (casing[0], casing[3], casing[4], casing[6]) == ("casing", (50.0, 40.0), keep_out, (0.0, 0.0))
+    # the disc is about the hub, 5 px from the axis of the rotor
+    assert (rotor[0], rotor[3], rotor[4], rotor[6]) == ("rotor", (53.0, 36.0), keep_out + 5.0, (3.0, -4.0))
+    assert list(film.textures) == ["casing"]
+    assert film.textures["casing"][:3] == ((50.0, 40.0), 70.0, size[::-1])
+    assert film.hold == hold  # 24 MB of frames with one and a half bytes per pixel
+    assert (film.pending_step, film.filled, film.held, film.maps) == (0.0, 0, [], [1, 1])
+    assert (film.disc is None) == (disc is None)
+
+
+@pytest.mark.parametrize(("filled", "new"), [(0, True), (0, False), (7, True)])
+def test_a_batch_begins_with_the_disc_at_its_place(filled, new, monkeypatch):
+    calls = []
+    disc = SimpleNamespace(
+        centre_on=lambda *given: calls.append(("centre on", *given)),
+        take=lambda frames, place: calls.append(("disc", len(frames), place)),
+        centres=lambda *given: np.zeros((2, 2)),
+    )
+    body = SimpleNamespace(
+        take=lambda frames, place, advance: calls.append(("body", place, advance.tolist())),
+        coarse=lambda place, count: np.arange(place, place + count),
+    )
+    texture = SimpleNamespace(
+        take=lambda frames, place, coarse, shift: calls.append(("texture", place, coarse.tolist()))
+    )
+    monkeypatch.setattr(FilmTracker, "_move", lambda self, centres: calls.append("move"))
+    monkeypatch.setattr(FilmTracker, "_hub_displacement", lambda self: None)
+    film = _film(
+        filled=filled,
+        disc=disc,
+        bodies={"casing": body},
+        textures={"casing": texture},
+        held=["a", "b"],
+        steps=[1.0, 2.0],
+        _new=new,
+    )
+    film.take()
+    begins = [("centre on", (50.0, 40.0), "a")] if filled == 0 else []
+    first = [("disc", 2, 0), "move"] if filled == 0 and new else []
+    assert calls == [
+        *begins,
+        *first,
+        ("body", filled, [1.0, 2.0]),
+        ("disc", 2, filled),
+        ("texture", filled, [filled, filled + 1]),
+    ]
+    assert (film.filled, film.held, film.steps, film._new) == (filled + 2, [], [], False)
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+def test_the_first_frames_are_measured_twice_and_the_casing_occludes_the_rotor(fresh):
+    calls = []
+
+    def body(name):
+        def measure(count, casing, *, again):
+            calls.append((name, count, None if casing is None else casing.tolist(), again))
+            return np.full(count, 1.0 if name == "casing" else 2.0), {}
+
+        return SimpleNamespace(measure_batch=measure)
+
+    film = _film(
+        bodies={"casing": body("casing"), "rotor": body("rotor")}, filled=3, _fresh=fresh, _again=False
+    )
+    film.again[1] = True
+    rows = film.measure_batch()
+    once = [("casing", 3, None, False), ("rotor", 3, [1.0] * 3, False)]
+    again = [("casing", 3, None, True), ("rotor", 3, [1.0] * 3, True)]
+    assert calls == (once + again if fresh else once)
+    assert rows["again"].tolist() == [False, True, False]
+    assert rows["rotor/coarse"].tolist() == [2.0] * 3
+    assert (film.filled, film._again, film._fresh) == (0, False, False)

@@ -164,6 +164,9 @@ def test_frames_that_are_not_wanted_may_be_skipped():
         packet.decode = lambda: skipped.append(stream.codec_context.skip_frame) or []
     list(decoder._decoded(enumerate(packets), 1, 4, stream, {2}))
     assert skipped == ["NONREF", "DEFAULT", "NONREF"]
+    packets[3].pts = None  # it may be the wanted one
+    list(decoder._decoded(enumerate(packets), 3, 4, stream, {2}))
+    assert skipped[3:] == ["DEFAULT"]
 
 
 @pytest.mark.parametrize(
@@ -188,6 +191,9 @@ def test_a_film_that_cannot_seek_is_read_from_its_start():
 
     film.seek = fail
     assert decoder._from_key(film, film.stream, 60, seek=True) is None
+    # a container may seek to an earlier key frame
+    film.seek = lambda *_, **__: setattr(film, "at", 0)
+    assert [p.pts for p in decoder._from_key(film, film.stream, 60, seek=True) if p.size][:2] == [60, 70]
     # a container that seeks to a later key frame does not have the wanted one
     film.seek = lambda *_, **__: setattr(film, "at", 12)
     assert decoder._from_key(film, film.stream, 60, seek=True) is None
@@ -349,7 +355,7 @@ def test_numbered_pictures_have_a_pattern(tmp_path, names, pattern, first):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["a_1.png", "a_3.png", "a_5.png"], "2 pictures are missing, first number 2"),
+        (["a_1.png", "a_2.png", "a_4.png", "a_6.png"], "2 pictures are missing, first number 3"),
         (["a_1.png", "b_2.png"], "several series"),
         (["a_1.png", "a_2.jpg"], "several series"),
         (["a_01.png", "a_002.png"], "several series"),
@@ -387,6 +393,9 @@ def test_rows_of_the_middle_are_compared():
     rows = decoder._rows(_frame(np.arange(240)[:, None] * np.ones((1, 9))))
     np.testing.assert_array_equal(rows[:, 0], np.arange(30, 210, 20))
     assert len(decoder._rows(_frame(np.zeros((8, 9))))) == 6
+    assert decoder._rows(_frame(np.arange(14)[:, None] * np.ones((1, 9))))[:, 0].tolist() == list(
+        range(1, 13)
+    )
 
 
 def test_the_difference_of_rows_ignores_the_brightness():
@@ -428,12 +437,20 @@ def test_a_frame_repeats_another_below_three_tenths_of_the_usual_difference():
         ([100] * 20 + [34] + [100] * 20, [False] * 41, [20]),
         ([100] * 20 + [36] + [100] * 20, [False] * 41, []),
         ([100] * 20 + [34] + [100] * 20, [False] * 20 + [True] + [False] * 20, []),
+        ([100] * 15 + [34] + [100] * 15, [False] * 31, [15]),
         ([100 + k for k in range(20)] + [119] + [90 + k for k in range(20)], [True] * 41, [20]),
     ],
 )
 def test_small_packets_contain_little_information(size, key, place):
     found = decoder._uninformative(Packets(np.arange(len(size)), np.array(size), np.array(key), True))
     assert found.tolist() == place
+
+
+def test_repeats_are_small_packets_also_where_three_of_four_frames_are_repeated():
+    size = np.array([100, 9, 9, 9] * 20)
+    found = decoder._uninformative(Packets(np.arange(80), size, np.zeros(80, bool), True))
+    inner = found[(found >= 16) & (found < 64)]
+    assert inner.tolist() == [k for k in range(16, 64) if k % 4]
 
 
 def test_runs_begin_after_a_gap():
@@ -628,3 +645,30 @@ def test_a_mosaic_becomes_grey_with_the_weights_of_its_neighbours():
     grey[2, 2] = 160
     expected = np.outer([0, 1, 2, 1, 0], [0, 1, 2, 1, 0]) * 10
     assert photron.without_mosaic(grey).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize(("length", "regular"), [(1, True), (2, True)])
+def test_runs_of_repeats_that_begin_periodically_are_regular(length, regular):
+    rng = np.random.default_rng(0)
+    detector = decoder.RepeatDetector(Packets(*[np.zeros(0, np.int64)] * 2, np.zeros(0, bool), True))
+    rows = rng.integers(60, 200, (24, 40))
+    found = []
+    for k in range(60):
+        if k % 6 >= length or k < 6:
+            rows = np.clip(rows + rng.integers(-20, 20, rows.shape), 30, 230)
+        found.append(detector.same(_frame(rows, k)))
+        # the fifth run begins in frame 30
+        assert detector.regular == (k >= 30) or k > 30
+    assert np.flatnonzero(found).tolist() == [k for k in range(6, 60) if k % 6 < length]
+    assert detector.regular == regular
+
+
+def test_runs_of_repeats_without_a_period_are_not_regular():
+    rng = np.random.default_rng(0)
+    detector = decoder.RepeatDetector(Packets(*[np.zeros(0, np.int64)] * 2, np.zeros(0, bool), True))
+    rows, repeats = rng.integers(60, 200, (24, 40)), {8, 11, 19, 22, 35, 41, 44, 57}
+    for k in range(60):
+        if k not in repeats:
+            rows = np.clip(rows + rng.integers(-20, 20, rows.shape), 30, 230)
+        assert detector.same(_frame(rows, k)) == (k in repeats)
+    assert not detector.regular
