@@ -528,3 +528,101 @@ def test_a_loose_body_turns_and_its_hub_moves_less_than_its_rim(range_, wander, 
     if loose:
         np.testing.assert_allclose(found[0], theta, atol=1e-9)
         np.testing.assert_allclose(found[1], hub + 60j + shift, atol=1e-9)
+
+
+def _rotating(monkeypatch, change, slide=0.0, share=0.6, noise=1.0):
+    """A body whose picture changes by `change` grey levels (rms) in four frames, in frames 20 to 40 of 64."""
+    ramp = np.clip(np.arange(64) - 20.0, 0.0, 20.0)
+    pattern = np.where(np.arange(64) % 2, 1.0, -1.0)
+    value = iter(ramp * change / 4.0)
+    monkeypatch.setattr(
+        Ring,
+        "unwrap",
+        lambda self, frame, shift: np.tile(100.0 + next(value) * pattern, (4, 1)).astype(np.float32),
+    )
+    monkeypatch.setattr(moving, "follow", lambda polars, *_, band: np.full(len(polars), len(band) + 0.0))
+    monkeypatch.setattr(moving, "learn", lambda *_, **__: None)
+    # the shares of the bands low, middle and high
+    monkeypatch.setattr(
+        moving, "explained", lambda polars, angle, _: ({3: 0.1, 6: share, 4: 0.2}[int(angle[0])], None)
+    )
+    place = np.stack([50.0 + ramp * slide / 4.0, np.full(64, 40.0)], axis=1)
+    return moving._rotation(_film([None] * 70), Path(np.arange(64) + 3, place, 10.0), noise)
+
+
+@pytest.mark.parametrize(
+    ("change", "slide", "share", "noise", "found"),
+    [
+        (3.1, 0.0, 0.6, 1.0, True),
+        (2.9, 0.0, 0.6, 1.0, False),  # three times the noise
+        (2.9, 1.1, 0.6, 1.0, True),
+        (2.9, 0.9, 0.6, 1.0, False),
+        (9.0, 0.0, 0.51, 1.0, True),
+        (9.0, 0.0, 0.49, 1.0, False),
+    ],
+)
+def test_a_body_rotates_in_the_frames_in_which_its_picture_changes(
+    change, slide, share, noise, found, monkeypatch
+):
+    result = _rotating(monkeypatch, change, slide, share, noise)
+    assert (result is not None) == found
+    if found:
+        path, ring, angle, shift = result
+        # from four frames before a change is measured to four frames after
+        first, last = path.frame[0] - 3, path.frame[-1] - 3
+        assert 15 <= first <= 20
+        assert 40 <= last <= 45
+        assert len(angle) == len(shift) == len(path.place) == len(path.frame) == last - first + 1
+        np.testing.assert_allclose(angle, 6.0)  # the best band is the middle one
+        assert (ring.inner, ring.outer) == (1.0, 9.0)
+        np.testing.assert_allclose(shift, path.place - [ring.hub[0], ring.hub[1]])
+
+
+def _featured(monkeypatch, *, path=None, share=0.5, registered=0.5, selected=30):
+    """Track a body by its features; all slow steps are replaced by given results."""
+    theta = 0.2 * np.sin(np.arange(30) / 3.0)
+    path = np.full(30, 100.0 + 50.0j) + np.where(np.arange(30) % 2, 5.0, 0.0) if path is None else path
+    ring = Ring.about((100.0, 50.0), 5.0, 30.0)
+    monkeypatch.setattr(moving, "_loose_motion", lambda *_: (theta, path, np.repeat([0, 9], 15), ring))
+    monkeypatch.setattr(Ring, "unwrap", lambda *_: None)
+    monkeypatch.setattr(moving, "learn", lambda *_, **__: None)
+    monkeypatch.setattr(moving, "explained", lambda *_: (share, np.ones(ring.rows)))
+    off = np.where(np.arange(30) < 15, 0.5, -0.3) + 0.01 * np.where(np.arange(30) % 2, 1.0, -1.0)
+    tracked = SimpleNamespace(
+        explained=registered, frame=np.arange(30), angle=off - theta, sigma=np.full(30, 0.0), warnings=()
+    )
+    monkeypatch.setattr(moving, "_along_path", lambda *_: tracked)
+    monkeypatch.setattr(moving, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
+    film = SimpleNamespace(
+        frames=lambda: iter([None] * 30),
+        some=lambda index: [None] * len(index),
+        selected=np.ones(selected, bool),
+        warnings=(),
+    )
+    return moving.track_by_features(film, np.arange(30), SimpleNamespace(area=(0, 0, 200, 100)))
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({}, True),
+        ({"share": 0.41}, True),
+        ({"share": 0.39}, False),
+        ({"registered": 0.41}, True),
+        ({"registered": 0.39}, False),
+        (
+            {"path": np.full(30, 100.0 + 50.0j) + 0.3 * np.exp(1j * np.arange(30))},
+            False,
+        ),  # the hub hardly moves
+        ({"path": np.full(30, 100.0 + 50.0j) + 2.2 * np.exp(1j * 2 * np.pi * np.arange(30) / 30)}, True),
+    ],
+)
+def test_a_body_without_an_axle_is_explained_by_the_rotation_about_its_path(change, found, monkeypatch):
+    result = _featured(monkeypatch, **change)
+    assert (result is not None) == found
+    if found:
+        # features that are selected together share an error; only their other differences count
+        assert result.correlated == pytest.approx(0.01, rel=0.01)
+        assert result.way == "features"
+        assert len(result.warnings) == 1
+    assert len(_featured(monkeypatch, selected=33).warnings) == 2

@@ -231,7 +231,7 @@ def test_a_shared_joint_has_a_constant_distance_from_the_hub(scatter, shared):
 
 
 def _with_link(share, own, monkeypatch):
-    """A link is seen beyond the body in a share of the frames, in one direction of the body in a share `own` of these."""
+    """A link is seen in a share of the frames, and in one direction of the body in a share `own` of these."""
     count, ring = 40, Ring.about((80.0, 60.0), 5.0, 30.0)
     seen = round(share * count)
     alike = round(own * seen)
