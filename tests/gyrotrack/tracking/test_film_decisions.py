@@ -424,3 +424,36 @@ def test_a_body_is_aligned_by_translation():
     swept[15:45, 20:60] = 1
     found = translation._translation(shown, base, swept, np.array([-2.0, 1.0]))
     np.testing.assert_allclose(found, [[1, 0, -3], [0, 1, 2]], atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("first", "stop", "expected"), [(0, None, range(9)), (3, 6, (3, 4, 5)), (7, 40, (7, 8)), (4, 4, ())]
+)
+def test_frames_of_a_large_film_are_decoded_again(first, stop, expected, monkeypatch):
+    frames = [SimpleNamespace(y=np.full((2, 2), k, np.uint8), index=k) for k in range(9)]
+
+    class Reader(Colours):
+        def __call__(self, *_):
+            return self
+
+    monkeypatch.setattr(module, "Reader", Reader(frames))
+    film = object.__new__(Film)
+    film._files, film.count, film.path, film._threads = [], 9, "film", 1
+    film._first_field = film.tilt = film._direction = film._gain = film._shake = None
+    assert [int(f[0, 0]) for f in film.frames(first, stop)] == list(expected)
+    assert len(film) == 9
+    # stored in two files of five frames
+    film._files = [np.stack([f.y for f in frames[:5]]), np.stack([f.y for f in [*frames[5:], frames[0]]])]
+    assert [int(f[0, 0]) for f in film.frames(first, stop)] == list(expected)
+    assert [int(f[0, 0]) for f in film.some([6, 2, 4])] == [2, 4, 6]
+
+
+def test_flicker_is_compensated_about_the_black_level():
+    film = object.__new__(Film)
+    film._gain, film._shake = (16.0, np.array([1.0, 1.25])), None
+    plane = np.array([[16, 116]], np.uint8)
+    assert film._still(plane, 1).tolist() == [[16, 96]]
+    assert film._still(plane, 0).tolist() == [[16, 116]]
+    assert not film.stabilised
+    film.stabilise(SimpleNamespace(stabilised=lambda plane, index: plane + np.uint8(index)))
+    assert film._still(plane, 1).tolist() == [[17, 97]]

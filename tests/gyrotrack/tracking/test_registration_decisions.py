@@ -91,6 +91,15 @@ def test_a_ring_is_unwrapped_also_beside_the_picture():
         np.testing.assert_allclose(ring.unwrap(picture, (1.5, -0.5))[inside], (2 * u + v)[inside], atol=0.2)
 
 
+@pytest.mark.parametrize(("step", "value"), [(1.0, 90.0), (1.4, 90.0), (1.6, 90.0), (3.0, 10.0), (5.0, 3.6)])
+def test_a_coarse_ring_averages_over_its_samples(step, value):
+    """Steps of 3 and 5 px are averaged over 3 and 5 px in both directions."""
+    picture = np.zeros((60, 90), np.uint8)
+    picture[30, 50] = 90
+    ring = Ring((40.0, 30.0), 10.0 - 0.5 * step, 10.0 + 3.5 * step, 4, 4)
+    assert ring.unwrap(picture)[0, 0] == pytest.approx(value, abs=0.5)
+
+
 @pytest.mark.parametrize(
     ("share", "inner", "outer"),
     [
