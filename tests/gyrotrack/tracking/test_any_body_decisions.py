@@ -146,6 +146,7 @@ def _path_of(theta, distance, monkeypatch, towards=0.7, radius=120.0):
     picture[:, column - 6 : column + 7] = np.hanning(13)
     known = np.zeros(ring.rows)
     known[np.argmin(np.abs(ring.radius - radius))] = 2.0
+    picture[known == 0] = np.roll(picture[known == 0], 25, axis=1)  # rows without information do not count
     radius = ring.radius[known > 0].item()
     towards = ring.angle[column]
     template = SimpleNamespace(ring=ring, body=picture, information=lambda: known)

@@ -267,6 +267,10 @@ def test_a_hub_moves_by_a_quarter_of_the_reach(spread, count):
     assert _two(spread=spread, places=(60 + 0j, 40 + 100j)).moving == count
 
 
+def test_the_reach_of_features_is_at_least_a_pixel():
+    assert _two(places=(0.1 + 0j, 100.1j), spread=(0.2, 0.3)).moving == 1
+
+
 @pytest.mark.parametrize(("apart", "coaxial"), [(8.9, True), (9.1, False)])
 def test_two_hubs_within_15_percent_of_the_reach_are_coaxial(apart, coaxial):
     assert _two(hubs=(0j, apart + 0j), places=(40 + 0j, 60.0 + apart + 0j)).coaxial == coaxial
@@ -528,6 +532,8 @@ def test_a_loose_body_turns_and_its_hub_moves_less_than_its_rim(range_, wander, 
     if loose:
         np.testing.assert_allclose(found[0], theta, atol=1e-9)
         np.testing.assert_allclose(found[1], hub + 60j + shift, atol=1e-9)
+    monkeypatch.setattr(moving, "ring_for", lambda *_: None)
+    assert moving._loose_motion(None, SimpleNamespace(moving=np.zeros((120, 200), bool))) is None
 
 
 def _rotating(monkeypatch, change, slide=0.0, share=0.6, noise=1.0):
@@ -591,7 +597,14 @@ def _featured(monkeypatch, *, path=None, share=0.5, registered=0.5, selected=30)
     tracked = SimpleNamespace(
         explained=registered, frame=np.arange(30), angle=off - theta, sigma=np.full(30, 0.0), warnings=()
     )
-    monkeypatch.setattr(moving, "_along_path", lambda *_: tracked)
+
+    def along_path(film, usable, ring, angle, shift, *_):
+        np.testing.assert_allclose(
+            shift, np.stack([(path - path.mean()).real, (path - path.mean()).imag], axis=1)
+        )
+        return tracked
+
+    monkeypatch.setattr(moving, "_along_path", along_path)
     monkeypatch.setattr(moving, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
     film = SimpleNamespace(
         frames=lambda: iter([None] * 30),

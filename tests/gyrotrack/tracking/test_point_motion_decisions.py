@@ -479,6 +479,7 @@ def test_errors_of_a_place_are_those_beyond_noise():
     arc = fit_arc(_on(theta, 90.0 + errors), np.full(240, 0.03))
     # 12 means of +-0.4 px with 12 - 3 degrees of freedom
     assert arc.by_place == pytest.approx(0.4 * math.sqrt(12.0 / 9.0), rel=0.12)
+    assert arc.noise < 0.2
 
 
 def test_parts_of_an_arc_have_equal_angles_or_lengths():

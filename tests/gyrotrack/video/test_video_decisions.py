@@ -672,3 +672,20 @@ def test_runs_of_repeats_without_a_period_are_not_regular():
             rows = np.clip(rows + rng.integers(-20, 20, rows.shape), 30, 230)
         assert detector.same(_frame(rows, k)) == (k in repeats)
     assert not detector.regular
+
+
+@pytest.mark.parametrize(
+    ("film", "stream", "camera", "rate"),
+    [
+        ("240", "120", 960.0, 240.0),
+        (None, "120", 960.0, 120.0),
+        (None, None, 960.0, 960.0),
+        (None, None, None, None),
+    ],
+)
+def test_a_tag_of_the_film_comes_before_that_of_the_stream_and_of_the_camera(
+    film, stream, camera, rate, monkeypatch
+):
+    monkeypatch.setattr(container, "_sony_rate", lambda _: camera)
+    tags = [SimpleNamespace(metadata={"capture_fps": text} if text else {}) for text in (film, stream)]
+    assert container._stated_rate("film", *tags) == rate
