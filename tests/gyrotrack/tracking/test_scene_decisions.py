@@ -84,12 +84,13 @@ def _sampled(plane, x, y):
     )
 
 
+@pytest.mark.parametrize("centre", [(30.0, 22.0), (5.0, 4.0), (60.0, 44.0)])  # also beyond the border
 @pytest.mark.parametrize("white", [False, True])
-def test_windows_and_turns_of_a_ring_are_sampled_from_the_score(white):
+def test_windows_and_turns_of_a_ring_are_sampled_from_the_score(white, centre):
     frame = _frame()
     weights = (0.5, 0.0) if white else (0.3, -0.4)
     plane = 0.5 * frame.y.astype(float) if white else 0.3 * frame.u.astype(float) - 0.4 * frame.v
-    ring = Ring((30.0, 22.0), 6.0, 16.0, 5, 40)
+    ring = Ring(centre, 6.0, 16.0, 5, 40)
     score = Score(white, weights, frame.y.shape if white else frame.u.shape)
     grid = Grid(ring, 7, score)
     x, y = ring.maps(chroma=not white, beyond=7)
