@@ -194,7 +194,7 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
     for _ in range(3):
         half = int(max(extent.half_width / ring.step, 1))
         column, clear = _brightest(score[:, extent.rows].mean(axis=1), half)
-        found = extent_of(aligned(own, column, clear), ring)
+        found = extent_of(aligned(own, column, clear), ring) if clear.any() else None
         if found is None:
             return None
         extent = found

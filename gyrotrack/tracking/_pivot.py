@@ -205,9 +205,6 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     a, phi, d = (float(v) for v in fit.x)
     root = math.sqrt(max(1.0 + 4.0 * a * d, 1e-12))
     hub = np.array([-root * math.cos(phi), -root * math.sin(phi)]) / (2.0 * a if a else 1e-12)
-    noise, by_place, covariance = _covariance(
-        jacobian, rest[use], s[use], _cell(x[use], y[use], hub, straight=abs(a) < 1e-6), least / scale
-    )
     # derivatives of the hub with respect to (a, phi, d)
     root_a, root_d = 2.0 * d / root, 2.0 * a / root
     unit, across = np.array([math.cos(phi), math.sin(phi)]), np.array([-math.sin(phi), math.cos(phi)])
@@ -220,12 +217,20 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
         ],
         axis=1,
     )
+    bend = np.array([2.0, 0.0, 0.0])
+    if root < 0.05:  # these parameters are singular for a hub at the mean position: take hub and radius
+        away = np.stack([x[use], y[use]], axis=1) - hub
+        jacobian = np.column_stack([away / np.hypot(*away.T)[:, None], np.ones(len(away))])
+        slope, bend = np.eye(2, 3), np.array([0.0, 0.0, curve**2])
+    noise, by_place, covariance = _covariance(
+        jacobian, rest[use], s[use], _cell(x[use], y[use], hub, straight=abs(a) < 1e-6), least / scale
+    )
     return Arc(
         hub=origin + scale * hub,
         covariance=scale**2 * slope @ covariance @ slope.T,
         radius=scale / abs(curve),
         curvature=abs(curve) / scale,
-        curvature_u=2.0 * math.sqrt(covariance[0, 0]) / scale,
+        curvature_u=math.sqrt(float(bend @ covariance @ bend)) / scale,
         noise=scale * noise,
         by_place=scale * by_place,
     )

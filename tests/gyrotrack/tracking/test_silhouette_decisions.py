@@ -1,0 +1,282 @@
+"""Silhouettes of bodies in front of the background, and links: formulas and limits on small drawn pictures."""
+
+import math
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack.tracking import _first_look as first_look
+from gyrotrack.tracking import _links as links
+from gyrotrack.tracking import _silhouettes as module
+from gyrotrack.tracking._pivot import Arc
+from gyrotrack.tracking._registration import Ring
+from gyrotrack.tracking._silhouettes import (
+    CompactBody,
+    LongBody,
+    Spot,
+    median_picture,
+    parts_of,
+    spot_of,
+    spots_in,
+)
+
+
+def _drawn(*discs, lines=()):
+    region = np.zeros((80, 160), np.uint8)
+    for x, y, radius in discs:
+        cv2.circle(region, (x, y), radius, 1, -1)
+    for start, end, width in lines:
+        cv2.line(region, start, end, 1, width)
+    return region
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 8])
+def test_the_median_of_frames_is_that_of_numpy(count):
+    frames = np.random.default_rng(count).integers(0, 256, (count, 70, 9)).astype(np.uint8)
+    np.testing.assert_array_equal(median_picture(list(frames)), np.median(frames, axis=0))
+
+
+def test_a_spot_is_the_compact_part_of_a_body_without_its_string():
+    region = _drawn((60, 40, 10), lines=[((60, 40), (60, 0), 3)])
+    spot = spot_of(parts_of(region), (60, 40))
+    assert spot.place == pytest.approx((60.0, 40.0), abs=0.6)
+    assert spot.radius == pytest.approx(10.0, abs=0.4)
+    middle = spot.mask.shape[0] // 2
+    assert spot.mask[middle, middle] == 1
+    assert spot.mask.sum() == pytest.approx(math.pi * spot.radius**2, rel=1e-6)
+    assert spot.mask.shape[0] < 2 * 16
+    assert spot_of(parts_of(region), (10, 10)) is None
+
+
+@pytest.mark.parametrize(("side", "found"), [(1, False), (3, True)])
+def test_a_spot_has_a_radius_of_one_and_a_half_pixels(side, found):
+    region = np.zeros((20, 20), np.uint8)
+    region[8 : 8 + side, 8 : 8 + side] = 1
+    assert (spot_of(parts_of(region), (8 + side // 2, 8 + side // 2)) is not None) == found
+
+
+@pytest.mark.parametrize(
+    ("radii", "least", "most", "count"),
+    [((12, 9), 0.7, 3, 2), ((12, 7), 0.7, 3, 1), ((12, 12, 12), 0.7, 2, 2), ((12, 7, 5), 0.35, 3, 3)],
+)
+def test_large_parts_of_a_region_are_spots(radii, least, most, count):
+    region = _drawn(*((25 + 50 * k, 40, radius) for k, radius in enumerate(radii)))
+    found = spots_in(region, least, most)
+    assert len(found) == count
+    assert [s.radius for s in found] == sorted((s.radius for s in found), reverse=True)
+
+
+def _body(place, radius=5.0, alone=0.9):
+    return CompactBody(radius, np.asarray(place, float), alone)
+
+
+def _swing(reach, extent=60.0):
+    angle = reach * np.sin(np.linspace(0.0, 12.0, 60))
+    place = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    return 100.0 + place * extent / np.hypot(*np.ptp(place, axis=0))
+
+
+@pytest.mark.parametrize(
+    ("radius", "alone", "reach", "arc", "pendulum"),
+    [
+        (5.0, 0.51, 0.5, {}, True),
+        (5.0, 0.49, 0.5, {}, False),
+        (29.0, 0.9, 0.5, {}, True),
+        (31.0, 0.9, 0.5, {}, False),  # a path of 60 px is shorter than two radii
+        (5.0, 0.9, 0.5, {"noise": 2.1, "by_place": 2.8}, True),
+        (5.0, 0.9, 0.5, {"noise": 2.2, "by_place": 2.9}, False),  # 6 % of 60 px
+        (5.0, 0.9, 1.5, {}, True),
+        (5.0, 0.9, 1.65, {}, False),  # more than half a turn
+    ],
+)
+def test_a_bob_moves_on_an_open_arc(radius, alone, reach, arc, pendulum, monkeypatch):
+    given = {"noise": 0.1, "by_place": 0.0} | arc
+    hub = np.array([100.0, 100.0])
+    monkeypatch.setattr(module, "fit_arc", lambda *_: Arc(hub, np.eye(2), 50.0, 0.02, 1e-5, **given))
+    pivot = _body(_swing(reach), radius, alone).pivot
+    assert (pivot is not None) == pendulum
+
+
+def test_a_straight_path_has_its_pivot_at_infinity(monkeypatch):
+    monkeypatch.setattr(module, "fit_arc", lambda *_: Arc(np.zeros(2), np.eye(2), 1e9, 1e-9, 1e-5, 0.1, 0.0))
+    assert np.isinf(_body(_swing(0.5)).pivot).all()
+
+
+def _compact(radii, monkeypatch, area=400):
+    """Frames with spots of given radii; None: no spot."""
+    frames = iter(radii)
+
+    def spots(*_):
+        given = next(frames)
+        if given is None:
+            return []
+        mask = np.ones((10, 10), np.uint8)
+        return [Spot((float(k), 0.0), r, mask) for k, r in enumerate(np.atleast_1d(given))]
+
+    monkeypatch.setattr(module, "spots_in", spots)
+    monkeypatch.setattr(module, "differs", lambda *_: np.ones(area, np.uint8))
+    return module.compact_body([None] * len(radii), None, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("radii", "seen"),
+    [
+        ([8.0] * 8 + [None] * 2, True),
+        ([8.0] * 7 + [None] * 3, False),
+        ([8.0] * 8 + [11.1] * 2, True),
+        ([8.0] * 7 + [11.3] * 3, False),  # 1.4 times 8 px is 11.2 px
+        ([8.0] * 7 + [5.8] * 3, True),
+        ([8.0] * 7 + [5.6] * 3, False),
+        ([8.0] * 7 + [[30.0, 8.0]] * 3, True),  # beside a hand
+    ],
+)
+def test_a_compact_body_has_one_size_in_most_frames(radii, seen, monkeypatch):
+    found = _compact(radii, monkeypatch)
+    assert (found is not None) == seen
+    if seen:
+        assert found.radius == 8.0
+        assert found.alone == 100 / 400
+        assert len(found.place) >= 8
+        assert found.place[-1].tolist() == ([1.0, 0.0] if radii[-1] == [30.0, 8.0] else [0.0, 0.0])
+
+
+def _bar(length, width, angle=0.4, level=60.0):
+    y, x = np.mgrid[0:120, 0:160].astype(float)
+    u = (x - 80.0) * math.cos(angle) + (y - 60.0) * math.sin(angle)
+    v = (y - 60.0) * math.cos(angle) - (x - 80.0) * math.sin(angle)
+    cover = np.clip(0.5 * length + 0.5 - np.abs(u), 0, 1) * np.clip(0.5 * width + 0.5 - np.abs(v), 0, 1)
+    return np.rint(120.0 + level * cover).astype(np.uint8)
+
+
+GREY = np.full((120, 160), 120.0, np.float32)
+
+
+@pytest.mark.parametrize(("side", "level"), [("light", 60.0), ("dark", -60.0)])
+def test_the_axis_of_a_bar_has_its_direction_and_half_of_its_length(side, level):
+    centre, half, width = LongBody(side, GREY, 5.0).axis(_bar(80.0, 9.0, 0.4, level))
+    assert centre == pytest.approx((80.0, 60.0), abs=0.1)
+    assert np.hypot(*half) == pytest.approx(40.5, abs=1.2)
+    assert abs(half @ [-math.sin(0.4), math.cos(0.4)]) < 0.3
+    assert width == pytest.approx(9.5, abs=1.0)
+    assert (
+        LongBody("dark" if side == "light" else "light", GREY, 5.0).axis(_bar(80.0, 9.0, 0.4, level)) is None
+    )
+
+
+@pytest.mark.parametrize(("ratio", "long"), [(1.8, False), (2.3, True)])
+def test_a_long_body_is_twice_as_long_as_wide(ratio, long):
+    assert (LongBody("light", GREY, 5.0).axis(_bar(24.0 * ratio, 24.0)) is not None) == long
+
+
+def test_a_faint_bar_is_not_seen():
+    assert LongBody("light", GREY, 5.0).axis(_bar(80.0, 9.0, 0.4, 4.0)) is None
+    assert LongBody("light", GREY, 5.0).axis(_bar(80.0, 9.0, 0.4, 8.0)) is not None
+
+
+def test_the_axes_of_a_rod_meet_in_its_hub(monkeypatch):
+    hub, angle = np.array([70.0, 50.0]), np.linspace(-0.4, 0.4, 12)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    frames = list(zip(hub + 30.0 * along, 30.0 * along, strict=True))
+    motion = SimpleNamespace(mean=GREY, noise=1.0)
+
+    def meet(some):
+        monkeypatch.setattr(
+            LongBody, "axis", lambda self, frame: None if self.side == "light" else (*frame, 3.0)
+        )
+        return module.axes_meet(some, motion)
+
+    assert meet(frames) == pytest.approx(tuple(hub))
+    assert meet(frames[:8]) == pytest.approx(tuple(hub))
+    assert meet(frames[:7]) is None
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    sign = np.where(np.arange(12) % 2, 1.0, -1.0)[:, None]
+    # 3 % of a length of 60 px
+    for off, found in ((1.6, True), (2.1, False)):
+        moved = [(c + o, h) for (c, h), o in zip(frames, off * sign * normal, strict=True)]
+        assert (meet(moved) is not None) == found
+    narrow = np.linspace(-0.15, 0.15, 12)  # the mean square of the sine is below 0.01
+    along = np.stack([np.cos(narrow), np.sin(narrow)], axis=1)
+    assert meet(list(zip(hub + 30.0 * along, 30.0 * along, strict=True))) is None
+
+
+@pytest.mark.parametrize(("count", "step"), [(61, 2), (60, 2), (59, 1), (90, 3)])
+def test_thirty_frames_are_compared_with_the_background(count, step):
+    assert len(module.Foreground(range(count), GREY, 1.0).few) == len(range(0, count, step))
+
+
+@pytest.mark.parametrize(("count", "extent", "rests"), [(4, 2.9, True), (4, 3.1, False), (3, 2.9, False)])
+def test_a_body_rests_if_it_moves_by_less_than_three_pixels(count, extent, rests):
+    paths = np.zeros((count, 2, 2))
+    paths[:, 0, 0] = np.linspace(0.0, 40.0, count)
+    paths[:, 1] = np.linspace(0.0, 1.0, count)[:, None] * extent * np.array([0.6, 0.8])
+    assert links.one_rests(paths) == rests
+    assert links.one_rests(paths[:, ::-1]) == rests
+
+
+@pytest.mark.parametrize(("scatter", "shared"), [(1.6, True), (1.8, False)])
+def test_a_shared_joint_has_a_constant_distance_from_the_hub(scatter, shared):
+    """1.4826 times a median deviation s is below 5 % of 50 px for s < 1.69 px."""
+    count = 40
+    hub = 20.0 + 30.0j
+    turn, other = 0.1 + 0.05 * np.arange(count) / count, -0.2 - 0.02 * np.arange(count)
+    off = scatter * np.where(np.arange(count) % 2, 1.0, -1.0)
+    joint = hub + (50.0 + off) * np.exp(1j * np.linspace(0.0, 2.0, count))
+    first = np.stack([np.exp(1j * turn), (1.0 - np.exp(1j * turn)) * hub], axis=1)
+    # the second motion displaces the joint in the same way
+    moved = first[:, 0] * joint + first[:, 1]
+    second = np.stack([np.exp(1j * other), moved - np.exp(1j * other) * joint], axis=1)
+    assert links.share_a_joint(hub, first, second) == shared
+
+
+def _with_link(share, own, monkeypatch):
+    """A link is seen in a share of the frames, and in one direction of the body in a share `own` of these."""
+    count, ring = 40, Ring.about((80.0, 60.0), 5.0, 30.0)
+    seen = round(share * count)
+    alike = round(own * seen)
+    frames = []
+    beyond = Ring.about(ring.hub, 1.3 * 30.0, 1.5 * 30.0)
+    angle = np.linspace(0.0, 6.0, count)
+    for k in range(count):
+        there = np.zeros(beyond.columns, bool)
+        if k < seen:
+            direction = angle[k] if k < alike else angle[k] + 0.5 + 5.0 * (k - alike) / max(seen - alike, 1)
+            there[round(direction / beyond.step) % beyond.columns] = True
+        frames.append(there)
+    given = iter(frames)
+    monkeypatch.setattr(links, "median_picture", lambda _: None)
+    monkeypatch.setattr(links, "differs", lambda *_: None)
+    monkeypatch.setattr(links, "_joined", lambda *_: next(given))
+    return links.carries_a_link(ring, frames, angle, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("share", "own", "link"), [(0.65, 0.3, True), (0.55, 0.3, False), (1.0, 0.45, True), (1.0, 0.9, False)]
+)
+def test_a_link_is_seen_in_most_frames_and_turns_differently(share, own, link, monkeypatch):
+    assert _with_link(share, own, monkeypatch) == link
+
+
+def test_a_part_beyond_the_body_is_joined_if_it_is_connected():
+    body, beyond = Ring.about((80.0, 40.0), 16.0, 20.0), Ring.about((80.0, 40.0), 26.0, 30.0)
+    region = np.zeros((80, 160), np.uint8)
+    region[39:42, 80:118] = 1  # to the right, from the hub
+    region[66:70, 78:83] = 1  # below, beyond the body only
+    found = links._joined(region, body, beyond)
+    angle = np.angle(np.exp(1j * beyond.angle))[found]
+    assert len(angle) > 0
+    assert np.abs(angle).max() < 0.12
+
+
+def test_labels_outside_the_picture_are_none():
+    label = np.arange(1, 201, dtype=np.int32).reshape(10, 20)
+    ring = Ring((18.0, 5.0), 2.0, 4.0, 1, 4)  # 3 px right, down, left and up
+    assert links._labels(label, ring)[0].tolist() == [0, label[8, 18], label[5, 15], label[2, 18]]
+
+
+def test_a_hub_is_a_fixed_fraction_of_the_axis_from_the_centroid():
+    angle = np.linspace(0.0, 3.0, 30)
+    half = 20.0 * np.stack([np.cos(angle), 0.6 * np.sin(angle)], axis=1)
+    np.testing.assert_allclose(first_look.hub_of(np.array([50.0, 40.0]) - 0.3 * half, half), [50.0, 40.0])
+    assert not first_look.FirstLook((9, 9)).pendulum
