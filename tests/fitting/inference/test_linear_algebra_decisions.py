@@ -89,7 +89,7 @@ class TestCovariance:
     def test_a_direction_without_information_keeps_a_large_variance(self):
         j = np.array([[1.0, 1.0], [1.0, 1.0]])
         found = covariance_of(j, np.array([True, True]))
-        # the singular values of the scaled columns are sqrt(2) and the floor of 1e-12 of it; columns have the norm sqrt(2)
+        # singular values of the scaled columns: sqrt(2), and the floor of 1e-12 of it; the norms are sqrt(2)
         assert found[0, 0] == pytest.approx(0.5 / (2e-24) / 2, rel=1e-6)
         assert found[0, 1] == pytest.approx(-found[0, 0], rel=1e-6)
 

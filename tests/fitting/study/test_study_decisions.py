@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fitting import Ledger, LedgerError, RecordError, make_record
+from fitting.discovery._certificate import Certificate, Outcome
 from fitting.inference._record import Samples
 from fitting.study import _preparation, _serialisation
 from fitting.study._history import Entry
@@ -318,3 +319,18 @@ def test_prepared_data_are_those_that_were_asked_for(monkeypatch):
     assert made.generated
     assert len(made.rotor) == 1
     assert len(made.windows) == 2
+
+
+@pytest.mark.parametrize(("answers", "alarms", "rate"), [("", 0, 0.0), ("auuam", 3, 0.6), ("aaua", 1, 0.25)])
+def test_the_rate_of_alarms_is_that_of_the_null_recordings(answers, alarms, rate):
+    verdicts = {"a": "adequate", "u": "unexplained", "m": "missing_effect"}
+    outcomes = tuple(
+        Outcome("null", "", i, verdicts[v], ("x",) if v == "m" else (), float(i), {})
+        for i, v in enumerate(answers)
+    )
+    found = _serialisation.certificate_document(Certificate(20, "adequate", (), 2.0, outcomes), "f1")
+    null = found["null"]
+    assert (null["n"], null["alarms"], null["rate"]) == (len(answers), alarms, rate)
+    assert null["interval"][0] <= rate <= null["interval"][1]
+    assert found["truth"] is None
+    assert found["p_empirical"] == pytest.approx((1 + max(len(answers) - 2, 0)) / (1 + len(answers)))
