@@ -311,6 +311,24 @@ class TestPopulation:
         assert p.mean_u == pytest.approx(2e-11 / 3, rel=1e-2)
         assert p.change is None
 
+    def test_correlations_are_those_of_spreads_above_zero(self, monkeypatch):
+        monkeypatch.setattr(module, "_SETS", 200)
+        x = np.random.default_rng(7).standard_normal((20, 2))
+        y = np.stack([x[:, 0], x[:, 0] + 0.5 * x[:, 1]], axis=1)
+        got = self.found(y, np.tile(1e-6 * np.eye(2), (20, 1, 1)))
+        assert got.correlation == pytest.approx(np.corrcoef(y.T), abs=0.01)
+
+    def test_an_outlying_run_is_not_the_run_before_a_step(self, monkeypatch):
+        monkeypatch.setattr(module, "_SETS", 2000)
+        y = 0.1 * np.random.default_rng(7).standard_normal((24, 1))
+        y[12:] += 2.0
+        y[11] = 30.0
+        got = self.found(y, np.full((24, 1, 1), 1e-4))
+        assert [name for name, _ in got.outlying] == ["r11"]
+        c = got.parameters[0].change
+        assert (c.kind, c.before, c.after, c.time) == ("step", "r10", "r12", 11.0)
+        assert got.parameters[0].runs == 23
+
     def test_without_parameters_there_is_only_the_list_of_runs(self):
         got = self.found(np.full((9, 1), np.nan), np.ones((9, 1, 1)))
         assert (got.parameters, got.untested, len(got.runs)) == ((), {"p0": 9}, 9)
