@@ -254,3 +254,19 @@ class TestBudget:
         made.covariance = np.linalg.inv(4.0 * j.T @ j)
         # larger modelled rows are compensated by a change of the parameters
         assert made.sensitivity([change]) == pytest.approx(-np.linalg.lstsq(j, change, rcond=None)[0])
+
+    @pytest.mark.parametrize(("count", "sizes"), [(0, []), (1, [1]), (2, [2]), (3, [1, 1, 1])])
+    def test_two_moments_of_inertia_are_propagated_together(self, monkeypatch, count, sizes):
+        inputs = [(f"i{k}", "rotor", float(k + 1), 0.1) for k in range(count)]
+        moved = []
+        monkeypatch.setattr(_budget, "_inertias", lambda fit: iter(inputs))
+        monkeypatch.setattr(
+            _budget, "_refitted", lambda fit, m: moved.append(m) or np.array([sum(m.values())])
+        )
+        found = _budget._inertia_contributions(SimpleNamespace(theta=np.zeros(1)))
+        assert len(moved) == sum(3**n for n in sizes)
+        assert {len(m) for m in moved} == set(sizes)
+        for name, *_ in inputs:
+            assert found[name][0] == pytest.approx([0.1])
+            assert found[name][1] == pytest.approx([1.0])
+        assert ("i0 x i1" in found) is (count == 2)
