@@ -8,7 +8,15 @@ import pytest
 
 from fitting import EstimationError
 from fitting._criteria import DEFAULT
-from fitting.discovery._grammar import _shape, _unit, _with_names, description_length, grammar
+from fitting.discovery._grammar import (
+    _OF_SPEED,
+    _of_speed,
+    _shape,
+    _unit,
+    _with_names,
+    description_length,
+    grammar,
+)
 from fitting.effects._library import find
 from fitting.effects._user import resolve
 from fitting.planning._friction import (
@@ -281,9 +289,7 @@ class TestGrammar:
 
     def test_negative_powers_need_a_speed_away_from_zero(self):
         def lowest(low, high):
-            ranges = dict.fromkeys(self.RANGES, (low, high))
-            laws = grammar(ranges, 200.0, bodies={"casing"}, angles=False)
-            power = next(x for x in laws if x.form == "power" and x.variables == ("omega_c",))
+            power = _of_speed(_OF_SPEED[0], "casing", "omega_c", (low, high), 200.0)
             return min(next(p for p in power.effect.parameters if p.symbol == "n").grid)
 
         assert lowest(0.41, 40.0) == -1.0
@@ -297,7 +303,7 @@ class TestGrammar:
             ("exponent", -3.0, 6.0, -1.0, 4.0),
             ("positive exponent", 0.05, 6.0, 0.25, 4.0),
             ("speed", 0.06, 600.0, 0.6, 60.0),
-            ("wide speed", 3.0, 600.0, 3.0, 60.0),
+            ("wide speed", 3.0, 600.0, 0.6 * 100 ** (5 / 12), 60.0),
             ("threshold", 0.0, 24.0, 1.0, 18.0),
             ("steepness", 0.2, 8.0, 0.5, 3.0),
             ("narrow", 0.1, 60.0, 0.6, 10.0),
@@ -340,6 +346,6 @@ class TestGrammar:
         assert _unit(text, shapes) == unit
 
     def test_later_laws_of_a_name_are_numbered(self):
-        laws = grammar(self.RANGES, 200.0, bodies={"casing"}, angles=False)[:1] * 3
+        laws = [_of_speed(_OF_SPEED[0], "casing", "omega_c", (1.0, 9.0), 200.0)] * 3
         name = laws[0].effect.name
         assert [x.effect.name for x in _with_names(laws)] == [name, f"{name}_2", f"{name}_3"]
