@@ -92,6 +92,29 @@ class TestOscillation:
         speed = record(np.cos(2.5 * T), "omega", sigma=sigma / 2)
         assert (find_oscillation(speed) is not None) is found
 
+    def test_the_middle_of_angles_is_fixed_and_that_of_integrated_speeds_drifts(self):
+        """Of three extremes about the equilibrium e, the sum e1 + 2 e2 + e3 is 4 e."""
+        angle = np.cos(2.5 * T) + 0.02 * T
+        found = find_oscillation(record(angle))
+        rest = angle - found.deflection
+        assert rest == pytest.approx(np.full(len(T), rest[0]))
+        assert rest[0] == pytest.approx(0.2, abs=0.03)
+        speed = -2.5 * np.sin(2.5 * T) + 0.02
+        drifting = find_oscillation(record(speed, "omega"))
+        assert drifting.deflection == pytest.approx(np.cos(2.5 * T), abs=0.03)
+        short = T[4.5 * math.pi / 2.5 > T]
+        few = find_oscillation(record(-2.5 * np.sin(2.5 * short) + 0.02, "omega", t=short))
+        assert len(few.reversals) == 4
+        integral = np.cos(2.5 * short) - 1.0 + 0.02 * short
+        assert np.ptp(integral - few.deflection) < 2e-3
+
+    def test_windows_follow_a_motion_with_a_third_harmonic(self):
+        t = np.arange(0.0, 60.0, 0.02)
+        phase = 3.0 * t
+        angle = np.cos(phase) + 0.2 * np.cos(3 * phase + 0.5)
+        swing = Oscillation(np.arange(1, 57) * math.pi / 3.0, 2 * math.pi / 3.0, t, angle)
+        assert swing.slow_motion.amplitude == pytest.approx(np.ones(20), abs=1e-3)
+
     def test_a_driven_body_or_one_with_a_joint_rotates(self):
         angle = np.cos(2.5 * T)
         assert isinstance(motion_of(record(angle)), Oscillation)
