@@ -30,6 +30,7 @@ from fitting.law_search._laws import (
     _with_positive_strength,
     _without_repetition,
     formula_of,
+    laws,
 )
 
 LAG = SimpleNamespace(symbol="lag", rate="(omega_c - lag)/tau")
@@ -645,6 +646,92 @@ class TestAnswer:
         found = self.answer(monkeypatch, found=[self.law(0.0)], library=library, rival=other)
         assert (found.verdict, found.sentence, found.next_experiment) == (verdict, "laws", "next")
         assert (found.differs is not None) is (rival is not None)
+
+
+class TestSearch:
+    def test_the_grammar_covers_the_longest_recording(self, monkeypatch):
+        seen = {}
+        monkeypatch.setattr(module, "ranges_of", lambda base: "ranges")
+        monkeypatch.setattr(module, "grammar", lambda *given, **more: seen.update(given=given, **more) or [])
+        records = [SimpleNamespace(span=s, parts={"casing"}) for s in ((0.0, 5.0), (2.0, 9.0), (1.0, 3.0))]
+        data = [SimpleNamespace(record=r, is_angle=i == 0) for i, r in enumerate(records)]
+        made = _Search(SimpleNamespace(problem=SimpleNamespace(data=data)), DEFAULT, None, _Steps(None))
+        assert seen == {"given": ("ranges", 7.0), "bodies": {"casing"}, "angles": True}
+        assert made.trials == 0
+
+    def test_effects_of_the_library_have_no_length(self, monkeypatch):
+        made = search(forms=[form("a", 3.0), form("b", 4.0)])
+        seen = {}
+        monkeypatch.setattr(module, "applicable_effects", lambda base, extra: ["x", *extra])
+        monkeypatch.setattr(
+            module,
+            "improves_on_difference",
+            lambda separate, effects, lengths, criteria: (
+                seen.update(effects=effects, lengths=lengths) or True
+            ),
+        )
+        assert made.improves_on_difference("separate", ["y"])
+        assert seen["lengths"] == [3.0, 4.0, 0.0, 0.0]
+        assert seen["effects"][2:] == ["x", "y"]
+
+    @pytest.mark.parametrize("same", [True, False])
+    def test_options_are_passed_on_and_a_diagnosis_of_another_noise_is_not(self, monkeypatch, same):
+        seen = {}
+
+        def found(base, extra, diagnosis, criteria, pool, progress, *, beyond_library):
+            seen.update(base=base, extra=extra, diagnosis=diagnosis, criteria=criteria, beyond=beyond_library)
+            return Laws(base, "none", "", (), None, (), "", 0)
+
+        monkeypatch.setattr(module, "_laws", found)
+        base = SimpleNamespace(model=SimpleNamespace(refuse_chain=lambda *a: None), criteria="own")
+        other = base if same else SimpleNamespace()
+        monkeypatch.setattr(module, "measured_with", lambda f, criteria: other)
+        laws(base, ["e"], diagnosis="known", beyond_library=True)
+        assert seen == {
+            "base": other, "extra": ["e"], "diagnosis": "known" if same else None, "criteria": "own", "beyond": True,
+        }  # fmt: skip
+        laws(base, criteria="given")
+        assert (seen["criteria"], seen["beyond"]) == ("given", False)
+
+    def test_a_law_replaces_terms_of_the_model(self, monkeypatch):
+        made = search()
+        seen = {}
+        monkeypatch.setattr(
+            module,
+            "recorded_map",
+            lambda workers, work, common, trials, shared: seen.update(trials=trials) or [None, "fit"],
+        )
+        model = Model.of(["casing.air.linear", "casing.air.quadratic"])
+        about = SimpleNamespace(model=model)
+        scored = SimpleNamespace(start=lambda about, s: {"k": s})
+        chosen = [_Chosen(form("a"), 1.0, scored), _Chosen(form("b"), 2.0, scored)]
+        (found,) = made._refits(chosen, about, ("noise",), [form("casing.air.quadratic")])
+        assert (found.terms[0].effect.name, found.fit) == ("b", "fit")
+        assert [t.start for t in seen["trials"]] == [{"k": 1.0}, {"k": 2.0}]
+        assert all(t.model.names == ("casing.air.linear",) for t in seen["trials"])
+
+    @pytest.mark.parametrize(("deviance", "kept"), [(1.0, True), (math.inf, False), (math.nan, False)])
+    def test_a_refit_without_a_likelihood_is_none(self, monkeypatch, deviance, kept):
+        seen = {}
+
+        def fitted(model, base, **more):
+            seen.update(more, model=model)
+            return SimpleNamespace(deviance=deviance, bic=0.0, converged=True)
+
+        monkeypatch.setattr(module, "fit", fitted)
+        monkeypatch.setattr(module, "initial_values_of", lambda base, s: {"k": 2.0})
+        trial = SimpleNamespace(
+            law=SimpleNamespace(effect="law"), score=None, start={"k": 1.0, "a": 5.0},
+            model=SimpleNamespace(with_effect=lambda e: f"model and {e}"),
+        )  # fmt: skip
+        found = module._refit(SimpleNamespace(base="base", noise="noise"), trial)
+        assert (found is not None) is kept
+        assert seen == {
+            "start": {"k": 2.0, "a": 5.0},
+            "noise": "noise",
+            "quick": True,
+            "model": "model and law",
+        }
 
 
 def test_a_repr_shows_six_laws():
