@@ -96,7 +96,7 @@ class TestRegression:
         rest = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
         assert _weights(y, u2, design)[1] == pytest.approx(rest @ rest / 10 - 0.2, rel=1e-2)
 
-    def test_scatter_below_the_uncertainties_is_no_spread(self):
+    def test_scatter_below_the_uncertainties_adds_nothing(self):
         w, spread = _weights(0.1 * noise(2), np.full(12, 1.0), np.ones((12, 1)))
         assert spread < 1e-4
         assert w == pytest.approx(np.ones(12), rel=1e-3)

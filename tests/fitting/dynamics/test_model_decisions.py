@@ -262,7 +262,7 @@ class TestModel:
         with pytest.raises(EffectError, match="several"):
             twice.with_fixed({"k": 1.0})
 
-    def test_laws_of_the_angle_are_no_states_without_a_spring(self):
+    def test_without_a_spring_the_angle_is_not_a_state(self):
         model = Model.of(["casing.unbalance", "casing.air.linear", "camera.clock"])
         assert [e.name for e in model.angle_dependent] == ["casing.unbalance"]
         assert model.smooth.names == ("casing.air.linear",)

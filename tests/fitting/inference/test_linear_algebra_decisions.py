@@ -38,7 +38,7 @@ def test_a_direction_below_the_smallest_singular_value_is_left_out(ratio, rank):
     assert np.abs(basis[:, 0]) == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
 
 
-def test_columns_of_zeros_are_no_directions():
+def test_columns_of_zeros_are_left_out():
     assert orthonormal(np.zeros((3, 2)), 0.1).shape == (3, 0)
     basis = orthonormal(np.array([[0.0, 0.0], [0.0, -3.0]]), 0.1)
     assert np.abs(basis) == pytest.approx(np.array([[0.0], [1.0]]))

@@ -76,7 +76,7 @@ class TestOscillation:
         assert (find_oscillation(record(np.sin(2.5 * t - 1.2), t=t)) is not None) is found
 
     @pytest.mark.parametrize(("drift", "found"), [(0.95, True), (1.15, False)])
-    def test_a_net_rotation_is_no_oscillation(self, drift, found):
+    def test_a_body_with_a_net_rotation_does_not_oscillate(self, drift, found):
         """The extremes of sin(2.5 t) + drift t advance by the drift; the share of the path is 0.6 at about 1.05."""
         angle = np.sin(2.5 * T) + drift * T
         turns = turning_points(angle, 0.01 * np.ptp(angle))

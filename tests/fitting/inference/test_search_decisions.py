@@ -256,7 +256,7 @@ class TestChoicesOfBounds:
         (other,) = (t for a, t in found if a.held == (1,) and t[1] == 2.0)
         assert other[0] * 100 + 2.0 * 10 ** other[2] == pytest.approx(torque)
 
-    def test_infinite_bounds_are_no_choices(self):
+    def test_infinite_bounds_are_not_chosen(self):
         law = PowerLaw(0, 1, 2, 10.0)
         lower, upper = np.array([0.0, 0.0, -np.inf]), np.array([np.inf, np.inf, np.inf])
         found = list(_choices_of_bound(ActiveBounds((law,)), np.array([-1.0, 0.5, 2.0]), lower, upper))

@@ -10,7 +10,7 @@ import pytest
 from fitting import Ledger, LedgerError, RecordError, make_record
 from fitting.discovery._certificate import Certificate, Outcome
 from fitting.inference._record import Samples
-from fitting.study import _preparation, _serialisation
+from fitting.study import _history, _preparation, _serialisation
 from fitting.study._history import Entry
 from fitting.study._preparation import CurveBias, _decay, _line, curve_bias, prepared, with_generated_rotor
 from fitting.study._serialisation import _moved, _torque, fingerprint, history_verdict
@@ -304,7 +304,7 @@ class TestDecay:
         assert found == pytest.approx(true, rel=0.05)
 
 
-def test_prepared_data_are_those_that_were_asked_for(monkeypatch):
+def test_data_are_prepared_as_requested(monkeypatch):
     monkeypatch.setattr(_preparation, "_STEPS", 20)
     t = np.linspace(0.0, 20.0, 200)
     run = (t, 5.0 - 0.1 * t, np.full(200, 0.1))
@@ -334,3 +334,35 @@ def test_the_rate_of_alarms_is_that_of_the_null_recordings(answers, alarms, rate
     assert null["interval"][0] <= rate <= null["interval"][1]
     assert found["truth"] is None
     assert found["p_empirical"] == pytest.approx((1 + max(len(answers) - 2, 0)) / (1 + len(answers)))
+
+
+@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
+def test_only_a_fit_of_least_squares_is_stored_for_display(tmp_path, monkeypatch, loss):
+    book = ledger(tmp_path, {"fit_id": "f3"}, {"fit_id": "f9"})
+    record = SimpleNamespace(digest="d", source="file", quantity="omega", generated=True)
+    layout = SimpleNamespace(choices=(("a",), ("b",)), names=("n",))
+    found = SimpleNamespace(
+        problem=SimpleNamespace(layout=layout, data=[SimpleNamespace(record=record)]),
+        model=SimpleNamespace(effects=()),
+        covariance=np.array([[4.0]]),
+    )
+    monkeypatch.setattr(
+        _history, "fit_document", lambda f, i: {"fit_id": i, "model": [], "parameters": {}, "verdict": "x"}
+    )
+    monkeypatch.setattr(_history, "step_document", lambda *given: None)
+    monkeypatch.setattr(_history, "stored_fit", lambda f: "stored")
+    monkeypatch.setattr(_history, "as_json", lambda x: {"kept": x})
+    entry = book.add(found, parent="f9", added="+x", loss=loss, ranges={"k": (0.0, 1.0)})
+    stored = Ledger(book.path).find("f10").stored
+    assert entry.fit_id == "f10"
+    assert stored.restored_from == ({"kept": "stored"} if loss == "linear" else None)
+    assert (stored.share, stored.per_case, stored.parent, stored.added) == (["a"], ["b"], "f9", "+x")
+    assert (stored.data, stored.rotor, stored.loss, stored.ranges) == (
+        "omega",
+        "generated",
+        loss,
+        {"k": (0.0, 1.0)},
+    )
+    assert (stored.digests, stored.sources, stored.covariance) == (["d"], ["file"], [[4.0]])
+    other = book.add(found, share=["s"])
+    assert other.choices == (("s",), ())
