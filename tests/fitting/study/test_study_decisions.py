@@ -2,18 +2,28 @@
 
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fitting import Ledger, LedgerError, RecordError, make_record
+from fitting import Case, Ledger, LedgerError, RecordError, fit, load_fit, make_record
 from fitting.discovery._certificate import Certificate, Outcome
+from fitting.inference._profile import Interval
 from fitting.inference._record import Samples
 from fitting.study import _history, _preparation, _serialisation
 from fitting.study._history import Entry
 from fitting.study._preparation import CurveBias, _decay, _line, curve_bias, prepared, with_generated_rotor
-from fitting.study._serialisation import _moved, _torque, fingerprint, history_verdict
+from fitting.study._serialisation import (
+    _moved,
+    _torque,
+    fingerprint,
+    fit_document,
+    history_verdict,
+    restored_fit,
+    stored_fit,
+)
 
 
 def ledger(tmp_path, *entries):
@@ -256,6 +266,7 @@ class TestBias:
         return make_record(casing=run, rotor=windows, I_rotor=1.0, I_casing=0.5, quantity="omega")
 
     def test_the_curve_has_the_weight_of_the_windows(self, monkeypatch):
+        monkeypatch.setattr(_preparation, "_STEPS", 40)
         scales = iter((1.5, 0.5))
         monkeypatch.setattr(_preparation, "_calibrated", lambda w: SimpleNamespace(scale=next(scales)))
         (curve,) = with_generated_rotor(self.record()).rotor
@@ -366,3 +377,70 @@ def test_only_a_fit_of_least_squares_is_stored_for_display(tmp_path, monkeypatch
     assert (stored.digests, stored.sources, stored.covariance) == (["d"], ["file"], [[4.0]])
     other = book.add(found, share=["s"])
     assert other.choices == (("s",), ())
+
+
+@pytest.fixture(scope="module")
+def wheel():
+    t = np.linspace(0.0, 10.0, 60)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(60)
+    return fit(
+        "air.linear", Case.from_arrays(wheel={"t": t, "omega": 20.0 * np.exp(-0.1 * t) + noise, "u": 0.01})
+    )
+
+
+class TestDocuments:
+    KEY = "casing.air.linear.b2"
+
+    def test_a_fit_has_the_results_of_its_options(self, wheel):
+        plain = fit_document(wheel, "f1")
+        e = wheel.estimates[self.KEY]
+        assert (plain["parameters"][self.KEY]["value"], plain["parameters"][self.KEY]["stderr"]) == (
+            e.value,
+            e.stderr,
+        )
+        assert plain["parameters"][self.KEY].get("interval") is None
+        assert (plain.get("generated_rotor"), plain.get("predicted"), plain["prior"]) == (None, None, None)
+        assert plain["cases"][0]["n_eff"] == wheel.problem.data[0].n_effective
+        assert plain["cases"][0]["level"] == wheel.noise[0].level
+        interval = Interval(0.05, 0.2, lower_open=False, upper_open=True)
+        full = fit_document(wheel, "f1", {self.KEY: interval}, {self.KEY: CurveBias(1.0, 0.5, 4.0, 2.0)}, [])
+        found = full["parameters"][self.KEY]["interval"]
+        assert (found["lower"], found["upper"], found["lower_open"], found["upper_open"]) == (
+            0.05,
+            0.2,
+            False,
+            True,
+        )
+        assert found["level"] == pytest.approx(0.95)
+        assert full["generated_rotor"][self.KEY]["errors"] == 6.0
+        assert full["predicted"] == []
+        assert full["verdict"] == wheel.verdict
+
+    def test_a_search_that_has_not_converged_has_no_uncertainty(self, wheel):
+        stopped = replace(wheel, converged=False)
+        found = fit_document(stopped, "f1")
+        assert found["verdict"] == "not_converged"
+        assert math.isnan(found["parameters"][self.KEY]["stderr"])
+        assert found["first_order"] == []
+
+    def test_a_stored_fit_is_restored_with_its_code_only(self, wheel):
+        stored = stored_fit(wheel)
+        again = restored_fit(stored, wheel.model, wheel.problem.data)
+        assert again.theta.tolist() == wheel.theta.tolist()
+        assert again.deviance == pytest.approx(wheel.deviance)
+        assert again.estimates[self.KEY].stderr == pytest.approx(wheel.estimates[self.KEY].stderr)
+        other = stored.model_copy(update={"code": "x"})
+        assert restored_fit(other, wheel.model, wheel.problem.data) is None
+
+    def test_a_saved_fit_is_read_with_its_numbers(self, wheel, tmp_path):
+        wheel.save(tmp_path / "fit.json")
+        found = load_fit(tmp_path / "fit.json")
+        assert found.values == pytest.approx(wheel.values)
+        assert (found.chi2, found.bic, found.rows) == pytest.approx((wheel.chi2, wheel.bic, wheel.rows))
+        assert found.covariance == pytest.approx(wheel.covariance)
+        assert found.variables == wheel.variables
+        document = json.loads((tmp_path / "fit.json").read_text())
+        document["names"] = document["names"][1:]
+        (tmp_path / "fit.json").write_text(json.dumps(document))
+        with pytest.raises(LedgerError, match="size of the covariance"):
+            load_fit(tmp_path / "fit.json")
