@@ -401,7 +401,7 @@ class TestDocuments:
         assert plain["parameters"][self.KEY].get("interval") is None
         assert (plain.get("generated_rotor"), plain.get("predicted"), plain["prior"]) == (None, None, None)
         assert plain["cases"][0]["n_eff"] == wheel.problem.data[0].n_effective
-        assert plain["cases"][0]["level"] == wheel.noise[0].level
+        assert plain["cases"][0]["chi2_per_row"] == wheel.cases[0].chi2_per_row
         interval = Interval(0.05, 0.2, lower_open=False, upper_open=True)
         full = fit_document(wheel, "f1", {self.KEY: interval}, {self.KEY: CurveBias(1.0, 0.5, 4.0, 2.0)}, [])
         found = full["parameters"][self.KEY]["interval"]
