@@ -421,3 +421,58 @@ class TestBounds:
         assert [set(d) for d in found] == [{"a", "b"}] * count
         if found:
             assert found[0] == pytest.approx({"a": 1.0, "b": 0.25}, rel=1e-3)
+
+
+class TestLines:
+    def test_lines_of_a_summary_fit_into_80_columns(self, monkeypatch):
+        monkeypatch.setattr(module, "merit_lines", lambda fit: ["merits"])
+        weak = {f"casing.law.number{i}": Estimate(1.0, 5.0, "s", at_bound=False) for i in range(12)}
+        shown = SimpleNamespace(
+            estimates=weak, verdict="lack_of_fit", generated=True, model=SimpleNamespace(constants={})
+        )
+        lines = module.summary_lines(shown)
+        assert max(map(len, lines)) in range(70, 80)
+        text = " ".join(lines)
+        assert text.count("number11") == 2
+        shown.estimates, shown.generated = {"a": Estimate(1.0, 0.5, "s", at_bound=False)}, False
+        assert len(module.summary_lines(shown)) == 3
+
+    @pytest.mark.parametrize(("length", "rows"), [(31, 1), (32, 2)])
+    def test_a_long_name_has_its_own_line(self, monkeypatch, length, rows):
+        monkeypatch.setattr(module, "merit_lines", lambda fit: [])
+        estimates = {"n" * length: Estimate(1.0, 0.5, "s", at_bound=False)}
+        shown = SimpleNamespace(
+            estimates=estimates, verdict="lack_of_fit", model=SimpleNamespace(constants={})
+        )
+        assert len(module.summary_lines(shown)) == 1 + rows
+
+    def merits(self, **changed):
+        body = SimpleNamespace(r2=0.9, rmse=0.1, held_out=1.0)
+        cases = [
+            SimpleNamespace(label=x, bodies=(body, body), energy_drift=d) for x, d in (("a", 0.1), ("b", 0.3))
+        ]
+        noise = SimpleNamespace(pure=1.0, pure_u=0.1, level=2.0, unresolved=0.0)
+        known = {
+            "cases": cases, "misfit": 1.1, "n_eff": 50.0, "bic": 3.0, "noise": [noise] * 9, "torque_unit": "N m",
+            "findings": ["word " * 40],
+        }  # fmt: skip
+        return module.merit_lines(SimpleNamespace(**known | changed))
+
+    def test_lines_of_merit_fit_into_80_columns(self):
+        lines = self.merits()
+        assert max(map(len, lines)) in range(70, 80)
+        assert [x.split()[:2] for x in lines[1:5]] == [
+            ["a", "casing"],
+            ["a", "rotor"],
+            ["b", "casing"],
+            ["b", "rotor"],
+        ]
+        assert "0.3," in lines[6]
+
+    @pytest.mark.parametrize(("unresolved", "stated"), [(1.9, False), (2.1, True)])
+    def test_a_torque_below_the_angle_noise_is_stated_if_it_is_larger(self, unresolved, stated):
+        noise = [SimpleNamespace(pure=1.0, pure_u=0.1, level=2.0, unresolved=u) for u in (0.0, unresolved)]
+        text = " ".join(self.merits(noise=noise))
+        assert ("not separable" in text) is stated
+        assert ("2, 2.1 N m" in text) is stated
+        assert "not separable" not in " ".join(self.merits(noise=()))
