@@ -179,6 +179,16 @@ class TestSeveral:
         assert found.parameter.p_value == pytest.approx(3 * chi2.sf(399.0, 2))
         assert found.parameter.delta_bic == pytest.approx(115.0 - 500.0)
 
+    def test_each_further_recording_adds_a_constant(self, monkeypatch):
+        pairs = [("b", "c"), ("a", "c"), ("b", "a"), ("a", "b"), ("c", "b"), ("c", "a")]
+        worse = {k: fit(1.0, 999.0) for k in pairs}
+        results = {("a", "b", "c"): fit(450.0, 120.0), **worse}
+        base = fit(500.0, labels=("x", "y", "z"))
+        found, _ = self.found(monkeypatch, results, largest={"a": 3.0, "b": 1.0, "c": 9.0}, base=base)
+        assert found.parameter.p_value == pytest.approx(chi2.sf(50.0, 6))
+        results["a", "b", "c"].deviance = 501.0
+        assert self.found(monkeypatch, results, largest={"a": 3.0, "b": 1.0, "c": 9.0}, base=base)[0] is None
+
     def test_sharing_must_not_cause_a_lack_of_fit(self, monkeypatch):
         results = {
             ("a", "b", "c"): fit(100.0, 120.0),

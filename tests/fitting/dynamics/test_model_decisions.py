@@ -288,7 +288,12 @@ class TestModel:
         own = resolve("casing: -z*omega_c**5")
         path.write_text(f'effects = ["{own.name}"]\n')
         assert read_model(path, [own]).effects[0] is own
-        for text in ("effects = []\n", 'effects = "casing.air.linear"\n', "effects = [1]\n"):
+        for text in (
+            "effects = []\n",
+            'effects = "casing.air.linear"\n',
+            "effects = [1]\n",
+            'effects = [1, "casing.air.linear"]\n',
+        ):
             path.write_text(text)
             with pytest.raises(EffectError):
                 read_model(path)

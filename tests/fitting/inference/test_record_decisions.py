@@ -120,6 +120,18 @@ class TestCleaning:
         assert [(m.group, m.window) for m in made.modes] == [("0", 0), ("2", 1)]
         assert [r.harmonic for r in made.rotor] == [0.01, 0.0]
 
+    @pytest.mark.parametrize(("count", "valid"), [(7, False), (8, True)])
+    def test_every_run_of_a_chain_is_usable(self, count, valid):
+        chain = Mechanism.of(("wheel", "motor"), {"belt": ("motor", "wheel")})
+        runs = [(T[:n], 9.0 * T[:n], np.full(n, 1e-3)) for n in (20, count)]
+        given = {"casing": (T, T, np.full(101, 1e-3)), "rotor": runs, "I_rotor": 1.0, "I_casing": 2.0}
+        if valid:
+            assert len(make_record(**given, mechanism=chain, states=[0, 0]).rotor) == 2
+        else:
+            with pytest.raises(RecordError, match="motor has a run"):
+                make_record(**given, mechanism=chain, states=[0, 0])
+            assert len(make_record(**given).rotor) == 1
+
     def test_inputs_have_different_names_and_cover_the_record(self):
         run = (T, 4.0 * T, np.full(101, 1e-3))
         given = {"casing": run, "rotor": [], "I_rotor": 1.0, "I_casing": 2.0}
