@@ -545,9 +545,9 @@ def _tests(y: Array, u2: Array, times: Array, used: Flags, rng: np.random.Genera
     w_step, _ = _weights(y, u2, step)
     size, size_u, _ = _coefficient(y, w_step, step)
     # the time of a step is an additional parameter
-    bic = [_deviance(y, u2, straight) + math.log(n), _deviance(y, u2, step) + 2 * math.log(n)]
-    delta = bic[1] - bic[0]
-    kind = "drift" if delta > 0 else "step"
+    line = straight if np.ptp(times) > 0 else ones  # without different times there is no drift
+    delta = _deviance(y, u2, step) + 2 * math.log(n) - _deviance(y, u2, line) - math.log(n)
+    kind = "drift" if delta > 0 and np.ptp(times) > 0 else "step"
     label = kind if abs(delta) > _PREFERRED else "drift or step"
     return _Tests(p_drift, p_step, kind, label, place, slope, slope_u, size, size_u, delta)
 
@@ -597,7 +597,8 @@ def _step_statistics(y: Array, w: Array) -> tuple[Array, Array]:
     whole = np.sum(w * (y - mean) ** 2, axis=-1, keepdims=True)
     explained = (before - mean * left) ** 2 * mass / (left * (mass - left))
     explained = explained[..., FEWEST - 1 : len(w) - FEWEST]
-    f = explained * (len(w) - 2) / np.maximum(whole - explained, 1e-300)
+    rounding = 1e-28 * np.sum(w * y**2, axis=-1, keepdims=True) + 1e-300  # equal values have no step
+    f = explained * (len(w) - 2) / np.maximum(whole - explained, rounding)
     return np.asarray(f), np.asarray(f.max(axis=-1))
 
 

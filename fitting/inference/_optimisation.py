@@ -287,7 +287,7 @@ def _is_minimum(problem: Problem, theta: Array, held: Sequence[int], enough: flo
     r, j = problem.residuals(problem.predict(theta))
     others = [i for i in range(len(theta)) if i not in held and lower[i] < theta[i] < upper[i]]
     size = np.linalg.norm(j[:, others], axis=0)
-    basis = np.linalg.qr(j[:, others] / np.where(size > 0, size, 1.0))[0]
+    basis = np.linalg.qr(j[:, others][:, size > 0] / size[size > 0])[0]
     for i in held:
         column = orthogonal_to(basis, j[:, i])
         slope = float(column @ r)

@@ -435,6 +435,8 @@ class Ledger:
                     raise LedgerError(what, "correct the text") from None
                 # on some network drives a lock does not exclude other hosts
                 write_text(self.path, text, unchanged=lambda: _content(self.path) == before)
+                # what an entry has read of its document may have changed
+                self.entries = [Entry(e.document) for e in self.entries]
             except BaseException:
                 self.entries = kept
                 raise

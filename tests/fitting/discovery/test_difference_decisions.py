@@ -1,0 +1,399 @@
+"""Parameters that differ between recordings, and torques as smooth functions, with stand-ins for fits."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from fitting import Estimate
+from fitting._criteria import DEFAULT
+from fitting.discovery import _dependence, _difference
+from fitting.discovery._dependence import (
+    Dependence,
+    _acting,
+    _Axis,
+    _orders,
+    _product,
+    _Test,
+    _tested,
+    dependence,
+)
+from fitting.discovery._difference import (
+    DifferentParameter,
+    SeparateValues,
+    ValuesPerRecording,
+    _fit_per_recording,
+    _one_that_differs,
+    _several_that_differ,
+    _values,
+    different_parameter,
+    improves_on_difference,
+    penalised,
+)
+
+RNG = np.random.default_rng(8)
+
+
+def estimate(value, stderr=0.1):
+    return Estimate(value, stderr, "s", at_bound=False)
+
+
+def fit(deviance, bic=None, *, fails=False, labels=("x", "y", "z"), noise="noise", **more):
+    layout = SimpleNamespace(records=[SimpleNamespace(label=x) for x in labels])
+    return SimpleNamespace(
+        deviance=deviance, bic=deviance if bic is None else bic, fails=lambda c: fails, noise=noise,
+        problem=SimpleNamespace(layout=layout, data="data"), **more,
+    )  # fmt: skip
+
+
+class TestValues:
+    def test_a_difference_has_the_covariance_of_both_values(self):
+        names = ("a.k@x", "b.k", "a.k@y", "a.k@z")
+        index = {n: i for i, n in enumerate(names)}
+        covariance = np.diag([4.0, 1.0, 9.0, 1.0])
+        covariance[0, 2] = covariance[2, 0] = 2.0
+        covariance[0, 3] = covariance[3, 0] = 2.5
+        layout = SimpleNamespace(records=[SimpleNamespace(label=x) for x in "xyz"], index=index)
+        found = SimpleNamespace(
+            problem=SimpleNamespace(layout=layout),
+            covariance=covariance,
+            theta=np.array([5.0, 0.0, 8.0, 1.0]),
+            estimates={n: estimate(7.0) for n in names},
+        )
+        values = _values(found, "a.k")
+        assert list(values.estimates) == ["x", "y", "z"]
+        assert {k: (e.value, e.stderr) for k, e in values.differences.items()} == {
+            "y": (3.0, 3.0),
+            "z": (-4.0, 0.0),
+        }
+        assert values.largest == 1.0
+
+    def test_the_largest_difference_is_in_standard_errors(self):
+        def largest(*pairs):
+            return ValuesPerRecording("k", {}, {str(i): estimate(*p) for i, p in enumerate(pairs)}).largest
+
+        assert largest((3.0, 2.0), (-4.0, 1.0)) == 4.0
+        assert largest((3.0, 0.0), (1.0, math.nan)) == 0.0
+        assert largest() == 0.0
+
+    def test_a_score_is_penalised_for_constants_and_length(self):
+        s = SimpleNamespace(score=30.0, columns=2, shape=[{"a": 1, "b": 2}, {}])
+        assert penalised(s, 5.0, math.e**2) == pytest.approx(30 - 4 * 2 - 5)
+
+
+class TestOne:
+    """Three recordings: a value for each has two more parameters."""
+
+    def found(self, monkeypatch, base, trials, *, tests=4, rival=None):
+        calls = []
+
+        def per_recording(base, keys, *, start, noise):
+            calls.append((tuple(keys), start, noise))
+            return trials[keys[0]]
+
+        monkeypatch.setattr(_difference, "_fit_per_recording", per_recording)
+        monkeypatch.setattr(
+            _difference, "refitted_at", lambda b, noise: fit(base.deviance - 1.0, base.bic - 1.0)
+        )
+        monkeypatch.setattr(_difference, "_values", lambda f, name: ValuesPerRecording(name, {}, {}))
+        base.values = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0}
+        found = _one_that_differs(base, list(trials), tests, DEFAULT, rival)
+        return found, calls
+
+    def test_the_best_one_is_named_with_its_equals(self, monkeypatch):
+        trials = {"a": fit(60.0), "b": fit(50.0), "c": fit(59.9), "d": fit(60.1)}
+        found, calls = self.found(monkeypatch, fit(100.0), trials)
+        assert found.parameter.name == "b"
+        assert found.parameter.indistinguishable_from == ("c",)
+        assert found.parameter.delta_bic == -50.0
+        assert found.parameter.p_value == pytest.approx(4 * chi2.sf(50.0, 2))
+        assert calls[0] == (
+            ("a",),
+            {"b": 2.0, "c": 3.0, "d": 4.0, "a@x": 1.0, "a@y": 1.0, "a@z": 1.0},
+            "noise",
+        )
+
+    @pytest.mark.parametrize(("tests", "named"), [(4, True), (6, False)])
+    def test_the_p_value_counts_all_scored_parameters(self, monkeypatch, tests, named):
+        # chi-square 10.4 with two degrees of freedom has the probability 0.0055
+        found, _ = self.found(monkeypatch, fit(100.0), {"a": fit(89.6, 50.0)}, tests=tests)
+        assert (found is not None) is named
+
+    @pytest.mark.parametrize(("change", "named"), [(-0.1, True), (0.1, False)])
+    def test_bic_must_fall_by_the_evidence(self, monkeypatch, change, named):
+        length = _difference.description_length(1)
+        limit = 100.0 - DEFAULT.evidence - length
+        found, _ = self.found(monkeypatch, fit(100.0), {"a": fit(50.0, limit + change)})
+        assert (found is not None) is named
+
+    @pytest.mark.parametrize(("change", "named"), [(-0.1, True), (0.1, False)])
+    def test_beside_a_rival_it_must_be_within_the_width(self, monkeypatch, change, named):
+        length = _difference.description_length(1)
+        rival = (fit(0.0, noise="of the rival"), 70.0)
+        limit = 70.0 + DEFAULT.equivalence_width - length
+        found, calls = self.found(monkeypatch, fit(100.0), {"a": fit(50.0, limit + change)}, rival=rival)
+        assert calls[0][2] == "of the rival"
+        assert (found is not None) is named
+        if named:
+            assert found.parameter.p_value == pytest.approx(4 * chi2.sf(49.0, 2))
+            assert found.parameter.delta_bic == pytest.approx(limit + change - 99.0)
+
+    def test_without_trials_there_is_none(self, monkeypatch):
+        assert self.found(monkeypatch, fit(100.0), {})[0] is None
+
+
+class TestSeveral:
+    def found(self, monkeypatch, results, *, largest, base=None):
+        calls = []
+
+        def per_recording(base, keys, *, start=None, noise=None):
+            calls.append((tuple(keys), start))
+            return results[tuple(keys)]
+
+        monkeypatch.setattr(_difference, "_fit_per_recording", per_recording)
+        one = {"x": estimate(1.0, 1.0), "y": estimate(4.0, 2.0)}
+        monkeypatch.setattr(
+            _difference,
+            "_values",
+            lambda f, name: ValuesPerRecording(name, one, {"y": estimate(largest[name], 1.0)}),
+        )
+        for f in results.values():
+            f.values = {"a@x": 1.0, "b@x": 2.0, "c@x": 3.0, "d": 9.0}
+        base = base or fit(500.0, labels=("x", "y"))
+        return _several_that_differ(base, ["a", "b", "c"], DEFAULT), calls
+
+    def test_parameters_are_shared_again_in_the_order_of_their_difference(self, monkeypatch):
+        results = {
+            ("a", "b", "c"): fit(100.0, 120.0),
+            ("a", "c"): fit(101.0, 115.0),
+            ("c",): fit(102.0, 118.0),
+            ("a",): fit(103.0, 119.0),
+        }
+        found, calls = self.found(monkeypatch, results, largest={"a": 3.0, "b": 1.0, "c": 9.0})
+        assert found.fit is results["a", "c"]
+        assert found.parameter.names == ("c", "a")
+        # the mean with the weights 1 and 1 / 4
+        assert calls[1][1] == {"a@x": 1.0, "c@x": 3.0, "d": 9.0, "b": pytest.approx(1.6)}
+        assert found.parameter.p_value == pytest.approx(3 * chi2.sf(399.0, 2))
+        assert found.parameter.delta_bic == pytest.approx(115.0 - 500.0)
+
+    def test_each_further_recording_adds_a_constant(self, monkeypatch):
+        pairs = [("b", "c"), ("a", "c"), ("b", "a"), ("a", "b"), ("c", "b"), ("c", "a")]
+        worse = {k: fit(1.0, 999.0) for k in pairs}
+        results = {("a", "b", "c"): fit(450.0, 120.0), **worse}
+        base = fit(500.0, labels=("x", "y", "z"))
+        found, _ = self.found(monkeypatch, results, largest={"a": 3.0, "b": 1.0, "c": 9.0}, base=base)
+        assert found.parameter.p_value == pytest.approx(chi2.sf(50.0, 6))
+        results["a", "b", "c"].deviance = 501.0
+        assert self.found(monkeypatch, results, largest={"a": 3.0, "b": 1.0, "c": 9.0}, base=base)[0] is None
+
+    def test_sharing_must_not_cause_a_lack_of_fit(self, monkeypatch):
+        results = {
+            ("a", "b", "c"): fit(100.0, 120.0),
+            ("a", "c"): fit(101.0, 115.0, fails=True),
+            ("c", "b"): fit(101.0, 115.0, fails=True),
+            ("b", "c"): fit(101.0, 115.0, fails=True),
+            ("b", "a"): fit(101.0, 115.0, fails=True),
+        }
+        found, _ = self.found(monkeypatch, results, largest={"a": 3.0, "b": 1.0, "c": 9.0})
+        assert found.parameter.names == ("c", "a", "b")
+
+    def test_all_parameters_together_must_describe_the_data(self, monkeypatch):
+        results = {("a", "b", "c"): fit(100.0, 120.0, fails=True)}
+        assert self.found(monkeypatch, results, largest={"a": 3.0, "b": 1.0, "c": 9.0})[0] is None
+
+    @pytest.mark.parametrize(("change", "named"), [(0.1, True), (-0.1, False)])
+    def test_bic_must_fall_by_the_evidence(self, monkeypatch, change, named):
+        worse = dict.fromkeys(
+            [("b", "c"), ("a", "c"), ("b", "a"), ("a", "b"), ("c", "b"), ("c", "a")], fit(1.0, 999.0)
+        )
+        results = {("a", "b", "c"): fit(100.0, 120.0), **worse}
+        limit = 120.0 + DEFAULT.evidence + _difference.description_length(3)
+        base = fit(500.0, limit + change, labels=("x", "y"))
+        found, _ = self.found(monkeypatch, results, largest={"a": 3.0, "b": 1.0, "c": 9.0}, base=base)
+        assert (found is not None) is named
+
+
+class TestWhich:
+    def run(
+        self, monkeypatch, *, one=None, rival=None, least=0.0, keys=("a", "b", "c"), records=2, together=100.0
+    ):
+        made = {"a": 1.0, "b": 9.0, "c": 5.0}
+        jacobian = np.arange(12.0).reshape(4, 3)
+        layout = SimpleNamespace(
+            per_case=("own",), records=["x", "y"][:records], index={k: i for i, k in enumerate("abc")}
+        )
+        base = SimpleNamespace(
+            problem=SimpleNamespace(layout=layout, data=[SimpleNamespace(z=np.zeros(4))] * 2),
+            model=SimpleNamespace(free=(*keys, "own")),
+            predictions=[SimpleNamespace(jacobian=jacobian)] * 2,
+        )
+        seen = {}
+        monkeypatch.setattr(_difference, "ScoreContext", lambda b, n: "context")
+
+        def scored(context, columns):
+            assert len(columns) == 8
+            assert (columns[:4] == 0).all()
+            if columns.shape[1] > 1:
+                return together
+            i = int(columns[4, 0])
+            return made["abc"[i]]
+
+        monkeypatch.setattr(_difference, "score_of_columns", scored)
+        monkeypatch.setattr(
+            _difference,
+            "_one_that_differs",
+            lambda b, keys, tests, criteria, rival: seen.update(keys=keys, tests=tests) or one,
+        )
+        monkeypatch.setattr(_difference, "_several_that_differ", lambda b, keys, criteria: "several")
+        return different_parameter(base, DEFAULT, rival=rival, least=least), seen
+
+    def test_the_two_largest_scores_are_refitted(self, monkeypatch):
+        found, seen = self.run(monkeypatch)
+        assert (found, seen) == ("several", {"keys": ["b", "c"], "tests": 3})
+        assert self.run(monkeypatch, least=6.0)[1]["keys"] == ["b"]
+
+    def test_several_are_tried_where_one_does_not_suffice(self, monkeypatch):
+        enough = SimpleNamespace(fit=fit(0.0))
+        poor = SimpleNamespace(fit=fit(0.0, fails=True))
+        assert self.run(monkeypatch, one=enough)[0] is enough
+        assert self.run(monkeypatch, one=poor)[0] == "several"
+        assert self.run(monkeypatch, one=poor, rival=("fit", 1.0))[0] is poor
+        assert self.run(monkeypatch, one=poor, least=8.0, together=7.0)[0] is poor
+        assert self.run(monkeypatch, one=poor, keys=("a",))[0] is poor
+
+    def test_a_single_recording_has_no_difference(self, monkeypatch):
+        assert self.run(monkeypatch, records=1) == (None, {})
+        assert self.run(monkeypatch, keys=()) == (None, {})
+
+    def test_choices_of_the_layout_are_kept(self, monkeypatch):
+        seen = {}
+        monkeypatch.setattr(_difference, "fit", lambda model, data, **more: seen.update(more))
+        base = SimpleNamespace(
+            model=None,
+            problem=SimpleNamespace(data=None, layout=SimpleNamespace(choices=(("a", "b"), ("c",)))),
+        )
+        _fit_per_recording(base, ["a", "d"], start={"x": 1.0}, noise="n")
+        assert seen == {"share": ["b"], "per_case": ["c", "a", "d"], "start": {"x": 1.0}, "noise": "n"}
+
+    @pytest.mark.parametrize(("worth", "better"), [(1.1, True), (0.9, False)])
+    def test_a_law_must_be_worth_more_than_the_difference(self, monkeypatch, worth, better):
+        """Two parameters with values in three recordings: four more parameters than one value for each."""
+        names = ("a.k@x", "b.k", "a.k@y", "a.k@z", "c.k@x", "c.k@y", "c.k@z")
+        theta = np.array([1.0, 9.0, 2.0, 6.0, 5.0, 5.0, 8.0])
+        jacobian = RNG.standard_normal((4, 7))
+        about = SimpleNamespace(
+            predictions=[SimpleNamespace(jacobian=jacobian)],
+            problem=SimpleNamespace(layout=SimpleNamespace(names=names)),
+            theta=theta,
+            n_eff=math.e,
+        )
+        change = np.array([-2.0, 0.0, -1.0, 3.0, -1.0, -1.0, 2.0])
+        seen = {}
+        monkeypatch.setattr(_difference, "CaseColumns", lambda about, i: i)
+        monkeypatch.setattr(
+            _difference,
+            "ScoreContext",
+            lambda about, n, torque_rows, shared: seen.update(rows=torque_rows, shared=shared),
+        )
+        monkeypatch.setattr(_difference, "score_of_columns", lambda context, rows: 50.0)
+        limit = 50.0 - _difference.description_length(2) - 4.0
+        scores = [
+            SimpleNamespace(score=limit + worth, columns=1, shape=[{}]),
+            SimpleNamespace(score=limit + 5.5, columns=1, shape=[{"a": 1.0}]),
+        ]
+        monkeypatch.setattr(_difference, "score", lambda *a, **k: scores)
+        parameter = SimpleNamespace(names=("a.k", "c.k"))
+        separate = SimpleNamespace(fit=about, parameter=parameter)
+        assert improves_on_difference(separate, ["e", "f"], [0.0, 4.0], DEFAULT) is better
+        assert seen["rows"] == pytest.approx(jacobian @ change)
+        assert seen["shared"] == ("a.k", "c.k")
+
+    def test_the_penalty_is_that_of_all_names(self):
+        parameter = DifferentParameter("a", {}, {}, (), 0.0, 0.0, (ValuesPerRecording("b", {}, {}),))
+        assert parameter.names == ("a", "b")
+        separate = SeparateValues(parameter, SimpleNamespace(bic=10.0))
+        assert separate.penalised_bic == 10.0 + _difference.description_length(2)
+
+
+class TestDependence:
+    def test_splines_are_a_partition_of_unity_over_the_range(self):
+        axis = _Axis(np.array([2.0, 5.0, 3.0]), 10)
+        found = axis(np.array([1.0, 2.0, 3.3, 5.0, 9.0]))
+        assert found.shape == (5, 10)
+        assert found.sum(axis=1) == pytest.approx(np.ones(5))
+        assert found[0] == pytest.approx(np.eye(10)[0])
+        assert found[-1] == pytest.approx(np.eye(10)[9])
+        assert (axis.low, axis.high) == (2.0, 5.0)
+        assert _Axis(np.array([2.0, 2.0]), 10)(np.array([2.0])).shape == (1, 10)
+
+    def test_products_are_those_of_all_pairs(self):
+        a, b = RNG.standard_normal((3, 2)), RNG.standard_normal((3, 4))
+        assert _product([a, b])[1] == pytest.approx(np.outer(a[1], b[1]).ravel())
+        assert _product([a]) is a
+
+    def test_a_torque_in_the_bearing_acts_on_both_bodies(self):
+        case = SimpleNamespace(response=SimpleNamespace(casing=5.0, rotor=2.0))
+        assert [_acting(case, b) for b in ("casing", "rotor", "bearing")] == [5.0, 2.0, 3.0]
+
+    @pytest.mark.parametrize(("speed", "orders"), [(1.5, (1, 2)), (1.6, (1,)), (3.1, (1,)), (3.2, ())])
+    def test_harmonics_of_the_rotor_are_resolved_by_the_frames(self, speed, orders):
+        """Frames at intervals of 1 s."""
+        data = [
+            SimpleNamespace(
+                measured_angle=1.0, record=SimpleNamespace(casing=SimpleNamespace(time=np.arange(9.0)))
+            )
+        ]
+        y = np.zeros((2, 2, 2))
+        y[..., 0] = [[-speed, 0.5], [0.1, 0.2]]
+        about = SimpleNamespace(
+            problem=SimpleNamespace(data=data), predictions=[SimpleNamespace(path=SimpleNamespace(y=y))]
+        )
+        assert _orders(about, "psi_r") == orders
+        assert _orders(about, "psi_c") == (1, 2, 3, 4)
+        data[0].measured_angle = None
+        assert _orders(about, "psi_c") == ()
+
+    def made(self, body, score_, columns, p):
+        none = np.zeros(0)
+        return Dependence("t", body, p, 0.5, score_, columns, none, none, none, none)
+
+    def test_dependences_are_ordered_by_bic_and_calibrated_together(self, monkeypatch):
+        found = {"a": self.made("a", 30.0, 5, 0.01), "b": self.made("b", 28.0, 2, 0.02), "c": None}
+        nulls = {"a": np.full(1000, 0.5), "b": np.linspace(0.001, 1.0, 1000), "c": np.zeros(1000)}
+        monkeypatch.setattr(_dependence, "CaseColumns", lambda about, i: i)
+        monkeypatch.setattr(_dependence, "context_without", lambda *a, **k: None)
+        monkeypatch.setattr(_dependence, "_tests", lambda about, cases: iter("abc"))
+        monkeypatch.setattr(_dependence, "_tested", lambda context, test: (found[test], nulls[test]))
+        monkeypatch.setattr(_dependence, "over_many_tests", lambda p, smallest: p + smallest.max())
+        about = SimpleNamespace(
+            model=SimpleNamespace(effects=(), refuse_chain=lambda *a: None),
+            problem=SimpleNamespace(cases=[1]), n_eff=math.e,
+        )  # fmt: skip
+        assert [(d.body, d.p_value) for d in dependence(about)] == [("b", 0.52), ("a", 0.51)]
+
+    def test_the_fall_of_chi_square_is_that_of_the_functions(self, monkeypatch):
+        """White rows, one free column, and two levels of which the second one has more deviance."""
+        monkeypatch.setattr(_dependence, "_curve", lambda context, level, test: (1.0, 2.0, 3.0))
+        columns = RNG.standard_normal((30, 3))
+        basis = np.linalg.qr(RNG.standard_normal((30, 1)))[0]
+        residual = RNG.standard_normal(30) * 2.0
+        residual = residual - basis @ (basis.T @ residual)
+        level = SimpleNamespace(gain=np.ones(30), basis=basis, residual=residual, deviance=100.0)
+        other = SimpleNamespace(gain=np.full(30, 0.5), basis=basis, residual=0.1 * residual, deviance=103.0)
+        draws = RNG.standard_normal((30, 50))
+        context = SimpleNamespace(levels=[level, other], draws=draws, rotated=lambda c: c)
+        test = _Test("casing", ("t",), columns * [1.0, 7.0, 0.01], None, np.zeros(0), None, ())
+        found, null = _tested(context, test)
+        span = np.linalg.qr(columns - basis @ (basis.T @ columns))[0]
+        fall = float(np.sum((span.T @ residual) ** 2))
+        assert (found.score, found.columns) == (pytest.approx(fall), 3)
+        assert found.p_value == pytest.approx(chi2.sf(fall, 3))
+        excess = max(float(residual @ residual) - (30 - 1 - 3) - 3, fall)
+        assert found.explained == pytest.approx(np.clip((fall - 3) / excess, 0.0, 1.0))
+        assert null == pytest.approx(chi2.sf(np.sum((span.T @ draws) ** 2, axis=0), 3), rel=1e-6)
+        assert (found.torque, found.sigma, found.identified) == (1.0, 2.0, 3.0)
+        context.levels[0].deviance, context.levels[1].deviance = 900.0, 100.0
+        assert _tested(context, test)[0].score == pytest.approx(0.01 * fall)

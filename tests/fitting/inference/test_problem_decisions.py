@@ -1,0 +1,236 @@
+"""Projections, bounds of transformed variables, ties, error modes and the first-order response, by plain algebra."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fitting import EffectError, ErrorMode, ExpressionError, RecordError
+from fitting._errors import SimulationError
+from fitting.effects._expression import Tape
+from fitting.effects._mechanism import GYROSCOPE
+from fitting.inference import _problem
+from fitting.inference._case_file import _input, _modes, _start_sigma, _windows
+from fitting.inference._error_modes import checked_modes, mode_columns, of_windows
+from fitting.inference._parameters import PowerLaw, Sinusoid
+from fitting.inference._problem import Problem, Projection, typical_speed
+from fitting.inference._ties import Follower, chain, find_key, follow, followers, parse_tie, resolved
+
+RNG = np.random.default_rng(6)
+
+
+class TestProjection:
+    WEIGHTS = np.array([1.0, 2.0, 0.5, 4.0, 1.0])
+
+    def made(self, nuisance):
+        data = SimpleNamespace(nuisance=nuisance)
+        return Projection(data, lambda rows: (self.WEIGHTS * rows.T).T)
+
+    def test_rows_are_whitened_and_orthogonal_to_the_nuisance_columns(self):
+        nuisance = RNG.standard_normal((5, 2))
+        rows = RNG.standard_normal(5)
+        white = self.WEIGHTS[:, None] * nuisance
+        expected = self.WEIGHTS * rows
+        expected = expected - white @ np.linalg.lstsq(white, expected, rcond=None)[0]
+        project = self.made(nuisance)
+        assert project(rows) == pytest.approx(expected)
+        assert project.unexplained(rows[:, None])[:, 0] == pytest.approx(expected)
+
+    def test_what_the_nuisance_explains_is_zero(self):
+        nuisance = RNG.standard_normal((5, 2))
+        columns = np.column_stack([nuisance @ [1.0, 2.0], RNG.standard_normal(5)])
+        found = self.made(nuisance).unexplained(columns)
+        assert (found[:, 0] == 0).all()
+        assert np.linalg.norm(found[:, 1]) > 0.1
+
+    def test_few_rows_have_the_sums_of_all(self):
+        columns, z = RNG.standard_normal((5, 2)), RNG.standard_normal(5)
+        prediction = SimpleNamespace(rows=np.zeros(5), columns=columns, places=np.array([2, 0]), count=3)
+        data = SimpleNamespace(z=z, nuisance=np.zeros((5, 0)), row_count=5)
+        problem = Problem(None, (data, data), (), (self.made(np.zeros((5, 0))),) * 2, ())
+        r, j = problem.residuals([prediction, prediction])
+        assert len(r) == 6
+        white, deviation = self.WEIGHTS[:, None] * columns, -self.WEIGHTS * z
+        assert r @ r == pytest.approx(2 * deviation @ deviation)
+        assert (j.T @ r)[[2, 0]] == pytest.approx(2 * white.T @ deviation)
+        assert (j[:, 1] == 0).all()
+        assert (j.T @ j)[np.ix_([2, 0], [2, 0])] == pytest.approx(2 * white.T @ white)
+        prediction.rows = np.full(5, 1e200)
+        with pytest.raises(SimulationError):
+            problem.residuals([prediction, prediction])
+        fewer = Problem(
+            None, (data, data), (), (self.made(RNG.standard_normal((5, 2))), self.made(np.zeros((5, 1)))), ()
+        )
+        assert fewer.rows == 10 - 2
+
+    @pytest.mark.parametrize(
+        ("law", "lower", "upper"),
+        [
+            (PowerLaw(0, 1, 2, 5.0), (-np.inf, -np.inf, 2.0), (np.inf, np.inf, 9.0)),
+            (PowerLaw(None, 1, 2, 5.0), (0.0, 0.0, 2.0), (7.0, np.inf, 9.0)),
+            (PowerLaw(0, 1, 2, 5.0, held="d"), (0.0, -np.inf, 2.0), (7.0, np.inf, 9.0)),
+            (PowerLaw(0, 1, 2, 5.0, held="f"), (-np.inf, 1.0, 2.0), (np.inf, 8.0, 9.0)),
+        ],
+    )
+    def test_combined_variables_have_no_bounds(self, monkeypatch, law, lower, upper):
+        monkeypatch.setattr(_problem, "find_sinusoids", lambda layout: ())
+        problem = Problem(None, (), (), (), (law,))
+        given = np.array([0.0, 1.0, 2.0]), np.array([7.0, 8.0, 9.0])
+        found = problem.transformed_bounds(*given)
+        assert found[0].tolist() == list(lower)
+        assert found[1].tolist() == list(upper)
+        assert given[0].tolist() == [0.0, 1.0, 2.0]
+
+    def test_a_signed_power_law_and_a_strength_with_a_phase_have_no_bounds(self, monkeypatch):
+        monkeypatch.setattr(_problem, "find_sinusoids", lambda layout: (Sinusoid(0, 3),))
+        problem = Problem(None, (), (), (), (PowerLaw(None, 1, 2, 5.0),))
+        lower, upper = problem.transformed_bounds(
+            np.array([0.0, -1.0, 2.0, -4.0]), np.array([7.0, 8.0, 9.0, 4.0])
+        )
+        assert lower.tolist() == [-np.inf, -np.inf, 2.0, -4.0]
+        assert upper.tolist() == [np.inf, np.inf, 9.0, 4.0]
+
+    def test_the_typical_speed_of_a_joint_is_the_mean_of_medians(self):
+        one = np.array([[9.0, 4.0], [1.0, 4.0], [5.0, 4.0]])
+        other = np.array([[20.0, 0.0]])
+        joint = GYROSCOPE.couplings[0]
+        assert typical_speed([one, other], GYROSCOPE, joint) == pytest.approx((3.0 + 20.0) / 2)
+        assert typical_speed([0 * one], GYROSCOPE, joint) == 1.0
+
+
+class TestTies:
+    KEYS = ("a.b.k", "a.c.k", "a.c.m@x", "casing: -q*omega_c**3.q")
+
+    def test_a_name_is_the_end_of_one_key(self):
+        assert find_key("b.k", self.KEYS) == "a.b.k"
+        assert find_key("m", self.KEYS) == "a.c.m@x"
+        assert find_key("a.c.k", self.KEYS) == "a.c.k"
+        for wrong in ("k", "c", "x", ".k"):
+            with pytest.raises(EffectError):
+                find_key(wrong, self.KEYS)
+
+    def test_an_expression_has_the_values_of_its_parameters(self):
+        keys = ("a.b.k", "a.c.m", "casing: -q*omega_c**3.q")
+        tree = parse_tie("2*a.b.k + sqrt(m) - casing: -q*omega_c**3.q", keys)
+        values = {"a.b.k": 3.0, "a.c.m": 16.0, "casing: -q*omega_c**3.q": 1.0}
+        assert Tape([tree])(values)[0] == pytest.approx(9.0)
+        for wrong in ("2*none", 3):
+            with pytest.raises(EffectError):
+                parse_tie(wrong, keys)
+
+    def test_chains_of_expressions_are_resolved_and_circles_are_not(self):
+        keys = ("a.x", "a.y", "a.z")
+        found = resolved({"x": "2*y", "y": "z + 1"}, keys, ("a.c",))
+        assert Tape([found["a.x"]])({"a.z": 4.0})[0] == pytest.approx(10.0)
+        assert Tape([resolved({"x": "3*c"}, keys, ("a.c",))["a.x"]])({"a.c": 2.0})[0] == pytest.approx(6.0)
+        for circle in ({"x": "x + 1"}, {"x": "2*y", "y": "x"}, {"x": "y", "y": "z", "z": "x"}):
+            with pytest.raises(EffectError, match="circular"):
+                resolved(circle, keys, ())
+
+    def test_each_case_follows_its_own_sources(self):
+        trees = resolved({"x": "y*z*c"}, ("a.x", "a.y", "a.z"), ("a.c",))
+        index = {"a.x@1": 0, "a.x@2": 1, "a.y@1": 2, "a.y@2": 3, "a.z": 4}
+        tied = followers(trees, index, {"a.c": 10.0})
+        theta = np.array([0.0, 0.0, 2.0, 3.0, 5.0])
+        assert follow(theta, tied).tolist() == [100.0, 150.0, 2.0, 3.0, 5.0]
+        assert theta[0] == 0.0
+        slope = chain(theta, tied)
+        expected = np.eye(5)
+        expected[0] = [0, 0, 50.0, 0, 20.0]
+        expected[1] = [0, 0, 0, 50.0, 30.0]
+        assert slope == pytest.approx(expected)
+        with pytest.raises(EffectError, match="one value for all"):
+            followers(trees, {"a.x": 0, "a.y@1": 1, "a.z": 2}, {"a.c": 1.0})
+        broken = Follower(0, Tape([parse_tie("1/y", ("y",))]), (("y", 1),), {})
+        with pytest.raises(ExpressionError), np.errstate(all="ignore"):
+            follow(np.array([1.0, 0.0]), [broken])
+
+
+class TestModes:
+    T = np.array([0.0, 1.0, 2.0])
+
+    def mode(self, **more):
+        given = {"name": "m", "time": self.T, "basis": np.array([[1.0], [2.0], [4.0]]), "covariance": [[9.0]]}
+        return ErrorMode(**given | more)
+
+    def test_columns_have_one_standard_deviation(self):
+        shared = self.mode(group="g")
+        rotor = self.mode(body="rotor", window=1, group="g", basis=np.array([1.0, 1.0, 1.0]))
+        own = self.mode(name="n", covariance=np.array([[4.0]]))
+        casing, windows = mode_columns([shared, rotor, own], self.T, [self.T, self.T])
+        assert casing @ casing.T == pytest.approx(13.0 * np.outer([1.0, 2.0, 4.0], [1.0, 2.0, 4.0]))
+        assert (windows[0] == 0).all()
+        assert windows[1] @ casing.T == pytest.approx(9.0 * np.outer([1.0, 1.0, 1.0], [1.0, 2.0, 4.0]))
+        every = self.mode(body="rotor")
+        casing, windows = mode_columns([every], self.T, [self.T, self.T[:1]])
+        assert (casing == 0).all()
+        assert np.abs(windows[0][:, 0]) == pytest.approx([3.0, 6.0, 12.0])
+        assert np.abs(windows[1][:, 0]) == pytest.approx([3.0])
+
+    def test_two_amplitudes_have_their_covariance(self):
+        basis, covariance = RNG.standard_normal((3, 2)), np.array([[4.0, 1e-3], [1e-3, 1e-6]])
+        mode = self.mode(basis=basis, covariance=covariance)
+        casing, _ = mode_columns([mode], self.T, [])
+        assert casing @ casing.T == pytest.approx(basis @ covariance @ basis.T)
+        assert mode.standard_uncertainty() == pytest.approx(np.sqrt(np.diag(basis @ covariance @ basis.T)))
+        assert mode.key == "casing/m"
+        assert mode.at(np.array([-1.0, 0.5, 3.0])) == pytest.approx(
+            np.array([[0, 0], 0.5 * (basis[0] + basis[1]), [0, 0]])
+        )
+        slope = np.gradient(basis, self.T, axis=0)
+        assert mode.rates().basis == pytest.approx(slope)
+
+    def test_windows_that_are_kept_have_new_numbers(self):
+        modes = [self.mode(body="rotor", window=w, group=str(w)) for w in (0, 1, 2, 3)] + [self.mode()]
+        found = of_windows(modes, [False, True, False, True])
+        assert [(m.group, m.window) for m in found] == [("1", 0), ("3", 1), ("", None)]
+
+    def test_a_group_has_one_covariance(self):
+        one, other = self.mode(group="g"), self.mode(group="g", covariance=[[9.1]])
+        assert checked_modes([one, self.mode(group="g", name="n")])[0] is one
+        for wrong in ([one, other], "x", [3]):
+            with pytest.raises(RecordError):
+                checked_modes(wrong)
+
+
+class TestCaseFile:
+    def test_starts_of_windows_are_those_of_the_cameras_or_of_the_case(self):
+        rotor = SimpleNamespace(segment=np.array([0, 0, 2, 2, 5]))
+
+        def sigma(start_u, stated):
+            return _start_sigma(SimpleNamespace(start_u=start_u, attributes={"start_u": stated}), rotor)
+
+        assert sigma({"rotor_0": 0.1, "rotor_5": -1.0}, 9.0) == [0.1, 0.0, 0.0]
+        assert sigma({}, 0.5) == [0.5, 0.5, 0.5]
+        assert sigma({}, 0.0) == [0.0, 0.0, 0.0]
+        for unknown in (math.nan, -1.0, math.inf):
+            assert all(math.isnan(s) for s in sigma({}, unknown))
+        masks = _windows(rotor)
+        assert [m.tolist() for m in masks][1] == [False, False, True, True, False]
+        assert len(masks) == 3
+        assert len(_windows(SimpleNamespace(segment=np.zeros(0)))) == 1
+
+    def test_uncertainties_of_an_input_are_all_given_or_none(self, tmp_path):
+        values = {"time": [0.0, 1.0], "value": [1.0, 2.0]}
+        assert _input(tmp_path, "u", u=np.array([np.nan, np.nan]), **values).u is None
+        assert _input(tmp_path, "u", u=np.array([0.1, 0.2]), **values).u.tolist() == [0.1, 0.2]
+        with pytest.raises(RecordError, match="lacks some"):
+            _input(tmp_path, "u", u=np.array([0.1, np.nan]), **values)
+
+    def test_modes_have_the_measured_samples_of_their_window(self):
+        stored = SimpleNamespace(
+            name="m", basis=np.arange(5.0)[:, None], covariance=[[1.0]], group="g", origin="axis"
+        )
+        series = SimpleNamespace(
+            time=np.array([0.0, 1.0, 2.0, np.nan, 4.0]),
+            value=np.array([0.0, np.nan, 2.0, 3.0, 4.0]),
+            modes=[stored],
+        )
+        windows = {
+            0: np.array([True, True, True, True, False]),
+            3: np.array([False, False, False, False, True]),
+        }
+        first, second = _modes(series, "rotor", windows)
+        assert (first.window, first.time.tolist(), first.basis[:, 0].tolist()) == (0, [0.0, 2.0], [0.0, 2.0])
+        assert (second.window, second.time.tolist(), second.origin) == (3, [4.0], "axis")

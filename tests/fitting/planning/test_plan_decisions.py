@@ -1,0 +1,351 @@
+"""Limits of a described plan, sets of effects, friction along a motion, and the grammar of laws."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fitting import EstimationError
+from fitting._criteria import DEFAULT
+from fitting.discovery._grammar import (
+    _OF_SPEED,
+    _of_speed,
+    _shape,
+    _unit,
+    _with_names,
+    description_length,
+    grammar,
+)
+from fitting.effects._library import find
+from fitting.effects._user import resolve
+from fitting.planning._friction import (
+    FrictionPlan,
+    Motion,
+    Pair,
+    _grouped,
+    _strength,
+    _trials,
+    _typical,
+    torque_along,
+)
+from fitting.planning._plan import _classes, _warning, read_planned
+
+PLAN = """
+model = ["casing.air.linear", "rotor.air.linear"]
+[inertia]
+rotor = 5e-5
+casing = 2e-5
+[parameters]
+"casing.air.linear.b2" = {b2}
+"rotor.air.linear.a1" = 1e-6
+[noise]
+angle = 1e-3
+torque = {torque}
+torque_time = 1.0
+{runs}
+{bounds}
+"""
+RUN = """
+[[run]]
+omega_rotor = {rotor}
+omega_casing = {casing}
+duration = {duration}
+casing_fps = {fps}
+rotor_fps = {rotor_fps}
+windows = [{window}]
+window_length = {length}
+"""
+
+
+def read(tmp_path, *runs, b2="1e-6", torque="0.0", bounds=""):
+    usual = {
+        "rotor": 900.0, "casing": 5.0, "duration": 60.0, "fps": 60.0, "rotor_fps": 250.0, "window": 2.0, "length": 3.0,
+    }  # fmt: skip
+    text = "".join(RUN.format(**usual | r) for r in runs or ({},))
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN.format(runs=text, b2=b2, torque=torque, bounds=bounds))
+    return read_planned(path)
+
+
+class TestDescription:
+    @pytest.mark.parametrize(
+        ("run", "valid"),
+        [
+            ({"window": 57.0}, True),
+            ({"window": 57.1}, False),
+            ({"window": 0.0}, True),
+            ({"window": -0.1}, False),
+            ({"fps": 1.0}, True),
+            ({"fps": 0.99}, False),
+            ({"rotor_fps": 2.7}, True),
+            ({"rotor_fps": 2.6}, False),
+            ({"fps": 166000.0}, True),
+            ({"fps": 167000.0}, False),
+            ({"rotor_fps": 167000.0}, False),
+            ({"rotor": 0.0}, True),
+            ({"casing": 0.0}, True),
+            ({"rotor": 0.0, "casing": 0.0}, False),
+            ({"rotor": -900.0}, True),
+            ({"duration": 0.0}, False),
+            ({"length": "nan"}, False),
+        ],
+    )
+    def test_runs_have_enough_frames_within_the_recording(self, tmp_path, run, valid):
+        if valid:
+            (made,) = read(tmp_path, run).experiments
+            assert made.sigma == 1e-3
+        else:
+            with pytest.raises(EstimationError, match=r"plan\.toml"):
+                read(tmp_path, run)
+
+    @pytest.mark.parametrize(
+        ("b2", "torque", "valid"),
+        [
+            ("0.0", "0.0", True),
+            ("-1e-9", "0.0", False),
+            ("nan", "0.0", False),
+            ("1e-6", "-1.0", False),
+            ("1e-6", "1e-7", True),
+        ],
+    )
+    def test_numbers_are_within_their_bounds(self, tmp_path, b2, torque, valid):
+        if valid:
+            made = read(tmp_path, b2=b2, torque=torque)
+            assert made.numbers["casing.air.linear.b2"] == float(b2)
+            assert made.experiments[0].torque_noise == float(torque)
+            assert made.inertias == (5e-5, 2e-5)
+        else:
+            with pytest.raises(EstimationError):
+                read(tmp_path, b2=b2, torque=torque)
+
+    def test_bounds_follow_from_all_runs(self, tmp_path):
+        made = read(
+            tmp_path, {"rotor": -600.0, "casing": -4.0, "duration": 30.0}, {"rotor": 300.0, "casing": 2.0}
+        ).bounds
+        assert made.omega_rotor == pytest.approx((200.0, 600.0))
+        assert made.omega_casing == pytest.approx((-90.0, 90.0))
+        assert made.duration == pytest.approx((30.0, 120.0))
+        fast = read(tmp_path, {"rotor": 600.0, "casing": -95.0}).bounds
+        assert fast.omega_casing == pytest.approx((-95.0, 95.0))
+
+    @pytest.mark.parametrize(
+        ("bounds", "valid"),
+        [
+            ("duration = [3, 9]", True),
+            ("duration = [9, 9]", True),
+            ("duration = [9, 3]", False),
+            ("duration = [0, 3]", False),
+            ("touchpoint = [-1, 3]", False),
+            ("inertia_casing = [0.0, 3]", False),
+            ("omega_casing = [-3, 3]", True),
+            ("reversible = true", True),
+        ],
+    )
+    def test_given_bounds_are_ordered_and_positive(self, tmp_path, bounds, valid):
+        if valid:
+            assert len(read(tmp_path, bounds=f"[bounds]\n{bounds}").given) == 1
+        else:
+            with pytest.raises(EstimationError, match="bounds"):
+                read(tmp_path, bounds=f"[bounds]\n{bounds}")
+
+    def test_recordings_are_simulated_with_their_numbers(self, tmp_path, monkeypatch):
+        seen = []
+        monkeypatch.setattr(
+            "fitting.planning._plan.simulate",
+            lambda model, numbers, e, **more: seen.append((e.duration, more)),
+        )
+        made = read(tmp_path, {}, {"duration": 30.0})
+        made._records(0)
+        made._records(2)
+        assert [(d, m["seed"], m["label"]) for d, m in seen] == [
+            (60.0, 1, "run 1"), (30.0, 2, "run 2"), (60.0, 2001, "run 1"), (30.0, 2002, "run 2"),
+        ]  # fmt: skip
+        assert {(m["inertia_rotor"], m["inertia_casing"]) for _, m in seen} == {(5e-5, 2e-5)}
+
+
+class TestClasses:
+    def effect(self, name, *others):
+        return SimpleNamespace(effect=SimpleNamespace(name=name), indistinguishable_from=others)
+
+    def test_sets_are_connected_and_in_the_order_of_the_effects(self):
+        found = [
+            self.effect("d", "a"),
+            self.effect("b"),
+            self.effect("c", "e"),
+            self.effect("a", "c"),
+            self.effect("e", "c"),
+        ]
+        assert _classes(found) == (("d", "c", "a", "e"),)
+        assert _classes([self.effect("a", "b"), self.effect("b", "a"), self.effect("c")]) == (("a", "b"),)
+        two = [self.effect("a", "b"), self.effect("c", "d"), self.effect("b", "a"), self.effect("d", "c")]
+        assert _classes(two) == (("a", "b"), ("c", "d"))
+
+    @pytest.mark.parametrize(
+        ("converged", "fails", "words"),
+        [(True, False, ""), (True, True, "lack of fit"), (False, True, "converged")],
+    )
+    def test_limits_of_a_wrong_model_have_a_warning(self, converged, fails, words):
+        found = _warning(SimpleNamespace(converged=converged, fails=lambda criteria: fails), DEFAULT)
+        assert words in found
+        assert bool(found) is bool(words)
+
+
+class TestFriction:
+    def motion(self, omega):
+        time = (np.arange(320) + 0.5) * 1e-2
+        return Motion("x", time, omega(time))
+
+    def test_a_function_of_the_speed_is_averaged_over_a_cell(self):
+        motion = self.motion(lambda t: 3.0 - 2.0 * t)
+        found = torque_along(find("casing.air.linear"), {"b2": 0.5}, motion)
+        assert found == pytest.approx((-0.5 * motion.omega).reshape(20, 16).mean(axis=1))
+        constant = torque_along(resolve("casing: -k*sign(omega_c)"), {"k": 2.0}, motion)
+        assert (constant[0], constant[-1]) == (-2.0, 2.0)
+
+    def test_a_strain_reverses_with_the_motion(self):
+        """With constant speeds the strain z follows dz/dx = (1 - sign z) / s exactly."""
+        motion = self.motion(lambda t: np.where(t < 1.6, 0.5, -0.5))
+        effect = find("casing.friction.presliding")
+        found = torque_along(effect, {"k": 1.0, "s": 0.1}, motion)
+        t = motion.time
+        z = 1 - np.exp(-0.5 * (t - t[0]) / 0.1)
+        last = int(np.flatnonzero(t < 1.6)[-1])
+        back = (1 + z[last]) * np.exp(-0.5 * (t - t[last] - 0.005) / 0.1) - 1
+        expected = -np.where(np.arange(320) <= last, z, back).reshape(20, 16).mean(axis=1)
+        assert found == pytest.approx(expected, abs=0.02)
+        assert found[-1] == pytest.approx(1.0, abs=0.01)
+
+    def test_trials_contain_grids_typical_values_and_bounds_of_zero(self):
+        effect = find("casing.friction.lugre")
+        shapes = [p for p in effect.parameters if p.role == "shape"]
+        trials = list(_trials(effect))
+        for p in shapes:
+            values = {v[p.symbol] for v in trials}
+            assert values == {*p.grid, p.start, *((0.0,) if p.lower == 0 else ())}
+        assert len(trials) == math.prod(
+            len({*p.grid, p.start, *((0.0,) if p.lower == 0 else ())}) for p in shapes
+        )
+        assert all(v["k"] == 1.0 for v in trials)
+        assert _typical(effect) == {
+            p.symbol: 1.0 if p.role == "amplitude" else p.start for p in effect.parameters
+        }
+
+    def test_pairs_are_separated_beyond_the_width(self):
+        one = Pair("a", "b", {"recording": 9.9, "reversals": 10.1, "ramp": 0.0})
+        other = Pair("a", "c", {"recording": 10.1, "reversals": 0.0, "ramp": 0.0})
+        third = Pair("b", "c", {"recording": 0.0, "reversals": 0.0, "ramp": 0.0})
+        assert not one.separated("recording", 10.0)
+        assert one.separated("reversals", 10.0)
+        plan = FrictionPlan(1e-6, "N m", (one, other, third), 10.0, 0.2, 3.0)
+        lines = plan.sentences
+        assert lines[0].startswith("This recording separates 1 of 3 pairs")
+        assert "separates a from b." in lines[1]
+        assert lines[2] == "None of these runs separates b from c."
+        assert len(lines) == 3
+        assert _grouped([one, other, third]) == "a from b, c; b from c"
+        assert [p["separated_by"] for p in plan.document()["pairs"]] == [["reversals"], ["recording"], []]
+
+    @pytest.mark.parametrize(("dry", "strength"), [(3e-6, 3e-6), (0.0, None), (None, None)])
+    def test_the_strength_is_the_dry_friction_or_a_tenth_of_the_torque(self, dry, strength):
+        rates = np.zeros((2, 2, 2))
+        rates[..., 1] = [[3.0, 4.0], [-3.0, -4.0]]
+        record = SimpleNamespace(I_casing=2e-5)
+        case = SimpleNamespace(
+            dynamics=SimpleNamespace(rates=lambda t, y, numbers: rates), data=SimpleNamespace(record=record)
+        )
+        path = SimpleNamespace(mesh=SimpleNamespace(times=None), y=None)
+        fit = SimpleNamespace(
+            estimates={} if dry is None else {"touchpoint.constant.b1": SimpleNamespace(value=dry)},
+            problem=SimpleNamespace(cases=[case], layout=SimpleNamespace(numbers=lambda theta, i: {})),
+            predictions=[SimpleNamespace(path=path)],
+            theta=None,
+        )
+        assert _strength(fit) == pytest.approx(strength or 0.1 * math.sqrt(12.5) * 2e-5)
+        rates[:] = 0.0
+        if strength is None:
+            with pytest.raises(EstimationError):
+                _strength(fit)
+
+
+class TestGrammar:
+    RANGES = {"omega_r": (300.0, 900.0), "omega_c": (-5.0, 40.0), "delta": (300.0, 800.0)}  # noqa: RUF012
+
+    def test_laws_have_different_names_and_known_shapes(self):
+        laws = grammar(self.RANGES, 200.0, bodies={"rotor", "casing"}, angles=True)
+        names = [x.effect.name for x in laws]
+        assert len(set(names)) == len(names)
+        assert sum("harmonic" in n for n in names) == 2
+        assert not any(
+            "harmonic" in x.effect.name for x in grammar(self.RANGES, 200.0, bodies={"casing"}, angles=False)
+        )
+        for law in laws:
+            assert law.description_length == description_length(law.symbols) > 0
+            assert bool(law.effect.breakpoint) is (law.form in {"step in time", "switched drag"})
+            assert law.effect.per_case is (
+                law.form in {"step in time", "ramp in time", "pulse in time", "switched drag"}
+            )
+        assert description_length(3) == pytest.approx(12 * math.log(2))
+
+    def test_negative_powers_need_a_speed_away_from_zero(self):
+        def lowest(low, high):
+            power = _of_speed(_OF_SPEED[0], "casing", "omega_c", (low, high), 200.0)
+            return min(next(p for p in power.effect.parameters if p.symbol == "n").grid)
+
+        assert lowest(0.41, 40.0) == -1.0
+        assert lowest(0.39, 40.0) == 0.25
+        assert lowest(-1.0, 40.0) == 0.25
+        assert lowest(-40.0, -0.41) == -1.0
+
+    @pytest.mark.parametrize(
+        ("kind", "lower", "upper", "first", "last"),
+        [
+            ("exponent", -3.0, 6.0, -1.0, 4.0),
+            ("positive exponent", 0.05, 6.0, 0.25, 4.0),
+            ("speed", 0.06, 600.0, 0.6, 60.0),
+            ("wide speed", 3.0, 600.0, 0.6 * 100 ** (5 / 12), 60.0),
+            ("threshold", 0.0, 24.0, 1.0, 18.0),
+            ("steepness", 0.2, 8.0, 0.5, 3.0),
+            ("narrow", 0.1, 60.0, 0.6, 10.0),
+            ("time", 0.5, 2000.0, 2.0, 200.0),
+            ("time few", 0.5, 2000.0, 10.0, 100.0),
+            ("moment", 0.0, 100.0, 0.04, 0.96),
+            ("coarse moment", 0.0, 100.0, 0.04, 0.94),
+            ("pulse", 0.3, 100.0, 2.0, 12.0),
+            ("frequency", 0.5 * 0.03142, 20.0, 0.03142, 10.0),
+            ("few frequencies", 0.5 * 0.03142, 2 * 1.257, 0.03142, 1.257),
+        ],
+    )
+    def test_shapes_are_in_units_of_the_largest_speed_and_the_length(self, kind, lower, upper, first, last):
+        """A largest speed of 20 rad/s in 100 s."""
+        p = _shape("w", kind, 20.0, 100.0)
+        assert (p.lower, p.upper) == pytest.approx((lower, upper), rel=1e-3)
+        assert p.grid[0] == pytest.approx(first, rel=0.05)
+        assert p.grid[-1] == pytest.approx(last, rel=0.05)
+        assert p.start == p.grid[len(p.grid) // 2]
+        assert p.relative is ("moment" in kind)
+
+    def test_frequencies_are_two_radians_apart(self):
+        p = _shape("w", "frequency", 20.0, 100.0)
+        assert len(p.grid) == int(1 + (10.0 - math.pi / 100) * 50)
+        assert len(_shape("w", "few frequencies", 20.0, 100.0).grid) == int(1 + 39 * math.pi / 100 * 50)
+
+    @pytest.mark.parametrize(
+        ("text", "kinds", "unit"),
+        [
+            ("omega_c**2", (), "N m s2"),
+            ("abs(omega_c)**n", ("exponent",), "N m s^n"),
+            ("t**n", ("positive exponent",), "N m s^-n"),
+            ("omega_c*abs(omega_c)**n", ("exponent",), "N m s s^n"),
+            ("tanh(omega_c/w)", ("speed",), "N m"),
+            ("lag", ("time",), "N m s"),
+        ],
+    )
+    def test_the_unit_of_a_strength_makes_a_torque(self, text, kinds, unit):
+        shapes = [_shape("n" if "exponent" in k else "w", k, 20.0, 100.0) for k in kinds]
+        assert _unit(text, shapes) == unit
+
+    def test_later_laws_of_a_name_are_numbered(self):
+        laws = [_of_speed(_OF_SPEED[0], "casing", "omega_c", (1.0, 9.0), 200.0)] * 3
+        name = laws[0].effect.name
+        assert [x.effect.name for x in _with_names(laws)] == [name, f"{name}_2", f"{name}_3"]

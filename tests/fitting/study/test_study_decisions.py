@@ -1,0 +1,446 @@
+"""What a ledger keeps, what counts as moved, and the rotor curve of the paper, with numbers known in closed form."""
+
+import json
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fitting import Case, Ledger, LedgerError, RecordError, fit, load_fit, make_record
+from fitting.discovery._certificate import Certificate, Outcome
+from fitting.inference._profile import Interval
+from fitting.inference._record import Samples
+from fitting.study import _history, _preparation, _serialisation
+from fitting.study._history import Entry
+from fitting.study._preparation import CurveBias, _decay, _line, curve_bias, prepared, with_generated_rotor
+from fitting.study._serialisation import (
+    _moved,
+    _torque,
+    fingerprint,
+    fit_document,
+    history_verdict,
+    restored_fit,
+    stored_fit,
+)
+
+
+def ledger(tmp_path, *entries):
+    path = tmp_path / "x.fits.json"
+    documents = [
+        {"model": [], "parameters": {}, "digests": ["0" * 64], "verdict": "x", "fit_id": f"f{i + 1}"} | e
+        for i, e in enumerate(entries)
+    ]
+    path.write_text(json.dumps({"format": "gyrotrack ledger", "version": 1, "fits": documents}))
+    return Ledger(path)
+
+
+class TestLedger:
+    def test_only_a_fit_without_successors_is_deleted(self, tmp_path):
+        book = ledger(tmp_path, {}, {"parent": "f1"}, {"parent": "f2"})
+        for name in ("f1", "f2"):
+            with pytest.raises(LedgerError, match="has successors"):
+                book.delete(name)
+        removed = book.delete("f3")
+        assert [e.fit_id for e in Ledger(book.path).entries] == ["f1", "f2"]
+        with pytest.raises(LedgerError, match="has no fit 'f3'"):
+            book.find("f3")
+        with pytest.raises(LedgerError, match="has another fit f1"):
+            book.restore(book.find("f1"))
+        book.restore(removed)
+        assert [e.fit_id for e in Ledger(book.path).entries] == ["f1", "f2", "f3"]
+
+    def test_a_restored_fit_takes_its_place_by_number(self, tmp_path):
+        book = ledger(tmp_path, {"fit_id": "f2"}, {"fit_id": "f10"})
+        removed = book.delete("f2")
+        book.restore(removed)
+        assert [e.fit_id for e in Ledger(book.path).entries] == ["f2", "f10"]
+
+    def test_fits_belong_to_exactly_their_cases(self, tmp_path):
+        book = ledger(tmp_path, {"digests": ["b", "a"]}, {"digests": ["a"]}, {"digests": ["a", "b", "c"]})
+
+        def found(*digests):
+            cases = [SimpleNamespace(record=SimpleNamespace(digest=d)) for d in digests]
+            return [e.fit_id for e in book.of(cases)]
+
+        assert found("a", "b") == ["f1"]
+        assert found("a") == ["f2"]
+        assert found("c", "b", "a") == ["f3"]
+        assert found("b") == []
+
+    def test_texts_are_cut_at_200_and_2000_characters(self, tmp_path):
+        book = ledger(tmp_path, {})
+        book.annotate("f1", name="  " + 300 * "n", note=" " + 3000 * "m")
+        stored = book.find("f1").stored
+        assert (stored.name, stored.note) == (200 * "n", 2000 * "m")
+        book.annotate("f1", name=" short ")
+        assert (book.find("f1").stored.name, len(book.find("f1").stored.note)) == ("short", 2000)
+        book.annotate("f1", note="")
+        assert (book.find("f1").stored.name, book.find("f1").stored.note) == ("short", "")
+
+    def test_the_ledger_is_next_to_its_case(self, tmp_path):
+        book = Ledger.default_for(tmp_path / "case1.h5")
+        assert book.path == tmp_path / "case1.fits.json"
+        assert book.entries == []
+
+    def test_a_prior_needs_a_covariance(self):
+        known = {"fit_id": "f1", "model": [], "parameters": {}, "digests": [], "verdict": "x"}
+        with pytest.raises(LedgerError, match="without a covariance"):
+            Entry(known).as_prior("a study")
+        assert Entry(known).prior is None
+
+    def test_a_certificate_belongs_to_its_answer_seed_and_kind(self):
+        def stored(**changed):
+            return {"code": fingerprint(), "n": 9, "seed": 4, "verdict": "adequate"} | changed
+
+        found = SimpleNamespace(
+            verdict="adequate",
+            candidates=(),
+            fit=SimpleNamespace(
+                problem=SimpleNamespace(data=[SimpleNamespace(record=SimpleNamespace(body="disc"))])
+            ),
+        )
+        of_data = stored(score=1.0)
+        of_films = stored(seed=5, film=True, score=2.0)
+        both = Entry({"certificate": of_data, "certificate_of_films": of_films})
+        none = None
+        for seed, film, score in (
+            (none, none, 2.0),
+            (none, True, 2.0),
+            (none, False, 1.0),
+            (4, none, 1.0),
+            (5, none, 2.0),
+            (5, False, none),
+            (4, True, none),
+            (6, none, none),
+        ):
+            known = both.certificate(found, seed, film=film)
+            assert (known.score if known else none) == score
+        assert both.latest_certificate().score == 2.0
+        assert Entry({"certificate": of_data}).latest_certificate().score == 1.0
+        assert Entry({}).latest_certificate() is None
+        for change in ({"verdict": "unexplained"}, {"named": ["a"]}, {"code": "x"}):
+            assert Entry({"certificate": stored(**change)}).certificate(found) is None
+        assert Entry({"certificate": stored(code="x")}).latest_certificate() is None
+
+
+class TestSteps:
+    def fits(self, change, stderr, name="a"):
+        new = SimpleNamespace(estimates={name: SimpleNamespace(value=5.0 + change, stderr=stderr)})
+        return new, SimpleNamespace(estimates={name: SimpleNamespace(value=5.0, stderr=99.0)})
+
+    @pytest.mark.parametrize(
+        ("change", "stderr", "moved"),
+        [
+            (2.9, 1.0, False),
+            (3.1, 1.0, True),
+            (-2.9, 1.0, False),
+            (-3.1, 1.0, True),
+            (0.0, 1.0, False),
+            (0.1, -1.0, True),
+            (9.0, math.nan, False),
+        ],
+    )
+    def test_a_parameter_moves_by_more_than_three_standard_errors(self, change, stderr, moved):
+        assert _moved(*self.fits(change, stderr)) == (["a"] if moved else [])
+
+    def test_initial_values_and_new_parameters_do_not_move(self):
+        assert _moved(*self.fits(9.0, 1.0, "initial.omega_c")) == []
+        new, old = self.fits(9.0, 1.0)
+        assert _moved(new, None) == []
+        old.estimates = {}
+        assert _moved(new, old) == []
+
+    def test_a_history_ends_with_its_last_model(self):
+        def step(verdict, *names):
+            return SimpleNamespace(fit=SimpleNamespace(verdict=verdict, model=SimpleNamespace(names=names)))
+
+        poor, good = "lack_of_fit", "no_lack_of_fit"
+        assert history_verdict([step(good, "a")]) == "adequate"
+        assert history_verdict([step(poor, "a"), step(good, "a")]) == "adequate"
+        assert history_verdict([step(poor, "a"), step(good, "a", "b")]) == "missing_effect"
+        assert history_verdict([step(poor, "a"), step(poor, "a", "b")]) == "unexplained"
+        assert history_verdict([step(good, "a"), step(poor, "a", "b")]) == "unexplained"
+
+    @pytest.mark.parametrize(("count", "kept"), [(150, 150), (200, 200), (399, 399), (400, 200), (1000, 200)])
+    def test_a_stored_curve_has_about_200_points(self, count, kept):
+        t = np.arange(count, dtype=float)
+        found = SimpleNamespace(
+            label="x", body="rotor", time=t, torque=2 * t, sigma=3 * t, omega_r=7 * t, omega_c=4 * t
+        )
+        curve = _torque(found)
+        step = count // kept
+        assert curve["time"] == t[::step].tolist()
+        assert len(curve["time"]) == kept
+        assert curve["torque_Nm"] == (2 * t[::step]).tolist()
+        assert curve["sigma_Nm"] == (3 * t[::step]).tolist()
+        assert curve["delta"] == (3 * t[::step]).tolist()
+
+    def test_the_document_of_a_step_has_the_difference_of_the_bic(self):
+        estimates = {}
+        data = [SimpleNamespace(record=SimpleNamespace(body="disc"))]
+        same = (
+            "samples",
+            "n_eff",
+            "rmse_casing",
+            "rmse_noise",
+            "reduced_chi2",
+            "misfit",
+            "held_out",
+            "bic_noise",
+        )
+        found = SimpleNamespace(
+            **{k: i + 1 for i, k in enumerate(same)},
+            bic=10.0,
+            verdict="lack_of_fit",
+            problem=SimpleNamespace(data=data),
+            model=SimpleNamespace(names=["a"], effects=()),
+            cases=[SimpleNamespace(energy_drift=0.1), SimpleNamespace(energy_drift=0.3)],
+            torque_noise=0.7,
+            estimates=estimates,
+        )
+        before = SimpleNamespace(bic=25.0, estimates=estimates)
+        step = _serialisation.step_document(found, "f2", "", before)
+        assert (step["delta_bic"], step["energy_drift"], step["torque_left_Nm"]) == (-15.0, 0.3, 0.7)
+        assert (step["samples"], step["held_out"], step["bic"]) == (1, 7, 10.0)
+        assert _serialisation.step_document(found, "f1", "", None)["delta_bic"] == 0.0
+
+
+class TestBias:
+    @pytest.mark.parametrize(
+        ("claimed", "stderr", "errors"),
+        [(0.5, 2.0, 6.0), (math.nan, 2.0, 1.5), (0.0, 2.0, 1.5), (math.inf, 2.0, 1.5), (-1.0, 2.0, 1.5)],
+    )
+    def test_a_shift_is_counted_in_the_errors_that_are_known(self, claimed, stderr, errors):
+        assert CurveBias(4.0, claimed, 7.0, stderr).errors == errors
+        assert CurveBias(7.0, claimed, 4.0, stderr).errors == errors
+
+    def test_without_an_error_the_shift_has_no_number(self):
+        assert math.isnan(CurveBias(4.0, math.nan, 7.0, 0.0).errors)
+        assert math.isnan(CurveBias(4.0, 0.0, 7.0, math.nan).errors)
+
+    def test_the_windows_are_fitted_with_the_same_choices(self, monkeypatch):
+        seen = {}
+        monkeypatch.setattr(_preparation, "_STEPS", 20)
+        record = self.record()
+        curve = with_generated_rotor(record)
+        values = {"a": (1.0, 0.5), "b": (9.0, 1.0), "c": (2.0, 1.0), "initial.x": (99.0, 1.0)}
+        estimate = {k: SimpleNamespace(value=v, stderr=s) for k, (v, s) in values.items()}
+        truth = {k: SimpleNamespace(value=1.0, stderr=2.0) for k in values}
+
+        def fit(model, records, **options):
+            seen.update(records=records, **options)
+            return SimpleNamespace(estimates=truth)
+
+        monkeypatch.setattr(_preparation, "fit", fit)
+
+        def found(*records):
+            model = SimpleNamespace(free=["a", "b"], constants=("c",))
+            layout = SimpleNamespace(
+                records=records, model=model, per_case=("b", "other"), ranges={"a": (0, 1)}
+            )
+            return SimpleNamespace(problem=SimpleNamespace(layout=layout), estimates=estimate)
+
+        bias = curve_bias(found(curve, record))
+        assert list(bias) == ["b", "a"]
+        assert bias["b"] == CurveBias(9.0, 1.0, 1.0, 2.0)
+        assert (seen["share"], seen["per_case"], seen["ranges"]) == (["a"], ["b"], {"a": (0, 1)})
+        first, second = seen["records"]
+        assert second is record
+        assert (first.generated, first.windows) == (False, ())
+        assert [w.value.tolist() for w in first.rotor] == [w.value.tolist() for w in record.rotor]
+        curve_bias(found(curve))
+        assert seen["share"] == []
+        seen.clear()
+        assert curve_bias(found(record, record)) == {}
+        assert seen == {}
+
+    def record(self):
+        t = np.linspace(0.0, 20.0, 200)
+        run = (t, 5.0 - 0.1 * t, np.full(200, 0.1))
+        windows = []
+        for a, b, count, sigma in ((2.0, 4.0, 60, 0.2), (12.0, 14.0, 90, 0.3)):
+            w = np.linspace(a, b, count)
+            windows.append((w, 100.0 - 2.0 * w, np.full(count, sigma)))
+        return make_record(casing=run, rotor=windows, I_rotor=1.0, I_casing=0.5, quantity="omega")
+
+    def test_the_curve_has_the_weight_of_the_windows(self, monkeypatch):
+        monkeypatch.setattr(_preparation, "_STEPS", 40)
+        scales = iter((1.5, 0.5))
+        monkeypatch.setattr(_preparation, "_calibrated", lambda w: SimpleNamespace(scale=next(scales)))
+        (curve,) = with_generated_rotor(self.record()).rotor
+        weight = 60 / (1.5 * 0.2) ** 2 + 90 / (0.5 * 0.3) ** 2
+        assert np.sum(curve.sigma**-2.0) == pytest.approx(weight, rel=1e-12)
+        assert len(curve) == 2000
+        assert (curve.time[0], curve.time[-1]) == (0.0, 20.0)
+        # with a constant deceleration, the law of the curve is exact
+        assert curve.value == pytest.approx(100.0 - 2.0 * curve.time, abs=0.02)
+
+    @pytest.mark.parametrize(
+        ("count", "degree"), [(3, 1), (4, 1), (5, 2), (7, 3), (1000, _preparation.ROTOR_DEGREE)]
+    )
+    def test_a_short_window_has_a_polynomial_of_half_its_samples(self, monkeypatch, count, degree):
+        seen = {}
+        monkeypatch.setattr(_preparation, "compress", lambda window, **more: seen.update(more))
+        t = np.arange(count, dtype=float)
+        _preparation._calibrated(Samples(t, t, np.ones(count)))
+        assert (seen["degree"], seen["blocks"]) == (degree, 1)
+
+
+class TestDecay:
+    def test_the_line_of_a_window_is_about_its_middle(self):
+        t = np.array([1.0, 2.0, 3.0, 6.0])
+        assert _line(Samples(t, 50.0 - 4.0 * t, np.ones(4))) == pytest.approx((3.0, 38.0, -4.0))
+        middle, speed, slope = _line(Samples(t[:1], np.array([7.0]), np.ones(1)))
+        assert (middle, speed) == (1.0, 7.0)
+        assert math.isnan(slope)
+        assert _line(Samples(t[:2], 50.0 - 4.0 * t[:2], np.ones(2))) == pytest.approx((1.5, 44.0, -4.0))
+
+    def test_an_exponential_decay_is_reproduced_from_speeds_alone(self):
+        grid = np.linspace(0.0, 10.0, 101)
+        times = np.array([8.0, 0.0, 4.0, 2.0, 6.0, 10.0])
+        speed = 40.0 * np.exp(-0.12 * times)
+        lines = np.stack([times, speed, np.full(6, np.nan)], axis=1)
+        assert _decay(lines, grid) == pytest.approx(40.0 * np.exp(-0.12 * grid), rel=2e-3)
+
+    def test_two_windows_with_slopes_determine_a_quadratic_decay(self):
+        grid = np.linspace(0.0, 10.0, 201)
+        true = 50.0 / (1 + 50.0 * 0.004 * grid)
+        times = np.array([1.0, 9.0])
+        speed = 50.0 / (1 + 0.2 * times)
+        lines = np.stack([times, speed, -0.004 * speed**2], axis=1)
+        found = _decay(lines, grid)
+        assert found[[20, 180]] == pytest.approx(speed, rel=1e-3)
+        assert found == pytest.approx(true, rel=0.05)
+
+
+def test_data_are_prepared_as_requested(monkeypatch):
+    monkeypatch.setattr(_preparation, "_STEPS", 20)
+    t = np.linspace(0.0, 20.0, 200)
+    run = (t, 5.0 - 0.1 * t, np.full(200, 0.1))
+    speeds = make_record(casing=run, rotor=[], I_rotor=1.0, I_casing=0.5, quantity="omega")
+    assert prepared(speeds) is speeds
+    assert prepared(speeds, "velocity") is speeds
+    for data, rotor in ((None, "generated"), ("angle", "windows"), ("angle", "generated"), (None, "other")):
+        with pytest.raises(RecordError):
+            prepared(speeds, data, rotor)
+    gyroscope = TestBias().record()
+    made = prepared(gyroscope, None, "generated")
+    assert made.generated
+    assert len(made.rotor) == 1
+    assert len(made.windows) == 2
+
+
+@pytest.mark.parametrize(("answers", "alarms", "rate"), [("", 0, 0.0), ("auuam", 3, 0.6), ("aaua", 1, 0.25)])
+def test_the_rate_of_alarms_is_that_of_the_null_recordings(answers, alarms, rate):
+    verdicts = {"a": "adequate", "u": "unexplained", "m": "missing_effect"}
+    outcomes = tuple(
+        Outcome("null", "", i, verdicts[v], ("x",) if v == "m" else (), float(i), {})
+        for i, v in enumerate(answers)
+    )
+    found = _serialisation.certificate_document(Certificate(20, "adequate", (), 2.0, outcomes), "f1")
+    null = found["null"]
+    assert (null["n"], null["alarms"], null["rate"]) == (len(answers), alarms, rate)
+    assert null["interval"][0] <= rate <= null["interval"][1]
+    assert found["truth"] is None
+    assert found["p_empirical"] == pytest.approx((1 + max(len(answers) - 2, 0)) / (1 + len(answers)))
+
+
+@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
+def test_only_a_fit_of_least_squares_is_stored_for_display(tmp_path, monkeypatch, loss):
+    book = ledger(tmp_path, {"fit_id": "f3"}, {"fit_id": "f9"})
+    record = SimpleNamespace(digest="d", source="file", quantity="omega", generated=True)
+    layout = SimpleNamespace(choices=(("a",), ("b",)), names=("n",))
+    found = SimpleNamespace(
+        problem=SimpleNamespace(layout=layout, data=[SimpleNamespace(record=record)]),
+        model=SimpleNamespace(effects=()),
+        covariance=np.array([[4.0]]),
+    )
+    monkeypatch.setattr(
+        _history, "fit_document", lambda f, i: {"fit_id": i, "model": [], "parameters": {}, "verdict": "x"}
+    )
+    monkeypatch.setattr(_history, "step_document", lambda *given: None)
+    monkeypatch.setattr(_history, "stored_fit", lambda f: "stored")
+    monkeypatch.setattr(_history, "as_json", lambda x: {"kept": x})
+    entry = book.add(found, parent="f9", added="+x", loss=loss, ranges={"k": (0.0, 1.0)})
+    stored = Ledger(book.path).find("f10").stored
+    assert entry.fit_id == "f10"
+    assert stored.restored_from == ({"kept": "stored"} if loss == "linear" else None)
+    assert (stored.share, stored.per_case, stored.parent, stored.added) == (["a"], ["b"], "f9", "+x")
+    assert (stored.data, stored.rotor, stored.loss, stored.ranges) == (
+        "omega",
+        "generated",
+        loss,
+        {"k": (0.0, 1.0)},
+    )
+    assert (stored.digests, stored.sources, stored.covariance) == (["d"], ["file"], [[4.0]])
+    other = book.add(found, share=["s"])
+    assert other.choices == (("s",), ())
+
+
+@pytest.fixture(scope="module")
+def wheel():
+    t = np.linspace(0.0, 10.0, 60)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(60)
+    return fit(
+        "air.linear", Case.from_arrays(wheel={"t": t, "omega": 20.0 * np.exp(-0.1 * t) + noise, "u": 0.01})
+    )
+
+
+class TestDocuments:
+    KEY = "casing.air.linear.b2"
+
+    def test_a_fit_has_the_results_of_its_options(self, wheel):
+        plain = fit_document(wheel, "f1")
+        e = wheel.estimates[self.KEY]
+        assert (plain["parameters"][self.KEY]["value"], plain["parameters"][self.KEY]["stderr"]) == (
+            e.value,
+            e.stderr,
+        )
+        assert plain["parameters"][self.KEY].get("interval") is None
+        assert (plain.get("generated_rotor"), plain.get("predicted"), plain["prior"]) == (None, None, None)
+        assert plain["cases"][0]["n_eff"] == wheel.problem.data[0].n_effective
+        assert plain["cases"][0]["chi2_per_row"] == wheel.cases[0].chi2_per_row
+        interval = Interval(0.05, 0.2, lower_open=False, upper_open=True)
+        full = fit_document(wheel, "f1", {self.KEY: interval}, {self.KEY: CurveBias(1.0, 0.5, 4.0, 2.0)}, [])
+        found = full["parameters"][self.KEY]["interval"]
+        assert (found["lower"], found["upper"], found["lower_open"], found["upper_open"]) == (
+            0.05,
+            0.2,
+            False,
+            True,
+        )
+        assert found["level"] == pytest.approx(0.95)
+        assert full["generated_rotor"][self.KEY]["errors"] == 6.0
+        assert full["predicted"] == []
+        assert full["verdict"] == wheel.verdict
+
+    def test_a_search_that_has_not_converged_has_no_uncertainty(self, wheel):
+        stopped = replace(wheel, converged=False)
+        found = fit_document(stopped, "f1")
+        assert found["verdict"] == "not_converged"
+        assert math.isnan(found["parameters"][self.KEY]["stderr"])
+        assert found["first_order"] == []
+
+    def test_a_stored_fit_is_restored_with_its_code_only(self, wheel):
+        stored = stored_fit(wheel)
+        again = restored_fit(stored, wheel.model, wheel.problem.data)
+        assert again.theta.tolist() == wheel.theta.tolist()
+        assert again.deviance == pytest.approx(wheel.deviance)
+        assert again.estimates[self.KEY].stderr == pytest.approx(wheel.estimates[self.KEY].stderr)
+        other = stored.model_copy(update={"code": "x"})
+        assert restored_fit(other, wheel.model, wheel.problem.data) is None
+
+    def test_a_saved_fit_is_read_with_its_numbers(self, wheel, tmp_path):
+        wheel.save(tmp_path / "fit.json")
+        found = load_fit(tmp_path / "fit.json")
+        assert found.values == pytest.approx(wheel.values)
+        assert (found.chi2, found.bic, found.rows) == pytest.approx((wheel.chi2, wheel.bic, wheel.rows))
+        assert found.covariance == pytest.approx(wheel.covariance)
+        assert found.variables == wheel.variables
+        document = json.loads((tmp_path / "fit.json").read_text())
+        document["names"] = document["names"][1:]
+        (tmp_path / "fit.json").write_text(json.dumps(document))
+        with pytest.raises(LedgerError, match="size of the covariance"):
+            load_fit(tmp_path / "fit.json")
