@@ -159,7 +159,7 @@ def track_by_features(
         return None
     theta, path, followed, ring = found
     hub = complex(np.mean(path))
-    if np.abs(path - hub).std() < 0.5 and np.abs(path - hub).max() < 2.0:
+    if path.std() < 0.5 and np.abs(path - hub).max() < 2.0:
         return None
     shift = np.stack([(path - hub).real, (path - hub).imag], axis=1)
     use = np.unique(np.linspace(0, len(usable) - 1, _LEARNT).astype(int))
@@ -186,7 +186,7 @@ def track_by_features(
     repeated = int(film.selected.sum()) - len(usable)
     notes = [
         (
-            f"The hub moves by {float(np.abs(path - hub).std()):.1f} px rms; its path is measured. Angles from "
+            f"The hub moves by {float(path.std()):.1f} px rms; its path is measured. Angles from "
             f"features and from registration differ by {1e3 * correlated:.2g} mrad rms, which the uncertainty includes."
         )
     ]
@@ -221,7 +221,7 @@ def _loose_motion(
     if not (0.0 <= hub.real < width and 0.0 <= hub.imag < height):
         return None
     ring = ring_for((hub.real, hub.imag), motion, _COARSE)
-    if ring is None or np.abs(path - hub).std() > travel * theta.std() * ring.outer:
+    if ring is None or path.std() > travel * theta.std() * ring.outer:
         return None
     return theta, path, followed, ring
 

@@ -30,7 +30,8 @@ def found(seed, hidden, *more):
 @pytest.mark.release
 def test_smooth_test_rejects_a_law_of_the_wrong_shape_that_slow_torques_accept():
     named = found(5, DIP, "touchpoint.step")
-    assert named.verdict == "no_lack_of_fit"
+    assert not named.fails()
+    assert named.verdict == "lack_of_fit"
     assert named.smooth_test.p_value < 0.01
     assert named.smooth_test.body == "casing"
 
