@@ -1,4 +1,4 @@
-"""Scatter, correlation, windows and smooth paths: hand-made series whose result is known, on both sides of each limit."""
+"""Scatter, correlation, windows and smooth paths: hand-made series, on both sides of each limit."""
 
 import numpy as np
 import pytest
@@ -230,7 +230,7 @@ def test_velocity_of_uniform_acceleration_on_a_known_time_base():
         u[known], _smoothing._median_sigma(np.full(2, difference), np.full(2, 0.08), 5)[0]
     )
     assert trend > 0.1
-    steady, u = angular_velocity(t, 3 * t, np.full(40, 0.01), 5)
+    _, u = angular_velocity(t, 3 * t, np.full(40, 0.01), 5)
     expected = difference * _smoothing._median_table(5)[1][0]
     np.testing.assert_allclose(u[known], expected)
     assert np.isnan(angular_velocity(t[:8], angle[:8], np.ones(8), 5)[0]).all()
@@ -349,7 +349,7 @@ def test_residuals_on_a_time_base_are_smoothed_with_the_path():
     ],
 )
 def test_jitter_is_real_if_the_angle_follows_it(share, noise, real):
-    """Of 101 frames with a jitter of 0.3 periods, an uncertainty of 0.2 needs noise of 0.06 rad at 0.1 rad per period."""
+    """Of 101 frames with a jitter of 0.3 periods, an uncertainty of 0.2 needs noise of 0.06 rad."""
     rng = np.random.default_rng(5)
     smooth = np.arange(101.0)
     jitter = 0.3 * rng.permutation(np.tile([-1.0, 1.0], 51))[:101]
