@@ -110,7 +110,7 @@ def test_correlation_factor_is_the_initial_positive_sum(mean):
     assert correlation_factor(np.full(20, mean)) == 1.0
 
 
-def test_a_weak_correlation_is_no_correlation():
+def test_a_weak_correlation_is_ignored():
     """The estimates on both sides of 1 + 7 / sqrt(n), for averages over neighbours with a small weight."""
     white = np.random.default_rng(2).normal(size=900)
     seen = set()

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gyrotrack._correlated_noise import Estimate
 from gyrotrack._errors import DatasetError
 from gyrotrack.apps import _drive, _motion
 from gyrotrack.apps._motion import (
@@ -198,7 +199,7 @@ def test_a_body_turns_back_by_a_fifth_and_five_errors(speed, error, back):
 
 def test_local_speed_and_mean_speed():
     t = 0.01 * np.arange(400)
-    angle, sigma = noisy(3 * t)
+    angle, _ = noisy(3 * t)
     for place in (0, -1):
         found = _motion._slope_at(t, angle, place)
         count = 20
@@ -302,11 +303,80 @@ def test_speeds_of_a_rotation_and_their_uncertainties():
     u = 0.05 / math.sqrt(400)
     for value, truth, least in (
         (found.omega_mean, 9.5, u), (found.alpha, -0.5, u / (10 / math.sqrt(12))),
-        (Value(found.omega["first"], found.omega_u["first"]), 12.0, 2 * u), (Value(found.omega["last"], found.omega_u["last"]), 7.0, 2 * u),
+        (Value(found.omega["first"], found.omega_u["first"]), 12.0, 2 * u),
+        (Value(found.omega["last"], found.omega_u["last"]), 7.0, 2 * u),
     ):  # fmt: skip
         assert value.value == pytest.approx(truth, abs=4 * value.stderr)
         assert 0.8 * least < value.stderr < 2.5 * least
     assert found.turns == pytest.approx(95 / (2 * np.pi), rel=0.02)
+
+
+def test_a_term_beyond_the_highest_degree_widens_each_value(monkeypatch):
+    """The rotation of two turns has degrees up to 6, in the angle; the speeds up to 5."""
+    t = np.linspace(-3, 3, 80)
+    angle, sigma = noisy(2 * t + 0.1 * t**2)
+    monkeypatch.setattr(_motion, "_next_coefficient", lambda fits: 0.0)
+    plain, speeds = _motion._rotation(t, angle, sigma), motion_of_speeds(t, angle, sigma, angle)
+    monkeypatch.setattr(_motion, "_next_coefficient", lambda fits: 0.01)
+    wide, wider = _motion._rotation(t, angle, sigma), motion_of_speeds(t, angle, sigma, angle)
+    last = np.polynomial.Legendre.basis(7)
+    for value, other, row in (
+        (plain[2], wide[2], (last(1) - last(-1)) / 6), (plain[3], wide[3], last.deriv(2)(0) / 9),
+    ):  # fmt: skip
+        assert other.stderr == pytest.approx(math.hypot(value.stderr, 0.01 * row))
+    last = np.polynomial.Legendre.basis(6)
+    assert wider.alpha.stderr == pytest.approx(math.hypot(speeds.alpha.stderr, 0.01 * last.deriv()(0) / 3))
+    assert wider.omega_mean.stderr == pytest.approx(speeds.omega_mean.stderr)
+    for end, place in (("first", -1), ("last", 1)):
+        u = math.hypot(speeds.omega_u[end], 0.01 * last(place))
+        assert wider.omega_u[end] == pytest.approx(u)
+
+
+def test_a_local_speed_replaces_a_different_polynomial(monkeypatch):
+    t = np.linspace(-3, 3, 80)
+    angle, sigma = noisy(2 * t)
+    monkeypatch.setattr(_motion, "_speed_at", lambda t, angle, sigma, place: Value(2.0, 0.1))
+    near = _motion._rotation(t, angle, sigma)
+    assert near[0].value != 2.0
+    assert near[0].value == pytest.approx(2.0, abs=0.01)
+    for off, replaced in ((0.28, False), (0.32, True), (-0.32, True)):
+        monkeypatch.setattr(_motion, "_speed_at", lambda *_, off=off: Value(2.0 + off, 0.1))
+        found = _motion._rotation(t, angle, sigma)
+        for k in (0, 1):
+            expected = Value(2 + off, math.hypot(0.1, near[k].stderr)) if replaced else near[k]
+            assert found[k].value == pytest.approx(expected.value)
+            assert found[k].stderr == pytest.approx(expected.stderr)
+
+
+@pytest.mark.parametrize(
+    ("bend", "counts"), [(2.9, [100]), (3.1, [100, 50, 25, 12]), (-3.1, [100, 50, 25, 12])]
+)
+def test_the_end_of_a_record_is_shortened_while_a_quartic_is_better(monkeypatch, bend, counts):
+    seen = []
+
+    def fits(x, design, y, sigma, models, free):
+        seen.append((len(x), y[0]))
+        one = Estimate(np.array([0.0, 1.0, 0.0, 0.0]), np.eye(4), 0.0, 0.0)
+        return [one, Estimate(np.array([0.0, 0, 0, 0, bend]), np.eye(5), 0.0, 0.0)]
+
+    monkeypatch.setattr(_motion, "correlated_least_squares", fits)
+    t = np.linspace(-5, 5, 2000)
+    for place in (0, -1):
+        seen.clear()
+        found = _motion._speed_at(t, t**2, np.ones(2000), place)
+        assert [count for count, _ in seen] == counts
+        assert [first for _, first in seen] == [0.0] * len(counts)
+        half = 0.5 * (counts[-1] - 1) * 10 / 1999
+        assert found.value == pytest.approx(1 / half)
+        rows = np.array([np.polynomial.Legendre.basis(k).deriv()(1.0 if place else -1.0) for k in range(4)])
+        assert found.stderr == pytest.approx(np.linalg.norm(rows) / half)
+
+
+def test_beats_about_any_mean_are_an_oscillation_without_period():
+    t = np.linspace(0, 12, 120)
+    for mean in (50.0,):
+        found = motion_of(t, *noisy(mean + np.cos(3.9 * t) + np.cos(4.7 * t)))
+        assert (found.kind, found.period) == ("oscillation", None)
 
 
 # ---- driven bodies

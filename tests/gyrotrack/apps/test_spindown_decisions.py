@@ -298,12 +298,20 @@ def test_the_papers_markers_are_those_of_a_body_that_turns(monkeypatch):
 
 def ring_track(sense=1, **changed):
     frame = np.arange(2, 38)
-    usual = dict(
-        frame=frame, angle=sense * 0.3 * frame, sigma=np.full(36, 1e-3), warnings=("w1", "w2"), ambiguous=False,
-        ring=SimpleNamespace(hub=(30.0, 40.0), stretch=(1.0, 0.0), inner=5.0, outer=20.0),
-        hub_path=np.stack([0.1 * frame, -0.2 * frame], axis=1), explained=0.9, scale=1.2, correlated=1e-4,
-        template=SimpleNamespace(hub_sigma=0.3), way="search",
-    )  # fmt: skip
+    usual = {
+        "frame": frame,
+        "angle": sense * 0.3 * frame,
+        "sigma": np.full(36, 1e-3),
+        "warnings": ("w1", "w2"),
+        "ambiguous": False,
+        "ring": SimpleNamespace(hub=(30.0, 40.0), stretch=(1.0, 0.0), inner=5.0, outer=20.0),
+        "hub_path": np.stack([0.1 * frame, -0.2 * frame], axis=1),
+        "explained": 0.9,
+        "scale": 1.2,
+        "correlated": 1e-4,
+        "template": SimpleNamespace(hub_sigma=0.3),
+        "way": "search",
+    }
     return SimpleNamespace(**(usual | changed))
 
 
@@ -695,14 +703,14 @@ def test_a_range_of_ten_uncertainties_is_a_rotation(tmp_path, monkeypatch, share
         _spindown, "motion_of", lambda *_: motion("steady", turns=angle_range * scale / (2 * np.pi))
     )
 
-    class Written(Exception):
+    class WrittenError(Exception):
         pass
 
     def written(*_, **__):
-        raise Written
+        raise WrittenError
 
     monkeypatch.setattr(_spindown, "write_case", written)
-    with pytest.raises(TrackingError if share < 1 else Written):
+    with pytest.raises(TrackingError if share < 1 else WrittenError):
         _spindown._analysed(
             Path("a.csv"), tmp_path / "a.h5", None, SpindownOptions(), command="", force=False, progress=None
         )

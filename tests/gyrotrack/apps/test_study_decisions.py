@@ -308,7 +308,8 @@ def test_a_fit_with_a_drive_starts_from_defaults():
 @pytest.mark.parametrize(
     ("start", "driven", "fails", "other", "expected", "count"),
     [
-        ({"a": 1.0}, True, True, 1.0, "second", 2), ({"a": 1.0}, True, True, 3.0, "first", 2), ({"a": 1.0}, True, False, 1.0, "first", 1),
+        ({"a": 1.0}, True, True, 1.0, "second", 2), ({"a": 1.0}, True, True, 3.0, "first", 2),
+        ({"a": 1.0}, True, False, 1.0, "first", 1),
         ({"a": 1.0}, False, True, 1.0, "first", 1), (None, True, True, 1.0, "first", 1),
     ],
 )  # fmt: skip
@@ -434,7 +435,7 @@ def test_tilts_are_read(text, angle, azimuth):
 
 
 @pytest.mark.parametrize("text", ["75.1", "-1", "a", "30,inf", "nan", "1,2,3", ""])
-def test_texts_that_are_no_tilt(text):
+def test_other_texts_for_a_tilt_are_refused(text):
     with pytest.raises(UsageError):
         _points.read_tilt(text)
     with pytest.raises(UsageError):

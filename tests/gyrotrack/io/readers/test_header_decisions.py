@@ -97,7 +97,8 @@ def test_inputs_and_units_are_recognised():
     ("cell", "options", "expected"),
     [
         ("1.5", {}, 1.5), ("1,5", {"decimal_comma": True}, 1.5), ("1,5", {}, None), ("1_000", {}, None),
-        ("abc", {}, None), ("12:30", {}, None), ("12:30", {"times": True}, 750.0), ("1:02:03.5", {"times": True}, 3723.5),
+        ("abc", {}, None), ("12:30", {}, None), ("12:30", {"times": True}, 750.0),
+        ("1:02:03.5", {"times": True}, 3723.5),
         ("1970-01-01T00:01:40", {"times": True}, 100.0), ("1970-01-01T01:00:00+01:00", {"times": True}, 0.0),
         ("a:b", {"times": True}, None), ("1e3", {}, 1000.0),
     ],

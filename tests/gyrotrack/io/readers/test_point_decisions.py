@@ -82,7 +82,7 @@ def test_frames_and_errors_of_a_point():
 
 
 def test_unlikely_points_are_not_used():
-    points, angle = circle()
+    points, _ = circle()
     likelihood = np.where(np.arange(60) % 3 == 0, 0.6, 0.59)
     unsure = replace(points, likelihood={"p": likelihood})
     found = angle_of(unsure, ReadOptions(centre="5,3"))
@@ -118,7 +118,7 @@ def test_undefined_angles_are_refused():
 
 
 @pytest.mark.parametrize(("ratio", "refused"), [(0.7, False), (0.6, True)])
-def test_a_path_that_is_no_circle_has_no_centre(ratio, refused):
+def test_a_path_has_a_centre_if_it_is_nearly_a_circle(ratio, refused):
     """The rms deviation of an ellipse from a circle, divided by the mean radius, is 0.13 and 0.18."""
     points, _ = circle(400, turns=3)
     place = np.array([5.0, 3.0]) + (points.places["p"] - [5.0, 3.0]) * [1.0, ratio]
@@ -184,7 +184,8 @@ def test_particles_of_trackpy():
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("x", ("x", "")), ("X (m)", ("x", "")), ("y_px", ("y", "")), ("x_{mass A}", ("x", "mass A")), ("x_A", ("x", "A")),
+        ("x", ("x", "")), ("X (m)", ("x", "")), ("y_px", ("y", "")), ("x_{mass A}", ("x", "mass A")),
+        ("x_A", ("x", "A")),
         ("A_x", ("x", "A")), ("A.y", ("y", "A")), ("acc_x", ("", "")), ("gyro_x", ("", "")), ("x [deg/s]", ("", "")),
         ("mag.y", ("", "")), ("linear_accel_x", ("", "")), ("t", ("", "")), ("xy", ("", "")), ("x [deg]", ("", "")),
     ],
@@ -371,13 +372,17 @@ PROJECT = """<object class="tracker.TrackerPanel">
 <property name="length_unit">{unit}</property>
 <property name="coords"><object class="Coords"><property name="framedata">
 <property name="[0]"><object class="F"><property name="xorigin">10.0</property><property name="yorigin">20.0</property>
-<property name="angle">0.0</property><property name="xscale">4.0</property><property name="yscale">5.0</property></object></property>
+<property name="angle">0.0</property><property name="xscale">4.0</property>
+<property name="yscale">5.0</property></object></property>
 <property name="[4]"><object class="F"><property name="xorigin">10.0</property><property name="yorigin">20.0</property>
-<property name="angle">30.0</property><property name="xscale">4.0</property><property name="yscale">5.0</property></object></property>
+<property name="angle">30.0</property><property name="xscale">4.0</property>
+<property name="yscale">5.0</property></object></property>
 </property></object></property>
 <property name="tracks"><object class="org.PointMass"><property name="name">A</property><property name="framedata">
-<property name="[2]"><object class="P"><property name="x">18.0</property><property name="y">10.0</property></object></property>
-<property name="[4]"><object class="P"><property name="x">18.0</property><property name="y">10.0</property></object></property>
+<property name="[2]"><object class="P"><property name="x">18.0</property>
+<property name="y">10.0</property></object></property>
+<property name="[4]"><object class="P"><property name="x">18.0</property>
+<property name="y">10.0</property></object></property>
 </property></object><object class="org.Other"><property name="name">B</property></object></property></object>"""
 
 
