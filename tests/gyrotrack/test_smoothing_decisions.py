@@ -1,9 +1,10 @@
 """Scatter, correlation, windows and smooth paths: hand-made series, on both sides of each limit."""
 
+import math
+
 import numpy as np
 import pytest
 
-from gyrotrack import _smoothing
 from gyrotrack._smoothing import (
     TimeBase,
     angular_velocity,
@@ -216,6 +217,16 @@ def test_running_median_keeps_missing_values():
             median_smooth(x, width)
 
 
+def sigma_of_median(trend):
+    """Return the uncertainty of a median of five differences of unit uncertainty with a trend."""
+    u = trend * np.arange(-2, 3)
+    density = np.exp(-(u**2) / 2) / np.sqrt(2 * np.pi)
+    p = np.array([0.5 * math.erfc(-x / math.sqrt(2)) for x in u])
+    a, b = u[2:], u[:-2]
+    shared = np.sum((-1 / 2 + a * b / 8 - (a**2 - 1) * (b**2 - 1) / 48) * density[2:] * density[:-2])
+    return math.sqrt(np.sum(p * (1 - p)) + 2 * shared) / density.sum()
+
+
 def test_velocity_of_uniform_acceleration_on_a_known_time_base():
     t = 0.02 * np.arange(40)
     angle = 3 * t + 2 * t**2
@@ -225,14 +236,9 @@ def test_velocity_of_uniform_acceleration_on_a_known_time_base():
     np.testing.assert_array_equal(np.isfinite(u), known)
     np.testing.assert_allclose(omega[known], 3 + 4 * t[known], rtol=1e-9)
     difference = 0.01 * np.sqrt(2) / 0.04  # uncertainty of one central difference
-    trend = 4 * 0.02 / difference
-    np.testing.assert_allclose(
-        u[known], _smoothing._median_sigma(np.full(2, difference), np.full(2, 0.08), 5)[0]
-    )
-    assert trend > 0.1
+    np.testing.assert_allclose(u[known], difference * sigma_of_median(4 * 0.02 / difference), rtol=1e-4)
     _, u = angular_velocity(t, 3 * t, np.full(40, 0.01), 5)
-    expected = difference * _smoothing._median_table(5)[1][0]
-    np.testing.assert_allclose(u[known], expected)
+    np.testing.assert_allclose(u[known], difference * sigma_of_median(0.0), rtol=1e-6)
     assert np.isnan(angular_velocity(t[:8], angle[:8], np.ones(8), 5)[0]).all()
     assert np.isfinite(angular_velocity(t[:9], angle[:9], np.ones(9), 5)[0]).sum() == 1
 
@@ -291,6 +297,12 @@ def test_local_parabola_is_a_weighted_fit_in_time():
         c = weighted_polynomial(place[j] - place[i], value[j], weight, 2)
         assert fitted[i] == pytest.approx(c[0], rel=1e-5, abs=1e-6)
         assert slope[i] == pytest.approx(c[1], rel=1e-5, abs=1e-6)
+
+
+def test_local_parabola_at_equal_times_is_finite():
+    fitted, slope = local_parabola(np.zeros(5), np.arange(5.0))
+    assert np.isfinite(fitted).all()
+    assert np.isfinite(slope).all()
 
 
 def test_path_on_a_time_base_with_gaps():
