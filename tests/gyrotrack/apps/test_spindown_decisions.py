@@ -1,6 +1,7 @@
 """Which tracker a film gets, what a recording contains, which law is refused: with trackers and fits that are stubs."""
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -714,3 +715,304 @@ def test_a_range_of_ten_uncertainties_is_a_rotation(tmp_path, monkeypatch, share
         _spindown._analysed(
             Path("a.csv"), tmp_path / "a.h5", None, SpindownOptions(), command="", force=False, progress=None
         )
+
+
+# ---- the course of the analysis
+
+
+@pytest.fixture
+def analysis(monkeypatch, tmp_path):
+    """Return a function that analyses stubs: (document, calls) for a motion, a drive and a film."""
+    calls = []
+
+    def note(name, result):
+        def call(*args, **options):
+            calls.append((name, args, options))
+            return result
+
+        return call
+
+    def analyse(
+        found,
+        drive=None,
+        *,
+        film=None,
+        inputs=(),
+        quantity="angle",
+        reversals=3,
+        laws=None,
+        stopped="",
+        verdict="adequate",
+        **extra,
+    ):
+        calls.clear()
+        case = case_of({"casing": 60})
+        window = np.ones(60, dtype=int) if extra.pop("windows", False) else None
+        series = replace(case.casing, angle=0.1 * np.arange(60), window=window)
+        case = replace(
+            case,
+            casing=series,
+            inputs=inputs,
+            quantity=quantity,
+            extra=extra,
+            warnings=("w",),
+            recordings={"casing": RECORDING},
+        )
+        data = SimpleNamespace(
+            motion=SimpleNamespace(reversals=[1.0] * reversals), record=SimpleNamespace(inputs=inputs)
+        )
+        base = SimpleNamespace(
+            name="base",
+            problem=SimpleNamespace(data=[data]),
+            model=SimpleNamespace(restoring=True),
+            verdict="ok",
+        )
+        last = SimpleNamespace(**vars(base) | {"name": "last"})
+
+        class History(list):
+            pass
+
+        history = History([SimpleNamespace(fit=base, candidates="c"), SimpleNamespace(fit=last)])
+        history.stopped = stopped
+        ledger = SimpleNamespace(add=note("add", SimpleNamespace(fit_id="f1")), path="ledger")
+        recorder = SimpleNamespace(entries=[SimpleNamespace(document={"rung": k}) for k in range(2)])
+        study = SimpleNamespace(
+            data=[data], model=note("model", "model"), ledger=ledger, recorder=note("recorder", recorder),
+            keep_diagnosis=note("keep", None), steps_to=note("steps", "steps"),
+        )  # fmt: skip
+        patches = {
+            "gyrotrack.apps._spindown": {
+                "read_source": note("read", _spindown.Source(case, film, extra.pop("table", None))), "motion_of": note("motion", found),
+                "motion_of_speeds": note("speeds", found), "_drive": note("drive", drive), "write_case": note("write", None),
+                "open_study": note("study", study), "with_pivot_errors": note("pivot", found), "_with_view_errors": note("view", found),
+                "write_point_picture": note("point picture", None), "write_body_picture": note("body picture", None),
+                "laws_of_body": lambda fit: (fit.name,), "write_report": note("report", None), "read_case": note("read case", "case"),
+                "_first_order_fit": note("first order fit", base), "white_noise": lambda *_: 1e-3,
+            },
+            "fitting.inference._fit": {"fit": note("fit", base)},
+            "fitting._workers": {"WorkerPool": nullcontext},
+            "fitting.discovery._oscillator": {"oscillator_laws": note("laws", laws), "fit_oscillator": note("oscillator", (laws, base))},
+            "fitting.discovery._select": {"improve": note("improve", history), "rank": note("rank", "ranked")},
+            "fitting.discovery._verdict": {"diagnose": note("diagnose", SimpleNamespace(verdict=verdict))},
+            "fitting.inference._first_order": {"first_order": lambda fit: [SimpleNamespace(label="r")]},
+            "fitting.study._serialisation": {"diagnosis_document": note("document", "diagnosis")},
+        }  # fmt: skip
+        for module, names in patches.items():
+            for name, stub in names.items():
+                monkeypatch.setattr(f"{module}.{name}", stub)
+        report = tmp_path / "r.html" if extra.get("report") else None
+        source = tmp_path / ("a.mp4" if film else "a.csv")
+        document = _spindown._analysed(
+            source, tmp_path / "a.h5", report, SpindownOptions(), command="c", force=True, progress=None
+        )
+        return (
+            document,
+            [name for name, *_ in calls],
+            {name: (args, options) for name, args, options in calls},
+        )
+
+    return analyse
+
+
+def test_a_free_body_is_fitted_and_improved(analysis):
+    document, names, calls = analysis(motion(alpha=Value(1.0, 0.1)))
+    assert names[:2] == ["read", "motion"]
+    assert "oscillator" not in names
+    assert "laws" not in names
+    assert calls["recorder"][0][0] == "f1"
+    assert calls["improve"][1]["max_steps"] is None
+    assert calls["improve"][1]["first"] is None
+    assert calls["diagnose"][1]["candidates"] == "c"
+    assert (document["laws"], document["ladder"], document["diagnosis"], document["report"]) == (
+        ("last",),
+        [0, 1],
+        "diagnosis",
+        None,
+    )
+    assert document["first_order"] == [{"label": "r"}]
+    assert document["warnings"] == ["w"]
+    assert (document["response"], document["oscillator"], document["picture"], document["ambiguous"]) == (
+        None,
+        None,
+        None,
+        False,
+    )
+    for verdict, law in (("undecided", "base"), ("unexplained", "base"), ("missing_effect", "last")):
+        assert analysis(motion(), verdict=verdict)[0]["laws"] == (law,)
+    document, names, calls = analysis(motion(), report=True, doubts=["d"], stopped="early")
+    assert document["report"].name == "r.html"
+    assert calls["report"][1]["recordings"] == ["case"]
+    assert document["ambiguous"] is True
+    assert document["warnings"] == ["w", "The search stopped: early"]
+
+
+def test_a_motion_of_measured_speeds_is_described_by_them(analysis):
+    assert "speeds" in analysis(motion(), quantity="omega")[1]
+    assert "motion" in analysis(motion(), quantity="omega", windows=True)[1]
+    assert "motion" in analysis(motion(), quantity="angle")[1]
+
+
+def test_a_driven_body_without_a_recorded_drive_has_no_law(analysis):
+    drive = _spindown.Drive(
+        "its speed rises once", {"first": 1.0, "last": 2.0}, {"first": 0.1, "last": 0.1}, "response"
+    )
+    document, names, _ = analysis(motion(period=VALUE), drive)
+    assert "fit" not in names
+    found = document["motion"]
+    assert (found.kind, found.period, found.omega, found.omega_u) == (
+        "driven",
+        None,
+        drive.omega,
+        drive.omega_u,
+    )
+    assert document["response"] == "response"
+    assert (document["laws"], document["ladder"], document["diagnosis"]) == ([], [], None)
+    assert "(its speed rises once)" in document["warnings"][-1]
+    assert "--input" not in document["warnings"][-1]
+    plain = _spindown.Drive("reason", None, None, "response")
+    document, *_ = analysis(motion(), plain)
+    assert document["motion"].omega == motion().omega
+    assert "--input" in analysis(motion(), plain, table="table")[0]["warnings"][-1]
+    for each in (None, plain):
+        document, names, _ = analysis(motion("fluctuating"), each)
+        assert (document["motion"].kind, document["response"]) == ("fluctuating", None)
+        assert "(its speed rises and falls repeatedly)" in document["warnings"][-1]
+        assert "fit" not in names
+    _, names, _ = analysis(motion("oscillation", period=VALUE), plain, laws=oscillator())
+    assert "drive" not in names
+
+
+def test_a_recorded_drive_is_fitted(analysis):
+    drive = _spindown.Drive("reason", None, None, "response")
+    current = SimpleNamespace(name="i", unit="A")
+    for given in (None, drive):
+        document, names, calls = analysis(motion(period=VALUE), given, inputs=(current,))
+        assert calls["first order fit"][0][1] == ["i"]
+        assert "fit" not in names
+        assert (document["motion"].kind, document["motion"].period, document["response"]) == (
+            "driven",
+            None,
+            None,
+        )
+        assert document["laws"] == ("last",)
+    _, names, _ = analysis(motion("oscillation", period=VALUE), None, inputs=(current,))
+    assert "drive" in names
+    document, names, _ = analysis(motion("fluctuating"), drive, inputs=(current,))
+    assert "first order fit" in names
+    warm = SimpleNamespace(name="T", unit="K")
+    assert "fit" in analysis(motion(), None, inputs=(warm,))[1]
+
+
+def oscillator(disagreements=("", "")):
+    names = dict(zip(("last", "base"), disagreements, strict=True))
+    return SimpleNamespace(with_fit=lambda fit: (fit.name, names[fit.name]))
+
+
+def test_an_oscillation_is_fitted_with_its_laws(analysis):
+    kind = motion("oscillation", period=VALUE)
+    for disagreements, name, count in (
+        (("", ""), "last", 1),
+        (("no", ""), "base", 1),
+        (("no", "nor"), "base", 2),
+    ):
+        document, names, calls = analysis(kind, laws=oscillator(disagreements))
+        assert "oscillator" in names
+        assert "fit" not in names
+        assert "rank" not in names
+        assert (document["oscillator"], len(document["warnings"])) == (name, count)
+    many = 4000
+    document, names, calls = analysis(kind, laws=oscillator(), reversals=many)
+    assert calls["rank"][1] == {"refitting": False}
+    assert (calls["improve"][1]["max_steps"], calls["improve"][1]["first"]) == (0, "ranked")
+    assert f"{many} reversals: no law" in document["warnings"][1]
+    document, names, calls = analysis(kind, laws=None, reversals=many)
+    assert "rank" not in names
+    assert (calls["improve"][1]["max_steps"], calls["improve"][1]["first"]) == (1, None)
+    assert f"{many} reversals: one effect" in document["warnings"][1]
+    document, *_ = analysis(motion("oscillation"))
+    assert document["warnings"][-1].startswith("No torque law: ")
+    assert document["ladder"] == []
+
+
+def test_pictures_and_errors_follow_the_tracker(analysis):
+    document, names, _ = analysis(motion(), film=("film", point_of()))
+    assert {"pivot", "point picture"} <= set(names)
+    assert not {"view", "body picture"} & set(names)
+    assert document["picture"].name == "a.png"
+    _, names, _ = analysis(motion(), film=("film", SimpleNamespace()))
+    assert {"view", "body picture"} <= set(names)
+    assert not {"pivot", "point picture"} & set(names)
+
+
+def test_settings_of_a_case_are_stored(analysis):
+    _, _, calls = analysis(motion())
+    (target, case), options = calls["write"]
+    assert (target.name, options["force"], options["command"]) == ("a.h5", True, "c")
+    assert options["settings"]["inputs"] == []
+    assert options["settings"]["tilt"] is None
+
+
+def test_passages_are_read_only_from_tables(tmp_path, monkeypatch):
+    found = SimpleNamespace(time=np.arange(40.0), duration=np.ones(40), notes=("n",))
+    monkeypatch.setattr(_spindown, "read_passages", lambda *_: found)
+    monkeypatch.setattr(
+        _spindown, "replace", lambda found, **changed: SimpleNamespace(**vars(found) | changed)
+    )
+    monkeypatch.setattr(_spindown, "motion_of_passages", lambda found: len(found.time))
+    for name in ("a.mp4", "a.h5", "a.HDF5", "none.csv"):
+        if name != "none.csv":
+            (tmp_path / name).write_bytes(b"")
+        assert _spindown._passages(tmp_path / name, SpindownOptions()) is None
+    (tmp_path / "a.csv").write_text("")
+    document = _spindown._passages(tmp_path / "a.csv", SpindownOptions())
+    assert (document["motion"], document["case"], document["reading"], document["ambiguous"]) == (
+        40,
+        None,
+        [],
+        False,
+    )
+    assert (document["laws"], document["warnings"][0], len(document["warnings"])) == ([], "n", 2)
+    assert _spindown._passages(tmp_path / "a.csv", SpindownOptions(limits=Limits(start=10.0)))["motion"] == 30
+    with pytest.raises(UsageError, match="inputs"):
+        _spindown._passages(tmp_path / "a.csv", SpindownOptions(inputs=("u=2",)))
+    monkeypatch.setattr(_spindown, "read_passages", lambda *_: None)
+    assert _spindown._passages(tmp_path / "a.csv", SpindownOptions()) is None
+
+
+def test_recordings_and_cases_are_read(tmp_path, monkeypatch):
+    case = case_of({"casing": 120})
+    path = tmp_path / "a.h5"
+    monkeypatch.setattr(_spindown, "read_recording", lambda _: case.recordings["casing"])
+    path.write_bytes(b"")
+    options = SpindownOptions(limits=Limits(keep_all=True))
+    assert len(_spindown.read_source(path, options).case.casing.time) == 120
+    assert _spindown.read_source(path, options).table is None
+    _spindown.write_case(path, case, command="", settings={}, force=True)
+
+    def refused(_):
+        raise DatasetError("a case")
+
+    monkeypatch.setattr(_spindown, "read_recording", refused)
+    found = _spindown.read_source(path, options)
+    assert len(found.case.casing.time) == 120
+    assert found.table is not None
+
+
+def test_drive_of_a_table_has_inputs_at_the_times_of_the_samples(monkeypatch):
+    seen = {}
+    monkeypatch.setattr(
+        _spindown,
+        "drive_of",
+        lambda series, quantity, inputs, *, pulses: seen.update(inputs=inputs, pulses=pulses),
+    )
+    driver = _spindown.Driver("u", "A", np.arange(5.0))
+    warm = _spindown.Driver("T", "degC", np.arange(5.0))
+    table = SimpleNamespace(time=np.arange(5.0), drivers=(driver, warm), counted=True)
+    case = SimpleNamespace(
+        casing=SimpleNamespace(time=np.array([-1.0, 0.0, 1.5, 2.0, 9.0])), quantity="angle"
+    )
+    _spindown._drive(SimpleNamespace(case=case, table=table))
+    (only,) = seen["inputs"]
+    assert (only.name, only.value.tolist(), seen["pulses"]) == ("u", [0, 0, 1, 2, 4], True)
+    _spindown._drive(SimpleNamespace(case=case, table=None))
+    assert (seen["inputs"], seen["pulses"]) == ((), False)
