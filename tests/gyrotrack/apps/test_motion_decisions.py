@@ -313,7 +313,7 @@ def test_speeds_of_a_rotation_and_their_uncertainties():
 
 def test_a_term_beyond_the_highest_degree_widens_each_value(monkeypatch):
     """The rotation of two turns has degrees up to 6, in the angle; the speeds up to 5."""
-    t = np.linspace(-3, 3, 80)
+    t = np.linspace(-3, 3, 40)
     angle, sigma = noisy(2 * t + 0.1 * t**2)
     monkeypatch.setattr(_motion, "_next_coefficient", lambda fits: 0.0)
     plain, speeds = _motion._rotation(t, angle, sigma), motion_of_speeds(t, angle, sigma, angle)
@@ -333,7 +333,7 @@ def test_a_term_beyond_the_highest_degree_widens_each_value(monkeypatch):
 
 
 def test_a_local_speed_replaces_a_different_polynomial(monkeypatch):
-    t = np.linspace(-3, 3, 80)
+    t = np.linspace(-3, 3, 40)
     angle, sigma = noisy(2 * t)
     monkeypatch.setattr(_motion, "_speed_at", lambda t, angle, sigma, place: Value(2.0, 0.1))
     near = _motion._rotation(t, angle, sigma)

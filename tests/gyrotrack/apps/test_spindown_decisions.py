@@ -782,21 +782,36 @@ def analysis(monkeypatch, tmp_path):
         )  # fmt: skip
         patches = {
             "gyrotrack.apps._spindown": {
-                "read_source": note("read", _spindown.Source(case, film, extra.pop("table", None))), "motion_of": note("motion", found),
-                "motion_of_speeds": note("speeds", found), "_drive": note("drive", drive), "write_case": note("write", None),
-                "open_study": note("study", study), "with_pivot_errors": note("pivot", found), "_with_view_errors": note("view", found),
-                "write_point_picture": note("point picture", None), "write_body_picture": note("body picture", None),
-                "laws_of_body": lambda fit: (fit.name,), "write_report": note("report", None), "read_case": note("read case", "case"),
-                "_first_order_fit": note("first order fit", base), "white_noise": lambda *_: 1e-3,
+                "read_source": note("read", _spindown.Source(case, film, extra.pop("table", None))),
+                "motion_of": note("motion", found),
+                "motion_of_speeds": note("speeds", found),
+                "_drive": note("drive", drive),
+                "write_case": note("write", None),
+                "open_study": note("study", study),
+                "with_pivot_errors": note("pivot", found),
+                "_with_view_errors": note("view", found),
+                "write_point_picture": note("point picture", None),
+                "write_body_picture": note("body picture", None),
+                "laws_of_body": lambda fit: (fit.name,),
+                "write_report": note("report", None),
+                "read_case": note("read case", "case"),
+                "_first_order_fit": note("first order fit", base),
+                "white_noise": lambda *_: 1e-3,
             },
             "fitting.inference._fit": {"fit": note("fit", base)},
             "fitting._workers": {"WorkerPool": nullcontext},
-            "fitting.discovery._oscillator": {"oscillator_laws": note("laws", laws), "fit_oscillator": note("oscillator", (laws, base))},
-            "fitting.discovery._select": {"improve": note("improve", history), "rank": note("rank", "ranked")},
+            "fitting.discovery._oscillator": {
+                "oscillator_laws": note("laws", laws),
+                "fit_oscillator": note("oscillator", (laws, base)),
+            },
+            "fitting.discovery._select": {
+                "improve": note("improve", history),
+                "rank": note("rank", "ranked"),
+            },
             "fitting.discovery._verdict": {"diagnose": note("diagnose", SimpleNamespace(verdict=verdict))},
             "fitting.inference._first_order": {"first_order": lambda fit: [SimpleNamespace(label="r")]},
             "fitting.study._serialisation": {"diagnosis_document": note("document", "diagnosis")},
-        }  # fmt: skip
+        }
         for module, names in patches.items():
             for name, stub in names.items():
                 monkeypatch.setattr(f"{module}.{name}", stub)
@@ -946,7 +961,7 @@ def test_pictures_and_errors_follow_the_tracker(analysis):
 
 def test_settings_of_a_case_are_stored(analysis):
     _, _, calls = analysis(motion())
-    (target, case), options = calls["write"]
+    (target, _), options = calls["write"]
     assert (target.name, options["force"], options["command"]) == ("a.h5", True, "c")
     assert options["settings"]["inputs"] == []
     assert options["settings"]["tilt"] is None
