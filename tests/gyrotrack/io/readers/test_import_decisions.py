@@ -51,7 +51,7 @@ def test_angles_are_unwrapped_across_gaps():
     assert uncertain == []
 
 
-@pytest.mark.parametrize(("change", "doubtful"), [(0.6, False), (1.6, True)])
+@pytest.mark.parametrize(("change", "doubtful"), [(0.93, False), (1.05, True)])
 def test_a_gap_is_uncertain_if_the_speed_changes_by_eight_radians_divided_by_its_length(change, doubtful):
     """A gap of 8.1 s: a change of 0.99 rad/s is the limit."""
     time = 0.1 * np.concatenate([np.arange(200), np.arange(280, 480)])
@@ -133,6 +133,8 @@ def test_tables_are_split_at_gaps():
     assert any("2 isolated" in note for note in notes)
     assert any("1 gaps; the longest, 34.1 s, is after 5.9 s" in note for note in notes)
     assert 5e-4 < np.median(parts[0].sigma) < 2e-3
+    assert not any("quantised" in note for note in notes)
+    parts = pieces_of(motion_table(time, value, least_sigma=3e-4), value, notes := [])
     assert not any("quantised" in note for note in notes)
     notes = []
     parts = pieces_of(motion_table(time, value, least_sigma=5e-3), value, notes)
@@ -233,6 +235,12 @@ def test_case_of_two_bodies(tmp_path):
     assert [s["samples"] for s in case.extra["sources"]] == [300, 180]
     cut = import_case(casing, [rotor], I_rotor=1.0, I_casing=1.0, limits=Limits(stop=1.5))
     assert (len(cut.casing.time), len(cut.rotor.time)) == (151, 131)
+    stated = tmp_path / "g.csv"
+    stated.write_text("t [s],angle [rad],sigma\n" + "".join(f"{t:.3f},{9 * t:.5f},0.01\n" for t in time))
+    first = import_case(stated, [rotor], I_rotor=1.0, I_casing=1.0)
+    assert (first.casing.sigma_source, first.rotor.sigma_source) == ("given", "estimated")
+    last = import_case(casing, [stated, rotor], I_rotor=1.0, I_casing=1.0)
+    assert (last.casing.sigma_source, last.rotor.sigma_source) == ("estimated", "mixed")
     for inertia in ((0.0, 1.0), (1.0, 0.0), (-1.0, 1.0)):
         with pytest.raises(UsageError):
             import_case(casing, [rotor], I_rotor=inertia[0], I_casing=inertia[1])
