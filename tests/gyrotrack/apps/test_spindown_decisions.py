@@ -534,6 +534,10 @@ def test_difference_of_the_halves_of_a_ring_widens_all_values(monkeypatch, turns
     assert found.omega_mean.stderr == pytest.approx(math.hypot(0.1, 0.6))
     assert found.amplitude.stderr == pytest.approx(math.hypot(0.1, 0.15))
     assert found.period.stderr == pytest.approx(math.hypot(0.1, 0.02))
+    backward = replace(plain, alpha=Value(-2.0, 0.1))
+    assert _spindown._with_view_errors(backward, series, recording, track).alpha.stderr == pytest.approx(
+        math.hypot(0.1, 0.6)
+    )
     none = replace(plain, period=None, amplitude=None, decay=None)
     found = _spindown._with_view_errors(none, series, recording, track)
     assert (found.period, found.amplitude, found.decay) == (None, None, None)
@@ -1031,3 +1035,23 @@ def test_drive_of_a_table_has_inputs_at_the_times_of_the_samples(monkeypatch):
     assert (only.name, only.value.tolist(), seen["pulses"]) == ("u", [0, 0, 1, 2, 4], True)
     _spindown._drive(SimpleNamespace(case=case, table=None))
     assert (seen["inputs"], seen["pulses"]) == ((), False)
+
+
+def test_a_body_is_tracked_about_a_hub_or_free(monkeypatch):
+    monkeypatch.setattr(_spindown, "track_body", lambda film, hub, progress: ("hub", hub))
+    monkeypatch.setattr(_spindown, "track_free_body", lambda film, hub, progress: ("free", hub))
+    monkeypatch.setattr(
+        _spindown, "follow_point", lambda film, point, hub, progress, seen: (point, hub, seen)
+    )
+    monkeypatch.setattr(_spindown, "_recording_of", lambda film, options, tracked: "recording")
+    film, options = StubFilm(), SpindownOptions(hub=(1.0, 2.0), point=(3.0, 4.0))
+    assert _spindown.film_recording(film, options) == ("recording", ("hub", (1.0, 2.0)))
+    assert _spindown.film_recording(film, options, free=True) == ("recording", ("free", (1.0, 2.0)))
+    film.tilt = Tilt(0.1, 0.0)
+    assert _spindown.film_recording(film, options)[1] == ("hub", (101.0, 102.0))
+    assert _spindown.film_recording(film, SpindownOptions())[1] == ("hub", None)
+    assert _spindown.point_recording(film, options, None, "seen")[1] == (
+        (103.0, 104.0),
+        (101.0, 102.0),
+        "seen",
+    )
