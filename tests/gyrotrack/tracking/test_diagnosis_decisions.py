@@ -520,7 +520,7 @@ def test_the_halves_of_a_free_body_differ_by_a_correlated_error(monkeypatch):
 def test_a_loose_body_turns_and_its_hub_moves_less_than_its_rim(range_, wander, hub, loose, monkeypatch):
     theta = 0.5 * range_ * np.sin(np.linspace(0.0, 4.0 * np.pi, 81))
     turn = np.exp(1j * theta)
-    off = np.tile([2.0, -1.0, -1.0], 27) / np.std([2.0, 1.0, 1.0])
+    off = np.tile([2.0, -1.0, -1.0], 27) / np.sqrt(2.0)
     ring = Ring.about((hub, 60.0), 5.0, 50.0)
     shift = wander * theta.std() * 50.0 * off
     moved = (hub + 60j) * (1.0 - turn) + shift
