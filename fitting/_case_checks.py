@@ -23,6 +23,7 @@ refuses computed covariances, a larger one accepts invalid ones."""
 _BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 # names with a meaning in the library
 _TAKEN = {
+    "ground",
     "rotor",
     "casing",
     "bearing",

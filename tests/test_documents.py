@@ -9,8 +9,8 @@ import h5py
 import pytest
 
 from fitting import LIBRARY
-from gyrotrack.apps.cli import _app as app
-from gyrotrack.io.readers import _format_names as names
+from gyrotrack.apps.cli._app import run
+from gyrotrack.io.readers._format_names import ALL
 
 DOCS = Path(__file__).parents[1] / "docs"
 MADE = ["make_command_line", "make_effects", "make_format", "make_import", "make_json"]
@@ -43,14 +43,14 @@ def test_no_effect_is_left_out():
 
 
 def test_the_manual_says_how_each_format_is_imported():
-    assert {name for use in maker("make_import").USES for name in use.formats} == set(names.ALL)
+    assert {name for use in maker("make_import").USES for name in use.formats} == set(ALL)
 
 
 def test_the_tables_of_the_format_are_those_of_a_real_file(tmp_path):
     """What `simulate` writes has exactly the datasets, units and dimensions that the page lists."""
     path = tmp_path / "case.h5"
     words = ["simulate", "-o", path, "--duration", "12", "--window-length", "1"]
-    assert app.run([str(w) for w in words]) == 0
+    assert run([str(w) for w in words]) == 0
     text = (DOCS / "reference/format.md").read_text(encoding="utf-8")
     with h5py.File(path) as file:
         for group, title in (("casing", "### `/casing` of a case"), ("rotor", "### `/rotor` of a case")):

@@ -15,7 +15,7 @@ from cases import data, fitted
 
 import fitting
 from fitting import EffectError, EstimationError, LedgerError, Model, fit, load_fit, make_record
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 
 ROOT = Path(__file__).parents[2]
 BLOCK = """
@@ -61,7 +61,7 @@ def test_importing_the_package_imports_nothing_slow():
 def test_a_fit_imports_nothing_slow_that_it_does_not_need(tmp_path):
     """Their import takes longer than the fit."""
     path = tmp_path / "case.h5"
-    assert app.run(["simulate", "-o", str(path), "--duration", "20", "-q"]) == 0
+    assert run(["simulate", "-o", str(path), "--duration", "20", "-q"]) == 0
     code = (
         "import sys\nfrom gyrotrack.apps.cli._app import run\n"
         f"assert run(['fit', {str(path)!r}, '--json', '-q']) == 0\n"
@@ -251,7 +251,7 @@ def test_the_documentation_page_runs(tmp_path, monkeypatch, capsys):
         ("case1", "2", []),
         ("case2", "3", ["--omega-rotor", "800", "--set", "touchpoint.constant.b1=5e-6"]),
     ):
-        done = app.run(
+        done = run(
             ["simulate", "-o", str(tmp_path / f"{name}.h5"), "--duration", "40", "--seed", seed, *words]
         )
         assert done == 0

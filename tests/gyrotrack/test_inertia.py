@@ -8,7 +8,7 @@ import pytest
 
 from gyrotrack import UsageError
 from gyrotrack.apps.batch._experiments import Clip, Experiment, with_inertias
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 from gyrotrack.io._records import Inertia
 
 
@@ -67,18 +67,18 @@ def test_no_default(tmp_path, monkeypatch, capsys):
     for name in ("c.csv", "r.csv"):
         (tmp_path / name).write_text("t,angle\n" + rows)
     words = ["import", "--casing", "c.csv", "--rotor", "r.csv", "-o", "a.h5", "--json"]
-    assert app.run(words) == 2
+    assert run(words) == 2
     error = json.loads(capsys.readouterr().out)["error"]
     assert error["message"].startswith("The moment of inertia of the rotor is not given")
-    assert app.run([*words, "--inertia-rotor", "(554 +- 6) g cm2"]) == 2
+    assert run([*words, "--inertia-rotor", "(554 +- 6) g cm2"]) == 2
     assert "of the casing" in json.loads(capsys.readouterr().out)["error"]["message"]
-    assert app.run([*words, "--inertia-rotor", "(554 +- 6) g cm2", "--inertia-casing", "2.06e-5"]) == 0
+    assert run([*words, "--inertia-rotor", "(554 +- 6) g cm2", "--inertia-casing", "2.06e-5"]) == 0
     with h5py.File("a.h5") as file:
         assert file.attrs["I_rotor"] == 5.54e-5
         assert file.attrs["I_rotor_u"] == 6e-7
         assert file.attrs["I_casing"] == 2.06e-5
         assert math.isnan(file.attrs.get("I_casing_u", math.nan))
-    assert app.run(["sync", "c.h5", "r.h5", "-o", "b.h5"]) == 2
+    assert run(["sync", "c.h5", "r.h5", "-o", "b.h5"]) == 2
 
 
 def test_a_batch_takes_the_manifest_before_the_option(tmp_path):
@@ -100,7 +100,7 @@ def test_a_batch_takes_the_manifest_before_the_option(tmp_path):
 
 def test_simulate_names_the_inertias_of_the_paper_and_stores_a_stated_uncertainty(tmp_path, capsys):
     words = ["simulate", "-o", str(tmp_path / "a.h5"), "--duration", "12", "--window-length", "1"]
-    assert app.run([*words, "--inertia-rotor", "(554 +- 6) g cm2"]) == 0
+    assert run([*words, "--inertia-rotor", "(554 +- 6) g cm2"]) == 0
     assert "rotor 5.54e-5, casing 2.06e-5 kg m2" in capsys.readouterr().err
     with h5py.File(tmp_path / "a.h5") as file:
         assert file.attrs["I_rotor_u"] == pytest.approx(6e-7)

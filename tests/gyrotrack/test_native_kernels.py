@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from gyrotrack import _smoothing as smoothing
 from gyrotrack._native import _kernels as kernels
+from gyrotrack._smoothing import local_fit
 from gyrotrack.tracking import _corners as corners
-from gyrotrack.tracking import _marker_tracker as matching
 from gyrotrack.tracking._hub import DiscWindow
+from gyrotrack.tracking._marker_tracker import displaced, flat_top, match
 from gyrotrack.tracking._marker_window import MarkerStrip
 from gyrotrack.tracking._polar import CHROMA_SHIFT, Grid, Ring, Score, Windows
 from gyrotrack.tracking._scene import Disc
@@ -150,16 +150,16 @@ def test_arrays_of_another_type_or_shape_are_refused(use, way, name):
 def test_matches_are_those_of_the_reference(both, hidden):
     rng = np.random.default_rng(5)
     count, m = 400, 57
-    template = matching.flat_top(9, m)
+    template = flat_top(9, m)
     shift, gain = rng.uniform(-9, 9, count), rng.uniform(0.3, 1.5, count)
-    profile = gain[:, None] * matching.displaced(template, shift) + rng.normal(0, 0.03, (count, m)) + 0.2
+    profile = gain[:, None] * displaced(template, shift) + rng.normal(0, 0.03, (count, m)) + 0.2
     profile[:20] = rng.normal(0, 1, (20, m))  # no marker at all
     seen = np.ones((count, m), dtype=bool)
     if hidden:
         seen[100:300, :25] = False
         seen[10] = False
     start = shift + rng.uniform(-2, 2, count)
-    ours_, theirs_ = both(lambda: matching.match(profile, template, start, seen))
+    ours_, theirs_ = both(lambda: match(profile, template, start, seen))
     usual = slice(20, None)
     for name in ("shift", "gain", "offset", "misfit", "weakness"):
         ours, theirs = getattr(ours_, name), getattr(theirs_, name)
@@ -173,9 +173,7 @@ def test_matches_are_those_of_the_reference(both, hidden):
 def test_nan_does_no_harm(use, way):
     use(way)
     profile = np.full((2, 31), np.nan)
-    found = matching.match(
-        profile, matching.flat_top(6, 31), np.array([0.0, np.nan]), np.ones((2, 31), dtype=bool)
-    )
+    found = match(profile, flat_top(6, 31), np.array([0.0, np.nan]), np.ones((2, 31), dtype=bool))
     assert found.shift.shape == (2,)
 
 
@@ -274,7 +272,7 @@ def test_local_polynomials_are_those_of_numpy(both, count, half, degree, hole):
     weight = np.where(rng.random(count) < 0.3, 0.0, rng.uniform(0.2, 3.0, count))
     weight[count // 2 : count // 2 + 3 * half] = 0.0
     value[(weight == 0) & (rng.random(count) < 0.5)] = np.nan
-    ours, theirs = both(lambda: smoothing.local_fit(value, weight, half, degree, hole))
+    ours, theirs = both(lambda: local_fit(value, weight, half, degree, hole))
     for mine, other in zip(ours, theirs, strict=True):
         assert (np.isnan(mine) == np.isnan(other)).all()
         seen = (weight > 0) & np.isfinite(

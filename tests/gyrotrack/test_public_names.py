@@ -8,7 +8,7 @@ import pytest
 
 import gyrotrack
 from gyrotrack import UsageError, VideoError
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 
 NAMES = set(
     """
@@ -60,9 +60,7 @@ def test_from_film_to_recording_and_back(casing_clip, tmp_path):
 
 
 def test_a_case_is_read(tmp_path):
-    assert (
-        app.run(["simulate", "-o", str(tmp_path / "c.h5"), "--duration", "12", "--window-length", "1"]) == 0
-    )
+    assert run(["simulate", "-o", str(tmp_path / "c.h5"), "--duration", "12", "--window-length", "1"]) == 0
     case = gyrotrack.read(tmp_path / "c.h5")
     assert isinstance(case, gyrotrack.Case)
     assert case.I_rotor == 5.54e-5

@@ -8,15 +8,9 @@ import pytest
 from scipy import stats
 
 from fitting import Estimate, EstimationError, Model
+from fitting.comparison import _population
 from fitting.comparison._comparison import compare
-from fitting.comparison._population import (
-    FEWEST,
-    _holm,
-    _p_step,
-    _step_statistics,
-    population,
-    population_of,
-)
+from fitting.comparison._population import FEWEST, population, population_of
 
 RNG = np.random.default_rng(11)
 
@@ -113,7 +107,7 @@ def test_a_step_has_its_place_and_size(sign):
 
 def test_statistics_of_a_step_are_those_of_two_samples():
     y = RNG.standard_normal(12)
-    f, largest = _step_statistics(y, np.ones(12))
+    f, largest = _population._step_statistics(y, np.ones(12))
     expected = [stats.ttest_ind(y[:k], y[k:]).statistic ** 2 for k in range(FEWEST, 13 - FEWEST)]
     np.testing.assert_allclose(f, expected, rtol=1e-9)
     assert largest == pytest.approx(max(expected))
@@ -122,17 +116,19 @@ def test_statistics_of_a_step_are_those_of_two_samples():
 @pytest.mark.parametrize("quantile", [0.5, 0.9])
 def test_with_one_place_the_probability_of_a_step_is_that_of_f(quantile):
     largest = stats.f.ppf(quantile, 1, 4)
-    p = _p_step(largest, np.array([1.0, 2.0, 1.0, 0.5, 1.0, 1.0]), np.random.default_rng(2))
+    p = _population._p_step(largest, np.array([1.0, 2.0, 1.0, 0.5, 1.0, 1.0]), np.random.default_rng(2))
     assert p == pytest.approx(1 - quantile, abs=0.03)
 
 
 def test_beyond_the_simulated_sets_the_bound_of_bonferroni_holds():
-    p = _p_step(400.0, np.ones(40), np.random.default_rng(3))
+    p = _population._p_step(400.0, np.ones(40), np.random.default_rng(3))
     assert p == pytest.approx(35 * stats.f.sf(400.0, 1, 38), rel=1e-6)
 
 
 def test_adjusted_probabilities_are_those_of_holm():
-    np.testing.assert_allclose(_holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
+    np.testing.assert_allclose(
+        _population._holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02]
+    )
 
 
 @pytest.mark.parametrize(("size", "named"), [(3.0, False), (9.0, True)])

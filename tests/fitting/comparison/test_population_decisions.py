@@ -8,27 +8,10 @@ import pytest
 from scipy import stats
 
 from fitting import Estimate, Model
+from fitting.comparison import _comparison
 from fitting.comparison import _population as module
-from fitting.comparison._comparison import Repeat, _compared, _listed, _q, _spread, compare
-from fitting.comparison._population import (
-    _best,
-    _coefficient,
-    _columns,
-    _deviance,
-    _filled,
-    _holm,
-    _left_out,
-    _p_step,
-    _reml,
-    _running_median,
-    _spread_u,
-    _step_statistics,
-    _tests,
-    _weights,
-    compared_parameters,
-    population,
-    population_of,
-)
+from fitting.comparison._comparison import Repeat, compare
+from fitting.comparison._population import compared_parameters, population, population_of
 
 ALL = np.ones(12, dtype=bool)
 TIMES = np.array([0.0, 1, 2, 4, 5, 7, 8, 10, 13, 14, 15, 20])
@@ -40,14 +23,14 @@ def noise(seed=0, n=12):
 
 class TestColumns:
     def test_a_constant_has_one_column(self):
-        assert _columns("", 0, TIMES, ALL).tolist() == [[1.0]] * 12
+        assert module._columns("", 0, TIMES, ALL).tolist() == [[1.0]] * 12
 
     def test_drift_and_step_are_centred_on_the_runs_inside(self):
         inside = ALL.copy()
         inside[[0, 3, 11]] = False
-        drift = _columns("drift", 0, TIMES, inside)
+        drift = module._columns("drift", 0, TIMES, inside)
         assert drift[:, 1] == pytest.approx(TIMES - TIMES[inside].mean())
-        step = _columns("step", 4, TIMES, inside)
+        step = module._columns("step", 4, TIMES, inside)
         # runs 1, 2, 4, 5, 6 ... are inside, so the fifth of them is run 6
         assert step[:, 1] == pytest.approx(np.where(np.arange(12) >= 6, 1.0, 0.0) - 5 / 9)
         assert (step[:, 0] == 1).all()
@@ -56,7 +39,7 @@ class TestColumns:
         y = np.array([[1.0, 5.0], [3.0, np.nan], [np.nan, 9.0]])
         c = np.tile(np.array([[0.1, 0.05], [0.05, 0.2]]), (3, 1, 1))
         c[1, 1, :] = c[1, :, 1] = np.nan
-        filled, cov = _filled(y, c, np.isfinite(y))
+        filled, cov = module._filled(y, c, np.isfinite(y))
         assert filled.tolist() == [[1.0, 5.0], [3.0, 7.0], [2.0, 9.0]]
         assert cov[0].tolist() == [[0.1, 0.05], [0.05, 0.2]]
         assert cov[1].tolist() == [[0.1, 0.0], [0.0, 1e10]]
@@ -65,7 +48,7 @@ class TestColumns:
 
     def test_the_median_is_over_seven_neighbours_on_each_side(self):
         y = np.arange(30.0) ** 2
-        found = _running_median(y)
+        found = module._running_median(y)
         assert found[15] == y[15]
         assert found[0] == np.median(y[:8])
         assert found[3] == np.median(y[:11])
@@ -81,39 +64,39 @@ class TestRegression:
         beta = gram @ design.T @ (w * y)
         chi2 = np.sum(w * (y - design @ beta) ** 2) / 10
         assert chi2 < 1
-        assert _coefficient(y, w, design) == pytest.approx((beta[1], math.sqrt(gram[1, 1]), 10))
+        assert module._coefficient(y, w, design) == pytest.approx((beta[1], math.sqrt(gram[1, 1]), 10))
         # a scatter above the uncertainties counts
-        large = _coefficient(10 * y, w, design)
+        large = module._coefficient(10 * y, w, design)
         assert large == pytest.approx((10 * beta[1], math.sqrt(100 * chi2 * gram[1, 1]), 10))
         assert 100 * chi2 > 1
 
     def test_the_spread_of_equal_weights_is_the_sample_variance_less_that_of_the_fit(self):
         y, u2 = noise(2), np.full(12, 0.2)
-        w, spread = _weights(y, u2, np.ones((12, 1)))
+        w, spread = module._weights(y, u2, np.ones((12, 1)))
         assert spread == pytest.approx(np.var(y, ddof=1) - 0.2, rel=5e-3)
         assert w == pytest.approx(1 / (0.2 + spread))
         design = np.column_stack([np.ones(12), TIMES])
         rest = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
-        assert _weights(y, u2, design)[1] == pytest.approx(rest @ rest / 10 - 0.2, rel=1e-2)
+        assert module._weights(y, u2, design)[1] == pytest.approx(rest @ rest / 10 - 0.2, rel=1e-2)
 
     def test_scatter_below_the_uncertainties_adds_nothing(self):
-        w, spread = _weights(0.1 * noise(2), np.full(12, 1.0), np.ones((12, 1)))
+        w, spread = module._weights(0.1 * noise(2), np.full(12, 1.0), np.ones((12, 1)))
         assert spread < 1e-4
         assert w == pytest.approx(np.ones(12), rel=1e-3)
 
     def test_the_deviance_is_that_of_normal_variables(self):
         y, u2 = noise(3), np.linspace(0.1, 0.3, 12)
         design = np.ones((12, 1))
-        w, _ = _weights(y, u2, design)
+        w, _ = module._weights(y, u2, design)
         mean = w @ y / w.sum()
         expected = -2 * stats.norm.logpdf(y, mean, w**-0.5).sum() - 12 * math.log(2 * math.pi)
-        assert _deviance(y, u2, design) == pytest.approx(expected)
+        assert module._deviance(y, u2, design) == pytest.approx(expected)
 
 
 class TestStep:
     def test_weighted_statistics_are_ratios_of_sums_of_squares(self):
         y, w = noise(4), np.linspace(1.0, 3.0, 12)
-        f, largest = _step_statistics(y, w)
+        f, largest = module._step_statistics(y, w)
         assert len(f) == 7
         whole = np.sum(w * (y - w @ y / w.sum()) ** 2)
         for k, value in enumerate(f):
@@ -121,7 +104,7 @@ class TestStep:
             rest = sum(np.sum(w[p] * (y[p] - w[p] @ y[p] / w[p].sum()) ** 2) for p in parts)
             assert value == pytest.approx((whole - rest) / (rest / 10))
         assert largest == f.max()
-        many, most = _step_statistics(np.stack([y, 2 * y + 5]), w)
+        many, most = module._step_statistics(np.stack([y, 2 * y + 5]), w)
         assert many[1] == pytest.approx(f)
         assert most == pytest.approx(np.full(2, largest))
 
@@ -131,21 +114,21 @@ class TestStep:
         monkeypatch.setattr(module, "_AT_A_TIME", 12 * 30)
         monkeypatch.setattr(module, "_step_statistics", lambda sets, w: (None, next(largest)))
         # 5 of 30 and none of 20 are at least 25
-        assert _p_step(25.0, np.ones(12), np.random.default_rng(0)) == pytest.approx(6 / 51)
+        assert module._p_step(25.0, np.ones(12), np.random.default_rng(0)) == pytest.approx(6 / 51)
         largest = iter([np.arange(30.0), np.arange(20.0)])
-        assert _p_step(40.0, np.ones(12), np.random.default_rng(0)) == pytest.approx(
+        assert module._p_step(40.0, np.ones(12), np.random.default_rng(0)) == pytest.approx(
             min(1 / 51, 7 * stats.f.sf(40.0, 1, 10))
         )
         largest = iter([np.arange(30.0), np.arange(20.0)])
         monkeypatch.setattr(module, "_ENOUGH", 4)
-        assert _p_step(25.0, np.ones(12), np.random.default_rng(0)) == pytest.approx(6 / 31)
+        assert module._p_step(25.0, np.ones(12), np.random.default_rng(0)) == pytest.approx(6 / 31)
         largest = iter([np.arange(30.0), np.arange(20.0)])
         monkeypatch.setattr(module, "_ENOUGH", 5)
-        assert _p_step(25.0, np.ones(12), np.random.default_rng(0)) == pytest.approx(6 / 51)
+        assert module._p_step(25.0, np.ones(12), np.random.default_rng(0)) == pytest.approx(6 / 51)
 
     def test_adjusted_probabilities_grow_with_the_rank_and_end_at_one(self):
-        assert _holm(np.array([0.5, 0.001, 0.4, 0.02])) == pytest.approx([0.8, 0.004, 0.8, 0.06])
-        assert _holm(np.array([0.9, 0.8])) == pytest.approx([1.0, 1.0])
+        assert module._holm(np.array([0.5, 0.001, 0.4, 0.02])) == pytest.approx([0.8, 0.004, 0.8, 0.06])
+        assert module._holm(np.array([0.9, 0.8])) == pytest.approx([1.0, 1.0])
 
     @pytest.mark.parametrize(
         ("shape", "kind"),
@@ -153,7 +136,7 @@ class TestStep:
     )
     def test_the_mean_model_of_least_bic_is_chosen(self, shape, kind):
         y, u2 = shape + 0.1 * noise(6), np.full(12, 0.01)
-        chosen = _best(y, u2, TIMES, ALL)
+        chosen = module._best(y, u2, TIMES, ALL)
         assert chosen == (kind, 5 if kind == "step" else 0)
 
     def test_bic_counts_drift_and_step_with_one_and_two_parameters(self, monkeypatch):
@@ -167,7 +150,7 @@ class TestStep:
                     constant if design.shape[1] == 1 else step if len(set(design[:, 1])) == 2 else drift
                 ),
             )
-            return _best(noise(1), np.ones(12), TIMES, ALL)[0]
+            return module._best(noise(1), np.ones(12), TIMES, ALL)[0]
 
         assert chosen(0.0, -1.9 * n, -0.9 * n) == ""
         assert chosen(0.0, -1.9 * n, -1.1 * n) == "drift"
@@ -177,14 +160,14 @@ class TestStep:
 
     def test_runs_at_the_same_time_do_not_drift(self):
         y, u2 = np.where(np.arange(12) >= 5, 3.0, 0.0) + 0.1 * noise(6), np.full(12, 0.01)
-        assert _best(y, u2, np.ones(12), ALL) == ("step", 5)
-        found = _tests(y, u2, np.ones(12), ALL, np.random.default_rng(0))
+        assert module._best(y, u2, np.ones(12), ALL) == ("step", 5)
+        found = module._tests(y, u2, np.ones(12), ALL, np.random.default_rng(0))
         assert (found.p_drift, found.slope, found.slope_u, found.kind) == (1.0, 0.0, 0.0, "step")
 
     @pytest.mark.parametrize("sign", [1.0, -1.0])
     def test_a_drift_has_the_probability_of_student(self, sign):
         y, u2 = sign * noise(8), np.full(12, 1e-12)
-        found = _tests(y, u2, TIMES, ALL, np.random.default_rng(0))
+        found = module._tests(y, u2, TIMES, ALL, np.random.default_rng(0))
         line = stats.linregress(TIMES, y)
         assert found.slope == pytest.approx(line.slope, rel=1e-6)
         assert found.slope_u == pytest.approx(line.stderr, rel=1e-2)
@@ -207,7 +190,7 @@ class TestStep:
         monkeypatch.setattr(
             module, "_deviance", lambda y, u2, design: delta - n if len(set(design[:, 1])) == 2 else 0.0
         )
-        found = _tests(y, np.full(12, 0.01), TIMES, ALL, np.random.default_rng(0))
+        found = module._tests(y, np.full(12, 0.01), TIMES, ALL, np.random.default_rng(0))
         assert (found.kind, found.label, found.place) == (kind, label, 5)
         assert found.delta_bic == pytest.approx(delta)
         assert found.size == pytest.approx(y[5:].mean() - y[:5].mean(), rel=1e-3)
@@ -222,7 +205,7 @@ class TestOutlying:
     def test_the_distance_of_a_run_has_the_distribution_of_hotelling(self, monkeypatch):
         monkeypatch.setattr(module, "_best", lambda *a: ("", 0))
         y, c, times, known = self.data([3.6, -3.0], p=2)
-        out, chosen, p = _left_out(y, c, times, known)
+        out, chosen, p = module._left_out(y, c, times, known)
         assert not out.any()
         assert chosen == [("", 0)] * 2
         t = np.cov(y.T)
@@ -236,40 +219,40 @@ class TestOutlying:
         y, c, times, known = self.data(0.0)
         y *= 0.01
         y[[5, 9, 12, 16]] = [[-31.0], [32.0], [-33.0], [34.0]]
-        out, _, p = _left_out(y, c, times, known)
+        out, _, p = module._left_out(y, c, times, known)
         assert np.flatnonzero(out).tolist() == [5, 9, 12, 16]
         assert (p[out] < 1e-3).all()
         assert (p[~out] > 0.01).all()
-        out, _, _ = _left_out(y[:19], c[:19], times[:19], known[:19])
+        out, _, _ = module._left_out(y[:19], c[:19], times[:19], known[:19])
         assert out.sum() <= 3
 
 
 class TestSpread:
     def test_one_parameter_has_the_closed_form(self):
         y, c = noise(5)[:, None], np.full((12, 1, 1), 0.1)
-        t, errors, beta = _reml(y, c, [np.ones((12, 1))])
+        t, errors, beta = module._reml(y, c, [np.ones((12, 1))])
         s2 = np.var(y, ddof=1)
         assert t[0, 0] == pytest.approx(s2 - 0.1, rel=1e-3)
         assert (errors[0][0], beta[0][0]) == pytest.approx((math.sqrt(s2 / 12), y.mean()), rel=1e-3)
-        design = _columns("drift", 0, TIMES, ALL)
-        t, errors, beta = _reml(y, c, [design])
+        design = module._columns("drift", 0, TIMES, ALL)
+        t, errors, beta = module._reml(y, c, [design])
         line = stats.linregress(TIMES, y[:, 0])
         assert beta[0][1] == pytest.approx(line.slope, rel=1e-4)
         assert errors[0][1] == pytest.approx(line.stderr, rel=1e-3)
 
     def test_the_uncertainty_is_that_of_the_expected_information(self):
         t = np.array([[4.0]])
-        assert _spread_u(np.full((50, 1, 1), 1.0), t) == pytest.approx([5.0 * math.sqrt(2 / 50) / 4.0])
+        assert module._spread_u(np.full((50, 1, 1), 1.0), t) == pytest.approx([5.0 * math.sqrt(2 / 50) / 4.0])
         # near zero, it is the root of the uncertainty of the square
         small = np.array([[0.01]])
-        assert _spread_u(np.full((50, 1, 1), 1.0), small) == pytest.approx(
+        assert module._spread_u(np.full((50, 1, 1), 1.0), small) == pytest.approx(
             [math.sqrt(1.01 * math.sqrt(2 / 50))]
         )
 
     def test_two_parameters_have_the_information_of_their_covariance(self):
         t = np.array([[4.0, 1.0], [1.0, 3.0]])
         v = t + 0.5 * np.eye(2)
-        found = _spread_u(np.tile(0.5 * np.eye(2), (40, 1, 1)), t)
+        found = module._spread_u(np.tile(0.5 * np.eye(2), (40, 1, 1)), t)
         expected = [math.sqrt(2 / 40) * v[j, j] / (2 * math.sqrt(t[j, j])) for j in range(2)]
         assert found == pytest.approx(expected)
 
@@ -392,28 +375,30 @@ class TestSpreadOfFew:
 
     def test_the_sum_of_squares_is_weighted_with_the_spread(self):
         w = 1 / (self.U**2 + 0.25)
-        assert _q(self.X, self.U, 0.5) == pytest.approx(
+        assert _comparison._q(self.X, self.U, 0.5) == pytest.approx(
             np.sum(w * (self.X - np.average(self.X, weights=w)) ** 2)
         )
 
     @pytest.mark.parametrize("target", [0.001, 2.0, 20.0])
     def test_at_the_spread_it_is_the_target(self, target):
-        assert _q(self.X, self.U, _spread(self.X, self.U, target)) == pytest.approx(target)
+        assert _comparison._q(self.X, self.U, _comparison._spread(self.X, self.U, target)) == pytest.approx(
+            target
+        )
 
     def test_above_its_largest_value_there_is_no_spread(self):
-        largest = _q(self.X, self.U, 0.0)
-        assert _spread(self.X, self.U, 1.01 * largest) == 0.0
-        assert _spread(self.X, self.U, 0.99 * largest) > 0.0
+        largest = _comparison._q(self.X, self.U, 0.0)
+        assert _comparison._spread(self.X, self.U, 1.01 * largest) == 0.0
+        assert _comparison._spread(self.X, self.U, 0.99 * largest) > 0.0
 
     def test_a_comparison_follows_from_the_runs(self):
         runs = [Repeat(f"r{i}", x, u) for i, (x, u) in enumerate(zip(self.X, self.U, strict=True))]
-        p = _compared("a", "s", runs)
+        p = _comparison._compared("a", "s", runs)
         assert p.difference_sigma is None
-        assert p.p_value == pytest.approx(stats.chi2.sf(_q(self.X, self.U, 0.0), 2))
-        assert _q(self.X, self.U, p.spread) == pytest.approx(2.0)
+        assert p.p_value == pytest.approx(stats.chi2.sf(_comparison._q(self.X, self.U, 0.0), 2))
+        assert _comparison._q(self.X, self.U, p.spread) == pytest.approx(2.0)
         one_sigma = math.erf(math.sqrt(0.5))
         for spread, tail in zip(p.spread_interval, ((1 + one_sigma) / 2, (1 - one_sigma) / 2), strict=True):
-            assert stats.chi2.cdf(_q(self.X, self.U, spread), 2) == pytest.approx(tail, abs=1e-3)
+            assert stats.chi2.cdf(_comparison._q(self.X, self.U, spread), 2) == pytest.approx(tail, abs=1e-3)
         w = 1 / (self.U**2 + p.spread**2)
         assert (p.mean, p.mean_u) == pytest.approx((np.average(self.X, weights=w), w.sum() ** -0.5))
         assert p.total(runs[1]) == pytest.approx(math.hypot(0.2, p.spread))
@@ -431,6 +416,6 @@ class TestSpreadOfFew:
         assert ("differs between the runs" in found.sentences[0]) is differs
 
     def test_twelve_runs_are_listed(self):
-        assert _listed([str(i) for i in range(12)]).count(",") == 11
-        assert "more" not in _listed([str(i) for i in range(12)])
-        assert _listed([str(i) for i in range(14)]).endswith("11 and 2 more")
+        assert _comparison._listed([str(i) for i in range(12)]).count(",") == 11
+        assert "more" not in _comparison._listed([str(i) for i in range(12)])
+        assert _comparison._listed([str(i) for i in range(14)]).endswith("11 and 2 more")

@@ -5,7 +5,8 @@ import twobody
 from sinusoidal import APART, records, unbalance
 
 from fitting import REDUCED, Criteria, Model, make_record
-from fitting.discovery._select import Step, _backward
+from fitting.discovery import _select
+from fitting.discovery._select import Step
 from fitting.inference._fit import fit
 
 DRAG = twobody.Hidden(casing=lambda t, wr, wc, pr, pc: -4e-10 * abs(wc) * wc)
@@ -18,7 +19,7 @@ def test_effects_that_imitated_the_newest_are_dropped():
     base = fit(Model.of(REDUCED), [record])
     vain = ("touchpoint.drift", "bearing.drift")
     full = fit(Model.of((*REDUCED, *vain, "casing.air.quadratic")), [record])
-    rung = _backward([Step("", base, ()), Step("+casing.air.quadratic", full, ())], Criteria())
+    rung = _select._backward([Step("", base, ()), Step("+casing.air.quadratic", full, ())], Criteria())
     assert set(rung.fit.model.names) == {*REDUCED, "casing.air.quadratic"}
     assert all(f"-{name}" in rung.change for name in vain)
 
@@ -30,6 +31,6 @@ def test_per_case_phases_remain_when_another_effect_is_dropped():
     base = fit(Model.of(REDUCED), data)
     own = ["casing.unbalance.k", "casing.unbalance.phi"]
     full = fit(Model.of((*REDUCED, "bearing.drift", "casing.unbalance")), data, per_case=own)
-    rung = _backward([Step("", base, ()), Step("+casing.unbalance", full, ())], Criteria())
+    rung = _select._backward([Step("", base, ()), Step("+casing.unbalance", full, ())], Criteria())
     assert rung.change == "+casing.unbalance -bearing.drift"
     assert "casing.unbalance.phi@case2" in rung.fit.estimates

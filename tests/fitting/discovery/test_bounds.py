@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting import make_record
-from fitting.discovery._grammar import _HIGHEST, _shape
+from fitting.discovery import _grammar
 from fitting.discovery._next_run import Bounds
 
 TIME = np.linspace(0.0, 20.0, 50)
@@ -38,7 +38,7 @@ def test_a_body_alone_is_spun_up_itself():
 @pytest.mark.parametrize("span", [0.2, 200.0])
 def test_trial_frequencies_end_at_a_phase_of_a_thousand_radians(span):
     """Five radians per second in the 200 s of the paper."""
-    assert _HIGHEST == 200.0 * 5.0
-    shape = _shape("w", "frequency", 100.0, span)
+    assert _grammar._HIGHEST == 200.0 * 5.0
+    shape = _grammar._shape("w", "frequency", 100.0, span)
     assert max(shape.grid) == pytest.approx(1000.0 / span, rel=1e-3)
     assert shape.upper == pytest.approx(2000.0 / span)

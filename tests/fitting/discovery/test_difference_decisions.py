@@ -10,24 +10,11 @@ from scipy.stats import chi2
 from fitting import Estimate
 from fitting._criteria import DEFAULT
 from fitting.discovery import _dependence, _difference
-from fitting.discovery._dependence import (
-    Dependence,
-    _acting,
-    _Axis,
-    _orders,
-    _product,
-    _Test,
-    _tested,
-    dependence,
-)
+from fitting.discovery._dependence import Dependence, dependence
 from fitting.discovery._difference import (
     DifferentParameter,
     SeparateValues,
     ValuesPerRecording,
-    _fit_per_recording,
-    _one_that_differs,
-    _several_that_differ,
-    _values,
     different_parameter,
     improves_on_difference,
     penalised,
@@ -62,7 +49,7 @@ class TestValues:
             theta=np.array([5.0, 0.0, 8.0, 1.0]),
             estimates={n: estimate(7.0) for n in names},
         )
-        values = _values(found, "a.k")
+        values = _difference._values(found, "a.k")
         assert list(values.estimates) == ["x", "y", "z"]
         assert {k: (e.value, e.stderr) for k, e in values.differences.items()} == {
             "y": (3.0, 3.0),
@@ -99,7 +86,7 @@ class TestOne:
         )
         monkeypatch.setattr(_difference, "_values", lambda f, name: ValuesPerRecording(name, {}, {}))
         base.values = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0}
-        found = _one_that_differs(base, list(trials), tests, DEFAULT, rival)
+        found = _difference._one_that_differs(base, list(trials), tests, DEFAULT, rival)
         return found, calls
 
     def test_the_best_one_is_named_with_its_equals(self, monkeypatch):
@@ -162,7 +149,7 @@ class TestSeveral:
         for f in results.values():
             f.values = {"a@x": 1.0, "b@x": 2.0, "c@x": 3.0, "d": 9.0}
         base = base or fit(500.0, labels=("x", "y"))
-        return _several_that_differ(base, ["a", "b", "c"], DEFAULT), calls
+        return _difference._several_that_differ(base, ["a", "b", "c"], DEFAULT), calls
 
     def test_parameters_are_shared_again_in_the_order_of_their_difference(self, monkeypatch):
         results = {
@@ -275,7 +262,7 @@ class TestWhich:
             model=None,
             problem=SimpleNamespace(data=None, layout=SimpleNamespace(choices=(("a", "b"), ("c",)))),
         )
-        _fit_per_recording(base, ["a", "d"], start={"x": 1.0}, noise="n")
+        _difference._fit_per_recording(base, ["a", "d"], start={"x": 1.0}, noise="n")
         assert seen == {"share": ["b"], "per_case": ["c", "a", "d"], "start": {"x": 1.0}, "noise": "n"}
 
     @pytest.mark.parametrize(("worth", "better"), [(1.1, True), (0.9, False)])
@@ -320,23 +307,23 @@ class TestWhich:
 
 class TestDependence:
     def test_splines_are_a_partition_of_unity_over_the_range(self):
-        axis = _Axis(np.array([2.0, 5.0, 3.0]), 10)
+        axis = _dependence._Axis(np.array([2.0, 5.0, 3.0]), 10)
         found = axis(np.array([1.0, 2.0, 3.3, 5.0, 9.0]))
         assert found.shape == (5, 10)
         assert found.sum(axis=1) == pytest.approx(np.ones(5))
         assert found[0] == pytest.approx(np.eye(10)[0])
         assert found[-1] == pytest.approx(np.eye(10)[9])
         assert (axis.low, axis.high) == (2.0, 5.0)
-        assert _Axis(np.array([2.0, 2.0]), 10)(np.array([2.0])).shape == (1, 10)
+        assert _dependence._Axis(np.array([2.0, 2.0]), 10)(np.array([2.0])).shape == (1, 10)
 
     def test_products_are_those_of_all_pairs(self):
         a, b = RNG.standard_normal((3, 2)), RNG.standard_normal((3, 4))
-        assert _product([a, b])[1] == pytest.approx(np.outer(a[1], b[1]).ravel())
-        assert _product([a]) is a
+        assert _dependence._product([a, b])[1] == pytest.approx(np.outer(a[1], b[1]).ravel())
+        assert _dependence._product([a]) is a
 
     def test_a_torque_in_the_bearing_acts_on_both_bodies(self):
         case = SimpleNamespace(response=SimpleNamespace(casing=5.0, rotor=2.0))
-        assert [_acting(case, b) for b in ("casing", "rotor", "bearing")] == [5.0, 2.0, 3.0]
+        assert [_dependence._acting(case, b) for b in ("casing", "rotor", "bearing")] == [5.0, 2.0, 3.0]
 
     @pytest.mark.parametrize(("speed", "orders"), [(1.5, (1, 2)), (1.6, (1,)), (3.1, (1,)), (3.2, ())])
     def test_harmonics_of_the_rotor_are_resolved_by_the_frames(self, speed, orders):
@@ -351,10 +338,10 @@ class TestDependence:
         about = SimpleNamespace(
             problem=SimpleNamespace(data=data), predictions=[SimpleNamespace(path=SimpleNamespace(y=y))]
         )
-        assert _orders(about, "psi_r") == orders
-        assert _orders(about, "psi_c") == (1, 2, 3, 4)
+        assert _dependence._orders(about, "psi_r") == orders
+        assert _dependence._orders(about, "psi_c") == (1, 2, 3, 4)
         data[0].measured_angle = None
-        assert _orders(about, "psi_c") == ()
+        assert _dependence._orders(about, "psi_c") == ()
 
     def made(self, body, score_, columns, p):
         none = np.zeros(0)
@@ -385,8 +372,8 @@ class TestDependence:
         other = SimpleNamespace(gain=np.full(30, 0.5), basis=basis, residual=0.1 * residual, deviance=103.0)
         draws = RNG.standard_normal((30, 50))
         context = SimpleNamespace(levels=[level, other], draws=draws, rotated=lambda c: c)
-        test = _Test("casing", ("t",), columns * [1.0, 7.0, 0.01], None, np.zeros(0), None, ())
-        found, null = _tested(context, test)
+        test = _dependence._Test("casing", ("t",), columns * [1.0, 7.0, 0.01], None, np.zeros(0), None, ())
+        found, null = _dependence._tested(context, test)
         span = np.linalg.qr(columns - basis @ (basis.T @ columns))[0]
         fall = float(np.sum((span.T @ residual) ** 2))
         assert (found.score, found.columns) == (pytest.approx(fall), 3)
@@ -396,4 +383,4 @@ class TestDependence:
         assert null == pytest.approx(chi2.sf(np.sum((span.T @ draws) ** 2, axis=0), 3), rel=1e-6)
         assert (found.torque, found.sigma, found.identified) == (1.0, 2.0, 3.0)
         context.levels[0].deviance, context.levels[1].deviance = 900.0, 100.0
-        assert _tested(context, test)[0].score == pytest.approx(0.01 * fall)
+        assert _dependence._tested(context, test)[0].score == pytest.approx(0.01 * fall)

@@ -10,9 +10,10 @@ from cases import data, fitted
 
 from fitting import LIBRARY, REDUCED, Candidate, Model, diagnose, fit, make_record
 from fitting._criteria import DEFAULT
-from fitting.discovery._measurement import StartErrors, _fall, starts_are_unknown, with_start_u
+from fitting.discovery import _measurement, _select
+from fitting.discovery._measurement import StartErrors, starts_are_unknown, with_start_u
 from fitting.discovery._score import Score
-from fitting.discovery._select import _to_refit, ordered
+from fitting.discovery._select import ordered
 from fitting.effects._library import START
 from fitting.inference._case_data import CaseData
 from fitting.inference._record import Samples
@@ -44,7 +45,7 @@ def test_the_fall_is_that_of_two_gaussian_densities():
     v = np.eye(7) + s**2 * c @ c.T
     white = r @ r
     expected = white - (r @ np.linalg.solve(v, r) + np.linalg.slogdet(v)[1])
-    assert _fall(c.T @ c, c.T @ r, s) == pytest.approx(expected, rel=1e-10)
+    assert _measurement._fall(c.T @ c, c.T @ r, s) == pytest.approx(expected, rel=1e-10)
 
 
 def test_starts_are_unknown_only_if_nothing_is_stated_about_them():
@@ -139,7 +140,7 @@ def test_measurement_effects_are_refitted_wherever_something_is_significant(sign
     physical = [e for e in LIBRARY.values() if e.kind == "physical"][: DEFAULT.refit_least + 1]
     laws = [candidate(e, -30.0, p_value=1e-8, significant=significant) for e in physical]
     inertia = candidate(LIBRARY["setup.inertia"], -0.1, p_value=0.9, significant=False)
-    assert _to_refit([*laws, inertia], DEFAULT)[-1] == refitted
+    assert _select._to_refit([*laws, inertia], DEFAULT)[-1] == refitted
 
 
 def slipped_case():

@@ -9,18 +9,7 @@ from scipy.stats import chi2
 
 from fitting._criteria import DEFAULT
 from fitting.discovery import _residuals
-from fitting.discovery._residuals import (
-    ResidualTorque,
-    _harmonic,
-    _intervals,
-    _inverse_without_nuisance,
-    _is_filmed,
-    _of_the_measured_motion,
-    _place,
-    _times_covariance,
-    find_failures,
-    whiteness,
-)
+from fitting.discovery._residuals import ResidualTorque, find_failures, whiteness
 from fitting.inference._record import Samples
 
 N = 400
@@ -51,7 +40,7 @@ def pulse(first, last, height):
 class TestIntervals:
     @pytest.mark.parametrize(("height", "count"), [(4.9, 0), (5.1, 1), (-5.1, 1), (-4.9, 0)])
     def test_an_interval_is_significant_beyond_the_limit(self, fit, height, count):
-        found = _intervals(fit, curve(pulse(100, 150, height)), 5.0)
+        found = _residuals._intervals(fit, curve(pulse(100, 150, height)), 5.0)
         assert len(found) == count
         if count:
             (f,) = found
@@ -68,7 +57,7 @@ class TestIntervals:
     def test_it_ends_where_the_band_is_entered_or_the_sign_changes(self, fit):
         torque = pulse(100, 150, 8.0) + pulse(150, 200, -9.0) + pulse(200, 250, -1.9) + pulse(250, 300, -2.0)
         torque[270] = -6.0
-        found = _intervals(fit, curve(torque), 5.0)
+        found = _residuals._intervals(fit, curve(torque), 5.0)
         assert [(round(f.t_start * 3.99), round(f.t_stop * 3.99)) for f in found] == [
             (100, 149),
             (150, 199),
@@ -77,7 +66,7 @@ class TestIntervals:
 
     @pytest.mark.parametrize(("length", "count"), [(4, 0), (5, 1)])
     def test_it_lasts_a_hundredth_of_the_record(self, fit, length, count):
-        assert len(_intervals(fit, curve(pulse(100, 100 + length, 9.0)), 5.0)) == count
+        assert len(_residuals._intervals(fit, curve(pulse(100, 100 + length, 9.0)), 5.0)) == count
 
     def test_its_torque_is_weighted_by_the_variances(self, fit):
         sigma = np.ones(N)
@@ -86,7 +75,7 @@ class TestIntervals:
         made = ResidualTorque(
             "x", "rotor", made.time, np.where(sigma < 1, 12.0, made.torque), sigma, made.omega_r, made.omega_c
         )
-        (f,) = _intervals(fit, made, 5.0)
+        (f,) = _residuals._intervals(fit, made, 5.0)
         assert f.residual_torque_Nm == pytest.approx((20 * 4 * 12 + 30 * 9) / (20 * 4 + 30))
         assert f.torque_sigma_Nm == pytest.approx((20 * 2 + 30) / (20 * 4 + 30))
         assert (f.size_sigma, f.called) == (24.0, "rotor")
@@ -124,8 +113,8 @@ class TestPlace:
     def test_an_interval_is_before_at_or_after_the_peak(self, a, b, where):
         rising = self.RISING.copy()
         rising[199] = 51.0
-        assert _place(curve(np.zeros(N), omega=rising), a, b) == where
-        assert _place(curve(np.zeros(N), omega=-rising), a, b) == where
+        assert _residuals._place(curve(np.zeros(N), omega=rising), a, b) == where
+        assert _residuals._place(curve(np.zeros(N), omega=-rising), a, b) == where
 
     @pytest.mark.parametrize(
         ("peak", "a", "where"),
@@ -142,7 +131,7 @@ class TestPlace:
     def test_a_body_that_only_slows_down_has_a_start_and_a_middle(self, peak, a, where):
         omega = np.linspace(50.0, 10.0, N)
         omega[peak] = 60.0
-        assert _place(curve(np.zeros(N), omega=omega), a, a + 30) == where
+        assert _residuals._place(curve(np.zeros(N), omega=omega), a, a + 30) == where
 
 
 class TestHarmonics:
@@ -150,7 +139,7 @@ class TestHarmonics:
         omega = np.linspace(*speeds, 50)
         monkeypatch.setattr(_residuals, "Sampler", lambda mesh, t: SimpleNamespace(value=lambda y: omega))
         fit.predictions = [SimpleNamespace(path=SimpleNamespace(mesh=None, y=np.zeros((1, 1, 2))))]
-        return _harmonic(fit, SimpleNamespace(label="x", size=lambda n: (amplitude, size)), n, 5.0)
+        return _residuals._harmonic(fit, SimpleNamespace(label="x", size=lambda n: (amplitude, size)), n, 5.0)
 
     def test_its_speed_is_that_where_the_casing_is_slowest(self, fit, monkeypatch):
         (f,) = self.made(fit, monkeypatch)
@@ -180,14 +169,14 @@ class TestMatrices:
         response = SimpleNamespace(edges=np.linspace(0.0, 6.0, 13))
         t = np.arange(12) * 0.5
         dense = np.exp(-np.abs(t[:, None] - t) / 2.0)
-        assert _times_covariance(w, response, 2.0) == pytest.approx(w @ dense)
+        assert _residuals._times_covariance(w, response, 2.0) == pytest.approx(w @ dense)
 
     def test_nuisance_columns_have_no_weight(self):
         rng = np.random.default_rng(1)
         root = rng.standard_normal((6, 6))
         covariance = root @ root.T + np.eye(6)
         nuisance = np.concatenate([rng.standard_normal((6, 2)) * [1.0, 1e8], np.zeros((6, 1))], axis=1)
-        found = _inverse_without_nuisance(covariance, nuisance)
+        found = _residuals._inverse_without_nuisance(covariance, nuisance)
         inverse = np.linalg.inv(covariance)
         n = nuisance[:, :2] / np.linalg.norm(nuisance[:, :2], axis=0)
         expected = inverse - inverse @ n @ np.linalg.inv(n.T @ inverse @ n) @ n.T @ inverse
@@ -198,7 +187,7 @@ class TestMatrices:
         runs = [SimpleNamespace(time=np.array([4.0, 5.0])), SimpleNamespace(time=np.array([1.0, 2.0]))]
         bodies = [SimpleNamespace(part="rotor", series=runs)]
         data = SimpleNamespace(record=SimpleNamespace(bodies=bodies))
-        assert _is_filmed(np.array([0.9, 1.0, 3.0, 5.0, 5.1]), data, "rotor").tolist() == [
+        assert _residuals._is_filmed(np.array([0.9, 1.0, 3.0, 5.0, 5.1]), data, "rotor").tolist() == [
             False,
             True,
             True,
@@ -253,7 +242,7 @@ class TestMeasuredMotion:
         )  # fmt: skip
         at = np.array([0.0, 3.0, 10.0])
         fit = SimpleNamespace(problem=problem, theta=None)
-        speed, torque, u = _of_the_measured_motion(fit, 0, at, np.zeros((3, 2)), 2.0)
+        speed, torque, u = _residuals._of_the_measured_motion(fit, 0, at, np.zeros((3, 2)), 2.0)
         true = 2.0 * (-0.6 * at + 0.5 * (40.0 - 0.3 * at**2))
         assert speed == pytest.approx(40.0 - 0.3 * at**2, abs=2e-3)
         assert torque == pytest.approx(true, abs=2e-2)

@@ -17,19 +17,13 @@ from scipy.integrate import solve_ivp
 from fitting import LIBRARY, Criteria, Model, diagnose, improve
 from fitting._criteria import DEFAULT
 from fitting.discovery import _remainder as remainder
+from fitting.discovery import _select
 from fitting.discovery import _verdict as verdict
 from fitting.discovery._lack_of_fit import contradiction
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._remainder import Grade, Nuisance, Remainder, Torques, nuisance_parameters
 from fitting.discovery._residuals import find_failures, residual_torques, whiteness
-from fitting.discovery._select import (
-    Selection,
-    _is_essential,
-    _to_refit,
-    best,
-    needed_evidence,
-    ordered,
-)
+from fitting.discovery._select import Selection, best, needed_evidence, ordered
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._fit import fit
 
@@ -220,12 +214,12 @@ class TestOrder:
         first = ranked()[0]
         absorbed = replace(first, score=2.0 * first.score, screened=replace(first.screened, absorbed=True))
         made = lambda share, p: replace(first, score=share * first.score, p_value=p)  # noqa: E731
-        assert _to_refit([absorbed, first, made(0.05, 0.9), made(0.04, 0.9), made(0.03, 0.9)], DEFAULT) == [
+        assert _select._to_refit([absorbed, first, made(0.05, 0.9), made(0.04, 0.9), made(0.03, 0.9)], DEFAULT) == [
             False, True, True, True, True,
         ]  # fmt: skip
         more = [made(0.5, 0.1)] * 4 + [made(0.051, 0.4), made(0.051, 0.6), made(0.049, 0.4)]
-        assert _to_refit(more, DEFAULT) == [True] * 4 + [True, False, False]
-        assert sum(_to_refit([made(0.5, 0.1)] * 20, DEFAULT)) == DEFAULT.refit_most
+        assert _select._to_refit(more, DEFAULT) == [True] * 4 + [True, False, False]
+        assert sum(_select._to_refit([made(0.5, 0.1)] * 20, DEFAULT)) == DEFAULT.refit_most
 
     def test_an_essential_effect_is_far_from_zero(self):
         full = ranked()[0].fit
@@ -235,7 +229,7 @@ class TestOrder:
             value = -e.value if sigma < 0 else e.value
             changed = replace(e, stderr=stderr, value=value)
             seen = replace(full, estimates={**full.estimates, f"{NAME}.k": changed})
-            assert _is_essential(seen, LIBRARY[NAME], DEFAULT) == (essential or np.isnan(stderr))
+            assert _select._is_essential(seen, LIBRARY[NAME], DEFAULT) == (essential or np.isnan(stderr))
 
 
 class TestTorque:

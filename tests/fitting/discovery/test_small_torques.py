@@ -14,10 +14,11 @@ from scipy.integrate import solve_ivp
 from fitting import LIBRARY, Model, make_record
 from fitting._criteria import DEFAULT
 from fitting.discovery import _difference as difference
-from fitting.discovery import _lack_of_fit as lack_of_fit
 from fitting.discovery._difference import different_parameter, improves_on_difference
 from fitting.discovery._grammar import description_length
 from fitting.discovery._lack_of_fit import (
+    UNKNOWN_IN_TIME,
+    UNKNOWN_LAWS,
     contradiction,
     harmonic_test,
     nonparametric_law,
@@ -188,12 +189,12 @@ class TestSpeed:
                 base, SimpleNamespace(**{**vars(chosen), "score": score}), None, DEFAULT
             )
 
-        assert named(drag.score) == (lack_of_fit.UNKNOWN_LAWS["omega_c"],)
+        assert named(drag.score) == (UNKNOWN_LAWS["omega_c"],)
         assert named(whole + 11.0) == ()
-        assert named(whole + 9.0) == (lack_of_fit.UNKNOWN_LAWS["omega_c"],)
+        assert named(whole + 9.0) == (UNKNOWN_LAWS["omega_c"],)
         in_time = SimpleNamespace(any_in_time=True)
         chosen.score = whole + 11.0
-        assert nonparametric_rivals(base, chosen, in_time, DEFAULT) == (lack_of_fit.UNKNOWN_IN_TIME,)
+        assert nonparametric_rivals(base, chosen, in_time, DEFAULT) == (UNKNOWN_IN_TIME,)
         # a law of this speed alone is no rival of one of its own kind
         chosen.score, chosen.effect = drag.score, LIBRARY["casing.air.quadratic"]
         assert nonparametric_rivals(base, chosen, None, DEFAULT) == ()

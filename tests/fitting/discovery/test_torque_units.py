@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from fitting._numbers import per_inertia, percentage, plain
-from fitting.discovery._residuals import Failure, ResidualTorque, _place, find_failures, format_torque
+from fitting.discovery import _residuals
+from fitting.discovery._residuals import Failure, ResidualTorque, find_failures, format_torque
 
 
 @pytest.mark.parametrize(
@@ -131,13 +132,13 @@ def test_numbers_of_sentences(value, text):
 )
 def test_a_body_that_only_slows_down_has_no_peak(a, b, where):
     curve = SimpleNamespace(time=np.arange(100.0), omega_c=-50 * np.exp(-np.arange(100) / 30))
-    assert _place(curve, a, b) == where
+    assert _residuals._place(curve, a, b) == where
 
 
 def test_a_speed_that_rises_and_falls_has_a_peak():
     time = np.arange(100.0)
     curve = SimpleNamespace(time=time, omega_c=time * (100 - time))
-    assert [_place(curve, *ab) for ab in ((0, 20), (45, 55), (30, 70), (80, 100))] == [
+    assert [_residuals._place(curve, *ab) for ab in ((0, 20), (45, 55), (30, 70), (80, 100))] == [
         "while speeding up",
         "near the peak",
         "around the peak",

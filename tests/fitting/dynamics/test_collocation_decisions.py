@@ -11,8 +11,6 @@ from fitting.dynamics._collocation import (
     Path,
     Propagator,
     Sampler,
-    _fill,
-    _stretched,
     coarsened,
     refine,
     rule,
@@ -197,7 +195,7 @@ class TestPropagator:
         expected = out.copy()
         for i in range(count):
             expected[i + 1] = step[i] @ expected[i] + gain[i]
-        _fill(out, step, gain)
+        module._fill(out, step, gain)
         assert out == pytest.approx(expected)
 
 
@@ -271,15 +269,15 @@ class TestFirstSolution:
         f = np.zeros_like(made.y)
         f[..., 1] = -1.0
         y, edges = made.y.copy(), made.edges.copy()
-        new, share = _stretched(mesh, y, edges, f, 1.0)
+        new, share = module._stretched(mesh, y, edges, f, 1.0)
         assert new.edges == pytest.approx([0.0, 1.0, 1.6, 2.2])
         assert share == pytest.approx(0.2)
         assert y[..., 1] == pytest.approx(2.2 - new.times)
         assert edges[:, 1] == pytest.approx(2.2 - new.edges)
         for speed in (2.49, 1.51):
             ends = edges * 0 + [[5.0, speed - 2.0]]
-            assert _stretched(mesh, made.y.copy(), ends, f, 1.0)[1] == pytest.approx(0.49)
+            assert module._stretched(mesh, made.y.copy(), ends, f, 1.0)[1] == pytest.approx(0.49)
         for speed in (2.51, 1.49):
             ends = edges * 0 + [[5.0, speed - 2.0]]
             with pytest.raises(SimulationError):
-                _stretched(mesh, made.y.copy(), ends, f, 1.0)
+                module._stretched(mesh, made.y.copy(), ends, f, 1.0)

@@ -7,7 +7,7 @@ from fitting import Model, SimulationError, effect
 from fitting.dynamics import _collocation as module
 from fitting.dynamics._collocation import Mesh, newton, runge_kutta
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
-from fitting.inference._case_model import _FixedPoint
+from fitting.inference import _case_model
 
 DRAG = "casing.air.linear"
 START = np.array([0.0, 3.0])
@@ -95,7 +95,7 @@ def test_one_step_crosses_a_short_interval(steps, edges, each):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1.01e100])
 def test_an_iteration_that_diverges_has_no_bounded_solution(value):
-    search = _FixedPoint()
+    search = _case_model._FixedPoint()
     assert search.next(np.zeros(2), np.full(2, 0.99e100)) == pytest.approx(0.99e100)
     with pytest.raises(SimulationError, match="bounded"):
         search.next(np.ones(2), np.array([1.0, value]))

@@ -10,7 +10,7 @@ import twobody
 from scipy.signal import lfilter
 
 from fitting import Experiment, Model, fit, make_record, simulate
-from fitting.inference._angle_noise import _row_covariance_beyond_white
+from fitting.inference import _angle_noise
 from fitting.inference._case_data import CaseData
 from fitting.inference._record import Samples
 
@@ -105,7 +105,7 @@ def test_row_covariance_agrees_with_that_of_many_simulated_recordings():
     first = run.samples.time[: run.operators[3][0].stop]
     draws = np.stack([wandering(first, 1.0, time, seed) for seed in range(400)], axis=1)
     rows = np.concatenate([op[:k] @ draws[where] for where, op in run.operators[:4]])
-    expected = _row_covariance_beyond_white(run, time)[: 4 * k, : 4 * k]
+    expected = _angle_noise._row_covariance_beyond_white(run, time)[: 4 * k, : 4 * k]
     # the part that counts as white noise already is taken off the diagonal
     slow = np.arange(4 * k) % k < 2
     seen = np.cov(rows)

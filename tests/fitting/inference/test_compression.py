@@ -7,10 +7,10 @@ import pytest
 import twobody
 
 from fitting import make_record
+from fitting.inference import _compression
 from fitting.inference._compression import (
     CASING_DEGREE,
     ROTOR_DEGREE,
-    _cut_where_slow,
     compress,
     independent_harmonics,
     responses_to_harmonics,
@@ -277,9 +277,10 @@ def test_blocks_are_cut_alike_at_every_time_scale(stretch):
     angles = np.cumsum(160 * np.minimum(1, 0.05 + time / 10)) / 60
     edges = np.arange(0, len(time) + 1, 600)
     assert np.array_equal(
-        _cut_where_slow(stretch * time, angles, edges), _cut_where_slow(time, angles, edges)
+        _compression._cut_where_slow(stretch * time, angles, edges),
+        _compression._cut_where_slow(time, angles, edges),
     )
-    assert len(_cut_where_slow(stretch * time, angles, edges)) > len(edges)
+    assert len(_compression._cut_where_slow(stretch * time, angles, edges)) > len(edges)
 
 
 @pytest.mark.parametrize(("slowest", "cut"), [(0.0032, True), (0.0028, False)])
@@ -288,7 +289,7 @@ def test_a_record_that_comes_to_rest_is_not_cut(slowest, cut):
     speed = np.geomspace(1.0, slowest, 40)
     angles = np.concatenate([[0.0], np.cumsum(np.repeat(speed, 60))])[:-1]
     edges = np.array([0, 1200, len(angles)])
-    found = _cut_where_slow(np.arange(len(angles)) * 1.0, angles, edges)
+    found = _compression._cut_where_slow(np.arange(len(angles)) * 1.0, angles, edges)
     assert (len(found) > len(edges)) is cut
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from fitting import Case, ErrorMode, RecordError, diagnose, fit
-from fitting.inference._case_data import CaseData, _beyond_noise
+from fitting.inference import _case_data, _replica
+from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import read_record
 from fitting.inference._error_modes import MOST_AMPLITUDES, mode_columns
 from fitting.inference._record import Samples, make_record
-from fitting.inference._replica import _recording
 from fitting.inference._sampled import FittedMotion
 
 T = np.linspace(0.0, 20.0, 401)
@@ -215,11 +215,12 @@ class TestReplicas:
         found = fit("support.constant", case)
         motion = FittedMotion(found, 0, found.problem.data[0])
         random = np.random.default_rng(3)
-        left = _recording(motion, random).casing.value - motion.values()[0]
+        left = _replica._recording(motion, random).casing.value - motion.values()[0]
         left -= shape * (shape @ left) / (shape @ shape)
         assert np.std(left) == pytest.approx(U, rel=0.15)
         amplitude = [
-            (shape @ (_recording(motion, random).casing.value - motion.values()[0])) / (shape @ shape)
+            (shape @ (_replica._recording(motion, random).casing.value - motion.values()[0]))
+            / (shape @ shape)
             for _ in range(60)
         ]
         assert np.std(amplitude) == pytest.approx(0.5, rel=0.35)
@@ -266,7 +267,7 @@ def test_an_asymmetry_beyond_rounding_is_refused(asymmetry, refused):
 def test_errors_beyond_the_white_noise_of_a_window_are_free(size, kept):
     """100 samples of sigma 0.1: a constant of 0.01 is one standard deviation of their mean."""
     samples = Samples(np.arange(100.0), np.zeros(100), np.full(100, 0.1))
-    found = _beyond_noise(np.full((100, 1), 0.01 * size), samples)
+    found = _case_data._beyond_noise(np.full((100, 1), 0.01 * size), samples)
     assert found.shape == (100, kept)
     assert not kept or np.ptp(found) == pytest.approx(0.0, abs=1e-12)
 

@@ -15,7 +15,7 @@ from fitting.effects._user import resolve
 from fitting.inference import _fit as module
 from fitting.inference import _optimisation as optimisation
 from fitting.inference._fit import cauchy, deviance_at_noise_of, fit, huber
-from fitting.inference._optimisation import _FAR, is_far
+from fitting.inference._optimisation import is_far
 from fitting.inference._parameters import ParameterLayout, PowerLaw
 from fitting.inference._record import Samples
 
@@ -237,7 +237,9 @@ class TestStarts:
             found = module._from_other_starts(None, first, others, quick=True)
             assert found.minimum.cost == cost
 
-    @pytest.mark.parametrize(("cost", "far"), [(0.99 * _FAR * 50, False), (1.01 * _FAR * 50, True)])
+    @pytest.mark.parametrize(
+        ("cost", "far"), [(0.99 * optimisation._FAR * 50, False), (1.01 * optimisation._FAR * 50, True)]
+    )
     def test_a_solution_is_far_from_the_data(self, cost, far):
         assert is_far(SimpleNamespace(rows=50), SimpleNamespace(minimum=SimpleNamespace(cost=cost))) is far
 
@@ -728,7 +730,7 @@ class TestActiveBounds:
             {(): [self.side(0)]},
             {(0,): self.end(0.3)},
             converged=converged,
-            cost=10 * _FAR * cost,
+            cost=10 * optimisation._FAR * cost,
         )
         assert asked == ["forget", "free", *([()] if tried else [])]
         assert found.theta.tolist() == [0.3 if tried else 1.0]

@@ -10,8 +10,8 @@ import pytest
 from fitting import Criteria, Fit, Model, fit, load_fit, make_record
 from fitting._criteria import DEFAULT
 from fitting._numbers import rounded
-from fitting.inference import _result
-from fitting.inference._params import _of_estimate, report
+from fitting.inference import _params, _result
+from fitting.inference._params import report
 from fitting.inference._result import estimate_text, merit_lines
 
 TOLD = "the recording does not establish this random torque"
@@ -163,8 +163,8 @@ def test_a_report_counts_the_parameters_that_were_fitted(found):
 )
 def test_settings_of_an_estimate_hold_it_if_it_was_held_and_not_tied(expr, vary, expected):
     given = SimpleNamespace(value=2.0, expr=expr, vary=vary, min=0.0, max=3.0)
-    assert _of_estimate(given, changed=False) == {"value": 2.0, **expected}
-    assert _of_estimate(given, changed=True) == {"value": 2.0, **expected, "min": 0.0, "max": 3.0}
+    assert _params._of_estimate(given, changed=False) == {"value": 2.0, **expected}
+    assert _params._of_estimate(given, changed=True) == {"value": 2.0, **expected, "min": 0.0, "max": 3.0}
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
 from fitting import make_record
-from fitting.inference._record import PiecewiseCubics, Samples, _local, _pieces, _rotor_curve, hermite
+from fitting.inference import _record
+from fitting.inference._record import PiecewiseCubics, Samples, hermite
 
 
 def test_cubics_agree_with_scipy():
@@ -25,22 +26,22 @@ def test_a_window_of_more_than_half_of_the_run_is_divided_like_the_run(share, sa
     """A run of 10 s with a hundred points; each piece has at least twelve samples."""
     time = np.linspace(1.0, 1.0 + 10.0 * share, samples)
     window = Samples(time, time, np.ones(samples))
-    assert _pieces(window, SimpleNamespace(span=(0.0, 10.0)), 100, 12) == pieces
+    assert _record._pieces(window, SimpleNamespace(span=(0.0, 10.0)), 100, 12) == pieces
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_the_rotor_continues_at_its_slopes_and_does_not_reverse(sense):
     """Beyond the windows by their slopes, not below a twentieth of its slowest speed."""
     windows = np.array([[20.0, sense * 80.0, sense * -1.0], [10.0, sense * 100.0, sense * -2.0]])
-    curve = sense * _rotor_curve(windows, np.array([5.0, 10.0, 20.0, 25.0, 500.0]))
+    curve = sense * _record._rotor_curve(windows, np.array([5.0, 10.0, 20.0, 25.0, 500.0]))
     assert curve == pytest.approx([110.0, 100.0, 80.0, 75.0, 4.0])
-    single = sense * _rotor_curve(windows[1:], np.array([0.0, 10.0, 57.0, 58.0]))
+    single = sense * _record._rotor_curve(windows[1:], np.array([0.0, 10.0, 57.0, 58.0]))
     assert single == pytest.approx([120.0, 100.0, 6.0, 5.0])
 
 
 def test_an_unknown_slope_is_that_between_the_windows():
     windows = np.array([[10.0, 100.0, np.nan], [20.0, 80.0, np.nan]])
-    assert _rotor_curve(windows, np.array([5.0, 15.0, 25.0])) == pytest.approx([110.0, 90.0, 70.0])
+    assert _record._rotor_curve(windows, np.array([5.0, 15.0, 25.0])) == pytest.approx([110.0, 90.0, 70.0])
 
 
 @pytest.mark.parametrize("is_angle", [True, False])
@@ -48,7 +49,7 @@ def test_pieces_have_speed_and_acceleration_at_their_middle(is_angle):
     """A body of 50 rad/s that slows down by 4 rad/s2."""
     time = np.linspace(1.0, 5.0, 41)
     value = 7.0 + 50.0 * time - 2.0 * time**2 if is_angle else 50.0 - 4.0 * time
-    found = _local(Samples(time, value, np.ones(41)), 3, is_angle)
+    found = _record._local(Samples(time, value, np.ones(41)), 3, is_angle)
     middle = np.array([time[p].mean() for p in np.array_split(np.arange(41), 3)])
     assert found == pytest.approx(np.stack([middle, 50.0 - 4.0 * middle, np.full(3, -4.0)], axis=1))
 

@@ -8,8 +8,8 @@ import pytest
 import twobody
 
 from fitting import REDUCED, Model, fit, make_record
+from fitting.inference import _metrics
 from fitting.inference._case_data import CaseData
-from fitting.inference._metrics import _together
 from fitting.inference._noise import tail_probability
 from fitting.inference._process_noise import ProcessNoise
 
@@ -42,7 +42,7 @@ def test_chi_square_of_slow_torques_is_the_fall_beyond_the_parameters_of_the_fit
         return float(np.sum((r - columns @ np.linalg.lstsq(columns, r)[0]) ** 2))
 
     # the sum of the first parameter's columns in both cases is in the fit already
-    assert _together(slow, free, residual) == (
+    assert _metrics._together(slow, free, residual) == (
         pytest.approx(chi2(common) - chi2(np.hstack([common, tested]))),
         2,
     )

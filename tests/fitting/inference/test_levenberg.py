@@ -9,7 +9,8 @@ from scipy.optimize import lsq_linear
 
 from fitting import EstimationError, SimulationError
 from fitting.effects._expression import Tape, derivative, parse
-from fitting.inference._optimisation import _out_of_bounds, minimise, search
+from fitting.inference import _optimisation
+from fitting.inference._optimisation import minimise, search
 from fitting.inference._parameters import PowerLaw
 from fitting.inference._problem import covariance_of
 
@@ -154,7 +155,9 @@ def test_undetermined_directions_have_large_standard_errors():
 def test_strengths_of_power_laws_are_checked_against_both_bounds(theta, alone, broken):
     """A straight law of 0 to 3 beside a power law of 0 to 2, or the power law alone."""
     law = PowerLaw(None if alone else 0, 1, 2, 10.0)
-    found = _out_of_bounds((law,), np.array(theta), np.array([0.0, 0.0, 0.3]), np.array([3.0, 2.0, 1.4]))
+    found = _optimisation._out_of_bounds(
+        (law,), np.array(theta), np.array([0.0, 0.0, 0.3]), np.array([3.0, 2.0, 1.4])
+    )
     assert found == [law] * broken
 
 

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from fitting._criteria import DEFAULT
 from fitting.inference import _spectral_lines as module
-from fitting.inference._spectral_lines import _strongest, false_alarm_probability, p_value_of_response
+from fitting.inference._spectral_lines import false_alarm_probability, p_value_of_response
 
 SCALES = (1.0, 0.5, 0.25, 0.12, 0.06)
 
@@ -92,7 +92,7 @@ class TestStrongest:
             z=np.zeros(60), samples=SimpleNamespace(time=np.array([0.0, 60.0])), lift=np.zeros(3)
         )
         stretches = [Stretch(slice(a, b), data[a:b], list(deviances)) for a, b in parts]
-        return _strongest(run, stretches, DEFAULT)
+        return module._strongest(run, stretches, DEFAULT)
 
     def line(self, rate, amplitude, first=0, last=60):
         inside = (np.arange(60) >= first) & (np.arange(60) < last)

@@ -5,7 +5,8 @@ import pytest
 import twobody
 from cases import fitted
 
-from fitting.inference._metrics import _casing_folds, _error, _rotor_folds, energy_balance
+from fitting.inference import _metrics
+from fitting.inference._metrics import energy_balance
 from fitting.inference._problem import Projection
 
 
@@ -42,7 +43,7 @@ def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
     back = np.linalg.inv(root)
     covariance, columns = back @ back, back @ used  # the same columns, orthonormal once they are whitened
     y = back @ residual  # what the columns explain has no part in it: start angles of 1e5 rad are gone
-    folds = _casing_folds(data) if body == "casing" else _rotor_folds(data)
+    folds = _metrics._casing_folds(data) if body == "casing" else _metrics._rotor_folds(data)
     for fold in folds[1:2]:
         rest = np.setdiff1d(np.arange(n), fold)
         inverse = np.linalg.inv(covariance[np.ix_(rest, rest)])
@@ -60,7 +61,7 @@ def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
         keep = values < 1e10
         assert (body == "rotor") <= (~keep).sum() <= 2
         expected = float(np.sum(seen[keep] ** 2 / values[keep]))
-        found = _error(project, used, project.whitener(residual), fold)
+        found = _metrics._error(project, used, project.whitener(residual), fold)
         assert found == pytest.approx(expected, rel=2e-3)
 
 
@@ -74,7 +75,7 @@ def test_cross_validation_error_is_one_for_the_right_model_only():
 
 def test_folds_contain_every_row_once():
     data = fitted(seed=0, few=True).problem.data[0]
-    rows = np.concatenate([*_casing_folds(data), *_rotor_folds(data)])
+    rows = np.concatenate([*_metrics._casing_folds(data), *_metrics._rotor_folds(data)])
     assert sorted(rows.tolist()) == list(range(data.slices["harmonic"].stop))  # and no prior
 
 

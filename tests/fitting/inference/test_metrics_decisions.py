@@ -10,14 +10,11 @@ from scipy.stats import chi2
 from fitting._criteria import DEFAULT
 from fitting.dynamics._collocation import Mesh
 from fitting.inference import _budget, _metrics
-from fitting.inference._budget import _inertias, _Linearised, propagated
+from fitting.inference._budget import propagated
 from fitting.inference._metrics import (
     BodyMetrics,
     CaseMetrics,
     EnergyBalance,
-    _case_by_case,
-    _folds,
-    _together,
     chi2_per_row,
     energy_balance,
     median_noise,
@@ -79,15 +76,18 @@ class TestLackOfFit:
             return float(np.sum((r - columns @ np.linalg.lstsq(columns, r, rcond=None)[0]) ** 2))
 
         expected = rest(b) - rest(np.concatenate([b, whole], axis=1))
-        for found, dof in (_together(slow, free, residual), _case_by_case(slow, free, residual)):
+        for found, dof in (
+            _metrics._together(slow, free, residual),
+            _metrics._case_by_case(slow, free, residual),
+        ):
             assert found == pytest.approx(expected, rel=1e-6)
             assert dof == 3 * cases
 
     def test_torques_of_the_model_are_not_tested(self):
         slow, free, residual = self.blocks(2)
         free = [np.column_stack([f, s[:, 0]]) for f, s in zip(free, slow, strict=True)]
-        assert _together(slow, free, residual)[1] == 5
-        assert _case_by_case(slow, free, residual)[1] == 5
+        assert _metrics._together(slow, free, residual)[1] == 5
+        assert _metrics._case_by_case(slow, free, residual)[1] == 5
 
 
 class TestNoise:
@@ -127,16 +127,16 @@ class TestFolds:
         return SimpleNamespace(record=record, casing=casing, rotor=runs, slices=slices)
 
     def test_the_casing_has_six_intervals_with_their_harmonics(self):
-        (name, runs, folds), *_ = _folds(self.data(chain=False))
+        (name, runs, folds), *_ = _metrics._folds(self.data(chain=False))
         assert (name, len(runs), len(folds)) == ("wheel", 1, 6)
         assert folds[0].tolist() == [0, 1, 2, 3, 23, 24]
         assert folds[5].tolist() == [12, 13, 29]
 
     def test_a_window_is_a_fold_and_in_a_chain_each_part_of_it(self):
-        _, motor, pump = _folds(self.data(chain=False))
+        _, motor, pump = _metrics._folds(self.data(chain=False))
         assert [f.tolist() for f in motor[2]] == [[14, 15, 16], [20, 21, 22]]
         assert (pump[0], [f.tolist() for f in pump[2]]) == ("pump", [[17, 18, 19]])
-        _, motor, pump = _folds(self.data(chain=True))
+        _, motor, pump = _metrics._folds(self.data(chain=True))
         assert [f.tolist() for f in pump[2]] == [[17], [18], [19]]
         assert len(motor[2]) == 6
 
@@ -235,20 +235,20 @@ class TestBudget:
     def test_equal_moments_of_inertia_are_one_input(self):
         one = self.record("a", (2.0, 0.1), (3.0, math.nan))
         other = self.record("b", (2.0, 0.1), (4.0, 0.2))
-        assert list(_inertias(self.fit(one))) == [("inertia.rotor", "rotor", 2.0, 0.1)]
-        assert list(_inertias(self.fit(one, other))) == [
+        assert list(_budget._inertias(self.fit(one))) == [("inertia.rotor", "rotor", 2.0, 0.1)]
+        assert list(_budget._inertias(self.fit(one, other))) == [
             ("inertia.rotor", "rotor", 2.0, 0.1),
             ("inertia.casing@b", "casing", 4.0, 0.2),
         ]
         certain = self.record("c", (2.0, 0.0), (3.0, 0.3))
-        assert list(_inertias(self.fit(certain))) == [("inertia.casing", "casing", 3.0, 0.3)]
+        assert list(_budget._inertias(self.fit(certain))) == [("inertia.casing", "casing", 3.0, 0.3)]
         known = self.record("d", (2.0, 0.1), (3.0, 0.3))
-        assert [i[1] for i in _inertias(self.fit(known))] == ["rotor", "casing"]
-        assert [i[1] for i in _inertias(self.fit(known, prior=(_budget.INERTIA_RATIO,)))] == ["rotor"]
+        assert [i[1] for i in _budget._inertias(self.fit(known))] == ["rotor", "casing"]
+        assert [i[1] for i in _budget._inertias(self.fit(known, prior=(_budget.INERTIA_RATIO,)))] == ["rotor"]
 
     def test_a_sensitivity_is_that_of_least_squares(self):
         j, change = RNG.standard_normal((6, 2)), RNG.standard_normal(6)
-        made = object.__new__(_Linearised)
+        made = object.__new__(_budget._Linearised)
         made.fit = SimpleNamespace(theta=np.zeros(2), predictions=[SimpleNamespace(jacobian=j)])
         made.problem = SimpleNamespace(projections=[lambda x: 2.0 * x])
         made.covariance = np.linalg.inv(4.0 * j.T @ j)

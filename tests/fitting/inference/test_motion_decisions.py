@@ -8,20 +8,12 @@ import pytest
 
 from fitting import EstimationError, Input, Record
 from fitting.effects._library import find
-from fitting.inference import _posterior, _spectral_lines
-from fitting.inference._case_model import CaseModel, _FixedPoint, _unit_error, _unit_laws
-from fitting.inference._oscillation import (
-    ROTATION,
-    Oscillation,
-    _sign_changes,
-    _smooth_phase,
-    find_oscillation,
-    motion_of,
-    turning_points,
-)
-from fitting.inference._posterior import _root, draws
+from fitting.inference import _case_model, _oscillation, _posterior, _spectral_lines
+from fitting.inference._case_model import CaseModel
+from fitting.inference._oscillation import ROTATION, Oscillation, find_oscillation, motion_of, turning_points
+from fitting.inference._posterior import draws
 from fitting.inference._record import Samples
-from fitting.inference._spectral_lines import _noise_times, false_alarm_probability, line_rows, spectral_lines
+from fitting.inference._spectral_lines import false_alarm_probability, line_rows, spectral_lines
 
 T = np.arange(0.0, 20.0, 0.02)
 
@@ -45,10 +37,10 @@ class TestTurningPoints:
 
     def test_a_speed_changes_its_sign_between_significant_samples(self):
         speed = np.array([3.0, 0.1, -0.1, 0.1, -1.0, -4.0, 0.2, 4.0])
-        assert _sign_changes(speed, 0.5).tolist() == [3, 6]
-        assert _sign_changes(speed, 0.15).tolist() == [3, 6]
-        assert len(_sign_changes(speed, 0.05)) == 4
-        assert _sign_changes(speed, 5.0).tolist() == []
+        assert _oscillation._sign_changes(speed, 0.5).tolist() == [3, 6]
+        assert _oscillation._sign_changes(speed, 0.15).tolist() == [3, 6]
+        assert len(_oscillation._sign_changes(speed, 0.05)) == 4
+        assert _oscillation._sign_changes(speed, 5.0).tolist() == []
 
 
 class TestOscillation:
@@ -154,9 +146,9 @@ class TestOscillation:
     def test_a_phase_is_continued_linearly(self):
         at = np.linspace(2.0, 6.0, 9)
         phase = 1.0 + 3.0 * at - 0.2 * at**2
-        found = _smooth_phase(at, phase, np.array([1.0, 2.0, 5.0, 6.0, 8.0]))
+        found = _oscillation._smooth_phase(at, phase, np.array([1.0, 2.0, 5.0, 6.0, 8.0]))
         assert found == pytest.approx([6.2 - 2.2, 6.2, 11.0, 11.8, 11.8 + 2 * 0.6])
-        few = _smooth_phase(at[:3], phase[:3], at[:3])
+        few = _oscillation._smooth_phase(at[:3], phase[:3], at[:3])
         assert few == pytest.approx(np.polyval(np.polyfit(at[:3], phase[:3], 1), at[:3]))
 
     def test_harmonics_are_products_with_powers_of_time(self):
@@ -190,7 +182,7 @@ class TestLines:
             operator @ np.hstack([np.cos(phase), np.sin(phase)])
         )
         assert line_rows(run, []).shape == (2, 0)
-        assert _noise_times(run) == pytest.approx((0.06, 0.6, 2.0))
+        assert _spectral_lines._noise_times(run) == pytest.approx((0.06, 0.6, 2.0))
 
     def test_at_most_four_lines_are_found_each_beside_the_earlier_ones(self, monkeypatch):
         seen = []
@@ -211,11 +203,13 @@ class TestLines:
 class TestLawsOfAnAngle:
     def test_both_phases_have_the_present_strength(self):
         effect = find("casing.unbalance")
-        laws, strength = _unit_laws(effect, {"casing.unbalance.k": 3.0, "casing.unbalance.phi": 0.4})
+        laws, strength = _case_model._unit_laws(
+            effect, {"casing.unbalance.k": 3.0, "casing.unbalance.phi": 0.4}
+        )
         assert [law["phi"] for law in laws] == [0.0, math.pi / 2]
         assert [law["k"] for law in laws] == [1.0, 1.0]
         assert strength == pytest.approx([3 * math.cos(0.4), 3 * math.sin(0.4)])
-        assert _unit_laws(effect, {})[1] == pytest.approx([0.0, 0.0])
+        assert _case_model._unit_laws(effect, {})[1] == pytest.approx([0.0, 0.0])
 
     def test_the_derivative_follows_strength_and_phase(self):
         effect = find("casing.unbalance")
@@ -249,13 +243,13 @@ class TestLawsOfAnAngle:
 
     def test_a_linear_iteration_ends_after_as_many_steps_as_it_has_dimensions(self):
         matrix, b = np.array([[0.9, 0.3], [-0.2, 1.4]]), np.array([1.0, 2.0])
-        search, x = _FixedPoint(), np.zeros(2)
+        search, x = _case_model._FixedPoint(), np.zeros(2)
         for _ in range(4):
             x = search.next(x, matrix @ x + b)
         assert x == pytest.approx(np.linalg.solve(np.eye(2) - matrix, b))
 
     def test_the_error_of_a_mean_is_that_of_weights(self):
-        assert _unit_error(Samples(T[:2], T[:2], np.array([0.3, 0.4]))) == pytest.approx(0.24)
+        assert _case_model._unit_error(Samples(T[:2], T[:2], np.array([0.3, 0.4]))) == pytest.approx(0.24)
 
 
 class TestPosterior:
@@ -289,7 +283,7 @@ class TestPosterior:
     def test_a_root_gives_the_covariance_even_if_it_is_singular(self):
         v = np.array([2.0, 1e-6])
         for covariance in (np.outer(v, v), np.array([[4.0, 1e-6], [1e-6, 1e-12]])):
-            root = _root(covariance)
+            root = _posterior._root(covariance)
             assert root @ root.T == pytest.approx(covariance, rel=1e-6)
 
     def test_tied_parameters_follow_each_draw(self, monkeypatch):

@@ -11,17 +11,11 @@ from scipy.optimize import brentq
 from fitting import Fit
 from fitting._criteria import DEFAULT
 from fitting.inference import _angle_noise as angle
+from fitting.inference import _noise
 from fitting.inference import _problem as problem
 from fitting.inference import _process_noise as process
 from fitting.inference._compression import compress
-from fitting.inference._noise import (
-    Noise,
-    TorqueNoise,
-    TorqueResponse,
-    Whitener,
-    _trial_levels,
-    remaining_level,
-)
+from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse, Whitener, remaining_level
 from fitting.inference._process_noise import StretchLikelihood, estimate_process_noise, mean_acceleration
 from fitting.inference._record import Samples
 
@@ -100,7 +94,7 @@ class TestRemainingLevel:
         )
 
     def test_levels_reach_from_the_most_responsive_row_to_far_above_the_median_one(self):
-        levels = _trial_levels(np.array([1e-12, 1e-4, 4.0]))
+        levels = _noise._trial_levels(np.array([1e-12, 1e-4, 4.0]))
         assert levels[0] == 0.0
         assert levels[1] == pytest.approx(0.1 / 2.0)
         assert levels[-1] == pytest.approx(3e5 / 1e-2)

@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal, norm
 
 from fitting.inference import _noise as noise
 from fitting.inference import _process_noise as process
+from fitting.inference import _result
 from fitting.inference._compression import compress
 from fitting.inference._noise import (
     Whitener,
@@ -21,7 +22,6 @@ from fitting.inference._noise import (
 )
 from fitting.inference._process_noise import StretchLikelihood, estimate_process_noise, mean_acceleration
 from fitting.inference._record import Samples
-from fitting.inference._result import _with_unresolved
 
 RNG = np.random.default_rng(0)
 ROWS = 6
@@ -137,7 +137,7 @@ class TestLevels:
             1.0, pure=3.0, pure_u=1.0, level=0.2, time=1.0, whitener=deaf, process=None, excess=excess
         )
         problem = SimpleNamespace(data=[data])
-        (found,) = _with_unresolved(problem, [fitted], [known], np.zeros(1, dtype=bool))
+        (found,) = _result._with_unresolved(problem, [fitted], [known], np.zeros(1, dtype=bool))
         assert found.unresolved == pytest.approx(level, rel=0.03)
 
     def test_a_parameter_at_its_bound_does_not_absorb_a_torque(self):
@@ -149,7 +149,7 @@ class TestLevels:
             places = np.arange(columns.shape[1])
             fitted = SimpleNamespace(columns=columns, places=places, rows=np.zeros(ROWS))
             problem = SimpleNamespace(data=[data])
-            (found,) = _with_unresolved(problem, [fitted], [known], np.array([held]))
+            (found,) = _result._with_unresolved(problem, [fitted], [known], np.array([held]))
             levels.append(found.unresolved)
         assert levels[0] == pytest.approx(levels[2])
         assert levels[1] < 0.9 * levels[0]

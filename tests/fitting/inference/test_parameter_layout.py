@@ -6,7 +6,8 @@ from fitting import LINEAR, REDUCED, EffectError, Input, Model, Record, effect, 
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._expression import Tape
 from fitting.effects._user import resolve
-from fitting.inference._parameters import ParameterLayout, _order, _variables, is_power_law
+from fitting.inference import _parameters
+from fitting.inference._parameters import ParameterLayout, is_power_law
 from fitting.inference._ties import chain, follow, parse_tie
 
 
@@ -172,8 +173,8 @@ def test_an_exponent_is_compared_where_the_base_differs_from_one(distance, order
     """At most of the speeds by more than a tenth of its logarithm."""
     mechanism = resolve("casing: -k*omega_c**n").mechanism
     speeds = np.stack([np.full(40, 300.0), np.full(40, np.exp(distance))], axis=1)
-    known = _variables(np.linspace(0.0, 1.0, 40), speeds, mechanism)
-    found = _order(resolve("casing: -k*omega_c**n"), resolve("casing: -c*sqrt(omega_c)"), known)
+    known = _parameters._variables(np.linspace(0.0, 1.0, 40), speeds, mechanism)
+    found = _parameters._order(resolve("casing: -k*omega_c**n"), resolve("casing: -c*sqrt(omega_c)"), known)
     assert found == (None if order is None else pytest.approx(order))
 
 

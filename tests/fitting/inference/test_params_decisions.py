@@ -9,13 +9,11 @@ import pytest
 from fitting import LINEAR, EffectError, Estimate, EstimationError, Model, Record
 from fitting._errors import FittingError, RecordError
 from fitting.dynamics._model import Model as AnyModel
-from fitting.inference import _trace
+from fitting.inference import _parameters
 from fitting.inference._parameters import (
     ParameterLayout,
     PowerLaw,
     Sinusoid,
-    _away_from,
-    _ends,
     covers,
     find_power_laws,
     find_sinusoids,
@@ -26,7 +24,15 @@ from fitting.inference._parameters import (
 )
 from fitting.inference._params import Names, Params, Settings, note, settings_of, shown_name
 from fitting.inference._record import Samples
-from fitting.inference._trace import attempt, of_model, record_result, recorded_map, recording, with_purpose
+from fitting.inference._trace import (
+    Refit,
+    attempt,
+    of_model,
+    record_result,
+    recorded_map,
+    recording,
+    with_purpose,
+)
 
 
 def estimate(value=1.0, **more):
@@ -272,7 +278,7 @@ class TestLayout:
         ],
     )
     def test_an_exponent_keeps_its_distance(self, g, order, found):
-        assert _away_from(g, order) == pytest.approx(found, abs=1e-12)
+        assert _parameters._away_from(g, order) == pytest.approx(found, abs=1e-12)
 
     @pytest.mark.parametrize("held", ["", "d", "f"])
     @pytest.mark.parametrize("order", [1.0, 2.0])
@@ -333,7 +339,7 @@ class TestSinusoids:
             at = f"@{label}" if count == 2 else ""
             assert w == Sinusoid(layout.index[names["K"] + at], layout.index[names["P"] + at])
             lower, upper = layout.bounds()
-            assert _ends(w, lower, upper) == [np.inf, -np.inf, np.inf]
+            assert _parameters._ends(w, lower, upper) == [np.inf, -np.inf, np.inf]
 
     def test_a_pair_of_which_one_is_shared_is_not_transformed(self, records):
         model = Model.of(["casing.unbalance"])
@@ -402,8 +408,8 @@ class TestTrace:
         assert [r.purpose for r in trace.refits] == ["job 3", "job 1"]
 
     def test_an_entry_names_the_change_of_the_model(self):
-        entry = _trace.Refit("why", ("a", "b"), 1.0, 2.0, True)
+        entry = Refit("why", ("a", "b"), 1.0, 2.0, True)
         assert entry.sentence(("b", "c")) == "why (+a -c): deviance 1.0, BIC 2.0"
         assert entry.sentence(("a", "b")) == "why (same model): deviance 1.0, BIC 2.0"
-        assert _trace.Refit("why", ("a",), 1.0, 2.0).sentence(("a",)).endswith("BIC 2.0, not converged")
-        assert _trace.Refit("why", ("a",), failure="no").sentence(("a",)).endswith(": failed: no")
+        assert Refit("why", ("a",), 1.0, 2.0).sentence(("a",)).endswith("BIC 2.0, not converged")
+        assert Refit("why", ("a",), failure="no").sentence(("a",)).endswith(": failed: no")

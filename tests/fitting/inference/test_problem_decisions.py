@@ -10,8 +10,7 @@ from fitting import EffectError, ErrorMode, ExpressionError, RecordError
 from fitting._errors import SimulationError
 from fitting.effects._expression import Tape
 from fitting.effects._mechanism import GYROSCOPE
-from fitting.inference import _problem
-from fitting.inference._case_file import _input, _modes, _start_sigma, _windows
+from fitting.inference import _case_file, _problem
 from fitting.inference._error_modes import checked_modes, mode_columns, of_windows
 from fitting.inference._parameters import PowerLaw, Sinusoid
 from fitting.inference._problem import Problem, Projection, typical_speed
@@ -199,24 +198,26 @@ class TestCaseFile:
         rotor = SimpleNamespace(segment=np.array([0, 0, 2, 2, 5]))
 
         def sigma(start_u, stated):
-            return _start_sigma(SimpleNamespace(start_u=start_u, attributes={"start_u": stated}), rotor)
+            return _case_file._start_sigma(
+                SimpleNamespace(start_u=start_u, attributes={"start_u": stated}), rotor
+            )
 
         assert sigma({"rotor_0": 0.1, "rotor_5": -1.0}, 9.0) == [0.1, 0.0, 0.0]
         assert sigma({}, 0.5) == [0.5, 0.5, 0.5]
         assert sigma({}, 0.0) == [0.0, 0.0, 0.0]
         for unknown in (math.nan, -1.0, math.inf):
             assert all(math.isnan(s) for s in sigma({}, unknown))
-        masks = _windows(rotor)
+        masks = _case_file._windows(rotor)
         assert [m.tolist() for m in masks][1] == [False, False, True, True, False]
         assert len(masks) == 3
-        assert len(_windows(SimpleNamespace(segment=np.zeros(0)))) == 1
+        assert len(_case_file._windows(SimpleNamespace(segment=np.zeros(0)))) == 1
 
     def test_uncertainties_of_an_input_are_all_given_or_none(self, tmp_path):
         values = {"time": [0.0, 1.0], "value": [1.0, 2.0]}
-        assert _input(tmp_path, "u", u=np.array([np.nan, np.nan]), **values).u is None
-        assert _input(tmp_path, "u", u=np.array([0.1, 0.2]), **values).u.tolist() == [0.1, 0.2]
+        assert _case_file._input(tmp_path, "u", u=np.array([np.nan, np.nan]), **values).u is None
+        assert _case_file._input(tmp_path, "u", u=np.array([0.1, 0.2]), **values).u.tolist() == [0.1, 0.2]
         with pytest.raises(RecordError, match="lacks some"):
-            _input(tmp_path, "u", u=np.array([0.1, np.nan]), **values)
+            _case_file._input(tmp_path, "u", u=np.array([0.1, np.nan]), **values)
 
     def test_modes_have_the_measured_samples_of_their_window(self):
         stored = SimpleNamespace(
@@ -231,6 +232,6 @@ class TestCaseFile:
             0: np.array([True, True, True, True, False]),
             3: np.array([False, False, False, False, True]),
         }
-        first, second = _modes(series, "rotor", windows)
+        first, second = _case_file._modes(series, "rotor", windows)
         assert (first.window, first.time.tolist(), first.basis[:, 0].tolist()) == (0, [0.0, 2.0], [0.0, 2.0])
         assert (second.window, second.time.tolist(), second.origin) == (3, [4.0], "axis")

@@ -10,16 +10,11 @@ from scipy.interpolate import CubicHermiteSpline
 from fitting import Case, ErrorMode, Input, Record, RecordError, make_record
 from fitting._numbers import SI, WITHOUT_INERTIA
 from fitting.effects._mechanism import Mechanism
+from fitting.inference import _record
 from fitting.inference._case import inward, model_of, outward
 from fitting.inference._record import (
     PiecewiseCubics,
     Samples,
-    _clean,
-    _local,
-    _pieces,
-    _profile,
-    _rotor_curve,
-    _stated,
     hermite,
     initial_speeds,
     median_width,
@@ -41,7 +36,7 @@ def record(casing=None, rotor=(), **more):
 
 class TestCleaning:
     def clean(self, value, sigma=1e-3, t=T):
-        return _clean(t, np.full(len(t), value), np.full(len(t), sigma), what="body")
+        return _record._clean(t, np.full(len(t), value), np.full(len(t), sigma), what="body")
 
     @pytest.mark.parametrize(
         ("value", "sigma", "valid"),
@@ -65,21 +60,21 @@ class TestCleaning:
 
     def test_unknown_uncertainties_are_the_median_or_a_thousandth(self):
         sigma = np.full(101, np.nan)
-        assert (_clean(T, T, sigma, what="body").sigma == 1e-3).all()
+        assert (_record._clean(T, T, sigma, what="body").sigma == 1e-3).all()
         sigma[:5] = 1.0, 2.0, 9.0, 0.0, -1.0
-        found = _clean(T, T, sigma, what="body").sigma
+        found = _record._clean(T, T, sigma, what="body").sigma
         assert found[:3].tolist() == [1.0, 2.0, 9.0]
         assert (found[3:] == 2.0).all()
 
     def test_a_stated_error_needs_level_and_time(self):
-        assert _stated() == (0.0, 0.0, 0.0, 0.0)
-        assert _stated(1.0, 2.0, 3.0, 4.0) == (1.0, 2.0, 3.0, 4.0)
-        assert _stated(1.0, 0.0, 3.0) == (0.0, 0.0, 3.0, 0.0)
-        assert _stated(0.0, 2.0, -3.0, -4.0) == (0.0, 0.0, 0.0, 0.0)
+        assert _record._stated() == (0.0, 0.0, 0.0, 0.0)
+        assert _record._stated(1.0, 2.0, 3.0, 4.0) == (1.0, 2.0, 3.0, 4.0)
+        assert _record._stated(1.0, 0.0, 3.0) == (0.0, 0.0, 3.0, 0.0)
+        assert _record._stated(0.0, 2.0, -3.0, -4.0) == (0.0, 0.0, 0.0, 0.0)
 
     def test_a_profile_increases_in_time(self):
-        assert _profile([(0, 1), (2, 0)], stated=True) == ((0.0, 1.0), (2.0, 0.0))
-        assert _profile([], stated=False) == ()
+        assert _record._profile([(0, 1), (2, 0)], stated=True) == ((0.0, 1.0), (2.0, 0.0))
+        assert _record._profile([], stated=False) == ()
         for pairs, stated in (
             ([(0, 1)], False),
             ([(0, 1), (0, 1)], True),
@@ -88,7 +83,7 @@ class TestCleaning:
             ([(0, math.nan)], True),
         ):
             with pytest.raises(RecordError):
-                _profile(pairs, stated=stated)
+                _record._profile(pairs, stated=stated)
 
     @pytest.mark.parametrize(("count", "valid"), [(23, False), (24, True)])
     def test_a_body_needs_24_samples(self, count, valid):
@@ -285,13 +280,13 @@ class TestCurves:
     def test_pieces_have_speed_and_slope_in_their_middle(self, angle):
         t = np.linspace(0.0, 4.0, 48)
         value = 5.0 + 3.0 * t + 0.5 * t**2 if angle else 3.0 + t
-        rows = _local(samples(value, t=t), 4, angle)
+        rows = _record._local(samples(value, t=t), 4, angle)
         pieces = np.array_split(t, 4)
         middle = np.array([p.mean() for p in pieces])
         assert rows[:, 0] == pytest.approx(middle)
         assert rows[:, 1] == pytest.approx(3.0 + middle)
         assert rows[:, 2] == pytest.approx(np.ones(4))
-        short = _local(samples(value[:2], t=t[:2]), 1, angle)
+        short = _record._local(samples(value[:2], t=t[:2]), 1, angle)
         assert short[0, 1] == pytest.approx(
             (value[1] - value[0]) / (t[1] - t[0]) if angle else value[:2].mean()
         )
@@ -301,22 +296,22 @@ class TestCurves:
     def test_a_long_window_is_divided_like_the_run(self, share, pieces):
         t = np.linspace(0.0, 10.0 * share, 1000)
         made = record(samples(T), [samples(t, t=t)])
-        assert _pieces(made.rotor[0], made, 50, 12) == pieces
-        assert _pieces(samples(t[::20], t=t[::20]), made, 50, 12) == (1 if share < 0.5 else 4)
+        assert _record._pieces(made.rotor[0], made, 50, 12) == pieces
+        assert _record._pieces(samples(t[::20], t=t[::20]), made, 50, 12) == (1 if share < 0.5 else 4)
 
     @pytest.mark.parametrize("sense", [1.0, -1.0])
     def test_the_rotor_is_cubic_between_windows_and_straight_beyond(self, sense):
         rows = np.array([[6.0, 60.0, -5.0], [2.0, 100.0, -12.0]]) * [1.0, sense, sense]
         at = np.array([0.0, 3.0, 5.0, 8.0, 17.9, 40.0])
-        found = _rotor_curve(rows, at) * sense
+        found = _record._rotor_curve(rows, at) * sense
         cubic = CubicHermiteSpline([2.0, 6.0], [100.0, 60.0], [-12.0, -5.0])
         # it does not fall below a twentieth of the slowest window
         assert found == pytest.approx([124.0, float(cubic(3.0)), float(cubic(5.0)), 50.0, 3.0, 3.0])
         unknown = np.array([[6.0, 60.0, np.nan], [2.0, 100.0, np.nan]]) * [1.0, sense, 1.0]
-        assert _rotor_curve(unknown, np.array([0.0, 4.0])) * sense == pytest.approx([120.0, 80.0])
+        assert _record._rotor_curve(unknown, np.array([0.0, 4.0])) * sense == pytest.approx([120.0, 80.0])
         one = np.array([[6.0, 60.0 * sense, np.nan]])
-        assert _rotor_curve(one, np.array([0.0, 9.0])) * sense == pytest.approx([60.0, 60.0])
-        assert _rotor_curve(rows[:1], at[:1]) * sense == pytest.approx([90.0])
+        assert _record._rotor_curve(one, np.array([0.0, 9.0])) * sense == pytest.approx([60.0, 60.0])
+        assert _record._rotor_curve(rows[:1], at[:1]) * sense == pytest.approx([90.0])
 
     def test_initial_speeds_have_the_columns_of_the_state(self):
         t = np.linspace(1.0, 2.0, 60)

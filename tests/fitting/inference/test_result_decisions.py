@@ -11,14 +11,7 @@ from fitting import Estimate, Fit
 from fitting._criteria import DEFAULT
 from fitting.inference import _result as module
 from fitting.inference._problem import degenerate_directions, surely_at_bound
-from fitting.inference._result import (
-    FitSummary,
-    _by_integration_errors,
-    _estimates,
-    _with_slow_residuals,
-    _with_unresolved,
-    not_determined,
-)
+from fitting.inference._result import FitSummary, not_determined
 
 
 def case(**metrics):
@@ -301,11 +294,11 @@ class TestCovariance:
         slow = np.linalg.inv(information) @ scatter @ np.linalg.inv(information)
         factor = np.sqrt(np.maximum(np.diag(slow) / np.diag(covariance)[:2], 1.0))
         assert (factor > 1.1).any()
-        found = _with_slow_residuals(problem, [prediction], covariance)
+        found = module._with_slow_residuals(problem, [prediction], covariance)
         assert found[:2, :2] == pytest.approx(covariance[:2, :2] * np.outer(factor, factor))
         # small residuals leave the covariance as it is
         prediction.rows = 0.1 * residual
-        assert _with_slow_residuals(problem, [prediction], covariance)[:2, :2] == pytest.approx(
+        assert module._with_slow_residuals(problem, [prediction], covariance)[:2, :2] == pytest.approx(
             covariance[:2, :2]
         )
 
@@ -326,7 +319,7 @@ class TestCovariance:
         covariance = np.diag([1.0, 4.0, np.inf])
         covariance[0, 1] = covariance[1, 0] = 0.5
         prediction = SimpleNamespace(places=np.array([1, 0]), columns=columns)
-        found = _by_integration_errors(problem, np.zeros(3), [prediction], covariance)
+        found = module._by_integration_errors(problem, np.zeros(3), [prediction], covariance)
         gradient = np.zeros((3, 1))
         gradient[[1, 0]] = 6.0 * columns.T @ errors
         shift = np.array([[1.0, 0.5, 0.0], [0.5, 4.0, 0.0], [0.0, 0.0, 0.0]]) @ gradient
@@ -351,7 +344,7 @@ class TestCovariance:
         )
         noise = SimpleNamespace(excess=excess, whitener=None, pure=1.0)
         problem = SimpleNamespace(data=[data])
-        assert list(_with_unresolved(problem, [p], [noise], np.array([True, False, False]))) == [
+        assert list(module._with_unresolved(problem, [p], [noise], np.array([True, False, False]))) == [
             7.0 if tried else 0.0
         ]
         if tried:
@@ -367,7 +360,7 @@ class TestCovariance:
             absent=("gone",),
             unit=lambda name: f"unit of {name}",
         )
-        found = _estimates(
+        found = module._estimates(
             layout,
             np.array([1.0, 2.0, 3.0, 4.0]),
             np.array([0.1, 0.2, 0.3, 0.4]),

@@ -12,10 +12,6 @@ from fitting.inference._optimisation import (
     ActiveBounds,
     Minimum,
     Solution,
-    _choices_of_bound,
-    _is_minimum,
-    _step,
-    _undamped,
     is_far,
     minimise,
     search,
@@ -33,7 +29,7 @@ class TestStep:
     def test_a_damped_step_solves_the_scaled_normal_equations(self):
         scale = np.array([2.0, 5.0])
         expected = np.linalg.solve(self.J.T @ self.J + 0.3 * np.diag(scale**2), -self.J.T @ self.R)
-        assert _step(self.R, self.J, scale, 0.3, -FREE, FREE) == pytest.approx(expected)
+        assert module._step(self.R, self.J, scale, 0.3, -FREE, FREE) == pytest.approx(expected)
 
     @pytest.mark.parametrize("seed", range(6))
     def test_an_undamped_step_stays_within_its_bounds(self, seed):
@@ -41,21 +37,29 @@ class TestStep:
         # the columns are nearly orthogonal, so that the first bound that is reached is active at the minimum
         j, r = np.eye(6)[:, :2] + 0.1 * rng.standard_normal((6, 2)), rng.standard_normal(6)
         down, up = -0.2 * rng.random(2), 0.2 * rng.random(2)
-        step = _step(r, j, np.ones(2), 1e-20, down, up)
+        step = module._step(r, j, np.ones(2), 1e-20, down, up)
         best = lsq_linear(j, -r, (down, up)).x
         assert np.sum((r + j @ step) ** 2) == pytest.approx(np.sum((r + j @ best) ** 2), rel=0.02)
         assert ((step >= down) & (step <= up)).all()
 
     def test_a_variable_at_its_bound_moves_only_inward(self):
         r, j = np.array([1.0, 1.0]), np.eye(2)
-        assert _step(r, j, np.ones(2), 1e-20, np.array([0.0, -9.0]), FREE) == pytest.approx([0.0, -1.0])
-        assert _step(-r, j, np.ones(2), 1e-20, np.array([0.0, -9.0]), FREE) == pytest.approx([1.0, 1.0])
-        assert _step(-r, j, np.ones(2), 1e-20, -FREE, np.array([0.0, 9.0])) == pytest.approx([0.0, 1.0])
-        assert _step(r, j, np.ones(2), 1e-20, -FREE, np.array([0.0, 9.0])) == pytest.approx([-1.0, -1.0])
+        assert module._step(r, j, np.ones(2), 1e-20, np.array([0.0, -9.0]), FREE) == pytest.approx(
+            [0.0, -1.0]
+        )
+        assert module._step(-r, j, np.ones(2), 1e-20, np.array([0.0, -9.0]), FREE) == pytest.approx(
+            [1.0, 1.0]
+        )
+        assert module._step(-r, j, np.ones(2), 1e-20, -FREE, np.array([0.0, 9.0])) == pytest.approx(
+            [0.0, 1.0]
+        )
+        assert module._step(r, j, np.ones(2), 1e-20, -FREE, np.array([0.0, 9.0])) == pytest.approx(
+            [-1.0, -1.0]
+        )
 
     def test_the_undamped_fall_is_that_of_the_linear_problem(self):
         rest = self.R - self.J @ np.linalg.lstsq(self.J, self.R, rcond=None)[0]
-        assert _undamped(self.R, self.J, np.ones(2), -FREE, FREE) == pytest.approx(
+        assert module._undamped(self.R, self.J, np.ones(2), -FREE, FREE) == pytest.approx(
             self.R @ self.R - rest @ rest
         )
 
@@ -184,7 +188,7 @@ class TestHeldVariables:
         r = np.array([0.0, 0.0, 7.0, slope])
         layout = SimpleNamespace(bounds=lambda: (-np.ones(3), np.ones(3)))
         problem = SimpleNamespace(layout=layout, residuals=lambda p: (r, j), predict=lambda t: None)
-        return _is_minimum(problem, np.array([place, 0.0, 0.0]), held, 0.01)
+        return module._is_minimum(problem, np.array([place, 0.0, 0.0]), held, 0.01)
 
     def test_chi_square_rises_inward_at_a_minimum(self):
         assert self.minimum_at(-1.0, 1.0)
@@ -207,7 +211,9 @@ class TestChoicesOfBounds:
     LOWER, UPPER = np.array([0.0, 0.0, 1.5]), np.array([3.0, 2.0, 3.0])
 
     def choices(self, theta, law, held=()):
-        return list(_choices_of_bound(ActiveBounds((law,), held), np.array(theta), self.LOWER, self.UPPER))
+        return list(
+            module._choices_of_bound(ActiveBounds((law,), held), np.array(theta), self.LOWER, self.UPPER)
+        )
 
     def test_a_single_power_law_is_moved_into_its_range(self):
         law = PowerLaw(None, 1, 2, 10.0)
@@ -259,7 +265,7 @@ class TestChoicesOfBounds:
     def test_infinite_bounds_are_not_chosen(self):
         law = PowerLaw(0, 1, 2, 10.0)
         lower, upper = np.array([0.0, 0.0, -np.inf]), np.array([np.inf, np.inf, np.inf])
-        found = list(_choices_of_bound(ActiveBounds((law,)), np.array([-1.0, 0.5, 2.0]), lower, upper))
+        found = list(module._choices_of_bound(ActiveBounds((law,)), np.array([-1.0, 0.5, 2.0]), lower, upper))
         assert [(a.held, t[a.held[0]]) for a, t in found] == [((0,), 0.0), ((1,), 0.0)]
         assert found[1][1].tolist() == [4.0, 0.0, 2.0]
 

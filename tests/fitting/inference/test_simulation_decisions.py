@@ -7,7 +7,6 @@ import pytest
 
 from fitting import Experiment, Model, simulate
 from fitting.inference import _simulation as module
-from fitting.inference._simulation import _ornstein_uhlenbeck
 
 MODEL = Model.of(["casing.air.linear", "rotor.air.linear"])
 I_ROTOR, I_CASING = 5e-5, 2e-5
@@ -82,12 +81,12 @@ def test_a_constant_torque_acts_on_casing_and_bearing(monkeypatch):
 @pytest.mark.parametrize("time", [0.1, 0.5])
 def test_a_random_torque_has_its_rms_and_correlation_time(time):
     experiment = Experiment(torque_noise=3e-7, torque_time=time)
-    torque = _ornstein_uhlenbeck(30000, experiment, np.random.default_rng(1))
+    torque = module._ornstein_uhlenbeck(30000, experiment, np.random.default_rng(1))
     assert np.std(torque) == pytest.approx(3e-7, rel=0.08)
     for lag in (1, 5, 20):
         expected = math.exp(-0.02 * lag / time)
         assert np.corrcoef(torque[lag:], torque[:-lag])[0, 1] == pytest.approx(expected, abs=0.08)
-    firsts = [_ornstein_uhlenbeck(1, experiment, np.random.default_rng(i))[0] for i in range(300)]
+    firsts = [module._ornstein_uhlenbeck(1, experiment, np.random.default_rng(i))[0] for i in range(300)]
     assert np.std(firsts) == pytest.approx(3e-7, rel=0.15)
 
 

@@ -8,12 +8,12 @@ import pytest
 import twobody
 
 from fitting import Model, RecordError, fit, make_record
+from fitting.inference import _replica
 from fitting.inference._angle_noise import AngleNoise, profile_at, stated_error_rows, stated_harmonic_scale
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import read_record
 from fitting.inference._compression import compress
 from fitting.inference._record import Samples
-from fitting.inference._replica import _harmonics, _stated_error
 
 SIGMA, TIME = 1.5e-4, 2.0
 GYROSCOPE = {"a2": 1.97e-10, "b1": 3e-6, "b2": 3.7e-7, "d": 3.2e-8, "f": 4.86e-7, "g": 0.62}
@@ -166,7 +166,7 @@ def test_the_rows_of_a_profile_have_the_covariance_of_the_scaled_process():
 def test_simulated_recordings_have_the_error_of_the_profile():
     data = CaseData.of(film(stated=(SIGMA, TIME), profile=PROFILE))
     time = data.record.casing.time
-    drawn = np.array([_stated_error(data, np.random.default_rng(s)) for s in range(200)])
+    drawn = np.array([_replica._stated_error(data, np.random.default_rng(s)) for s in range(200)])
     for at in (time[0], 10.0):
         i = int(np.argmin(np.abs(time - at)))
         assert drawn[:, i].std() == pytest.approx(profile_at(time[[i]], SIGMA, PROFILE)[0], rel=0.15)
@@ -367,10 +367,10 @@ class TestWindowsOfTheRotor:
     def test_simulated_recordings_have_it(self):
         data = self.data(0.0, self.LEVEL)
         run = data.rotor[1]
-        drawn = np.array([_harmonics(run, self.LEVEL, np.random.default_rng(s)) for s in range(100)])
+        drawn = np.array([_replica._harmonics(run, self.LEVEL, np.random.default_rng(s)) for s in range(100)])
         # ten orders above the second one and two below it, each of variance 0.5 + 0.5
         assert drawn.std() == pytest.approx(self.LEVEL * np.sqrt(12.0), rel=0.1)
-        assert not _harmonics(run, 0.0, np.random.default_rng(0)).any()
+        assert not _replica._harmonics(run, 0.0, np.random.default_rng(0)).any()
 
     def test_it_is_read_from_the_rotor_of_a_case(self, tmp_path):
         with h5py.File(tmp_path / "case.h5", "w") as file:

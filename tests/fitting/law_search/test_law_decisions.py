@@ -10,28 +10,10 @@ import pytest
 from fitting import EffectError, Estimate, Model
 from fitting._criteria import DEFAULT
 from fitting.effects._user import read_effects, resolve
+from fitting.law_search import _documents
 from fitting.law_search import _laws as module
-from fitting.law_search._documents import _curve, check_name, save_law
-from fitting.law_search._laws import (
-    Law,
-    Laws,
-    _best_of_each_law,
-    _Chosen,
-    _difference,
-    _equivalent_effect,
-    _may_suffice,
-    _ratio,
-    _refined_shapes,
-    _Refitted,
-    _Scored,
-    _Search,
-    _sentence,
-    _Steps,
-    _with_positive_strength,
-    _without_repetition,
-    formula_of,
-    laws,
-)
+from fitting.law_search._documents import check_name, save_law
+from fitting.law_search._laws import Law, Laws, formula_of, laws
 
 LAG = SimpleNamespace(symbol="lag", rate="(omega_c - lag)/tau")
 
@@ -69,11 +51,11 @@ def fit(bic=0.0, *, fails=False, at_bound=False, deviance=None, **more):
 
 def search(base=None, forms=(), n_eff=math.e):
     """A search without data; with this number of samples, each constant costs 1."""
-    made = object.__new__(_Search)
+    made = object.__new__(module._Search)
     made.base = base or fit(100.0)
     made.base.n_eff = n_eff
     made.criteria, made.workers, made.forms, made.trials = DEFAULT, None, list(forms), 0
-    made.steps = _Steps(None)
+    made.steps = module._Steps(None)
     return made
 
 
@@ -99,8 +81,8 @@ class TestPromising:
         assert self.chosen(forms, scores, about=SimpleNamespace(terms=[form("c")])) == ["d"]
 
     def test_joined_lists_have_each_law_once(self):
-        a, b, c = (_Chosen(form(n), None, None) for n in "abc")
-        assert _without_repetition([a, b], [b, c, a]) == [a, b, c]
+        a, b, c = (module._Chosen(form(n), None, None) for n in "abc")
+        assert module._without_repetition([a, b], [b, c, a]) == [a, b, c]
 
 
 class TestSecondTerm:
@@ -109,19 +91,19 @@ class TestSecondTerm:
         seen = {}
         made._scored = lambda about, removed: seen.update(about=about, removed=removed) or "scored"
         made._promising = lambda scored, most, **more: seen.update(most=most, **more) or ["chosen"]
-        two = _Refitted((form("b"),), "fit of both")
+        two = module._Refitted((form("b"),), "fit of both")
         asked = []
         made._refits = lambda *given: asked.append(given) or [two]
         of_one = fit(1.0)
-        best = _Refitted((form("a", state=LAG),), of_one)
+        best = module._Refitted((form("a", state=LAG),), of_one)
         (found,) = made._with_second_term(best)
         assert [t.effect.name for t in found.terms] == ["a", "b"]
         assert found.fit == "fit of both"
         assert asked == [(["chosen"], of_one, ("noise",))]
         assert (seen["stateless"], seen["removed"], seen["most"]) == (True, (), 5)
-        made._with_second_term(_Refitted((form("a"),), of_one))
+        made._with_second_term(module._Refitted((form("a"),), of_one))
         assert seen["stateless"] is False
-        assert made._with_second_term(_Refitted((form("a"), form("b")), of_one)) == []
+        assert made._with_second_term(module._Refitted((form("a"), form("b")), of_one)) == []
 
 
 class TestBestSet:
@@ -137,7 +119,7 @@ class TestBestSet:
             return scored
 
         made._scored = scored_about
-        made._promising = lambda s, most, about=None: [_Chosen(form(f"{most}"), None, None)]
+        made._promising = lambda s, most, about=None: [module._Chosen(form(f"{most}"), None, None)]
         made._p = lambda s: s.p
         results = iter([first, *later])
 
@@ -158,7 +140,7 @@ class TestBestSet:
         return [x.name for x in made.best_set()]
 
     def refit(self, name, bic, length=0.0, **more):
-        return _Refitted((form(name, length),), fit(bic, **more))
+        return module._Refitted((form(name, length),), fit(bic, **more))
 
     @pytest.mark.parametrize(
         ("p", "fails", "goes_on"), [(0.029, False, True), (0.031, False, False), (0.9, True, True)]
@@ -214,7 +196,7 @@ class TestBestSet:
         ("fails", "bic", "named"), [(True, 47.9, ["a+b", "a"]), (True, 48.1, ["a"]), (False, 40.0, ["a"])]
     )
     def test_a_second_term_needs_a_lack_of_fit_and_evidence(self, monkeypatch, fails, bic, named):
-        second = _Refitted((form("a"), form("b")), fit(bic))
+        second = module._Refitted((form("a"), form("b")), fit(bic))
         assert self.run(monkeypatch, [self.refit("a", 50.0, fails=fails)], second=[second]) == named
 
     def test_at_a_bound_the_parameters_are_also_released(self, monkeypatch):
@@ -226,11 +208,11 @@ class TestBestSet:
 
 def test_the_best_refit_of_each_law_is_kept():
     def refit(bic, length, *names):
-        return _Refitted(tuple(form(n, length) for n in names), fit(bic))
+        return module._Refitted(tuple(form(n, length) for n in names), fit(bic))
 
     a, b, ab = refit(5.0, 1.0, "a"), refit(4.5, 2.0, "a"), refit(9.0, 1.0, "a", "b")
-    assert _best_of_each_law([b, a, ab]) == [a, ab]
-    assert _best_of_each_law([a, b]) == [a]
+    assert module._best_of_each_law([b, a, ab]) == [a, ab]
+    assert module._best_of_each_law([a, b]) == [a]
     assert ab.penalised == 11.0
     assert ab.length == 2.0
 
@@ -276,7 +258,7 @@ class TestLibrary:
         candidate = Given(**{"fit": "fit", "physical": True, "significant": True, "score": score_, **change})
         monkeypatch.setattr(module, "replace", lambda c, fit: c._replace(fit=fit))
         best = SimpleNamespace(score=100.0, penalised=50.0, fit=SimpleNamespace(noise=()))
-        found = _equivalent_effect([candidate], best, DEFAULT)
+        found = module._equivalent_effect([candidate], best, DEFAULT)
         assert (found is not None) is named
         assert found is None or found.fit.bic == bic
 
@@ -308,9 +290,9 @@ class TestLibrary:
             lambda c, criteria: next((x for x in c if x.effect.name == chosen), None),
         )
         monkeypatch.setattr(module, "refined", lambda f, criteria: fit(fails=refined_fails))
-        assert _may_suffice(candidates, DEFAULT) is suffices
+        assert module._may_suffice(candidates, DEFAULT) is suffices
         candidates[0].fit = candidates[1].fit = None
-        assert _may_suffice(candidates, DEFAULT) is False
+        assert module._may_suffice(candidates, DEFAULT) is False
 
 
 class TestLaw:
@@ -327,7 +309,7 @@ class TestLaw:
             "casing.air.linear.b2": Estimate(7.0, 0.1, "N m", at_bound=False),
         }
         monkeypatch.setattr(module, "_torque_rms", lambda f, effects: 5.0 if effects == [effect] else 0.0)
-        law = made._law(_Refitted((one,), fit(60.0, deviance=40.0, estimates=estimates)))
+        law = made._law(module._Refitted((one,), fit(60.0, deviance=40.0, estimates=estimates)))
         assert (law.score, law.delta_bic, law.p_value, law.description_length) == (50.0, -40.0, 1.0, 3.0)
         assert law.formula == f"casing: -{effect.law}"
         assert law.penalised == 63.0
@@ -344,7 +326,7 @@ class TestLaw:
             estimates={f"{effect.name}.k@{i}": SimpleNamespace(value=v) for i, v in enumerate(values)}
             | {"other.k": SimpleNamespace(value=5.0)}
         )
-        assert (_with_positive_strength(effect, found).law == f"-{effect.law}") is turned
+        assert (module._with_positive_strength(effect, found).law == f"-{effect.law}") is turned
 
     def test_a_formula_states_the_equation_of_its_state(self):
         plain = SimpleNamespace(joint="casing", law="-k*omega_c", state=None)
@@ -374,14 +356,14 @@ class TestLaw:
         one = SimpleNamespace(
             fit=SimpleNamespace(problem=SimpleNamespace(data=data), predictions=[path, path])
         )
-        found = _difference(one, SimpleNamespace(fit="other", formula="f"))
+        found = module._difference(one, SimpleNamespace(fit="other", formula="f"))
         assert (found.formula, found.label, found.torque_Nm) == ("f", "y", pytest.approx(4.0))
         assert (found.t_start, found.t_stop) == pytest.approx((3.01, 4.99))
         assert found.omega_c == pytest.approx((13.01, 14.99))
         assert found.omega_r == pytest.approx((95.01, 96.99))
         curves[1] *= 0.1
-        assert _difference(one, SimpleNamespace(fit="other", formula="f")).label == "x"
-        assert _difference(one, SimpleNamespace(fit="other", formula="f")).t_stop == 10.0
+        assert module._difference(one, SimpleNamespace(fit="other", formula="f")).label == "x"
+        assert module._difference(one, SimpleNamespace(fit="other", formula="f")).t_stop == 10.0
 
     def test_a_variable_of_the_law_is_named_if_it_explains_as_much(self):
         def depends(variable, explained, p=1e-9):
@@ -396,7 +378,7 @@ class TestLaw:
         )  # fmt: skip
 
         def said(*found, groups=((1,),)):
-            return _sentence(
+            return module._sentence(
                 SimpleNamespace(differs=None, library=None, laws=[law], depends_on=found, torques=groups),
                 DEFAULT,
             )
@@ -417,11 +399,11 @@ class TestShapes:
         [(1.0, 2.0), (1.5, 2.0), (2.0, 2.0), (2.1, 5.0), (10.0, 5.0), (50.0, 5.0), (0.1, 2.0), (-3.0, 5.0)],
     )
     def test_the_ratio_is_that_of_the_enclosing_points(self, value, ratio):
-        assert _ratio((10.0, 0.0, 1.0, -2.0), value) == ratio
+        assert module._ratio((10.0, 0.0, 1.0, -2.0), value) == ratio
 
     def test_few_or_equal_points_have_a_small_ratio(self):
-        assert _ratio((0.0, 3.0), 3.0) == 1.5
-        assert _ratio((3.0, 3.0), 3.0) == 1.02
+        assert module._ratio((0.0, 3.0), 3.0) == 1.5
+        assert module._ratio((3.0, 3.0), 3.0) == 1.02
 
     def test_two_shapes_are_refined_between_the_points_of_their_grids(self, monkeypatch):
         P = namedtuple("P", "symbol role lower upper grid")
@@ -444,7 +426,7 @@ class TestShapes:
 
         monkeypatch.setattr(module, "best_group", best)
         first = S(10.0, [{"a": 2.0, "b": 3.0}], effect, False, "null", 5)
-        found = _refined_shapes(SimpleNamespace(levels=()), first, [case])
+        found = module._refined_shapes(SimpleNamespace(levels=()), first, [case])
         assert len(tried) == 4
         assert [len(g) for g in tried] == [25] * 4
         assert sorted({g["a"] for g in tried[0]}) == pytest.approx([1.0, 2**0.5, 2.0, 2**1.5, 4.0])
@@ -453,10 +435,13 @@ class TestShapes:
         assert found.shape[0]["b"] == pytest.approx(3.3, rel=0.03)
         assert (found.null, found.trials) == ("null", 5)
         for other in (first._replace(absorbed=True), first._replace(score=0.0)):
-            assert _refined_shapes(None, other, [case]) is other
-        assert _refined_shapes(SimpleNamespace(levels=()), first._replace(score=99.0), [case]).score == 99.0
+            assert module._refined_shapes(None, other, [case]) is other
+        assert (
+            module._refined_shapes(SimpleNamespace(levels=()), first._replace(score=99.0), [case]).score
+            == 99.0
+        )
         shapes.pop(0)
-        assert _refined_shapes(None, first, [case]) is first
+        assert module._refined_shapes(None, first, [case]) is first
 
     def test_a_refit_starts_where_the_law_moves_the_other_parameters(self, monkeypatch):
         monkeypatch.setattr(module, "stacked", lambda trials, per_case: [(None, np.eye(2)[:, :1])])
@@ -465,7 +450,7 @@ class TestShapes:
         layout = SimpleNamespace(bounds=lambda: (np.zeros(2), np.full(2, 25.0)), names=("p", "q"))
         about = SimpleNamespace(problem=SimpleNamespace(layout=layout), theta=np.array([1.0, 2.0]))
         effect = SimpleNamespace(per_case=False)
-        scored = _Scored([], context, [case])
+        scored = module._Scored([], context, [case])
 
         def start(*gamma):
             s = SimpleNamespace(effect=effect, shape=[{}], own_phase=False, gamma=np.array(gamma))
@@ -479,7 +464,7 @@ class TestShapes:
 
 def test_the_bar_has_eight_steps_and_ends_at_the_last():
     seen = []
-    steps = _Steps(lambda done, total: seen.append((done, total)))
+    steps = module._Steps(lambda done, total: seen.append((done, total)))
     for _ in range(10):
         steps.next()
     steps.done()
@@ -541,11 +526,11 @@ class TestFile:
     def test_a_curve_has_the_unit_of_its_variable(self, variable, unit):
         x = np.arange(3.0)
         d = SimpleNamespace(variable=variable, value=x, torque=2 * x, sigma=3 * x)
-        curve = _curve(d)
+        curve = _documents._curve(d)
         assert curve["unit"] == unit
         assert (curve["value"], curve["torque_Nm"], curve["sigma_Nm"]) == ([0, 1, 2], [0, 2, 4], [0, 3, 6])
         d.value = np.zeros(0)
-        assert _curve(d) is None
+        assert _documents._curve(d) is None
 
 
 class TestAnswer:
@@ -655,7 +640,9 @@ class TestSearch:
         monkeypatch.setattr(module, "grammar", lambda *given, **more: seen.update(given=given, **more) or [])
         records = [SimpleNamespace(span=s, parts={"casing"}) for s in ((0.0, 5.0), (2.0, 9.0), (1.0, 3.0))]
         data = [SimpleNamespace(record=r, is_angle=i == 0) for i, r in enumerate(records)]
-        made = _Search(SimpleNamespace(problem=SimpleNamespace(data=data)), DEFAULT, None, _Steps(None))
+        made = module._Search(
+            SimpleNamespace(problem=SimpleNamespace(data=data)), DEFAULT, None, module._Steps(None)
+        )
         assert seen == {"given": ("ranges", 7.0), "bodies": {"casing"}, "angles": True}
         assert made.trials == 0
 
@@ -704,7 +691,7 @@ class TestSearch:
         model = Model.of(["casing.air.linear", "casing.air.quadratic"])
         about = SimpleNamespace(model=model)
         scored = SimpleNamespace(start=lambda about, s: {"k": s})
-        chosen = [_Chosen(form("a"), 1.0, scored), _Chosen(form("b"), 2.0, scored)]
+        chosen = [module._Chosen(form("a"), 1.0, scored), module._Chosen(form("b"), 2.0, scored)]
         (found,) = made._refits(chosen, about, ("noise",), [form("casing.air.quadratic")])
         assert (found.terms[0].effect.name, found.fit) == ("b", "fit")
         assert [t.start for t in seen["trials"]] == [{"k": 1.0}, {"k": 2.0}]

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from fitting.paper._tables import _escaped, _short_names
+from fitting.paper import _tables
 
 
 @pytest.mark.parametrize(
@@ -20,11 +20,11 @@ from fitting.paper._tables import _escaped, _short_names
     ],
 )
 def test_names_are_text(name, latex):
-    assert _escaped(name) == latex
+    assert _tables._escaped(name) == latex
 
 
 def test_special_characters_are_escaped():
-    written = _escaped("".join(chr(c) for c in range(32, 127)))
+    written = _tables._escaped("".join(chr(c) for c in range(32, 127)))
     rest = re.sub(r"\\text[a-z]+\{\}|\\[&%$#_{}]", "", written)
     assert not set(rest) & set("&%$#_{}\\~^<>|")
 
@@ -39,4 +39,4 @@ def test_special_characters_are_escaped():
     ],
 )
 def test_long_labels_are_shortened_to_different_names(labels, names):
-    assert _short_names(labels) == dict(zip(labels, names, strict=True))
+    assert _tables._short_names(labels) == dict(zip(labels, names, strict=True))

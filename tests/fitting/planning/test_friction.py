@@ -7,7 +7,8 @@ import pytest
 
 from fitting import Case, fit
 from fitting.effects._library import find
-from fitting.planning._friction import Motion, _trials, friction_plan, torque_along
+from fitting.planning import _friction
+from fitting.planning._friction import Motion, friction_plan, torque_along
 
 DAHL, LUGRE, GMS = (f"casing.friction.{n}" for n in ("presliding", "lugre", "gms"))
 
@@ -50,7 +51,7 @@ def test_a_law_contains_its_limits(plan):
     for motion in ("recording", "reversals", "ramp"):
         assert evidence(plan, DAHL, LUGRE)[motion] < plan.width
     assert evidence(plan, LUGRE, DAHL)["recording"] > plan.width
-    assert {"r": 0.0} in [{"r": v["r"]} for v in _trials(find(LUGRE))]
+    assert {"r": 0.0} in [{"r": v["r"]} for v in _friction._trials(find(LUGRE))]
 
 
 def test_sentences_name_the_runs(plan):

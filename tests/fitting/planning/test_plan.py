@@ -16,7 +16,7 @@ from fitting import LIBRARY, REDUCED, EstimationError, Model, make_record, plan,
 from fitting._criteria import DEFAULT
 from fitting.discovery import _next_run
 from fitting.discovery._information import Information, Rival, Run, rivals, schur, simulated
-from fitting.discovery._next_run import Bounds, _RunSearch, _Tried, next_run, separating_run
+from fitting.discovery._next_run import Bounds, next_run, separating_run
 from fitting.discovery._power import Search, ShiftedToBound, delta_of_power, largest_hidden, upper_limit
 from fitting.dynamics._collocation import Sampler
 from fitting.inference._fit import fit
@@ -290,7 +290,7 @@ class TestInformation:
         assert gained[1] == pytest.approx(0.5 * gained[0], rel=0.03)
 
 
-class Hill(_RunSearch):
+class Hill(_next_run._RunSearch):
     """A search whose value falls with the distance of the settings from known ones; nothing is simulated."""
 
     def __init__(self, best, evaluations):
@@ -302,7 +302,7 @@ class Hill(_RunSearch):
         self.tried.append(SimpleNamespace(x=x, sense=sense, value=-float(np.abs(x - self.best).sum())))
 
 
-class Survey(_RunSearch):
+class Survey(_next_run._RunSearch):
     """A search whose first runs are listed; the separation of each pair of rivals in each run is given."""
 
     def __init__(self, separations=(), evaluations=60, windows=3, start=45.0, *, reversible=True):
@@ -316,7 +316,7 @@ class Survey(_RunSearch):
     def _keep(self, x, sense):
         self.runs.append((x, sense))
         if len(self.tried) < len(self._separations):
-            self.tried.append(_Tried(math.nan, x, sense, None, len(self.tried), None))
+            self.tried.append(_next_run._Tried(math.nan, x, sense, None, len(self.tried), None))
 
 
 def criterion(rivals=(), ignored=()):
@@ -374,12 +374,12 @@ class Apparatus(Survey):
         run = Run(500.0, 5.0, 60.0, (), 0.0)
         self._bounds = Bounds((0.0, 1.0), (0.0, 1.0), (1.0, 2.0), (1.0, 1.5), (0.5, 3.0))
         self.asked, self.gains = [], iter(gains)
-        self.tried = [_Tried(1.0, "x", -1.0, run, None, None)]
+        self.tried = [_next_run._Tried(1.0, "x", -1.0, run, None, None)]
 
     def _try(self, x, sense, run):
         self.asked.append((x, sense, run.ring, run.surface))
         gain = next(self.gains)
-        return gain and _Tried(1.0 + math.log(gain), x, sense, run, None, None)
+        return gain and _next_run._Tried(1.0 + math.log(gain), x, sense, run, None, None)
 
 
 class TestRuns:

@@ -8,28 +8,13 @@ import pytest
 
 from fitting import EstimationError
 from fitting._criteria import DEFAULT
-from fitting.discovery._grammar import (
-    _OF_SPEED,
-    _of_speed,
-    _shape,
-    _unit,
-    _with_names,
-    description_length,
-    grammar,
-)
+from fitting.discovery import _grammar
+from fitting.discovery._grammar import description_length, grammar
 from fitting.effects._library import find
 from fitting.effects._user import resolve
-from fitting.planning._friction import (
-    FrictionPlan,
-    Motion,
-    Pair,
-    _grouped,
-    _strength,
-    _trials,
-    _typical,
-    torque_along,
-)
-from fitting.planning._plan import _classes, _warning, read_planned
+from fitting.planning import _friction, _plan
+from fitting.planning._friction import FrictionPlan, Motion, Pair, torque_along
+from fitting.planning._plan import read_planned
 
 PLAN = """
 model = ["casing.air.linear", "rotor.air.linear"]
@@ -176,17 +161,19 @@ class TestClasses:
             self.effect("a", "c"),
             self.effect("e", "c"),
         ]
-        assert _classes(found) == (("d", "c", "a", "e"),)
-        assert _classes([self.effect("a", "b"), self.effect("b", "a"), self.effect("c")]) == (("a", "b"),)
+        assert _plan._classes(found) == (("d", "c", "a", "e"),)
+        assert _plan._classes([self.effect("a", "b"), self.effect("b", "a"), self.effect("c")]) == (
+            ("a", "b"),
+        )
         two = [self.effect("a", "b"), self.effect("c", "d"), self.effect("b", "a"), self.effect("d", "c")]
-        assert _classes(two) == (("a", "b"), ("c", "d"))
+        assert _plan._classes(two) == (("a", "b"), ("c", "d"))
 
     @pytest.mark.parametrize(
         ("converged", "fails", "words"),
         [(True, False, ""), (True, True, "lack of fit"), (False, True, "converged")],
     )
     def test_limits_of_a_wrong_model_have_a_warning(self, converged, fails, words):
-        found = _warning(SimpleNamespace(converged=converged, fails=lambda criteria: fails), DEFAULT)
+        found = _plan._warning(SimpleNamespace(converged=converged, fails=lambda criteria: fails), DEFAULT)
         assert words in found
         assert bool(found) is bool(words)
 
@@ -219,7 +206,7 @@ class TestFriction:
     def test_trials_contain_grids_typical_values_and_bounds_of_zero(self):
         effect = find("casing.friction.lugre")
         shapes = [p for p in effect.parameters if p.role == "shape"]
-        trials = list(_trials(effect))
+        trials = list(_friction._trials(effect))
         for p in shapes:
             values = {v[p.symbol] for v in trials}
             assert values == {*p.grid, p.start, *((0.0,) if p.lower == 0 else ())}
@@ -227,7 +214,7 @@ class TestFriction:
             len({*p.grid, p.start, *((0.0,) if p.lower == 0 else ())}) for p in shapes
         )
         assert all(v["k"] == 1.0 for v in trials)
-        assert _typical(effect) == {
+        assert _friction._typical(effect) == {
             p.symbol: 1.0 if p.role == "amplitude" else p.start for p in effect.parameters
         }
 
@@ -243,7 +230,7 @@ class TestFriction:
         assert "separates a from b." in lines[1]
         assert lines[2] == "None of these runs separates b from c."
         assert len(lines) == 3
-        assert _grouped([one, other, third]) == "a from b, c; b from c"
+        assert _friction._grouped([one, other, third]) == "a from b, c; b from c"
         assert [p["separated_by"] for p in plan.document()["pairs"]] == [["reversals"], ["recording"], []]
 
     @pytest.mark.parametrize(("dry", "strength"), [(3e-6, 3e-6), (0.0, None), (None, None)])
@@ -261,11 +248,11 @@ class TestFriction:
             predictions=[SimpleNamespace(path=path)],
             theta=None,
         )
-        assert _strength(fit) == pytest.approx(strength or 0.1 * math.sqrt(12.5) * 2e-5)
+        assert _friction._strength(fit) == pytest.approx(strength or 0.1 * math.sqrt(12.5) * 2e-5)
         rates[:] = 0.0
         if strength is None:
             with pytest.raises(EstimationError):
-                _strength(fit)
+                _friction._strength(fit)
 
 
 class TestGrammar:
@@ -289,7 +276,7 @@ class TestGrammar:
 
     def test_negative_powers_need_a_speed_away_from_zero(self):
         def lowest(low, high):
-            power = _of_speed(_OF_SPEED[0], "casing", "omega_c", (low, high), 200.0)
+            power = _grammar._of_speed(_grammar._OF_SPEED[0], "casing", "omega_c", (low, high), 200.0)
             return min(next(p for p in power.effect.parameters if p.symbol == "n").grid)
 
         assert lowest(0.41, 40.0) == -1.0
@@ -318,7 +305,7 @@ class TestGrammar:
     )
     def test_shapes_are_in_units_of_the_largest_speed_and_the_length(self, kind, lower, upper, first, last):
         """A largest speed of 20 rad/s in 100 s."""
-        p = _shape("w", kind, 20.0, 100.0)
+        p = _grammar._shape("w", kind, 20.0, 100.0)
         assert (p.lower, p.upper) == pytest.approx((lower, upper), rel=1e-3)
         assert p.grid[0] == pytest.approx(first, rel=0.05)
         assert p.grid[-1] == pytest.approx(last, rel=0.05)
@@ -326,9 +313,11 @@ class TestGrammar:
         assert p.relative is ("moment" in kind)
 
     def test_frequencies_are_two_radians_apart(self):
-        p = _shape("w", "frequency", 20.0, 100.0)
+        p = _grammar._shape("w", "frequency", 20.0, 100.0)
         assert len(p.grid) == int(1 + (10.0 - math.pi / 100) * 50)
-        assert len(_shape("w", "few frequencies", 20.0, 100.0).grid) == int(1 + 39 * math.pi / 100 * 50)
+        assert len(_grammar._shape("w", "few frequencies", 20.0, 100.0).grid) == int(
+            1 + 39 * math.pi / 100 * 50
+        )
 
     @pytest.mark.parametrize(
         ("text", "kinds", "unit"),
@@ -342,10 +331,10 @@ class TestGrammar:
         ],
     )
     def test_the_unit_of_a_strength_makes_a_torque(self, text, kinds, unit):
-        shapes = [_shape("n" if "exponent" in k else "w", k, 20.0, 100.0) for k in kinds]
-        assert _unit(text, shapes) == unit
+        shapes = [_grammar._shape("n" if "exponent" in k else "w", k, 20.0, 100.0) for k in kinds]
+        assert _grammar._unit(text, shapes) == unit
 
     def test_later_laws_of_a_name_are_numbered(self):
-        laws = [_of_speed(_OF_SPEED[0], "casing", "omega_c", (1.0, 9.0), 200.0)] * 3
+        laws = [_grammar._of_speed(_grammar._OF_SPEED[0], "casing", "omega_c", (1.0, 9.0), 200.0)] * 3
         name = laws[0].effect.name
-        assert [x.effect.name for x in _with_names(laws)] == [name, f"{name}_2", f"{name}_3"]
+        assert [x.effect.name for x in _grammar._with_names(laws)] == [name, f"{name}_2", f"{name}_3"]

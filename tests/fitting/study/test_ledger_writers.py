@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from fitting import Ledger, LedgerError, _schema
-from fitting._schema import effects_of
+from fitting import Ledger, LedgerError
+from fitting._schema import as_text, effects_of, locked, write_text
 from fitting.study import _history
 
 ROOT = Path(__file__).parents[3]
@@ -103,7 +103,7 @@ def test_a_ledger_that_changes_in_spite_of_the_lock_is_not_replaced(tmp_path, mo
     path = tmp_path / "x.fits.json"
     _written(path, _entry())
     here, elsewhere = Ledger(path), Ledger(path)
-    written = _schema.as_text
+    written = as_text
 
     def meanwhile(document):
         monkeypatch.setattr(_history, "as_text", written)
@@ -184,8 +184,8 @@ def test_the_next_writer_removes_what_a_killed_one_has_left_and_nothing_else(tmp
     assert killed.returncode == -signal.SIGKILL
     assert path.read_text() == "old"
     assert len(list(tmp_path.glob("*.part"))) == 2
-    with _schema.locked(path):
-        _schema.write_text(path, "new")
+    with locked(path):
+        write_text(path, "new")
     assert path.read_text() == "new"
     assert sorted(p.name for p in tmp_path.iterdir()) == [path.name, foreign.name]
 
@@ -198,5 +198,5 @@ def test_a_lock_names_no_file_but_its_own_temporary_one(tmp_path, name):
     path.write_text("old")
     other.write_text("precious")
     (folder / f".{path.name}.lock").write_bytes(b"gyrotrack lock\n" + name.encode())
-    with _schema.locked(path):
+    with locked(path):
         assert other.read_text() == "precious"

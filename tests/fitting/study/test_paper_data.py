@@ -8,7 +8,8 @@ from fitting import REDUCED, Model, RecordError, fit, make_record
 from fitting.inference._case_data import CaseData
 from fitting.inference._metrics import as_velocities, median_noise
 from fitting.inference._record import running_median
-from fitting.study._preparation import _decay, curve_bias, prepared, with_generated_rotor
+from fitting.study import _preparation
+from fitting.study._preparation import curve_bias, prepared, with_generated_rotor
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +96,7 @@ def test_a_decay_with_the_law_of_the_curve_is_reproduced():
         omega[i + 1] = omega[i] + h * rate(half)
     times = np.array([6.5, 71.5, 151.5])
     speed = np.interp(times, grid, omega)
-    found = _decay(np.stack([times, speed, rate(speed)], axis=1), grid[::10])
+    found = _preparation._decay(np.stack([times, speed, rate(speed)], axis=1), grid[::10])
     assert np.abs(found - omega[::10]).max() < 0.5
 
 

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from fitting import Model, make_record
-from fitting.discovery._next_run import _mean_values
+from fitting.discovery import _next_run
 from fitting.effects._effect import Effect, Parameter
 from fitting.inference._parameters import ParameterLayout, parameters_at
-from fitting.law_search import _laws
-from fitting.law_search._documents import _tables
-from fitting.paper._scan import _extended
+from fitting.law_search import _documents, _laws
+from fitting.paper import _scan
 
 LARGEST = 40.0
 TIME = np.linspace(0.0, 10.0, 200)
@@ -42,15 +41,15 @@ def test_values_are_those_of_the_recording(symbol):
 
 @pytest.mark.parametrize("symbol", ["w", "n"])
 def test_an_extended_model_starts_with_them(symbol):
-    found = _extended(Model((LAW,)), FIT)
+    found = _scan._extended(Model((LAW,)), FIT)
     assert found[f"casing.lab.{symbol}"] == pytest.approx(EXPECTED[symbol][0])
     inner = SimpleNamespace(**{**vars(FIT), "values": {"casing.lab.w": 7.0}})
-    assert _extended(Model((LAW,)), inner)["casing.lab.w"] == 7.0
+    assert _scan._extended(Model((LAW,)), inner)["casing.lab.w"] == 7.0
 
 
 def test_a_planned_run_has_them_where_nothing_was_estimated():
     estimates = {f"casing.lab.n@{i}": SimpleNamespace(value=v) for i, v in enumerate((1.0, 2.0))}
-    found = _mean_values(LAW, estimates, [RECORD])
+    found = _next_run._mean_values(LAW, estimates, [RECORD])
     assert found == {"k": 0.0, "w": pytest.approx(20.0), "n": 1.5}
 
 
@@ -59,7 +58,7 @@ def test_a_saved_law_has_bounds_in_its_unit(value, grid):
     law = SimpleNamespace(
         effects=(LAW,), form="power", fit=FIT, estimates={"casing.lab.w": SimpleNamespace(value=value)}
     )
-    lines = _tables(law, ["lab"], "a test")
+    lines = _documents._tables(law, ["lab"], "a test")
     of_w = lines[lines.index("[effect.parameters.w]") :]
     bounds = [float(line.partition(" = ")[2]) for line in of_w if line.startswith(("lower", "upper"))]
     assert bounds[:2] == pytest.approx([0.4, 80.0])

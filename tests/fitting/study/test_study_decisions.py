@@ -14,16 +14,8 @@ from fitting.inference._profile import Interval
 from fitting.inference._record import Samples
 from fitting.study import _history, _preparation, _serialisation
 from fitting.study._history import Entry
-from fitting.study._preparation import CurveBias, _decay, _line, curve_bias, prepared, with_generated_rotor
-from fitting.study._serialisation import (
-    _moved,
-    _torque,
-    fingerprint,
-    fit_document,
-    history_verdict,
-    restored_fit,
-    stored_fit,
-)
+from fitting.study._preparation import CurveBias, curve_bias, prepared, with_generated_rotor
+from fitting.study._serialisation import fingerprint, fit_document, history_verdict, restored_fit, stored_fit
 
 
 def ledger(tmp_path, *entries):
@@ -143,14 +135,14 @@ class TestSteps:
         ],
     )
     def test_a_parameter_moves_by_more_than_three_standard_errors(self, change, stderr, moved):
-        assert _moved(*self.fits(change, stderr)) == (["a"] if moved else [])
+        assert _serialisation._moved(*self.fits(change, stderr)) == (["a"] if moved else [])
 
     def test_initial_values_and_new_parameters_do_not_move(self):
-        assert _moved(*self.fits(9.0, 1.0, "initial.omega_c")) == []
+        assert _serialisation._moved(*self.fits(9.0, 1.0, "initial.omega_c")) == []
         new, old = self.fits(9.0, 1.0)
-        assert _moved(new, None) == []
+        assert _serialisation._moved(new, None) == []
         old.estimates = {}
-        assert _moved(new, old) == []
+        assert _serialisation._moved(new, old) == []
 
     def test_a_history_ends_with_its_last_model(self):
         def step(verdict, *names):
@@ -169,7 +161,7 @@ class TestSteps:
         found = SimpleNamespace(
             label="x", body="rotor", time=t, torque=2 * t, sigma=3 * t, omega_r=7 * t, omega_c=4 * t
         )
-        curve = _torque(found)
+        curve = _serialisation._torque(found)
         step = count // kept
         assert curve["time"] == t[::step].tolist()
         assert len(curve["time"]) == kept
@@ -291,18 +283,20 @@ class TestBias:
 class TestDecay:
     def test_the_line_of_a_window_is_about_its_middle(self):
         t = np.array([1.0, 2.0, 3.0, 6.0])
-        assert _line(Samples(t, 50.0 - 4.0 * t, np.ones(4))) == pytest.approx((3.0, 38.0, -4.0))
-        middle, speed, slope = _line(Samples(t[:1], np.array([7.0]), np.ones(1)))
+        assert _preparation._line(Samples(t, 50.0 - 4.0 * t, np.ones(4))) == pytest.approx((3.0, 38.0, -4.0))
+        middle, speed, slope = _preparation._line(Samples(t[:1], np.array([7.0]), np.ones(1)))
         assert (middle, speed) == (1.0, 7.0)
         assert math.isnan(slope)
-        assert _line(Samples(t[:2], 50.0 - 4.0 * t[:2], np.ones(2))) == pytest.approx((1.5, 44.0, -4.0))
+        assert _preparation._line(Samples(t[:2], 50.0 - 4.0 * t[:2], np.ones(2))) == pytest.approx(
+            (1.5, 44.0, -4.0)
+        )
 
     def test_an_exponential_decay_is_reproduced_from_speeds_alone(self):
         grid = np.linspace(0.0, 10.0, 101)
         times = np.array([8.0, 0.0, 4.0, 2.0, 6.0, 10.0])
         speed = 40.0 * np.exp(-0.12 * times)
         lines = np.stack([times, speed, np.full(6, np.nan)], axis=1)
-        assert _decay(lines, grid) == pytest.approx(40.0 * np.exp(-0.12 * grid), rel=2e-3)
+        assert _preparation._decay(lines, grid) == pytest.approx(40.0 * np.exp(-0.12 * grid), rel=2e-3)
 
     def test_two_windows_with_slopes_determine_a_quadratic_decay(self):
         grid = np.linspace(0.0, 10.0, 201)
@@ -310,7 +304,7 @@ class TestDecay:
         times = np.array([1.0, 9.0])
         speed = 50.0 / (1 + 0.2 * times)
         lines = np.stack([times, speed, -0.004 * speed**2], axis=1)
-        found = _decay(lines, grid)
+        found = _preparation._decay(lines, grid)
         assert found[[20, 180]] == pytest.approx(speed, rel=1e-3)
         assert found == pytest.approx(true, rel=0.05)
 

@@ -7,7 +7,7 @@ import pytest
 
 from gyrotrack import DatasetError
 from gyrotrack.apps._simulation import OUTSIDE, Seal, draw_effect, grade, seal, unseal
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 
 
 def test_a_seal_gives_back_what_was_sealed_and_shows_nothing(tmp_path):
@@ -78,17 +78,17 @@ def test_drawn_effects_are_new_and_of_all_kinds():
 def test_a_challenge_from_the_command_line(tmp_path, capsys):
     case = tmp_path / "c.h5"
     short = ["--duration", "40", "--window", "1", "--window", "15", "--window", "30"]
-    assert app.run(["simulate", "-o", str(case), "--hide", *short, "--json"]) == 0
+    assert run(["simulate", "-o", str(case), "--hide", *short, "--json"]) == 0
     made = json.loads(capsys.readouterr().out)
     assert set(made) >= {"output", "seal", "commitment"}
     assert "parameters" not in made
     assert made["commitment"] == unseal(tmp_path / "c.seal.json").commitment
     truth = unseal(tmp_path / "c.seal.json").effect
-    assert app.run(["info", str(case), "--json"]) == 0
+    assert run(["info", str(case), "--json"]) == 0
     told = capsys.readouterr().out
     assert truth not in told
     assert made["commitment"] in told
-    assert app.run(["reveal", str(tmp_path / "c.seal.json"), "--answer", truth, "--json"]) == 0
+    assert run(["reveal", str(tmp_path / "c.seal.json"), "--answer", truth, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["grade"] == "right"
-    assert app.run(["reveal", str(tmp_path / "c.seal.json")]) == 2
+    assert run(["reveal", str(tmp_path / "c.seal.json")]) == 2
     assert "only with an answer" in capsys.readouterr().err

@@ -10,10 +10,10 @@ import pytest
 from fitting import Input
 from fitting._criteria import DEFAULT
 from gyrotrack import Series
-from gyrotrack.apps._drive import _end_of_rest, drive_of
+from gyrotrack.apps import _drive, _spindown
+from gyrotrack.apps._drive import drive_of
 from gyrotrack.apps._motion import motion_of_speeds
-from gyrotrack.apps._spindown import _first_order_fit
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 from gyrotrack.io.readers._motion_table import Driver
 
 CASES = Path(__file__).parents[4] / "shared" / "cases" / "tables"
@@ -102,12 +102,12 @@ def test_where_a_rest_ends(size, noise, begin):
     omega[1200:] = 1.0
     made = series(TIME, omega, noise)
     made.omega[:9] = np.nan
-    assert _end_of_rest(made) == begin
+    assert _drive._end_of_rest(made) == begin
 
 
 def test_without_known_speeds_there_is_no_rest():
     nothing = series(TIME, np.full(len(TIME), np.nan), 1e-3)
-    assert _end_of_rest(nothing) == 0
+    assert _drive._end_of_rest(nothing) == 0
 
 
 @pytest.mark.parametrize(("rise", "driven"), [(0.03, False), (0.08, True)])
@@ -149,7 +149,7 @@ def spindown(capsys, tmp_path, name, *options):
     path = CASES / name
     if not path.is_file():
         pytest.skip("the shared cases are not here")
-    code = app.run(["spindown", str(path), "-o", str(tmp_path / "a.h5"), "--json", *options])
+    code = run(["spindown", str(path), "-o", str(tmp_path / "a.h5"), "--json", *options])
     return code, json.loads(capsys.readouterr().out)
 
 
@@ -186,7 +186,7 @@ def test_a_dead_time_needs_evidence_and_a_fit_that_converged(monkeypatch, gain, 
 
     monkeypatch.setattr("fitting.inference._fit.fit", fit)
     pwm = Input("pwm", np.arange(3.0), np.arange(3.0), "V", interpolation="hold")
-    found = _first_order_fit([SimpleNamespace(record=SimpleNamespace(inputs=(pwm,)))], ["pwm"])
+    found = _spindown._first_order_fit([SimpleNamespace(record=SimpleNamespace(inputs=(pwm,)))], ["pwm"])
     assert asked[0] == ("casing.air.linear", "casing.input.pwm")
     assert asked[1] == (*asked[0], "input.pwm.delay")
     assert ("input.pwm.delay" in found.model.names) is late

@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from gyrotrack.apps._spindown import _rate
+from gyrotrack.apps import _spindown
 
 
 @pytest.mark.parametrize(("interlaced", "rate"), [(True, 60.0), (False, 30.0)])
 def test_a_frame_of_an_interlaced_film_holds_two_pictures(interlaced, rate):
-    fps, origin, warnings = _rate(SimpleNamespace(interlaced=interlaced), 30.0)
+    fps, origin, warnings = _spindown._rate(SimpleNamespace(interlaced=interlaced), 30.0)
     assert (fps, origin) == (rate, "--capture-fps")
     assert any("60 fields" in w for w in warnings) == interlaced

@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 
 from gyrotrack._correlated_noise import Estimate
-from gyrotrack.apps._motion import (
-    _averaged,
-    _joins,
-    _next_coefficient,
-    end_of_motion,
-    motion_of,
-    motion_of_speeds,
-    start_of_motion,
-)
+from gyrotrack.apps import _motion
+from gyrotrack.apps._motion import end_of_motion, motion_of, motion_of_speeds, start_of_motion
 
 SIGMA = 1e-3
 
@@ -106,7 +99,7 @@ def test_models_are_averaged_by_their_criterion():
         Estimate(np.array([v]), np.array([[u**2]]), -10 * c, c)
         for v, u, c in ((1.0, 0.1, 0.0), (2.0, 0.2, 2 * np.log(3)))
     ]
-    found = _averaged(fits, [np.ones(1)] * 2)
+    found = _motion._averaged(fits, [np.ones(1)] * 2)
     assert found.value == pytest.approx(1.25)
     assert found.stderr**2 == pytest.approx(0.75 * (0.01 + 0.0625) + 0.25 * (0.04 + 0.5625))
 
@@ -190,7 +183,7 @@ def test_the_sample_that_leaves_the_motion_is_found_beside_many_that_do_not(off,
     time = np.arange(30) / 60
     angle = 12.0 * time - 0.9 * time**2 + np.random.default_rng(4).normal(0, 1e-4, 30)
     angle[28:] += off * 1e-4
-    assert _joins(time, angle, 21) == found
+    assert _motion._joins(time, angle, 21) == found
 
 
 @pytest.mark.slow
@@ -219,5 +212,5 @@ def test_ends_contain_what_the_highest_degree_leaves():
 )
 def test_a_further_term_is_needed_if_the_highest_degree_is_the_best(criteria, last, expected):
     fits = [Estimate(np.array([7.0, *last]), np.eye(3), -c, c) for c in criteria]
-    assert _next_coefficient(fits) == pytest.approx(expected)
-    assert _next_coefficient(fits[-1:]) == 0.0
+    assert _motion._next_coefficient(fits) == pytest.approx(expected)
+    assert _motion._next_coefficient(fits[-1:]) == 0.0

@@ -5,23 +5,23 @@ import pytest
 
 from fitting.discovery import _verdict
 from gyrotrack.apps import _motion
-from gyrotrack.apps._motion import _derivatives, _free_degrees, _highest, motion_of, motion_of_speeds
+from gyrotrack.apps._motion import motion_of, motion_of_speeds
 
 
 @pytest.mark.parametrize(("turns", "degree"), [(0.5, 5.0), (5.0, 5.0), (5.5, 5.5), (40.0, 40.0)])
 def test_few_turns_have_few_degrees(turns, degree):
-    assert _free_degrees(turns) == degree
+    assert _motion._free_degrees(turns) == degree
 
 
 @pytest.mark.parametrize(("most", "order"), [(0.0, 2), (1.9, 2), (6.0, 6), (6.9, 6), (7.0, 7), (99.0, 16)])
 def test_the_highest_degree_is_within_its_limits(most, order):
-    assert _highest(range(2, 17), most) == order
+    assert _motion._highest(range(2, 17), most) == order
 
 
 def test_derivatives_of_legendre_polynomials():
-    assert _derivatives(3, 1, 1.0) == pytest.approx([0.0, 1.0, 3.0, 6.0])
-    assert _derivatives(3, 1, -1.0) == pytest.approx([0.0, 1.0, -3.0, 6.0])
-    assert _derivatives(4, 2, 0.0) == pytest.approx([0.0, 0.0, 3.0, 0.0, -7.5])
+    assert _motion._derivatives(3, 1, 1.0) == pytest.approx([0.0, 1.0, 3.0, 6.0])
+    assert _motion._derivatives(3, 1, -1.0) == pytest.approx([0.0, 1.0, -3.0, 6.0])
+    assert _motion._derivatives(4, 2, 0.0) == pytest.approx([0.0, 0.0, 3.0, 0.0, -7.5])
 
 
 @pytest.mark.parametrize(("turns", "highest"), [(3.0, 6), (8.5, 9), (60.0, 16)])

@@ -11,11 +11,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
 from fitting import Model
-from fitting.discovery import _oscillator, _select
+from fitting.discovery import _select
+from fitting.discovery._oscillator import OscillatorLaws, Strength
 from gyrotrack import TrackingError, import_body
 from gyrotrack.apps import _motion, _spindown
 from gyrotrack.apps._motion import Value, motion_of, start_of_motion
-from gyrotrack.apps._spindown import SpindownOptions, _with_view_errors, read_source
+from gyrotrack.apps._spindown import SpindownOptions, read_source
 from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _tracking
 from gyrotrack.tracking._diagnosis import RefusedFilmError
@@ -120,11 +121,11 @@ def test_halves_of_the_ring_that_differ_widen_the_uncertainty(speed, factor):
     recording = SimpleNamespace(bodies={"casing": SimpleNamespace(time=t)})
     tracked = SimpleNamespace(halves=halves, hub_leverage=3.0, distance_error=0.0)
     plain = motion_of(t, angle, sigma)
-    found = _with_view_errors(plain, series, recording, tracked)
+    found = _spindown._with_view_errors(plain, series, recording, tracked)
     assert found.alpha.value == plain.alpha.value
     assert found.alpha.stderr == pytest.approx(np.hypot(plain.alpha.stderr, factor * 0.08), rel=0.05)
     tracked.distance_error = 0.2
-    scaled = _with_view_errors(plain, series, recording, tracked).omega_mean
+    scaled = _spindown._with_view_errors(plain, series, recording, tracked).omega_mean
     assert scaled.stderr == pytest.approx(0.2 * scaled.value, rel=0.05)
 
 
@@ -497,18 +498,14 @@ def test_at_most_three_alternative_sets_of_laws_are_listed():
 
 def test_a_fit_that_contradicts_the_averaged_equations_is_stated():
     spring, cubic = ("casing.spring.linear",), ("casing.spring.linear", "casing.spring.cubic")
-    strength = _oscillator.Strength(12.0, 0.1, "rad/s2")
-    laws = _oscillator.OscillatorLaws(
-        spring, (), (spring, cubic), ((),), {"casing.spring.linear.k": strength}
-    )
+    strength = Strength(12.0, 0.1, "rad/s2")
+    laws = OscillatorLaws(spring, (), (spring, cubic), ((),), {"casing.spring.linear.k": strength})
     exact = SimpleNamespace(value=12.01, stderr=0.002, unit="rad/s2")
     same, nothing = laws.with_fit(
         SimpleNamespace(model=Model.of(spring), estimates={"casing.spring.linear.k": exact})
     )
     assert nothing == ""
-    assert same.parameters == {
-        "casing.spring.linear.k": _oscillator.Strength(12.01, 0.002, "rad/s2", approximate=False)
-    }
+    assert same.parameters == {"casing.spring.linear.k": Strength(12.01, 0.002, "rad/s2", approximate=False)}
     assert _tracking._oscillator_lines(laws)[0].startswith(
         "restoring  casing.spring.linear.k about 12.00 +- 0.10 rad/s2 (or"
     )
@@ -536,8 +533,8 @@ def _exact(value, stderr):
 )
 def test_a_strength_that_contradicts_amplitude_and_phase_does_not_replace_theirs(value, stderr, kept):
     spring = ("casing.spring.linear",)
-    strength = _oscillator.Strength(12.0, 0.1, "rad/s2")
-    laws = _oscillator.OscillatorLaws(spring, (), (spring,), ((),), {"casing.spring.linear.k": strength})
+    strength = Strength(12.0, 0.1, "rad/s2")
+    laws = OscillatorLaws(spring, (), (spring,), ((),), {"casing.spring.linear.k": strength})
     found, sentence = laws.with_fit(_exact(value, stderr))
     assert (found == laws) is kept
     assert ("which are shown" in sentence) is kept

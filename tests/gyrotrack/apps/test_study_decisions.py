@@ -13,7 +13,8 @@ from fitting.dynamics._model import Model
 from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
 from fitting.inference._simulation import Experiment
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.apps import _points, _simulation, _study
+from gyrotrack.apps import _simulation, _study
+from gyrotrack.apps._points import read_point, read_tilt
 from gyrotrack.apps._simulation import OUTSIDE, Seal, SimulatedRun, answer_of, draw_effect, grade, hide_effect
 from gyrotrack.apps._study import FitRequest, Recorder, Study, checked_body_name, latest_fits, with_ledgers
 
@@ -427,7 +428,7 @@ def test_names_and_options_are_checked():
     ("text", "angle", "azimuth"), [("30", 30, 90), ("30,45", 30, 45), ("0", 0, 90), ("75,-10", 75, -10)]
 )
 def test_tilts_are_read(text, angle, azimuth):
-    found = _points.read_tilt(text)
+    found = read_tilt(text)
     assert (found.angle, found.azimuth) == (
         pytest.approx(math.radians(angle)),
         pytest.approx(math.radians(azimuth)),
@@ -437,16 +438,16 @@ def test_tilts_are_read(text, angle, azimuth):
 @pytest.mark.parametrize("text", ["75.1", "-1", "a", "30,inf", "nan", "1,2,3", ""])
 def test_other_texts_for_a_tilt_are_refused(text):
     with pytest.raises(UsageError):
-        _points.read_tilt(text)
+        read_tilt(text)
     with pytest.raises(UsageError):
-        _points.read_point(text)
+        read_point(text)
 
 
 def test_positions_are_read():
-    assert _points.read_point("320,240.5") == (320.0, 240.5)
+    assert read_point("320,240.5") == (320.0, 240.5)
     for text in ("1,inf", "nan,2"):
         with pytest.raises(UsageError):
-            _points.read_point(text)
+            read_point(text)
 
 
 # ---- simulations

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fitting import RecordError
+from fitting._case_checks import defect_of_joints, is_body_name
 from fitting.inference._case_file import read_record
 from gyrotrack import DatasetError, ErrorMode, UsageError, read_case, write_case
 from gyrotrack.io._records import Input, columns, no_series
@@ -365,3 +366,15 @@ def test_errors_that_tracking_states_are_listed(recording, case):
     table = {c.name: c.values for c in columns(constant, "errors")}
     assert set(table["mode"]) == {"zero"}
     assert table["u"] == pytest.approx(1e-4)
+
+
+@pytest.mark.parametrize("name", ["ground", "rotor", "bearing", "touchpoint", "1st", "a-b", "w" * 42])
+def test_a_body_has_no_name_with_another_meaning(name):
+    assert not is_body_name(name)
+    for names, joints in (
+        ([name, "wheel"], {"belt": (name, "wheel")}),
+        (["a", "wheel"], {name: ("a", "wheel")}),
+    ):
+        assert defect_of_joints(names, joints).what.startswith(f"{name[:40]!r} cannot be the name")
+    assert is_body_name("wheel")
+    assert defect_of_joints(["a", "wheel"], {"belt": ("a", "wheel")}) is None

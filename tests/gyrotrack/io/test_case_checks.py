@@ -16,7 +16,7 @@ from fitting._case_checks import defect_of_clock
 from fitting._stored_case import read_stored_case
 from fitting.inference._case_file import read_record
 from gyrotrack import DatasetError, UsageError, read_case, write_case, write_recording
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 from gyrotrack.io import _contents as contents
 from gyrotrack.io._contents import inspect_file
 from gyrotrack.io._records import Input, no_series
@@ -72,7 +72,7 @@ def message_of_both(path):
 
 
 def run_info(path, capsys):
-    code = app.run(["info", str(path)])
+    code = run(["info", str(path)])
     said = capsys.readouterr()
     assert "Traceback" not in said.err
     return code, said.out + said.err
@@ -466,5 +466,5 @@ def test_short_series_of_bodies_alone(case, tmp_path, quantity, samples, capsys)
     code, text = run_info(changed(path, cut), capsys)
     assert ("casing has no angles" in text) is (samples == 0)
     assert (code == 0) is (samples > 0)
-    assert app.run(["info", str(path), "--json"]) == code
+    assert run(["info", str(path), "--json"]) == code
     assert json.loads(capsys.readouterr().out)["casing"]["samples"] == samples

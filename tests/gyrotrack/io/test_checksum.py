@@ -12,13 +12,13 @@ from fitting._hdf5 import CHECKSUM_LENGTH as LENGTH
 from fitting._hdf5 import checksum_line, has_endless_heap
 from fitting.inference._case_file import read_record
 from gyrotrack import DatasetError, read_case, read_recording, write_recording
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 
 
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "case.h5"
-    assert app.run(["simulate", "-o", str(path), "--duration", "12", "--window-length", "1"]) == 0
+    assert run(["simulate", "-o", str(path), "--duration", "12", "--window-length", "1"]) == 0
     return path
 
 

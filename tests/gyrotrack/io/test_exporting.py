@@ -20,7 +20,7 @@ from gyrotrack import (
     write_case,
     write_recording,
 )
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 from gyrotrack.io import _contents as contents
 from gyrotrack.io._contents import columns, plain_cell
 
@@ -32,7 +32,7 @@ DOCS = Path(__file__).parents[3] / "docs"
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("export") / "case1.h5"
-    assert app.run(["simulate", "-o", str(path), "--duration", "20", "--window-length", "1"]) == 0
+    assert run(["simulate", "-o", str(path), "--duration", "20", "--window-length", "1"]) == 0
     return path
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gyrotrack import OutputError, read_recording, write_recording
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 from gyrotrack.io._atomic import new_file
 
 
@@ -82,7 +82,7 @@ COMMANDS = {
 def test_commands_on_such_a_disk(mounted, tmp_path, capsys, name, state):
     pytest.importorskip("pyarrow")
     case = tmp_path / "case.h5"
-    assert app.run(["simulate", "-o", str(case), "--duration", "12", "--window-length", "1"]) == 0
+    assert run(["simulate", "-o", str(case), "--duration", "12", "--window-length", "1"]) == 0
     (tmp_path / "m.toml").write_text('[[case]]\ndata = "case.h5"\n')
     disk = mounted(200)
     if state == "full":
@@ -94,7 +94,7 @@ def test_commands_on_such_a_disk(mounted, tmp_path, capsys, name, state):
     before = sorted(p.name for p in disk.iterdir())
     capsys.readouterr()
     places = {"disk": disk, "case": case, "manifest": tmp_path / "m.toml"}
-    assert app.run([w.format(**places) for w in COMMANDS[name]]) == 1
+    assert run([w.format(**places) for w in COMMANDS[name]]) == 1
     said = capsys.readouterr()
     assert "Traceback" not in said.err
     assert "A bug" not in said.err + said.out
@@ -140,7 +140,7 @@ def test_a_network_drive_that_goes_away_while_writing(tmp_path, monkeypatch, cod
 
 def test_a_network_drive_that_goes_away_while_reading(tmp_path, monkeypatch, capsys):
     case = tmp_path / "case.h5"
-    assert app.run(["simulate", "-o", str(case), "--duration", "12", "--window-length", "1"]) == 0
+    assert run(["simulate", "-o", str(case), "--duration", "12", "--window-length", "1"]) == 0
     opened = Path.open
 
     def gone(self, *args, **kwargs):
@@ -150,5 +150,5 @@ def test_a_network_drive_that_goes_away_while_reading(tmp_path, monkeypatch, cap
 
     monkeypatch.setattr(Path, "open", gone)
     capsys.readouterr()
-    assert app.run(["info", str(case)]) == 1
+    assert run(["info", str(case)]) == 1
     assert "cannot be read: Stale file handle" in capsys.readouterr().err

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gyrotrack import DatasetError, write_case, write_recording
-from gyrotrack.io._contents import _time_problems, describe_case, describe_motion, inspect_file
+from gyrotrack.io import _contents
+from gyrotrack.io._contents import describe_case, describe_motion, inspect_file
 
 
 def test_recording_in_numbers(tmp_path, recording):
@@ -72,7 +73,7 @@ def test_problems_are_named(tmp_path, case, change, match):
 )
 def test_the_first_sample_that_is_not_later_is_named(time, sample):
     words = [f"the times of it are not strictly increasing (sample {sample})"] if sample else []
-    assert _time_problems("it", np.array(time)) == words
+    assert _contents._time_problems("it", np.array(time)) == words
 
 
 def test_the_summary_of_a_motion_has_the_extremes_and_the_middle():

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from gyrotrack import _column_store, _toml
+from gyrotrack import _column_store
 from gyrotrack._errors import ConfigurationError, OutputError, UsageError
-from gyrotrack.io import _atomic, _contents, _records, _tables
-from gyrotrack.io._atomic import CheckpointFile, checkpoint_path, refuse_existing, written_records
-from gyrotrack.io._bodies import _write_clocks
+from gyrotrack._toml import line_of, read_document
+from gyrotrack.io import _bodies, _contents, _tracker_project
+from gyrotrack.io._atomic import CheckpointFile, checkpoint_path, new_file, refuse_existing, written_records
 from gyrotrack.io._command_end import marking, marks, unmarked
 from gyrotrack.io._hdf5 import WriteBuffer
 from gyrotrack.io._outputs import new_outputs
@@ -35,8 +35,9 @@ from gyrotrack.io._records import (
     no_series,
     series_of,
     speed_warnings,
+    windows_of,
 )
-from gyrotrack.io._tracker_project import _document
+from gyrotrack.io._tables import to_json, valid
 
 
 def series(time, angle, **options):
@@ -70,7 +71,7 @@ def test_series_of_several_windows():
     assert series_of([a]).correlated_profile == ((0.0, 0.1),)
     assert found.sigma_source == "given"
     assert series_of([b]).harmonic_sigma == series_of([b]).correlated_sigma == 0.0
-    assert _records.windows_of(replace(found, window=None)).tolist() == [0] * 5
+    assert windows_of(replace(found, window=None)).tolist() == [0] * 5
     assert len(no_series().time) == len(no_series().window) == 0
     plain = Piece(*[np.zeros(1)] * 5)
     assert plain.smoothing_width == 1
@@ -401,9 +402,9 @@ def test_frames_of_a_project(off, refused):
     body = [("a", shifted, np.where(time == 3, np.nan, np.pi / 2))]
     if refused:
         with pytest.raises(UsageError):
-            _document(body)
+            _tracker_project._document(body)
     else:
-        text = _document(body)
+        text = _tracker_project._document(body)
         for part in ('"stepcount" type="int">9<', '"starttime" type="double">3000.0<', '"delta_t" type="double">500.0<',
                      'name="[8]"', 'name="[3]"', '"y" type="double">40.0<'):  # fmt: skip
             assert part in text
@@ -412,7 +413,7 @@ def test_frames_of_a_project(off, refused):
             not in text
         )
     with pytest.raises(UsageError):
-        _document([("a", time[:1], time[:1])])
+        _tracker_project._document([("a", time[:1], time[:1])])
 
 
 # ---- files
@@ -491,12 +492,12 @@ def test_outputs_of_a_failed_command_are_removed(tmp_path):
     with pytest.raises(OutputError, match="input"), new_outputs(a, old, force=True, reads=[None, old]):
         pass
     with suppress(KeyError), new_outputs(a, None, b, old, force=True):
-        with _atomic.new_file(a) as stream:
+        with new_file(a) as stream:
             stream.write(b"1")
         raise KeyError
     assert not a.exists()
     assert old.exists()
-    with new_outputs(a, b, force=False), _atomic.new_file(a) as stream:
+    with new_outputs(a, b, force=False), new_file(a) as stream:
         stream.write(b"1")
     assert a.read_bytes() == b"1"
     with pytest.raises(KeyError), new_outputs(a, force=True):
@@ -576,7 +577,7 @@ def test_covariance_of_a_clock(monkeypatch):
     )
     file = SimpleNamespace(create_group=lambda name: name)
     known = {"b": [[4.0, 1.0, 9.0], [1.0, 1.0, 9.0], [9.0, 9.0, 9.0]]}
-    _write_clocks(
+    _bodies._write_clocks(
         file, SimpleNamespace(placements={"a": placement, "b": placement}, extra={"sync_covariance": known})
     )
     np.testing.assert_allclose(made["clock/a"][1], np.diag([0.04, 0.16]))
@@ -585,8 +586,8 @@ def test_covariance_of_a_clock(monkeypatch):
 
 
 def test_texts_for_hdf5():
-    assert _tables.valid("a\0b\udcff") == "a?b?"
-    assert json.loads(_tables.to_json({"a": np.arange(2), "b": (1, np.float64(2.5))})) == {
+    assert valid("a\0b\udcff") == "a?b?"
+    assert json.loads(to_json({"a": np.arange(2), "b": (1, np.float64(2.5))})) == {
         "a": [0, 1],
         "b": [1, 2.5],
     }
@@ -675,7 +676,7 @@ n = 3
     ],
 )  # fmt: skip
 def test_lines_of_keys(location, line):
-    assert _toml.line_of(TOML, location) == line
+    assert line_of(TOML, location) == line
 
 
 class Settings(BaseModel, extra="forbid"):
@@ -688,7 +689,7 @@ def test_documents_are_checked(tmp_path):
 
     def read(text):
         path.write_text(text)
-        return _toml.read_document(path, Settings, what="study")
+        return read_document(path, Settings, what="study")
 
     assert read("a = 3\n").a == 3
     with pytest.raises(ConfigurationError, match="line 2, b: extra"):
@@ -706,10 +707,10 @@ def test_documents_are_checked(tmp_path):
     for content, match in ((b"#" * (2**20 + 1), "too large"), (b"\xff\xfe", "cannot be read")):
         path.write_bytes(content)
         with pytest.raises(ConfigurationError, match=match):
-            _toml.read_document(path, Settings, what="study")
+            read_document(path, Settings, what="study")
     path.write_bytes(b"#" * 2**20)
-    assert _toml.read_document(path, Settings, what="study").a == 0
+    assert read_document(path, Settings, what="study").a == 0
     with pytest.raises(ConfigurationError, match="not a regular file"):
-        _toml.read_document(tmp_path, Settings, what="study")
+        read_document(tmp_path, Settings, what="study")
     with pytest.raises(ConfigurationError, match="no study"):
-        _toml.read_document(tmp_path / "none", Settings, what="study")
+        read_document(tmp_path / "none", Settings, what="study")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting._criteria import DEFAULT
-from gyrotrack.plotting._study_data import _outside
+from gyrotrack.plotting import _study_data
 
 SIZE = 2 * DEFAULT.failure_sigma
 
@@ -17,7 +17,7 @@ def residual(value):
 
 
 def intervals(value, period):
-    return [x[:2] for x in _outside(residual(value), np.ones(len(value)), (), period)]
+    return [x[:2] for x in _study_data._outside(residual(value), np.ones(len(value)), (), period)]
 
 
 def test_a_residual_that_changes_its_side_is_outside_of_the_band_twice():

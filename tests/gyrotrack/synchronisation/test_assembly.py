@@ -8,7 +8,7 @@ import pytest
 
 from fitting.inference._case_file import read_record
 from gyrotrack import SyncError, UsageError, read_case, write_recording
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 from gyrotrack.synchronisation._decision import synchronise
 
 NAMES = ["casing.h5", "a.h5", "b.h5", "c.h5"]
@@ -127,7 +127,7 @@ class TestCommand:
 
     @pytest.mark.slow
     def test_json(self, files, capsys):
-        assert app.run(["sync", "casing.h5", "a.h5", "b.h5", "-o", "case.h5", "--json", *INERTIAS]) == 0
+        assert run(["sync", "casing.h5", "a.h5", "b.h5", "-o", "case.h5", "--json", *INERTIAS]) == 0
         said = json.loads(capsys.readouterr().out)
         assert said["output"] == "case.h5"
         assert [clip["source"] for clip in said["clips"]] == ["a.h5", "b.h5"]
@@ -146,14 +146,14 @@ class TestCommand:
 
     @pytest.mark.slow
     def test_table(self, files, capsys):
-        assert app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5", *INERTIAS]) == 0
+        assert run(["sync", "casing.h5", "b.h5", "-o", "case.h5", *INERTIAS]) == 0
         said = capsys.readouterr()
         assert "b.h5" in said.out
         assert max(map(len, said.out.splitlines())) <= 80
 
     @pytest.mark.slow
     def test_a_case_is_not_a_recording(self, files, capsys):
-        app.run(["sync", "casing.h5", "b.h5", "-o", "case.h5", *INERTIAS])
-        assert app.run(["sync", "case.h5", "b.h5", "-o", "again.h5", *INERTIAS]) == 1
+        run(["sync", "casing.h5", "b.h5", "-o", "case.h5", *INERTIAS])
+        assert run(["sync", "case.h5", "b.h5", "-o", "again.h5", *INERTIAS]) == 1
         assert "is a case, not a recording" in capsys.readouterr().err
         assert not (files / "again.h5").exists()

@@ -11,7 +11,7 @@ import pytest
 from gyrotrack import TrackingError
 from gyrotrack._column_store import StoredPictures
 from gyrotrack.tracking import _any_body as module
-from gyrotrack.tracking._any_body import _BodyPath, _Trial, calmer, ring_step
+from gyrotrack.tracking._any_body import calmer, ring_step
 from gyrotrack.tracking._hub_search import Motion, Proposal
 from gyrotrack.tracking._registration import TURN, Pose, Ring, Template
 
@@ -21,7 +21,7 @@ ANGLE = np.linspace(0.0, 3.0, 31)
 
 def _trial(score=0.6, angle=ANGLE, ring=RING, **change):
     given = {"way": "edges", "band": "low", "static": False, "separate": False} | change
-    return _Trial(ring=ring, angle=np.asarray(angle, dtype=float), score=score, **given)
+    return module._Trial(ring=ring, angle=np.asarray(angle, dtype=float), score=score, **given)
 
 
 @pytest.mark.parametrize(("before", "after", "expected"), [(3, 2, True), (2, 3, False), (2, 2, False)])
@@ -158,7 +158,7 @@ def _path_of(theta, distance, monkeypatch, towards=0.7, radius=120.0):
         return turn, np.array([shift.real, shift.imag])
 
     monkeypatch.setattr(module, "displaced", displaced)
-    return _BodyPath.of([None] * len(theta), np.zeros(len(theta)), template), towards, radius
+    return module._BodyPath.of([None] * len(theta), np.zeros(len(theta)), template), towards, radius
 
 
 @pytest.mark.parametrize("centre", [0.0, 0.15])
@@ -201,14 +201,14 @@ def _settled(paths, monkeypatch):
 
     plains = plain
     monkeypatch.setattr(module, "learn", learn)
-    monkeypatch.setattr(_BodyPath, "of", classmethod(lambda *_: next(given)))
+    monkeypatch.setattr(module._BodyPath, "of", classmethod(lambda *_: next(given)))
     pictures = [np.zeros((200, 300), dtype=np.uint8)] * 2
     found = module._at_distance_of_path(_far_ring(), pictures, np.zeros(2), (0, 0, 300, 200), separate=False)
     return found, plains
 
 
 def _path(bend, sigma=1.0, across=0.0, theta=(-0.3, 0.3)):
-    return _BodyPath(0.7, 120.0, np.array(theta), bend, sigma, across)
+    return module._BodyPath(0.7, 120.0, np.array(theta), bend, sigma, across)
 
 
 def test_a_hub_stays_if_the_path_agrees_within_three_sigma(monkeypatch):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gyrotrack.apps._refusal import pictured_refusal
-from gyrotrack.tracking import _diagnosis
 from gyrotrack.tracking._diagnosis import (
+    FOLLOW_LINKS,
     Pair,
     RefusedFilmError,
     camera_motion,
@@ -271,4 +271,4 @@ def test_the_hint_names_the_command():
         refuse_two_motions("film.mp4", linked, frames)
     assert error.value.kind == "two links"
     refuse_two_motions("film.mp4", _two(160 + 120j, 162 + 120j, 0.03, 0.09), frames)
-    assert _diagnosis.FOLLOW_LINKS in error.value.hint
+    assert FOLLOW_LINKS in error.value.hint

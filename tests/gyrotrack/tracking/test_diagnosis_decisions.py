@@ -18,7 +18,7 @@ from gyrotrack.tracking._diagnosis import (
     detail,
     two_motions,
 )
-from gyrotrack.tracking._moving_hub import Path, _Link, _Outline
+from gyrotrack.tracking._moving_hub import Path
 from gyrotrack.tracking._registration import Ring
 
 RNG = np.random.default_rng(0)
@@ -350,16 +350,16 @@ def test_a_blurred_body_has_little_detail_along_its_circles(change, share, refus
 
 
 def _outline(x, y=50.0, area=100.0):
-    return _Outline(np.array([x, y], float), area)
+    return moving._Outline(np.array([x, y], float), area)
 
 
 def test_a_body_is_expected_with_the_velocity_of_its_last_steps():
-    link = _Link([3, 5], [_outline(10.0), _outline(14.0)])
+    link = moving._Link([3, 5], [_outline(10.0), _outline(14.0)])
     assert link.expected(6).tolist() == [14.0, 50.0]
-    link = _Link([1, 3, 5, 6], [_outline(0.0), _outline(10.0), _outline(14.0), _outline(19.0, 56.0)])
+    link = moving._Link([1, 3, 5, 6], [_outline(0.0), _outline(10.0), _outline(14.0), _outline(19.0, 56.0)])
     assert link.expected(8).tolist() == [19.0 + 2 * 3.0, 56.0 + 2 * 2.0]
     areas = [*[9.0] * 6, *[100.0 + k for k in range(10)]]
-    assert _Link(list(range(16)), [_outline(0.0, area=a) for a in areas]).area() == 104.5
+    assert moving._Link(list(range(16)), [_outline(0.0, area=a) for a in areas]).area() == 104.5
 
 
 @pytest.mark.parametrize(
@@ -375,18 +375,18 @@ def test_a_body_is_expected_with_the_velocity_of_its_last_steps():
 )
 def test_an_outline_continues_the_path_of_a_near_body_of_its_size(x, area, joined):
     # 0.7 diameters of the circle of 100 px2 and 2 px are 9.9 px
-    links = [_Link([0], [_outline(0.0)])]
+    links = [moving._Link([0], [_outline(0.0)])]
     moving._link(links, 1, [_outline(x, area=area)])
     assert [len(link.frame) for link in links] == ([2] if joined else [1, 1])
 
 
 def test_outlines_are_assigned_in_the_order_of_distance():
-    links = [_Link([0], [_outline(0.0)]), _Link([0], [_outline(8.0)])]
+    links = [moving._Link([0], [_outline(0.0)]), moving._Link([0], [_outline(8.0)])]
     moving._link(links, 1, [_outline(6.0), _outline(3.0), _outline(80.0)])
     assert [link.outline[-1].place[0] for link in links] == [3.0, 6.0, 80.0]
     assert [link.frame for link in links] == [[0, 1], [0, 1], [1]]
     # near its expected or its last place
-    fast = _Link([0, 1, 2], [_outline(0.0), _outline(20.0), _outline(40.0)])
+    fast = moving._Link([0, 1, 2], [_outline(0.0), _outline(20.0), _outline(40.0)])
     links = [fast]
     moving._link(links, 3, [_outline(60.0)])
     assert len(links) == 1

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking import _camera_motion as camera
-from gyrotrack.tracking import _coaxial as coaxial
 from gyrotrack.tracking import _film as module
 from gyrotrack.tracking import _translation as translation
 from gyrotrack.tracking._camera_motion import Shake, background, camera_shake
-from gyrotrack.tracking._film import Film, Tilt, _Flicker, fresh_frames
+from gyrotrack.tracking._coaxial import differs_from, enough
+from gyrotrack.tracking._film import Film, Tilt, fresh_frames
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_the_two_fields_of_a_frame_come_in_their_order():
 def _flicker(gains, noise=0.5, black=0.0, moving=False):
     rng = np.random.default_rng(0)
     base = rng.uniform(60.0, 180.0, (30, 40))
-    flicker = _Flicker()
+    flicker = module._Flicker()
     for k, gain in enumerate(gains):
         picture = black + gain * (base - black) + rng.normal(0.0, noise, base.shape)
         if moving:
@@ -123,7 +123,7 @@ def test_flicker_exceeds_the_noise(size, found):
 @pytest.mark.parametrize(("pixels", "known"), [(50, False), (51, True)])
 @pytest.mark.parametrize(("level", "used"), [(33.0, True), (31.0, False), (233.0, True), (236.0, False)])
 def test_pixels_between_black_and_white_show_the_gain(pixels, known, level, used):
-    flicker = _Flicker()
+    flicker = module._Flicker()
     picture = np.full((1, 60), 10.0, np.float32)
     picture[0, :pixels] = level
     flicker.add(picture)
@@ -384,7 +384,7 @@ def test_a_shake_is_measured_outside_the_bodies(monkeypatch):
     ],
 )
 def test_a_second_rotation_explains_enough(of_rest, of_all, found):
-    assert coaxial.enough(of_rest, of_all) == found
+    assert enough(of_rest, of_all) == found
 
 
 @pytest.mark.parametrize(
@@ -393,7 +393,7 @@ def test_a_second_rotation_explains_enough(of_rest, of_all, found):
 def test_two_angles_differ_by_a_fifth(factor, differs):
     angle = np.linspace(0.0, 2.0, 50)
     # relative to the larger one: (1.3 - 1) / 1.3 = 0.23
-    assert coaxial.differs_from(angle, factor * angle + 7.0) == differs
+    assert differs_from(angle, factor * angle + 7.0) == differs
 
 
 def test_a_rotation_about_a_hub_is_clockwise_as_seen():

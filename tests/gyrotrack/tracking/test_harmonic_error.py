@@ -6,13 +6,9 @@ import pytest
 from fitting.inference._angle_noise import stated_error_rows
 from fitting.inference._compression import compress
 from fitting.inference._record import Samples
+from gyrotrack.tracking import _harmonics
 from gyrotrack.tracking._fusion import FAST, LEAST_FAST
-from gyrotrack.tracking._harmonics import (
-    _amplitudes,
-    _beside_laws_of_speed,
-    change_with_speed,
-    harmonic_error,
-)
+from gyrotrack.tracking._harmonics import change_with_speed, harmonic_error
 
 FPS, SIGMA = 260.0, 1e-3
 
@@ -82,7 +78,7 @@ def test_an_order_with_twice_the_variance_resembles_the_motion(turns, left_out):
     )
     variance = np.diag(np.linalg.inv(design.T @ design))[-2:].max() / (2 / 512)
     assert (variance > 2.0) == left_out
-    found = _amplitudes(
+    found = _harmonics._amplitudes(
         (2 * np.pi + wave[1]) / 12 * k + SIGMA * np.random.default_rng(0).standard_normal(512)
     )
     assert len(found[12]) == (not left_out)
@@ -91,7 +87,7 @@ def test_an_order_with_twice_the_variance_resembles_the_motion(turns, left_out):
 
 def test_the_noise_of_an_amplitude_is_that_of_the_residuals():
     """2 s^2 / n for an even rotation, of 40 batches: s^2 by 512 - 30 degrees of freedom each is known within 1 %."""
-    noise = _amplitudes(turning(count=40 * 512))[8][:, 2]
+    noise = _harmonics._amplitudes(turning(count=40 * 512))[8][:, 2]
     assert len(noise) == 40
     assert noise.mean() == pytest.approx(2 * SIGMA**2 / 512, rel=0.035)
 
@@ -124,7 +120,7 @@ def test_the_rows_know_where_an_order_is_in_step_with_the_frames(omega, in_step)
 )
 def test_amplitudes_follow_four_powers_of_the_speed(power, described):
     speed = np.linspace(20.0, 100.0, 12)
-    left = _beside_laws_of_speed(
+    left = _harmonics._beside_laws_of_speed(
         np.stack([speed ** float(power), -2 * speed ** float(power)]) / np.mean(speed ** float(power)), speed
     )
     assert (np.abs(left).max() < 1e-9) == described

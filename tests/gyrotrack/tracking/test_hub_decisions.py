@@ -17,15 +17,7 @@ from gyrotrack.tracking._hub import (
     refine_centre,
     wandering_centre,
 )
-from gyrotrack.tracking._hub_search import (
-    Motion,
-    _CommonHub,
-    distance_from,
-    fit_circle,
-    orbit_hub,
-    ring_for,
-    similarity,
-)
+from gyrotrack.tracking._hub_search import Motion, distance_from, fit_circle, orbit_hub, ring_for, similarity
 from gyrotrack.tracking._registration import TURN
 from gyrotrack.tracking._scene import Disc
 
@@ -415,21 +407,21 @@ def test_similarities_have_a_common_hub():
     hub = 70.0 + 40.0j
     pairs = _pairs(hub, [0.1, 0.2, -0.15, 0.3, 0.12], [80 + 40j, 70 + 60j, 75 + 45j, 60 + 30j, 71 + 44j])
     pairs[2] = (pairs[2][0], pairs[2][1] + 3.0, pairs[2][2])
-    found = _CommonHub.of([None, *pairs])
+    found = search._CommonHub.of([None, *pairs])
     assert found.hub == pytest.approx(hub, abs=0.02)
     assert found.unexplained < 0.01
     np.testing.assert_allclose(found.left[0], 1.0 - np.exp(0.1j))
     # the centroid c moves by (a - 1)(c - h)
     np.testing.assert_allclose(found.shift[1], (np.exp(0.2j) - 1.0) * (70 + 60j - hub))
     np.testing.assert_allclose(found.centroid, [p[2] for p in pairs])
-    assert _CommonHub.of(pairs[:3]) is None
-    assert _CommonHub.of(pairs[:4]) is not None
+    assert search._CommonHub.of(pairs[:3]) is None
+    assert search._CommonHub.of(pairs[:4]) is not None
 
 
 def test_small_rotations_do_not_determine_the_hub():
     pairs = _pairs(70.0 + 40.0j, [0.2, 0.2, 0.2, 0.09], [80 + 40j] * 4)
     pairs[3] = (pairs[3][0], pairs[3][1] + 500.0, pairs[3][2])  # below half of the median
-    assert _CommonHub.of(pairs).hub == pytest.approx(70.0 + 40.0j, abs=1e-6)
+    assert search._CommonHub.of(pairs).hub == pytest.approx(70.0 + 40.0j, abs=1e-6)
 
 
 def _texture():

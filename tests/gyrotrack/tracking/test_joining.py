@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyrotrack.tracking._fusion import _mostly_hidden, join, variance_left, wrapped
+from gyrotrack.tracking import _fusion
+from gyrotrack.tracking._fusion import join, variance_left, wrapped
 from gyrotrack.tracking._marker_tracker import Candidate
 
 N = 1500
@@ -220,7 +221,7 @@ def test_frames_that_hardly_show_a_body_have_no_angle():
     sigma = np.full(400, 1e-3)
     sigma[200:] = 8e-3  # a blurred part of the film is as good as its surroundings
     sigma[[0, 1, 150, 300]] = 2e-2, np.nan, 2e-2, 2e-2
-    assert np.flatnonzero(_mostly_hidden(sigma)).tolist() == [0, 150]
+    assert np.flatnonzero(_fusion._mostly_hidden(sigma)).tolist() == [0, 150]
 
 
 def test_an_angle_of_one_marker_that_no_other_frame_confirms_is_left_out():

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from gyrotrack import _column_store as columns
+from gyrotrack.tracking import _extract
 from gyrotrack.tracking import _film as film
 from gyrotrack.tracking._body_angles import join_bodies
-from gyrotrack.tracking._extract import _recording
 from gyrotrack.tracking._profile import PAPER
 
 _spec = importlib.util.spec_from_file_location("measured", Path(__file__).with_name("measured.py"))
@@ -28,7 +28,7 @@ def recording(seen, scene):
         path=Path("film.mp4"), container_fps=measured.FPS, frames_declared=len(seen.times.number)
     )
     rate = SimpleNamespace(fps=measured.FPS, source="", warnings=())
-    return _recording(info, "", rate, scene, seen, joint)
+    return _extract._recording(info, "", rate, scene, seen, joint)
 
 
 def peak(frames):

@@ -12,9 +12,9 @@ import pytest
 from gyrotrack import TrackingError
 from gyrotrack._column_store import StoredPictures
 from gyrotrack.apps.cli._app import run
-from gyrotrack.tracking import _any_body, _hub_search, _moving_hub
+from gyrotrack.tracking import _any_body, _moving_hub
 from gyrotrack.tracking._any_body import track_body
-from gyrotrack.tracking._hub_search import Proposal
+from gyrotrack.tracking._hub_search import Motion, Proposal, Ring
 from gyrotrack.tracking._moving_hub import Path as BodyPath
 from gyrotrack.tracking._moving_hub import track_free_body
 
@@ -287,8 +287,8 @@ def test_a_hopeless_second_body_is_not_refined(monkeypatch):
     still = np.zeros((150, 300), dtype=np.float32)
     moving = np.zeros((150, 300), dtype=bool)
     moving[:, :100] = True
-    motion = _hub_search.Motion(still, still, 1.0, moving, (0, 0, 300, 150))
-    ring = _hub_search.Ring.about((250.0, 75.0), 5.0, 40.0)
+    motion = Motion(still, still, 1.0, moving, (0, 0, 300, 150))
+    ring = Ring.about((250.0, 75.0), 5.0, 40.0)
     best, weak = (_any_body._Trial(ring, "test", "low", True, np.zeros(3), s, False) for s in (0.9, 0.1))
     monkeypatch.setattr(_any_body, "propose_hubs", lambda *_: [hub])
     monkeypatch.setattr(_any_body, "_trials", lambda *_: [weak])

@@ -5,13 +5,10 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from gyrotrack.tracking import _orbit
 from gyrotrack.tracking._orbit import (
     NO_FLATTENING,
     Flattening,
-    _agreeing,
-    _arc,
-    _directions,
-    _mode,
     circumcentre,
     common_centre,
     covered_angle,
@@ -103,7 +100,7 @@ def test_no_points_have_no_orbit_about_a_hub():
 )
 def test_an_inlier_is_within_one_and_a_half_pixels_or_five_percent_of_its_radius(radius, off, inlier):
     points = _at([*[radius] * 9, radius + off], np.linspace(0.0, 3.0, 10))
-    found = _agreeing(points, np.full(10, 2), CENTRE)  # no point has the labels 0 and 1
+    found = _orbit._agreeing(points, np.full(10, 2), CENTRE)  # no point has the labels 0 and 1
     np.testing.assert_array_equal(found, [True] * 9 + [inlier])
 
 
@@ -114,7 +111,7 @@ def test_an_inlier_is_within_one_and_a_half_pixels_or_five_percent_of_its_radius
 def test_an_orbit_has_a_radius_of_six_pixels_and_covers_half_a_radian(radius, cover, found):
     other = _at(60.0, np.linspace(0.0, 3.0, 7))
     points = np.concatenate([_at(radius, np.linspace(1.0, 1.0 + cover, 9)), other])
-    inlier = _agreeing(points, np.repeat([0, 1], [9, 7]), CENTRE)
+    inlier = _orbit._agreeing(points, np.repeat([0, 1], [9, 7]), CENTRE)
     np.testing.assert_array_equal(inlier, [found] * 9 + [True] * 7)
 
 
@@ -122,9 +119,9 @@ def test_directions_are_sectors_of_ten_degrees_for_each_group():
     angle = np.deg2rad([1.0, 9.0, 11.0, 19.0, 21.0, 185.0, -5.0, 355.0, 1.0])
     group = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1])
     inlier = np.ones(9, dtype=bool)
-    assert _directions(_at(50.0, angle), group, CENTRE, inlier) == 6
+    assert _orbit._directions(_at(50.0, angle), group, CENTRE, inlier) == 6
     inlier[[5, 8]] = False
-    assert _directions(_at(50.0, angle), group, CENTRE, inlier) == 4
+    assert _orbit._directions(_at(50.0, angle), group, CENTRE, inlier) == 4
 
 
 @pytest.mark.parametrize(
@@ -138,7 +135,7 @@ def test_directions_are_sectors_of_ten_degrees_for_each_group():
     ],
 )
 def test_the_mode_is_the_median_of_the_densest_half(values, middle):
-    assert _mode(np.array(values)) == middle
+    assert _orbit._mode(np.array(values)) == middle
 
 
 def test_the_covered_angle_leaves_out_the_gap_across_the_zero():
@@ -260,7 +257,7 @@ def test_a_full_circle_determines_its_offset_by_its_twelve_independent_places():
     variance = 4.0 * usual**2 / (4.0 + 12.0 - 3.0)  # no residuals, but four degrees of freedom from `usual`
     information = 12.0 / 2.0 / variance
     gain = information / (information + size**-2)
-    offset, covariance, evidence = _arc(v, size, usual)
+    offset, covariance, evidence = _orbit._arc(v, size, usual)
     np.testing.assert_allclose(offset, gain * e, rtol=2e-3)
     np.testing.assert_allclose(covariance, np.eye(2) / (information + size**-2), rtol=2e-3, atol=1e-5)
     misfit = information * (1.0 - gain) ** 2 * (e @ e)
@@ -272,7 +269,7 @@ def test_residuals_of_an_arc_increase_its_uncertainty():
     # residuals of +-0.8 px: 1.4826 times their median absolute value
     rho = 100.0 + 0.8 * np.where(np.arange(1200) % 2, 1.0, -1.0)
     rho[::99] += 40.0  # outliers
-    _, covariance, _ = _arc(rho[:, None] * np.stack([np.cos(theta), np.sin(theta)], axis=1), 9.0, 0.5)
+    _, covariance, _ = _orbit._arc(rho[:, None] * np.stack([np.cos(theta), np.sin(theta)], axis=1), 9.0, 0.5)
     variance = (4.0 * 0.5**2 + 12.0 * (1.4826 * 0.8) ** 2) / (4.0 + 9.0)
     kept = 12.0 * (1187 / 1200)
     np.testing.assert_allclose(np.diag(covariance), 1.0 / (kept / 2.0 / variance + 1.0 / 81.0), rtol=0.01)
@@ -288,7 +285,9 @@ def test_an_arc_of_thirty_positions_improves_the_expected_offset(count, fitted):
         assert found.offset["x"] == pytest.approx((0.8, 0.4))
         np.testing.assert_allclose(found.offset_covariance["x"], 0.25 * np.eye(2))
         return
-    more, covariance, _ = _arc(_ellipse(theta, 80.0, (0.0, 0.0), 0.0, 0.0) + _removed((0.2, 0.1)), 0.5, 0.1)
+    more, covariance, _ = _orbit._arc(
+        _ellipse(theta, 80.0, (0.0, 0.0), 0.0, 0.0) + _removed((0.2, 0.1)), 0.5, 0.1
+    )
     assert found.offset["x"] == pytest.approx(np.array([0.8, 0.4]) + more)
     np.testing.assert_allclose(found.offset_covariance["x"], covariance)
 

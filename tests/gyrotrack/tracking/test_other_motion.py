@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.tracking import _any_body
-from gyrotrack.tracking._any_body import _Trial, elsewhere
+from gyrotrack.tracking import _any_body, _point_tracker
+from gyrotrack.tracking._any_body import elsewhere
 from gyrotrack.tracking._hub_search import Motion, Proposal, similarity_hubs
-from gyrotrack.tracking._point_tracker import _linked
 from gyrotrack.tracking._registration import Ring
 from gyrotrack.tracking._silhouettes import Spot
 
@@ -27,7 +26,7 @@ def test_two_parts_are_linked_by_a_thin_rod_only(width, linked):
     cv2.circle(region, (90, 30), 12, 1, -1)
     cv2.line(region, (30, 30), (90, 30), 1, width)
     spots = [Spot((x, 30.0), 12.0, np.ones((1, 1), np.uint8)) for x in (30.0, 90.0)]
-    assert _linked(region, *spots) == linked
+    assert _point_tracker._linked(region, *spots) == linked
 
 
 def test_two_parts_that_touch_nowhere_are_not_linked():
@@ -35,7 +34,7 @@ def test_two_parts_that_touch_nowhere_are_not_linked():
     for x in (30, 90):
         cv2.circle(region, (x, 30), 12, 1, -1)
     spots = [Spot((x, 30.0), 12.0, np.ones((1, 1), np.uint8)) for x in (30.0, 90.0)]
-    assert not _linked(region, *spots)
+    assert not _point_tracker._linked(region, *spots)
 
 
 def test_a_hub_is_proposed_from_fewer_frames_than_the_longest_distance_of_two():
@@ -61,7 +60,9 @@ def test_the_hub_of_a_second_body_is_outside_the_best_ring_and_the_best_hub_outs
     motion = Motion.of(frames)
     motion.moving[40:60, 30:50] = motion.moving[40:60, 180:200] = True
     best, other = (
-        _Trial(Ring.about((x, 50.0), 3.0, r), "edges", "low", True, np.linspace(0.0, 3.0, 12), 0.6, True)
+        _any_body._Trial(
+            Ring.about((x, 50.0), 3.0, r), "edges", "low", True, np.linspace(0.0, 3.0, 12), 0.6, True
+        )
         for x, r in ((40.0, own), (100.0, outer))
     )
     monkeypatch.setattr(_any_body, "propose_hubs", lambda *_: [Proposal(other.ring.hub, "edges")])

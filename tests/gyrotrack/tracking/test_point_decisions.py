@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gyrotrack import TrackingError
-from gyrotrack.tracking import _diagnosis
+from gyrotrack.tracking import _diagnosis, _point_motion
 from gyrotrack.tracking._diagnosis import MOSTLY_TRANSLATES, RefusedFilmError, refuse_moving_camera
-from gyrotrack.tracking._point_motion import TrackedPoint, _check_unselected
+from gyrotrack.tracking._point_motion import TrackedPoint
 
 
 @pytest.mark.parametrize(("steps", "retraces"), [(4, True), (6, False)])
@@ -19,10 +19,10 @@ def test_a_step_of_five_times_the_median_is_a_jump(steps, retraces):
     path = SimpleNamespace(place=place, frame=np.arange(len(angle)), searched=len(angle))
     found = SimpleNamespace(path=path, angle=angle, arc=SimpleNamespace(noise=0.1, by_place=0.0))
     if retraces:
-        _check_unselected(found, "film")
+        _point_motion._check_unselected(found, "film")
     else:
         with pytest.raises(TrackingError, match="No point that moves about a pivot"):
-            _check_unselected(found, "film")
+            _point_motion._check_unselected(found, "film")
 
 
 @pytest.mark.parametrize(("off", "refused"), [(0.69, False), (0.71, True)])

@@ -10,7 +10,6 @@ import pytest
 
 from gyrotrack import TrackingError
 from gyrotrack.tracking import _point_tracker as module
-from gyrotrack.tracking._point_tracker import _Aligned, _cut, _Layers, _Learnt, _Reduced
 from gyrotrack.tracking._silhouettes import Spot
 
 RNG = np.random.default_rng(0)
@@ -29,7 +28,7 @@ def test_a_reduced_picture_has_the_means_of_squares():
         frames=lambda first=0, stop=None: iter([picture]), some=lambda _: [picture], path="film"
     )
     picture = np.arange(7 * 11).reshape(7, 11).astype(np.uint8)
-    small = _Reduced(film, 3)
+    small = module._Reduced(film, 3)
     expected = np.rint(picture[:6, :9].reshape(2, 3, 3, 3).mean(axis=(1, 3)))
     np.testing.assert_array_equal(next(small.frames()), expected)
     np.testing.assert_array_equal(small.some(np.zeros(1))[0], expected)
@@ -39,7 +38,7 @@ def test_a_reduced_picture_has_the_means_of_squares():
 
 def test_a_spot_is_reduced_about_its_middle():
     spot = Spot((31.0, 22.0), 12.0, _disc(12.0))
-    found = _Reduced(None, 3).spot(spot)
+    found = module._Reduced(None, 3).spot(spot)
     assert found.place == pytest.approx((10.0, 7.0))
     assert found.radius == 4.0
     v, u = np.ogrid[-4:5, -4:5]
@@ -95,9 +94,9 @@ def test_a_patch_is_found_in_the_whole_frame(shrink):
 
 def test_a_patch_is_cut_about_a_place_and_turned():
     size, place, turn = 15, np.array([70.0, 50.0]), 0.5 * math.pi
-    np.testing.assert_allclose(_cut(TEXTURE, place, size), TEXTURE[43:58, 63:78], atol=0.2)
+    np.testing.assert_allclose(module._cut(TEXTURE, place, size), TEXTURE[43:58, 63:78], atol=0.2)
     # the x axis of the patch points down in the picture
-    turned = _cut(TEXTURE, place, size, turn)
+    turned = module._cut(TEXTURE, place, size, turn)
     np.testing.assert_allclose(turned, np.rot90(TEXTURE[43:58, 63:78]), atol=0.2)
     np.testing.assert_allclose(module._turned(turned, turn), TEXTURE[43:58, 63:78], atol=0.3)
     assert module._turned(turned, 0.0) is turned
@@ -109,9 +108,9 @@ def test_a_patch_is_cut_about_a_place_and_turned():
 def test_a_template_is_aligned_by_place_and_rotation(shift, turn):
     mask = _disc(9.0).astype(np.float32)
     place = np.array([70.0, 50.0])
-    template = _cut(TEXTURE, place + shift, 19, turn) + 12.0  # another brightness does not matter
+    template = module._cut(TEXTURE, place + shift, 19, turn) + 12.0  # another brightness does not matter
     start = 1.0 if turn > 1.0 else 0.0
-    found = _Aligned.of(TEXTURE, place, start, template, mask)
+    found = module._Aligned.of(TEXTURE, place, start, template, mask)
     np.testing.assert_allclose(found.place, place + shift, atol=0.05)
     assert found.turn == pytest.approx(turn, abs=0.01)
     assert found.residual < 4.0
@@ -184,7 +183,9 @@ def _layers(half=10, s=0.0, variance=4.0, turn_sigma=0.0):
     grid = _grid(half)
     q = (60.0 * np.exp(-0.5 * ((grid[0] - 1.0) / 3.0) ** 2 - 0.5 * (grid[1] / 2.0) ** 2)).astype(np.float32)
     full = np.full(q.shape, 1.0, np.float32)
-    return _Layers(grid, s * full, q, variance * full, np.full((120, 160), 90.0, np.float32), turn_sigma)
+    return module._Layers(
+        grid, s * full, q, variance * full, np.full((120, 160), 90.0, np.float32), turn_sigma
+    )
 
 
 def _picture(place, turn=0.0, s=0.0):
@@ -231,7 +232,7 @@ def test_a_patch_is_registered_with_its_covariance(s, shift, turn):
 
 def test_a_rotation_is_followed_within_its_prior():
     start = np.array([70.0, 50.0])
-    layers = replace(_layers(turn_sigma=0.05), brightness=_cut(TEXTURE, start, 21, 0.04))
+    layers = replace(_layers(turn_sigma=0.05), brightness=module._cut(TEXTURE, start, 21, 0.04))
     found, _, _, turn = layers.register(TEXTURE, start, 0.0)
     assert turn == pytest.approx(0.04, abs=4e-3)
     _, _, _, tight = replace(layers, turn_sigma=1e-4).register(TEXTURE, start, 0.0)
@@ -245,7 +246,9 @@ def test_a_displacement_by_half_of_the_patch_is_another_object():
     assert _layers(6).register(_picture(start + np.array([4.0, 0.0])), start, 0.0)[2] == math.inf
     assert _layers().register(_picture(start), np.array([-60.0, 50.0]), 0.0)[2] == math.inf
     flat = np.full((120, 160), 90.0, np.float32)
-    blank = _Layers(_grid(6), *[np.zeros((13, 13), np.float32)] * 2, np.ones((13, 13), np.float32), flat)
+    blank = module._Layers(
+        _grid(6), *[np.zeros((13, 13), np.float32)] * 2, np.ones((13, 13), np.float32), flat
+    )
     assert blank.register(flat, start, 0.0)[2] == math.inf
 
 
@@ -261,7 +264,7 @@ def test_layers_are_a_regression_on_the_background():
         picture[part] = s * picture[part] + q
         pictures.append(picture)
     empty = np.zeros(s.shape, np.float32)
-    start = _Layers(grid, empty, empty, empty, TEXTURE)
+    start = module._Layers(grid, empty, empty, empty, TEXTURE)
     kept = np.ones(40, dtype=bool)
     found = module._regressed(start, pictures, places, np.zeros(40), kept, 1.0)
     np.testing.assert_allclose(found.transparency, s, atol=0.02)
@@ -284,7 +287,7 @@ def test_the_variance_of_a_pixel_is_that_of_its_residuals():
         (TEXTURE + rng.normal(0.0, 6.0)).astype(np.float32) for _ in range(60)
     ]  # the same for all pixels
     empty = np.zeros((13, 13), np.float32)
-    start = _Layers(_grid(6), empty, empty, empty, TEXTURE)
+    start = module._Layers(_grid(6), empty, empty, empty, TEXTURE)
     found = module._regressed(start, pictures, places, np.zeros(60), np.ones(60, dtype=bool), 2.0)
     np.testing.assert_allclose(found.variance, 36.0, rtol=0.3)
     np.testing.assert_allclose(found.transparency, 0.0, atol=1e-6)
@@ -321,9 +324,9 @@ def _measure(misfit, monkeypatch, turn=None):
         value = next(given)
         return place + 0.5, np.eye(2) if np.isfinite(value) else np.full((2, 2), np.nan), value, angle
 
-    monkeypatch.setattr(_Layers, "register", register)
+    monkeypatch.setattr(module._Layers, "register", register)
     film = SimpleNamespace(frames=lambda: iter(range(count + 3)), path=SimpleNamespace(name="film"))
-    learnt = _Learnt(_layers(s=0.5), np.zeros((count, 2)), turn, 1.0)
+    learnt = module._Learnt(_layers(s=0.5), np.zeros((count, 2)), turn, 1.0)
     return module._measured(film, np.arange(count) + 2, learnt, 99, None)
 
 
@@ -364,7 +367,7 @@ def test_a_patch_is_followed_through_most_frames(count, found, accepted, monkeyp
     mask = np.arange(count) < found
     place = np.zeros((count, 2))
     monkeypatch.setattr(module, "_follow", lambda *_: (place, np.zeros(count), mask))
-    monkeypatch.setattr(module, "_learnt", lambda *_: _Learnt(None, place[mask], None, 1.0))
+    monkeypatch.setattr(module, "_learnt", lambda *_: module._Learnt(None, place[mask], None, 1.0))
     path = _path = SimpleNamespace
     monkeypatch.setattr(module, "_measured", lambda *_: path())
     monkeypatch.setattr(module, "replace", lambda old, **new: SimpleNamespace(**new))
@@ -400,7 +403,7 @@ def test_a_patch_turns_if_this_explains_its_picture(followed, other, about, turn
     def learnt(film, frame, where, angle, turn_sigma, *_):
         residual = 1.0 if angle is None else about if angle is hub else other
         assert turn_sigma == (0.05 if angle is not None and angle is not hub else 0.0)
-        return _Learnt(None, place, angle, residual)
+        return module._Learnt(None, place, angle, residual)
 
     monkeypatch.setattr(module, "_learnt", learnt)
     monkeypatch.setattr(module, "_measured", lambda film, frame, best, *_: SimpleNamespace(turn=best.turn))

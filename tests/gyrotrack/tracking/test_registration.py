@@ -10,6 +10,7 @@ import pytest
 
 from gyrotrack import TrackingError
 from gyrotrack._column_store import StoredPictures
+from gyrotrack.tracking import _registration
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._film import Film, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, distant_hub, edge_hub, fit_circle
@@ -17,7 +18,6 @@ from gyrotrack.tracking._registration import (
     TURN,
     Ring,
     Template,
-    _mean_body,
     follow,
     learn,
     register,
@@ -425,7 +425,7 @@ def test_parts_of_a_body_seen_in_less_than_half_a_frame_have_the_mean_level_of_t
     polars = [np.roll(body, int(t), axis=1) for t in turns]
     for weight, seen in ((0.3, False), (0.7, True)):
         counted = np.array([weight, 1.0, 1.0])
-        found = _mean_body(polars, turns, counted, np.zeros_like(body), usable)
+        found = _registration._mean_body(polars, turns, counted, np.zeros_like(body), usable)
         first, later = slice(16, 32), np.arange(-16, 16)
         known = np.arange(-16, 32) if seen else later
         level = body[:, known].mean(axis=1)

@@ -15,9 +15,9 @@ import pytest
 
 from gyrotrack.apps.cli._app import run
 from gyrotrack.io._atomic import CheckpointFile, checkpoint_path
+from gyrotrack.tracking import _film_parts
 from gyrotrack.tracking._extract import extract, run_facts
-from gyrotrack.tracking._film_parts import _PartResults, frames_done, split, turns_between
-from gyrotrack.tracking._film_parts import _second_start as second_start
+from gyrotrack.tracking._film_parts import frames_done, split, turns_between
 from gyrotrack.tracking._live_angles import angles_sent_to
 from gyrotrack.tracking._profile import PAPER
 from gyrotrack.video._container import Packets
@@ -208,7 +208,7 @@ def test_parts_depend_on_the_film_alone():
 
 def test_a_part_continues_at_the_last_key_frame_of_its_first_batch():
     def continues(every, *part):
-        return second_start(packets(3000, range(0, 3000, every)), Part(*part))
+        return _film_parts._second_start(packets(3000, range(0, 3000, every)), Part(*part))
 
     assert [continues(every) for every in (30, 250, 256, 300, 512)] == [510, 500, 512, 300, 512]
     assert continues(600) is None
@@ -351,8 +351,8 @@ def test_a_record_of_another_form_is_not_taken_for_a_part(tmp_path, facts, array
     with CheckpointFile(tmp_path / "o.h5", {}) as journal:
         journal.append(_FACTS, _ARRAYS)
         assert frames_done(journal) == 2
-        assert _PartResults(parts, packets, journal, _COLUMNS).todo == [0]
+        assert _film_parts._PartResults(parts, packets, journal, _COLUMNS).todo == [0]
         journal.append(_FACTS | facts, _ARRAYS | arrays)
         frames_done(journal)
-        assert _PartResults(parts, packets, journal, _COLUMNS).todo == [0, 1]
+        assert _film_parts._PartResults(parts, packets, journal, _COLUMNS).todo == [0, 1]
         assert len(journal) == 0

@@ -5,17 +5,10 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from gyrotrack.tracking import _body_angles
 from gyrotrack.tracking import _ring_view as ring_view
 from gyrotrack.tracking import _texture as texture
-from gyrotrack.tracking._body_angles import (
-    _ALMOST_ALL,
-    LEAST_PERIODIC,
-    LEVEL,
-    RING_ERROR,
-    _best_ring,
-    error_of_ring,
-    periodic_error,
-)
+from gyrotrack.tracking._body_angles import LEAST_PERIODIC, LEVEL, RING_ERROR, error_of_ring, periodic_error
 from gyrotrack.tracking._film_tracker import BodyObservations
 from gyrotrack.tracking._ring_view import View, ViewResponse, slope, static_light, without_light
 from gyrotrack.tracking._texture import TextureObservations, TextureTracker
@@ -499,20 +492,20 @@ class TestBestRing:
         return BodyObservations(np.zeros(count), {}, plain, aligned)
 
     def test_a_body_that_is_always_slow_has_its_own_view(self):
-        body = self.rings(_ALMOST_ALL + 0.01)
-        assert _best_ring(body, 0.0) is body.aligned
+        body = self.rings(_body_angles._ALMOST_ALL + 0.01)
+        assert _body_angles._best_ring(body, 0.0) is body.aligned
 
     def test_a_body_that_is_sometimes_fast_has_that_of_the_markers(self):
-        body = self.rings(_ALMOST_ALL - 0.01)
-        assert _best_ring(body, 0.0) is body.texture
+        body = self.rings(_body_angles._ALMOST_ALL - 0.01)
+        assert _body_angles._best_ring(body, 0.0) is body.texture
 
     @pytest.mark.parametrize(("share", "own"), [(0.9, True), (1.1, False)])
     def test_an_oblique_view_is_that_of_the_markers(self, share, own):
         body = self.rings(1.0)
-        assert _best_ring(body, share * LEVEL) is (body.aligned if own else body.texture)
+        assert _body_angles._best_ring(body, share * LEVEL) is (body.aligned if own else body.texture)
 
     def test_a_body_without_a_ring_has_none(self):
-        assert _best_ring(BodyObservations(np.zeros(3), {}), 0.0) is None
+        assert _body_angles._best_ring(BodyObservations(np.zeros(3), {}), 0.0) is None
 
 
 class TestErrorOfARing:
@@ -520,7 +513,7 @@ class TestErrorOfARing:
     def test_a_ring_about_its_own_view_has_a_smaller_one(self, share, error):
         ring = TextureObservations.unknown(np.zeros((1200, 2)))
         ring.angle[:1000] = 0.0
-        ring.own_view[: round((_ALMOST_ALL + share) * 1000)] = 1.0
+        ring.own_view[: round((_body_angles._ALMOST_ALL + share) * 1000)] = 1.0
         ring.own_view[1000:] = np.nan
         assert error_of_ring(ring, 0.1) == error
 

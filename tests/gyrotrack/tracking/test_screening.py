@@ -8,9 +8,8 @@ import pytest
 
 from gyrotrack._column_store import StoredPictures
 from gyrotrack.tracking import _any_body, _hub_search, _moving_hub
-from gyrotrack.tracking._any_body import _candidates, _Reduced, _Trial
 from gyrotrack.tracking._film import reduced
-from gyrotrack.tracking._hub_search import Motion, _CommonHub, similarity_hubs
+from gyrotrack.tracking._hub_search import Motion, similarity_hubs
 from gyrotrack.tracking._moving_hub import Path, may_be_loose
 from gyrotrack.tracking._registration import Ring, every
 from gyrotrack.tracking._silhouettes import median_picture
@@ -35,7 +34,7 @@ def test_films_of_large_pictures_with_enough_that_moves_are_screened(width, area
     motion = _still(24, width, area)
     frames = [np.zeros((24, width), np.uint8)] * 3
     film = SimpleNamespace(frames=lambda: iter(frames))
-    small = _Reduced.of(film, np.array([0, 2]), frames, motion, margin=3)
+    small = _any_body._Reduced.of(film, np.array([0, 2]), frames, motion, margin=3)
     assert (small is not None) == screened
     if small is not None:
         assert len(small.frames) == 2
@@ -43,7 +42,7 @@ def test_films_of_large_pictures_with_enough_that_moves_are_screened(width, area
         assert small.motion.area == (2, 2, 318, 10)  # the margin covers whole pixels
         assert small.reduced((9.5, 3.5)) == (4.5, 1.5)
         ring = Ring.about((4.5, 1.5), 10.0, 40.0)
-        there = small.seen(_Trial(ring, "edges", "low", True, np.zeros(2), 0.1, True)).ring
+        there = small.seen(_any_body._Trial(ring, "edges", "low", True, np.zeros(2), 0.1, True)).ring
         assert (there.hub, there.inner, there.outer) == ((9.5, 3.5), 20.0, 80.0)
 
 
@@ -51,19 +50,19 @@ def test_films_of_large_pictures_with_enough_that_moves_are_screened(width, area
 def test_a_screened_candidate_reaches_three_quarters_of_what_is_required(monkeypatch, score, kept):
     """20 % must be explained before the refinement, 15 % in reduced frames."""
     ring = Ring.about((160.0, 90.0), 10.0, 80.0)
-    trial = _Trial(ring, "edges", "low", True, np.linspace(0.0, 3.0, 12), score, True)
+    trial = _any_body._Trial(ring, "edges", "low", True, np.linspace(0.0, 3.0, 12), score, True)
     monkeypatch.setattr(_any_body, "propose_hubs", lambda *_: [_hub_search.Proposal(ring.hub, "edges")])
     monkeypatch.setattr(_any_body, "tilted_outline", lambda *_: None)
     monkeypatch.setattr(_any_body, "_trials", lambda *_: [trial])
     refined = SimpleNamespace(score=0.27, ring=ring)  # 85 % of 40 % are required, 25.5 % in reduced frames
     monkeypatch.setattr(_any_body, "_quickly_refined", lambda *_, **__: refined)
     motion = _still(180, 320, 100)
-    assert bool(_candidates((), motion, None, share=_any_body._SCREENED).kept) == kept
-    full = _candidates((), motion, None)
+    assert bool(_any_body._candidates((), motion, None, share=_any_body._SCREENED).kept) == kept
+    full = _any_body._candidates((), motion, None)
     assert not full.kept
     assert full.best is trial
     refined.score = 0.25
-    assert not _candidates((), motion, None, share=_any_body._SCREENED).kept
+    assert not _any_body._candidates((), motion, None, share=_any_body._SCREENED).kept
 
 
 def test_the_picture_of_a_trial_is_learned_from_some_frames_with_the_angles_of_these(monkeypatch):
@@ -146,7 +145,7 @@ def test_all_pairs_are_compared_only_if_the_first_ones_have_a_common_hub(monkeyp
     motion = _still(80, 120, 4000)
     similarity_hubs([np.zeros((80, 120), np.uint8)] * 100, motion)
     assert len(compared) == (120 if every_pair else 24)
-    unexplained = _CommonHub.of(compared[:24]).unexplained
+    unexplained = _hub_search._CommonHub.of(compared[:24]).unexplained
     assert (unexplained < _hub_search._NO_COMMON_HUB) == every_pair
 
 
@@ -165,8 +164,8 @@ def test_all_pairs_are_compared_if_the_first_ones_are_too_few_for_a_hub(monkeypa
 
 
 def test_fewer_than_four_pairs_have_no_hub():
-    assert _CommonHub.of(_turning(3, 0.1)) is None
-    assert _CommonHub.of([*_turning(4, 0.1), None]).hub == pytest.approx(50.0 + 40.0j, abs=4.0)
+    assert _hub_search._CommonHub.of(_turning(3, 0.1)) is None
+    assert _hub_search._CommonHub.of([*_turning(4, 0.1), None]).hub == pytest.approx(50.0 + 40.0j, abs=4.0)
 
 
 def test_features_are_followed_until_they_turn_too_far():

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from gyrotrack import read_case
+from gyrotrack.tracking import _camera_motion, _extract, _film_tracker
 from gyrotrack.tracking._any_body import track_body
-from gyrotrack.tracking._camera_motion import Shake, _rigid, _significant_roll, background_roll, camera_shake
-from gyrotrack.tracking._extract import _stabilised, extract
+from gyrotrack.tracking._camera_motion import Shake, background_roll, camera_shake
+from gyrotrack.tracking._extract import extract
 from gyrotrack.tracking._film import Film
-from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations, FilmTracker, _by_markers
+from gyrotrack.tracking._film_tracker import BodyObservations, FilmObservations, FilmTracker
 from gyrotrack.tracking._frame_repeats import left_out
 from gyrotrack.tracking._hub import FAST, moves_fast
 from gyrotrack.tracking._marker_tracker import MarkerObservations
@@ -117,7 +118,7 @@ class TestRigidMotion:
         shift, roll = np.array([[0.0, 0.0], [2.0, -1.0], [-3.0, 0.5]]), np.array([0.0, 0.02, -0.01])
         moved = self.moved(shift, roll)
         moved[1:, self.PLACES[:, 0] > 150.0] = np.nan
-        found = _rigid(self.PLACES, moved)
+        found = _camera_motion._rigid(self.PLACES, moved)
         assert found.shift == pytest.approx(shift, abs=1e-3)
         assert found.roll == pytest.approx(roll, abs=1e-5)
 
@@ -125,7 +126,7 @@ class TestRigidMotion:
         """The median distance from the rigid motion is 1.18 standard deviations per axis."""
         rng = np.random.default_rng(2)
         shift, roll = rng.normal(0, 2.0, (300, 2)), rng.normal(0, 0.02, 300)
-        found = _rigid(self.PLACES, self.moved(shift, roll, 0.1))
+        found = _camera_motion._rigid(self.PLACES, self.moved(shift, roll, 0.1))
         assert np.std(found.roll - roll) / found.roll_sigma == pytest.approx(0.85, abs=0.12)
         assert np.std(found.shift - shift) / found.shift_sigma == pytest.approx(0.85, abs=0.12)
 
@@ -199,7 +200,7 @@ class TestBackgroundRoll:
     def test_a_roll_below_five_standard_uncertainties_becomes_the_uncertainty(self, sigma, kept):
         roll = np.array([-1e-3, 1e-3] * 20)
         u = sigma * 1e-3 / 5.0
-        found, left = _significant_roll(roll, u)
+        found, left = _camera_motion._significant_roll(roll, u)
         assert found == pytest.approx(roll * kept)
         assert left == pytest.approx(u if kept else np.sqrt(1e-6 - u**2))
 
@@ -259,7 +260,7 @@ class TestHub:
             np.ones(2, dtype=bool), np.tile([100.0, 80.0], (2, 1)),
         )  # fmt: skip
         body = SimpleNamespace(markers={"red": SimpleNamespace(marker=SimpleNamespace(mount=0.1))})
-        found = _by_markers(np.full(2, 0.18), {"red": seen}, body, hub)
+        found = _film_tracker._by_markers(np.full(2, 0.18), {"red": seen}, body, hub)
         assert found == pytest.approx(np.full(2, true - 0.1))
 
     def test_a_ring_about_the_moving_hub_has_the_angle_of_a_camera_at_rest(self):
@@ -369,7 +370,7 @@ def test_both_angles_of_a_ring_are_those_of_a_camera_at_rest():
     seen = FilmObservations(
         {"casing": body}, None, np.arange(3.0), SimpleNamespace(), (), SIZE[::-1], np.zeros(3, dtype=bool)
     )
-    still = _stabilised(seen, shake).bodies["casing"]
+    still = _extract._stabilised(seen, shake).bodies["casing"]
     assert still.coarse == pytest.approx(np.full(3, 0.5))
     for ring, angle in ((still.texture, 0.3), (still.aligned, 0.4)):
         assert ring.angle == pytest.approx(np.full(3, angle))

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gyrotrack.tracking import _first_look as first_look
 from gyrotrack.tracking import _links as links
 from gyrotrack.tracking import _silhouettes as module
+from gyrotrack.tracking._first_look import FirstLook, hub_of
 from gyrotrack.tracking._pivot import Arc
 from gyrotrack.tracking._registration import Ring
 from gyrotrack.tracking._silhouettes import (
@@ -278,5 +278,5 @@ def test_labels_outside_the_picture_are_none():
 def test_a_hub_is_a_fixed_fraction_of_the_axis_from_the_centroid():
     angle = np.linspace(0.0, 3.0, 30)
     half = 20.0 * np.stack([np.cos(angle), 0.6 * np.sin(angle)], axis=1)
-    np.testing.assert_allclose(first_look.hub_of(np.array([50.0, 40.0]) - 0.3 * half, half), [50.0, 40.0])
-    assert not first_look.FirstLook((9, 9)).pendulum
+    np.testing.assert_allclose(hub_of(np.array([50.0, 40.0]) - 0.3 * half, half), [50.0, 40.0])
+    assert not FirstLook((9, 9)).pendulum

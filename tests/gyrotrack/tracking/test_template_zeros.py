@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gyrotrack.tracking import _body_angles
 from gyrotrack.tracking import _template_zeros as module
-from gyrotrack.tracking._body_angles import _averages_better
 from gyrotrack.tracking._template_zeros import scatter_of_templates, template_zeros
 from gyrotrack.tracking._texture import TextureObservations
 
@@ -345,12 +345,12 @@ BESIDE = 1e-3 * np.sin(2 * np.pi * np.arange(N) / 130)
     ],
 )
 def test_the_angle_whose_averages_err_less_is_used(ring, error, better):
-    assert _averages_better(angles(ring, seed=1), angles(1e-3, error), 260.0) == better
+    assert _body_angles._averages_better(angles(ring, seed=1), angles(1e-3, error), 260.0) == better
 
 
 def test_a_ring_without_angles_is_not_used():
     none = SimpleNamespace(angle=np.full(N, np.nan), sigma=np.full(N, 1e-6))
-    assert not _averages_better(none, angles(1e-3), 260.0)
+    assert not _body_angles._averages_better(none, angles(1e-3), 260.0)
 
 
 @pytest.mark.parametrize(("size", "kept"), [(4.9, True), (5.1, False), (-5.1, False)])

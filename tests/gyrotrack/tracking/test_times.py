@@ -10,7 +10,8 @@ from gyrotrack.io._schema import STATUS
 from gyrotrack.synthetic._film import to_planes
 from gyrotrack.synthetic._render import Renderer
 from gyrotrack.synthetic._scene import Camera, Light, Motion, Scene
-from gyrotrack.tracking._extract import _MOST_PARTS, _profile, extract
+from gyrotrack.tracking import _extract
+from gyrotrack.tracking._extract import extract
 
 SIZE = (320, 240)
 FPS, N = 260.0, 320
@@ -231,17 +232,20 @@ def test_the_profile_of_an_error_has_the_times_of_its_frames():
     time = 0.1 * np.arange(10)
     time[2] = np.nan
     parts = np.array([[2.0, 3e-4], [7.0, 1e-4]])
-    assert np.array(_profile(parts, time)) == pytest.approx(np.array([[0.2, 3e-4], [0.7, 1e-4]]))
-    assert _profile(np.zeros((0, 2)), time) == ()
-    assert _profile(parts, np.full(10, np.nan)) == ()
+    assert np.array(_extract._profile(parts, time)) == pytest.approx(np.array([[0.2, 3e-4], [0.7, 1e-4]]))
+    assert _extract._profile(np.zeros((0, 2)), time) == ()
+    assert _extract._profile(parts, np.full(10, np.nan)) == ()
     # parts before the first known time have none
     time[:4] = np.nan
-    assert np.array(_profile(parts, time)) == pytest.approx(np.array([[0.7, 1e-4]]))
+    assert np.array(_extract._profile(parts, time)) == pytest.approx(np.array([[0.7, 1e-4]]))
 
 
 @pytest.mark.parametrize(
-    ("parts", "kept"), [(_MOST_PARTS, _MOST_PARTS), (_MOST_PARTS + 2, _MOST_PARTS // 2 + 1)]
+    ("parts", "kept"),
+    [(_extract._MOST_PARTS, _extract._MOST_PARTS), (_extract._MOST_PARTS + 2, _extract._MOST_PARTS // 2 + 1)],
 )
 def test_a_profile_of_a_long_film_is_thinned(parts, kept):
-    found = _profile(np.stack([np.arange(parts) + 0.0, np.ones(parts)], axis=1), np.arange(parts) / 260.0)
+    found = _extract._profile(
+        np.stack([np.arange(parts) + 0.0, np.ones(parts)], axis=1), np.arange(parts) / 260.0
+    )
     assert len(found) == kept

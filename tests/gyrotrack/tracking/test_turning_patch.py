@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking import _point_motion, _point_tracker
-from gyrotrack.tracking._point_motion import TrackedPoint, _on_second_link, _with_error
-from gyrotrack.tracking._point_tracker import (
-    PointPath,
-    _best_turn,
-    _clicked,
-    _cut,
-    _follow,
-    _Layers,
-    _track_spot,
-)
+from gyrotrack.tracking._point_motion import TrackedPoint
+from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._silhouettes import Foreground, Spot
 
 TIME = np.arange(40) / 40.0
@@ -59,7 +51,9 @@ def test_the_rotation_of_a_patch_is_followed_where_its_picture_shows_it(contrast
     pattern = _pattern(contrast=contrast)
     frames = [np.rint(_frame(pattern, p, a)).astype(np.uint8) for p, a in zip(place, turn, strict=True)]
     film = SimpleNamespace(frames=lambda: iter(frames))
-    there, turns, found = _follow(film, np.arange(len(frames)), _spot(tuple(place[0]), 8.0), FULL)
+    there, turns, found = _point_tracker._follow(
+        film, np.arange(len(frames)), _spot(tuple(place[0]), 8.0), FULL
+    )
     assert found.all()
     assert np.abs(there - place).max() < 0.5
     assert np.abs(turns - (turn if seen else 0.0)).max() < 0.05
@@ -69,7 +63,7 @@ def test_a_patch_is_where_its_covariance_says():
     """A picture of known layers, with white noise of 5 grey levels."""
     v, u = np.mgrid[-12:13, -12:13].astype(np.float64)
     spot = 90.0 * np.exp(-0.5 * (np.hypot(u, v) / 3.0) ** 2)
-    layers = _Layers(
+    layers = _point_tracker._Layers(
         np.stack([u, v]),
         np.ones(u.shape, np.float32),
         spot.astype(np.float32),
@@ -96,7 +90,9 @@ def test_a_large_patch_is_followed_in_a_reduced_picture(monkeypatch):
     asked = []
     monkeypatch.setattr(_point_tracker, "_tracked", lambda *args, **_: asked.append(args) or small)
     seen = SimpleNamespace(noise=4.0, background=FULL)
-    found = _track_spot(None, np.zeros(1), _spot((20.5, 40.5), 24.0), seen, None, None, (20.0, 40.0))
+    found = _point_tracker._track_spot(
+        None, np.zeros(1), _spot((20.5, 40.5), 24.0), seen, None, None, (20.0, 40.0)
+    )
     assert found.place == pytest.approx(np.array([[20.5, 40.5]]))
     assert found.covariance == pytest.approx(0.02**2 * np.eye(2)[None])
     assert found.radius == 24.0
@@ -111,8 +107,12 @@ def test_a_rotation_is_caught_up_to_five_steps_at_the_edge_away(away, caught):
     pattern = _pattern(1)
     picture = _frame(pattern, (80.0, 60.0), away)
     spot = _spot((80.0, 60.0), 8.0)
-    template = _cut(_frame(pattern, (80.0, 60.0), 0.0), np.array([80.0, 60.0]), spot.mask.shape[0])
-    found = _best_turn(picture, np.array([80.0, 60.0]), 0.0, template, spot.mask.astype(np.float32), 0.0)
+    template = _point_tracker._cut(
+        _frame(pattern, (80.0, 60.0), 0.0), np.array([80.0, 60.0]), spot.mask.shape[0]
+    )
+    found = _point_tracker._best_turn(
+        picture, np.array([80.0, 60.0]), 0.0, template, spot.mask.astype(np.float32), 0.0
+    )
     assert (found is not None and abs(found.turn - away) < 0.02) == caught
 
 
@@ -138,7 +138,7 @@ def test_a_click_on_a_long_body_selects_the_place_and_on_a_compact_one_the_body(
     picture[rows, columns] = (
         180 + cv2.GaussianBlur(rng.normal(0, 60, picture.shape), (0, 0), 2.0)[rows, columns]
     )
-    spot = next(_clicked(picture.clip(0, 255).astype(np.uint8), _seen(picture), click))
+    spot = next(_point_tracker._clicked(picture.clip(0, 255).astype(np.uint8), _seen(picture), click))
     if body:
         assert spot.radius == pytest.approx(np.sqrt(width * length / np.pi), rel=0.15)
     else:
@@ -149,7 +149,7 @@ def test_a_click_on_a_long_body_selects_the_place_and_on_a_compact_one_the_body(
 def test_a_blank_long_body_is_followed_as_a_whole():
     picture = FULL.copy()
     picture[50:70, 40:120] = 180.0
-    (spot,) = _clicked(picture.astype(np.uint8), _seen(picture), (80.0, 60.0))
+    (spot,) = _point_tracker._clicked(picture.astype(np.uint8), _seen(picture), (80.0, 60.0))
     assert spot.place == pytest.approx((79.5, 59.5), abs=1.0)
 
 
@@ -185,7 +185,7 @@ def test_a_point_beside_the_joint_on_the_second_link_is_corrected(beside, off, f
         np.arange(200), joint + away + noise, np.tile(0.05**2 * np.eye(2), (200, 1, 1)), 9.0, 200, True, FULL
     )
     link = SimpleNamespace(frame=np.arange(200), angle=second)
-    corrected = _on_second_link(SimpleNamespace(path=path), link, off)
+    corrected = _point_motion._on_second_link(SimpleNamespace(path=path), link, off)
     assert (corrected is not None) == found
     if corrected is not None:
         moved, shared = corrected
@@ -202,7 +202,7 @@ def test_the_error_of_a_displacement_on_the_second_link_is_in_the_first_angle():
     joint = TrackedPoint(
         np.arange(2), place, size, theta, size[0] / 50, np.zeros(2), np.eye(2), 0.0, "", path, None, ()
     )
-    found = _with_error(joint, np.tile(np.diag([0.3**2, 0.0]), (2, 1, 1)))
+    found = _point_motion._with_error(joint, np.tile(np.diag([0.3**2, 0.0]), (2, 1, 1)))
     assert found.sigma * 50 == pytest.approx([0.1, np.hypot(0.1, 0.3)])
     assert found.place_sigma == pytest.approx(np.array([[np.hypot(0.1, 0.3), 0.1]] * 2))
 
@@ -249,7 +249,7 @@ def test_a_click_on_a_bob_on_rods_selects_the_bob_where_the_rods_are_narrower(ro
     texture = 180 + cv2.GaussianBlur(rng.normal(0, 60, FULL.shape), (0, 0), 2.0)
     picture = np.where(inside, texture, FULL).clip(0, 255)
     click = (115.0, 60.0)
-    spot = next(_clicked(picture.astype(np.uint8), _seen(picture), click))
+    spot = next(_point_tracker._clicked(picture.astype(np.uint8), _seen(picture), click))
     assert (spot.place != click) == body
 
 

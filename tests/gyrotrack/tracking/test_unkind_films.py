@@ -13,13 +13,6 @@ from gyrotrack.tracking._acquisition import (
     Extent,
     Rings,
     SampledMarker,
-    _body_angles,
-    _brightest,
-    _brightest_place,
-    _dwell,
-    _mean_in,
-    _on_other_body,
-    _refined,
     acquire,
     extent_of,
     find_coloured,
@@ -162,15 +155,17 @@ def test_a_marker_that_turns_with_the_other_body_is_on_that_body():
         return SampledMarker(marker, np.asarray(angle), np.ones(len(angle), dtype=bool))
 
     right = {"red": seen("red", "casing", 0.1 * turn), "blue": seen("blue", "rotor", turn)}
-    assert _on_other_body(right, "film") == []
+    assert _acquisition._on_other_body(right, "film") == []
     still = {"red": seen("red", "casing", 0 * turn), "blue": seen("blue", "rotor", 1.0 + 0 * turn)}
-    assert _on_other_body(still, "film") == []
+    assert _acquisition._on_other_body(still, "film") == []
     wrong = {"red": seen("red", "casing", turn + 1.0), "blue": seen("blue", "rotor", turn)}
     with pytest.raises(TrackingError, match="turn together in film"):
-        _on_other_body(wrong, "film")
+        _acquisition._on_other_body(wrong, "film")
     green = seen("green", "rotor", turn - 2.0)
-    assert _on_other_body({**wrong, "green": green}, "film") == ["red"]
-    assert _on_other_body({**right, "green": seen("green", "rotor", 0.1 * turn)}, "film") == ["green"]
+    assert _acquisition._on_other_body({**wrong, "green": green}, "film") == ["red"]
+    assert _acquisition._on_other_body({**right, "green": seen("green", "rotor", 0.1 * turn)}, "film") == [
+        "green"
+    ]
 
 
 @pytest.mark.slow
@@ -244,7 +239,7 @@ class TestWhite:
         turned[:] = ground * np.where(np.arange(360) // 60 % 2, 1.0, -1.0)
         turned[:, 150:250] = 0.0
         turned[3:9, 200 - half : 201 + half] = height
-        return _brightest_place(turned, RING, PAPER.marker[0], [self.OTHER], least)
+        return _acquisition._brightest_place(turned, RING, PAPER.marker[0], [self.OTHER], least)
 
     @pytest.mark.parametrize(("half", "width"), [(6, True), (16, True), (19, False)])
     def test_its_width_is_limited_by_that_of_the_others(self, half, width):
@@ -349,7 +344,7 @@ class TestExtent:
         rows = np.zeros(12, dtype=bool)
         rows[3:9] = True
         extent = Extent(rows, 45.0, 57.0, 9.0 * STEP, lean)
-        found = _mean_in(
+        found = _acquisition._mean_in(
             strips, columns, np.ones(3, dtype=bool), extent, Ring((0.0, 0.0), 40.0, 62.0, 12, 360)
         )
         assert found == pytest.approx(2.0)
@@ -364,7 +359,9 @@ def test_an_angle_is_refined_by_the_centroid_of_the_score():
     apart = (np.arange(360) - true[:, None] + 180) % 360 - 180
     profile = np.clip(6.0 - np.abs(apart), 0.0, 1.0) + 5.0  # above an even ground
     coarse = np.array([101.4, 358.0, 2.4]) * STEP
-    assert _refined(profile, coarse, 6.0 * STEP, ring) == pytest.approx(true * STEP, abs=0.05 * STEP)
+    assert _acquisition._refined(profile, coarse, 6.0 * STEP, ring) == pytest.approx(
+        true * STEP, abs=0.05 * STEP
+    )
 
 
 def test_the_angle_of_a_body_is_that_of_its_clear_markers_without_their_mounts():
@@ -375,8 +372,8 @@ def test_the_angle_of_a_body_is_that_of_its_clear_markers_without_their_mounts()
         )
 
     both = [seen(0.4, [True, True, False, True]), seen(-2.0, [True, False, False, True])]
-    assert _body_angles(both, 3)[:2] == pytest.approx([0.3, 3.5 - 2 * np.pi])
-    assert np.isnan(_body_angles(both, 3)[2])
+    assert _acquisition._body_angles(both, 3)[:2] == pytest.approx([0.3, 3.5 - 2 * np.pi])
+    assert np.isnan(_acquisition._body_angles(both, 3)[2])
 
 
 @pytest.mark.parametrize(("peak", "clear"), [(0.51, True), (0.49, False)])
@@ -385,11 +382,11 @@ def test_a_marker_is_clear_with_half_of_its_typical_score(peak, clear):
     height = np.array([1.0, 1.0, 1.0, peak, 1.0])
     for row, column, h in zip(profile, (5, 59, 30, 17, 0), height, strict=True):
         row[(column + np.arange(-2, 3)) % 60] = h
-    column, found = _brightest(profile, 2)
+    column, found = _acquisition._brightest(profile, 2)
     assert column.tolist() == [5, 59, 30, 17, 0]
     assert found.tolist() == [True, True, True, clear, True]
 
 
 @pytest.mark.parametrize(("reach", "share"), [(0.09, 0.5), (0.11, 0.75)])
 def test_a_marker_dwells_where_most_of_its_angles_are(reach, share):
-    assert _dwell(np.array([3.1, 3.1, 3.2 - 2 * np.pi, 1.0]), reach) == share
+    assert _acquisition._dwell(np.array([3.1, 3.1, 3.2 - 2 * np.pi, 1.0]), reach) == share

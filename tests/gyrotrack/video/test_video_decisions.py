@@ -11,11 +11,11 @@ import pytest
 from gyrotrack import VideoError
 from gyrotrack.video import _container as container
 from gyrotrack.video import _decoder as decoder
-from gyrotrack.video import _fields as fields
-from gyrotrack.video import _photron as photron
 from gyrotrack.video import _tiff as tiff
 from gyrotrack.video._container import Frame, Orientation, Packets
+from gyrotrack.video._fields import field, first_field
 from gyrotrack.video._frame_stream import FrameStream
+from gyrotrack.video._photron import grey_of, read_header, without_mosaic
 
 DAMAGED = av.error.InvalidDataError(1094995529, "damaged")
 
@@ -478,7 +478,7 @@ def test_the_lines_of_a_field_are_interpolated_where_they_were(odd):
     plane = np.tile((4 * np.arange(40))[:, None], (1, 9)).astype(np.uint8)
     plane[int(not odd) :: 2] = 255  # the other field
     inner = slice(2, -2)
-    np.testing.assert_array_equal(fields.field(plane, odd=odd)[inner, 0], (4 * np.arange(40))[inner])
+    np.testing.assert_array_equal(field(plane, odd=odd)[inner, 0], (4 * np.arange(40))[inner])
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -493,10 +493,10 @@ def test_the_earlier_field_is_found_from_a_moving_edge(first):
         frame = early.copy()
         frame[1 - first :: 2] = late[1 - first :: 2]
         frames.append(frame)
-    assert fields.first_field(frames) == first
-    assert fields.first_field(frames[:2]) is None
-    assert fields.first_field([lines(10 + 8 * k) for k in range(4)]) is None
-    assert fields.first_field([f // 40 for f in frames]) is None  # changes below 8 grey levels
+    assert first_field(frames) == first
+    assert first_field(frames[:2]) is None
+    assert first_field([lines(10 + 8 * k) for k in range(4)]) is None
+    assert first_field([f // 40 for f in frames]) is None  # changes below 8 grey levels
 
 
 @pytest.mark.parametrize(
@@ -580,7 +580,7 @@ def test_eight_bits_of_a_pixel_are_used(bits, first, values, grey):
     else:
         text = "".join(f"{v:0{bits}b}" for v in values)
         raw = np.array([int(text[k : k + 8], 2) for k in range(0, len(text), 8)], np.uint8)
-    assert photron.grey_of(raw, bits, first).tolist() == grey
+    assert grey_of(raw, bits, first).tolist() == grey
 
 
 HEADER = {
@@ -595,7 +595,7 @@ def _header(tmp_path, **change):
     path.write_text("\n".join(f"{k} : {v}" for k, v in entries.items()))
     size = int(entries["Image Width"]) * 40 * 3 * int(entries["Color Bit"]) // 8
     (tmp_path / "a.mraw").write_bytes(bytes(size))
-    return photron.read_header(path)
+    return read_header(path)
 
 
 @pytest.mark.parametrize(
@@ -644,7 +644,7 @@ def test_a_mosaic_becomes_grey_with_the_weights_of_its_neighbours():
     grey = np.zeros((5, 5), np.uint8)
     grey[2, 2] = 160
     expected = np.outer([0, 1, 2, 1, 0], [0, 1, 2, 1, 0]) * 10
-    assert photron.without_mosaic(grey).tolist() == expected.tolist()
+    assert without_mosaic(grey).tolist() == expected.tolist()
 
 
 @pytest.mark.parametrize(("length", "regular"), [(1, True), (2, True)])

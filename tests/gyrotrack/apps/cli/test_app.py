@@ -14,8 +14,8 @@ import pytest
 
 import gyrotrack
 from gyrotrack import DatasetError
-from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _settings as lazy
+from gyrotrack.apps.cli._app import COMMANDS, run
 from gyrotrack.apps.cli._output import Output, running
 
 
@@ -50,18 +50,18 @@ def test_help_lists_every_command_and_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
-    for entry in app.COMMANDS:
+    for entry in COMMANDS:
         assert f"  {entry.name} " in done.stdout
     assert max(len(line) for line in done.stdout.splitlines()) <= 80
     assert time.process_time() - start < 5
 
 
-@pytest.mark.parametrize("entry", app.COMMANDS, ids=lambda entry: entry.name)
+@pytest.mark.parametrize("entry", COMMANDS, ids=lambda entry: entry.name)
 def test_every_command_exists_and_explains_itself(entry, capsys):
     assert entry.help.split()[0].rstrip(".,:") == inspect.getdoc(lazy.function_of(entry)).split()[0].rstrip(
         ".,:"
     )
-    assert app.run([entry.name, "--help"]) == 0
+    assert run([entry.name, "--help"]) == 0
     said = capsys.readouterr()
     assert "--json" in said.out
     assert said.err == ""
@@ -79,12 +79,12 @@ def test_only_the_command_line_knows_typer_and_rich():
 
 
 def test_version(capsys):
-    assert app.run(["--version"]) == 0
+    assert run(["--version"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == f"gyrotrack {gyrotrack.__version__}"
 
 
 def test_nothing_asked_is_wrong_usage_with_help(capsys):
-    assert app.run([]) == 2
+    assert run([]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert "Usage: gyrotrack" in said.err
@@ -101,13 +101,13 @@ def test_nothing_asked_is_wrong_usage_with_help(capsys):
     ],
 )
 def test_wrong_usage(arguments, match, capsys):
-    assert app.run(arguments) == 2
+    assert run(arguments) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert match in said.err
     assert said.err.startswith("error: ")
     assert " hint: See `gyrotrack" in said.err
-    assert app.run([*arguments, "--json"]) == 2
+    assert run([*arguments, "--json"]) == 2
     said = capsys.readouterr()
     assert said.err == ""
     error = json.loads(said.out)["error"]
@@ -118,11 +118,11 @@ def test_wrong_usage(arguments, match, capsys):
 @pytest.mark.parametrize("error", [DatasetError("It is bad.", "Mend it."), FittingError()])
 def test_told_errors(failing, error, capsys):
     failing(error)
-    assert app.run(["info", "x"]) == 1
+    assert run(["info", "x"]) == 1
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == f"error: {error.message}\n hint: {error.hint}\n"
-    assert app.run(["info", "--json", "x"]) == 1
+    assert run(["info", "--json", "x"]) == 1
     said = capsys.readouterr()
     assert json.loads(said.out) == {
         "error": {"code": error.code, "message": error.message, "hint": error.hint}
@@ -131,31 +131,31 @@ def test_told_errors(failing, error, capsys):
 
 def test_a_bug_is_one_sentence_and_debug_shows_the_traceback(failing, capsys):
     failing(ZeroDivisionError("division by zero"))
-    assert app.run(["info", "x"]) == 1
+    assert run(["info", "x"]) == 1
     said = capsys.readouterr().err
     assert "Traceback" not in said
     assert "Internal error" in said
     assert "--debug" in said
     for arguments in (["--debug", "info", "x"], ["info", "x", "--debug"]):
-        assert app.run(arguments) == 1
+        assert run(arguments) == 1
         assert "Traceback" in capsys.readouterr().err
 
 
 def test_a_bug_under_json_is_json(failing, capsys):
     failing(ZeroDivisionError("division by zero"))
-    assert app.run(["info", "x", "--json"]) == 1
+    assert run(["info", "x", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "bug"
 
 
 def test_interrupted(failing, capsys):
     failing(KeyboardInterrupt())
-    assert app.run(["info", "x"]) == 130
+    assert run(["info", "x"]) == 130
     assert capsys.readouterr().err == "error: Interrupted.\n"
 
 
 def test_out_of_memory(failing, capsys):
     failing(MemoryError())
-    assert app.run(["info", "x"]) == 1
+    assert run(["info", "x"]) == 1
     assert "not enough memory" in capsys.readouterr().err
 
 
@@ -170,7 +170,7 @@ def test_a_reader_that_leaves_early_is_not_an_error():
 def test_a_command_can_say_not_to_be_trusted(monkeypatch):
     module = importlib.import_module("gyrotrack.apps.cli._data")
     monkeypatch.setattr(module, "info_command", lambda: 3)
-    assert app.run(["info"]) == 3
+    assert run(["info"]) == 3
 
 
 def test_adding_a_command_is_one_line():

@@ -10,8 +10,8 @@ import pytest
 
 from fitting import Estimate, Model
 from gyrotrack import DatasetError
-from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _compare as module
+from gyrotrack.apps.cli._app import run
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +23,8 @@ def runs(tmp_path_factory):
         table = np.c_[t, angle, np.full(len(t), 1e-3)]
         np.savetxt(folder / f"{name}.csv", table, delimiter=",", header="t,angle,sigma", comments="")
         case = str(folder / f"{name}.h5")
-        assert (
-            app.run(["import", "--body", str(folder / f"{name}.csv"), "--inertia", "1", "-o", case, "-q"])
-            == 0
-        )
-        assert app.run(["fit", case, "--model", "reduced", "-q"]) == 0
+        assert run(["import", "--body", str(folder / f"{name}.csv"), "--inertia", "1", "-o", case, "-q"]) == 0
+        assert run(["fit", case, "--model", "reduced", "-q"]) == 0
     return folder
 
 
@@ -36,7 +33,7 @@ def test_the_drag_differs(runs, capsys):
     picture = runs / "difference.png"
     cases = [str(runs / "left.h5"), str(runs / "right.fits.json")]
     capsys.readouterr()
-    assert app.run(["compare", *cases, "--picture", str(picture), "--json"]) == 0
+    assert run(["compare", *cases, "--picture", str(picture), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     drag = found["parameters"]["casing.air.linear.b2"]
     values = drag["values"]
@@ -46,7 +43,7 @@ def test_the_drag_differs(runs, capsys):
     assert drag["mean"]["value"] == pytest.approx(0.101, rel=0.01)
     assert found["runs"] == ["left", "right"]
     assert picture.stat().st_size > 5000
-    assert app.run(["compare", *cases]) == 0
+    assert run(["compare", *cases]) == 0
     assert "differs between the runs" in capsys.readouterr().out
 
 
@@ -54,7 +51,7 @@ def test_the_drag_differs(runs, capsys):
     ("names", "code"), [(["left.h5"], 2), (["left.h5", "left.h5"], 2), (["left.h5", "x.h5"], 1)]
 )
 def test_wrong_input_is_one_sentence(runs, names, code, capsys):
-    assert app.run(["compare", *(str(runs / n) for n in names)]) == code
+    assert run(["compare", *(str(runs / n) for n in names)]) == code
     assert "Traceback" not in capsys.readouterr().err
 
 
@@ -147,14 +144,14 @@ def many():
 def test_many_runs_are_a_population(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(module, "latest_fits", lambda *_: many())
     cases = [str(tmp_path / f"run{i}.h5") for i in range(20)]
-    assert app.run(["compare", *cases, "--picture", str(tmp_path / "population.png")]) == 0
+    assert run(["compare", *cases, "--picture", str(tmp_path / "population.png")]) == 0
     said = capsys.readouterr().out
     assert "20 runs" in said
     assert "steps by" in said
     assert "between run11 and run12" in said
     assert "Outlying runs, excluded: run4." in said
     assert (tmp_path / "population.png").stat().st_size > 5000
-    assert app.run(["compare", *cases, "--json"]) == 0
+    assert run(["compare", *cases, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["population"]["outlying"][0]["run"] == "run4"
     assert found["population"]["parameters"]["casing.air.linear.b2"]["change"]["first_after"] == "run12"
@@ -165,10 +162,10 @@ def test_only_runs_without_such_a_fit_are_fitted(runs, monkeypatch, capsys):
     place = Workers()
     monkeypatch.setattr("gyrotrack.apps.batch._workers.LocalWorkers", lambda _: place)
     cases = [str(runs / "left.h5"), str(runs / "right.h5")]
-    assert app.run(["compare", *cases, "--model", "reduced", "--json"]) == 0
+    assert run(["compare", *cases, "--model", "reduced", "--json"]) == 0
     assert place.sent == []
     # no worker fits them here, so there is nothing to compare
-    assert app.run(["compare", *cases, "--model", "reduced", "--add", "casing.air.quadratic"]) == 1
+    assert run(["compare", *cases, "--model", "reduced", "--add", "casing.air.quadratic"]) == 1
     assert sorted(Path(w[0]).name for w in place.sent) == ["left.h5", "right.h5"]
-    assert app.run(["compare", *cases, "--add", "casing.air.quadratic"]) == 2
+    assert run(["compare", *cases, "--add", "casing.air.quadratic"]) == 2
     assert "--add needs --model" in capsys.readouterr().err

@@ -6,9 +6,9 @@ import re
 import h5py
 import pytest
 
-from gyrotrack._versions import __version__ as gyrotrack_version
-from gyrotrack.apps.cli import _app as app
+from gyrotrack import _versions
 from gyrotrack.apps.cli import _settings as settings
+from gyrotrack.apps.cli._app import COMMANDS
 from gyrotrack.apps.cli._settings import load
 
 
@@ -71,7 +71,7 @@ def test_every_fault_is_named_with_its_line(gyrotrack, here):
 
 def test_the_keys_are_the_options(gyrotrack, here):
     """Every option that a command's help shows is a key, under its first long name."""
-    for entry in app.COMMANDS:
+    for entry in COMMANDS:
         keys = set(settings.options_of(entry).values())
         names = [[o for o in p.opts if o.startswith("--")] for p in load(entry).params]
         shown = {n[0].lstrip("-").replace("-", "_") for n in names if n} - {"help"}
@@ -93,7 +93,7 @@ def test_a_batch_takes_its_settings_along(gyrotrack, here, simulated):
 
 def test_versions(gyrotrack):
     lines = gyrotrack("--version").out.splitlines()
-    assert lines[0] == f"gyrotrack {gyrotrack_version}"
+    assert lines[0] == f"gyrotrack {_versions.__version__}"
     assert {"python", "numpy", "scipy", "h5py", "av"} <= {line.split()[0] for line in lines}
     assert all(re.search(r"\d", line) or line.startswith(("platform", "kernels")) for line in lines)
 

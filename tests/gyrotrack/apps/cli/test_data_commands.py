@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import read_case
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ IMPORT = ["import", "--casing", "casing.csv", "--rotor", "r1.csv", "-o", "case.h
 
 
 def test_import_writes_a_case(tables, capsys):
-    assert app.run([*IMPORT, "--label", "one", "--surface", "PVC", "--inertia-rotor", "6e-5"]) == 0
+    assert run([*IMPORT, "--label", "one", "--surface", "PVC", "--inertia-rotor", "6e-5"]) == 0
     said = capsys.readouterr()
     assert "written: case.h5" in said.out
     assert "estimated from the scatter" in said.err
@@ -35,7 +35,7 @@ def test_import_writes_a_case(tables, capsys):
 
 
 def test_import_json(tables, capsys):
-    assert app.run([*IMPORT, "--json"]) == 0
+    assert run([*IMPORT, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["output"] == "case.h5"
     assert said["casing"]["samples"] == 2600
@@ -48,15 +48,15 @@ def test_import_json(tables, capsys):
 
 def test_existing_case_is_kept_without_force(tables, capsys):
     (tables / "case.h5").write_bytes(b"old")
-    assert app.run(IMPORT) == 1
+    assert run(IMPORT) == 1
     assert "already exists" in capsys.readouterr().err
     assert (tables / "case.h5").read_bytes() == b"old"
-    assert app.run([*IMPORT, "--force"]) == 0
+    assert run([*IMPORT, "--force"]) == 0
 
 
 def test_bad_table_writes_nothing(tables, capsys):
     (tables / "r1.csv").write_text("t,angle\n0,1\n0.1,x\n")
-    assert app.run([*IMPORT, "--json"]) == 1
+    assert run([*IMPORT, "--json"]) == 1
     error = json.loads(capsys.readouterr().out)["error"]
     assert error["code"] == "dataset"
     assert "r1.csv, line 3" in error["message"]
@@ -64,15 +64,15 @@ def test_bad_table_writes_nothing(tables, capsys):
 
 
 def test_info_of_a_case(tables, capsys):
-    app.run(IMPORT)
+    run(IMPORT)
     capsys.readouterr()
-    assert app.run(["info", "case.h5", "--verify"]) == 0
+    assert run(["info", "case.h5", "--verify"]) == 0
     said = capsys.readouterr().out
     assert "a case, sound" in said
     assert "rotor 0" in said
     assert "verified:" in said
     assert max(len(line) for line in said.splitlines() if not line.startswith("command")) <= 100
-    assert app.run(["info", "case.h5", "--json"]) == 0
+    assert run(["info", "case.h5", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["kind"] == "case"
     assert document["sound"] is True
@@ -81,5 +81,5 @@ def test_info_of_a_case(tables, capsys):
 
 
 def test_info_of_something_else(tables, capsys):
-    assert app.run(["info", "casing.csv"]) == 1
+    assert run(["info", "casing.csv"]) == 1
     assert "not an HDF5 file" in capsys.readouterr().err

@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _settings as settings
+from gyrotrack.apps.cli._app import COMMANDS
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def program(*words, **options):
 
 def test_every_option_is_judged():
     """A new option must be put on the list of what a found file may set, or on the other."""
-    keys = {key for entry in app.COMMANDS for key in settings.options_of(entry).values()}
+    keys = {key for entry in COMMANDS for key in settings.options_of(entry).values()}
     assert keys <= settings.FOUND | settings.REFUSED
     assert not settings.FOUND & settings.REFUSED
 

@@ -14,9 +14,9 @@ import fitting
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import read_record
 from gyrotrack import read_case, write_case
-from gyrotrack.apps._spindown import _first_order_fit
+from gyrotrack.apps import _spindown
 from gyrotrack.apps.cli import _app as app
-from gyrotrack.apps.cli._tracking import _first_order_lines
+from gyrotrack.apps.cli import _tracking
 
 CASES = Path(__file__).parents[5] / "shared" / "cases" / "tables"
 TIME = np.arange(0.0, 4.0, 0.01)
@@ -285,14 +285,16 @@ def test_spindown_measures_the_response_of_a_driven_body(capsys, tmp_path, late)
 
 def test_spindown_prints_the_constants_of_the_first_order(capsys, motor):
     case, _ = imported(capsys, motor)
-    found = _first_order_fit([CaseData.of(read_record(case))], ["voltage"])
+    found = _spindown._first_order_fit([CaseData.of(read_record(case))], ["voltage"])
     document = {"first_order": [vars(r) for r in fitting.first_order(found)]}
-    title, *lines = _first_order_lines({**document, "diagnosis": {"verdict": "adequate"}})
+    title, *lines = _tracking._first_order_lines({**document, "diagnosis": {"verdict": "adequate"}})
     assert title == "response   of the first-order fit to the recorded input"
     assert lines[0].startswith("tau        0.2")
     assert lines[1].startswith("gain of voltage")
-    assert _first_order_lines({**document, "diagnosis": None})[0].endswith(", which is not complete")
-    assert _first_order_lines({"first_order": []}) == []
+    assert _tracking._first_order_lines({**document, "diagnosis": None})[0].endswith(
+        ", which is not complete"
+    )
+    assert _tracking._first_order_lines({"first_order": []}) == []
 
 
 def test_an_input_of_spindown_needs_a_table(capsys, motor, tmp_path):

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from gyrotrack.apps.cli import _app as app
+from gyrotrack.apps.cli._app import run
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def scanned(simulated, tmp_path_factory, request):
         patch.setattr("gyrotrack.apps.cli._output._json", lambda document: said.append(document) or "")
         # a copy: other tests write a ledger beside the shared case
         source = shutil.copy(simulated / "plain.h5", folder)
-        code = app.run(["scan", str(source), *outputs, "--json", "-q"])
+        code = run(["scan", str(source), *outputs, "--json", "-q"])
     (document,) = said
     return code, document, folder
 

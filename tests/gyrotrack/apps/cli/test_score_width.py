@@ -2,7 +2,7 @@
 
 import pytest
 
-from gyrotrack.apps.cli._output import _fitting
+from gyrotrack.apps.cli import _output
 
 
 @pytest.mark.parametrize(
@@ -10,5 +10,5 @@ from gyrotrack.apps.cli._output import _fitting
     [(18.44, "18.4"), (-99_999.0, "-99999.0"), (-100_000.0, "-1.0e+05"), (6_674_831.0, "6.7e+06")],
 )
 def test_a_score_has_at_most_eight_characters(score, text):
-    assert _fitting(score) == text
+    assert _output._fitting(score) == text
     assert len(text) <= 8

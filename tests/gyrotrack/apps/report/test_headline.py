@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from fitting import Fit, effect_name
-from gyrotrack.apps.report._page import _facts, _headline
+from gyrotrack.apps.report import _page
 from gyrotrack.plotting._study_data import StudyView
 
 
@@ -29,7 +29,7 @@ def test_a_fault_of_the_measurement_is_called_so(name, physical, added, words):
         verdict="missing_effect", differs=None, candidates=(found,), added=added,
         name=lambda e: effect_name(getattr(e, "name", e)),
     )  # fmt: skip
-    assert _headline(view)[2] == words
+    assert _page._headline(view)[2] == words
 
 
 @pytest.mark.parametrize(
@@ -45,13 +45,13 @@ def test_a_fault_of_the_measurement_is_called_so(name, physical, added, words):
 def test_parameters_that_differ_are_named(names, words):
     differs = SimpleNamespace(names=names, others=names[1:])
     view = SimpleNamespace(verdict="unexplained", differs=differs, name=effect_name)
-    assert _headline(view)[2] == f"The recordings differ{words}"
+    assert _page._headline(view)[2] == f"The recordings differ{words}"
 
 
 def test_an_undecided_answer_names_nothing():
     found = candidate("touchpoint.step", physical=True)
     view = SimpleNamespace(verdict="undecided", differs=None, candidates=(found,), added=("touchpoint.step",))
-    assert _headline(view)[2] == "Undecided"
+    assert _page._headline(view)[2] == "Undecided"
 
 
 @pytest.mark.parametrize(
@@ -73,10 +73,10 @@ def test_an_undecided_answer_gives_its_reason(verdict, rows):
     )  # fmt: skip
     *others, (title, text) = rows
     shown = "ΔBIC −8.00, false-alarm probability = 0.0040; no indistinguishable candidate"
-    assert _facts(view) == [*others, (title, text + shown)]
+    assert _page._facts(view) == [*others, (title, text + shown)]
     found.significant = False
     none = "1 candidate effects tested, none significant"
-    assert _facts(view) == [*others, (title, none)]
+    assert _page._facts(view) == [*others, (title, none)]
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_an_unexplained_torque_is_said_with_the_law_that_comes_closest(added, wo
         verdict="unexplained", differs=None, candidates=(found,), added=added,
         name=lambda e: effect_name(getattr(e, "name", e)),
     )  # fmt: skip
-    assert _headline(view)[2] == words
+    assert _page._headline(view)[2] == words
 
 
 @pytest.mark.parametrize(("count", "shown"), [(1, ("6.43",)), (2, ("6.43", "0.975"))])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.inference._angle_harmonics import AngleHarmonics
-from gyrotrack.apps.report._page import _torque_of_the_angle
+from gyrotrack.apps.report import _page
 
 
 def fitted(*sizes):
@@ -21,7 +21,7 @@ def fitted(*sizes):
 def charts_of(label, kind, *, improved=True):
     study = SimpleNamespace(base=fitted(1e-6, 3e-6), final=fitted(2e-6, 4e-6), improved=improved)
     case = SimpleNamespace(label=label, body="casing", failures=[SimpleNamespace(kind=kind)])
-    return _torque_of_the_angle(study, case)
+    return _page._torque_of_the_angle(study, case)
 
 
 @pytest.mark.parametrize(("label", "sizes"), [("a", (1.0, 2.0)), ("b", (3.0, 4.0))])

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack.apps.cli import _output as output
+from gyrotrack.apps.cli._output import Output
 from gyrotrack.apps.workbench import _growing_motion as growing
+from gyrotrack.apps.workbench import _processes
 from gyrotrack.apps.workbench._motion_charts import motion_board
-from gyrotrack.apps.workbench._processes import Job, _listen
+from gyrotrack.apps.workbench._processes import Job
 from gyrotrack.io._atomic import CheckpointFile, checkpoint_path, written_records
 from gyrotrack.tracking import _film_parts as film_parts
 from gyrotrack.tracking._live_angles import FrameAngles, angles_sent_to, current_sink, report_angles
@@ -45,14 +46,14 @@ class TestReports:
         frame = np.arange(200)
         report_angles("casing", 0, frame, frame.astype(float))
         assert stream.getvalue() == ""
-        with output.Output(as_json=True).progress("tracking") as progress:
+        with Output(as_json=True).progress("tracking") as progress:
             angle = np.where(frame == 3, np.nan, OMEGA * frame / RATE)
             report_angles("casing", 0, frame, angle)
             progress(200, 400)
         assert current_sink() is None
         lines = stream.getvalue().splitlines()
         assert max(map(len, lines)) < 4096  # what a pipe of POSIX takes at once from one of several processes
-        _listen(job, lines)
+        _processes._listen(job, lines)
         assert (job.done, job.total, job.summary()["angles"]) == (200, 400, 199)
         ((time, angle, speed),) = growing.joined_motion(job.motion.parts(), RATE)["casing"]
         assert len(time) == 199
@@ -67,7 +68,7 @@ class TestReports:
             '{"angles": {',
             json.dumps({"angles": _report(0, 5)}),
         ]
-        _listen(job, lines)
+        _processes._listen(job, lines)
         assert job.motion.reported == 5
 
     def test_frames_of_a_single_body_are_reported_some_together(self):

@@ -22,7 +22,6 @@ from gyrotrack.io.readers._matlab_process import description
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._reading import Reading, Taken, reading_of, units_of_file
 from gyrotrack.io.readers._sound import read_wav
-from gyrotrack.io.readers._spreadsheets import _first_sheet, _refuse_markup
 
 PATH = Path("a")
 
@@ -90,20 +89,20 @@ def test_limits_of_archives(monkeypatch):
 
 def test_first_sheet_with_a_row_of_numbers():
     rows = [["title"], ["t", None, "a"], [0, "x", 5], [None, None, None], [1, None], [2, "y", 7, 8]]
-    raw = _first_sheet(PATH, [[["only", "text"]], rows])
+    raw = _spreadsheets._first_sheet(PATH, [[["only", "text"]], rows])
     assert raw.names == ("t", "", "a", "")
     assert raw.columns[0] == ["0", "1", "2"]
     assert raw.columns[1] == ["x", "", "y"]
     assert raw.columns[3] == ["", "", "8"]
     assert raw.line.tolist() == [3, 5, 6]
     assert raw.header_line == 2
-    assert _first_sheet(PATH, [[[1, 2], [3, 4]]]).names == ("", "")
-    assert _first_sheet(PATH, [[[1, 2], [3, 4]]]).header_line == 1
-    assert _first_sheet(PATH, [[["a", "b", 1], [1, 2, "c"]]]).names == ("a", "b", "1")
-    assert len(_first_sheet(PATH, [[["a", 1, None, None], [1, 2, 3, 4]]]).line) == 2
+    assert _spreadsheets._first_sheet(PATH, [[[1, 2], [3, 4]]]).names == ("", "")
+    assert _spreadsheets._first_sheet(PATH, [[[1, 2], [3, 4]]]).header_line == 1
+    assert _spreadsheets._first_sheet(PATH, [[["a", "b", 1], [1, 2, "c"]]]).names == ("a", "b", "1")
+    assert len(_spreadsheets._first_sheet(PATH, [[["a", 1, None, None], [1, 2, 3, 4]]]).line) == 2
     for sheets in ([], [[["a"]]], [[[None, None]]]):
         with pytest.raises(DatasetError, match="no sheet"):
-            _first_sheet(PATH, sheets)
+            _spreadsheets._first_sheet(PATH, sheets)
 
 
 def test_markup_of_a_workbook_is_limited(monkeypatch):
@@ -118,9 +117,9 @@ def test_markup_of_a_workbook_is_limited(monkeypatch):
         )
         if refused:
             with pytest.raises(DatasetError, match="cells"):
-                _refuse_markup(PATH, content)
+                _spreadsheets._refuse_markup(PATH, content)
         else:
-            _refuse_markup(PATH, content)
+            _spreadsheets._refuse_markup(PATH, content)
 
 
 # ---- MATLAB

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import DatasetError
-from gyrotrack.io.readers import _registry
 from gyrotrack.io.readers._plausibility import (
     are_intervals,
     counts_rows,
@@ -17,7 +16,7 @@ from gyrotrack.io.readers._plausibility import (
     wrapping_unit,
 )
 from gyrotrack.io.readers._raw_table import table_of
-from gyrotrack.io.readers._registry import FORMATS, read_motion
+from gyrotrack.io.readers._registry import FORMATS, names, read_motion
 
 PATH = Path("a.csv")
 
@@ -36,7 +35,7 @@ PATH = Path("a.csv")
 )  # fmt: skip
 def test_formats_are_recognised_by_their_content(content, name):
     found = next(f for f in FORMATS if f.matches(content))
-    assert found.name == getattr(_registry.names, name)
+    assert found.name == getattr(names, name)
 
 
 def written(tmp_path, text):

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io.readers import _point_files, _points
+from gyrotrack.io.readers import _point_files, _point_tables
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._point_files import listed_names, read_hdf5, read_project
-from gyrotrack.io.readers._point_tables import _axis, particles_of, read_point_table
-from gyrotrack.io.readers._points import Points, angle_of, circle_centre
+from gyrotrack.io.readers._point_tables import particles_of, read_point_table
+from gyrotrack.io.readers._points import MIN_SAMPLES, Points, angle_of, circle_centre
 from gyrotrack.io.readers._text_table import content_lines, read_text
 
 PATH = Path("a.csv")
@@ -91,7 +91,7 @@ def test_unlikely_points_are_not_used():
     places = {"hub": np.tile([5.0, 3.0], (60, 1)), "p": points.places["p"]}
     hidden = replace(points, places=places, likelihood={"hub": likelihood})
     np.testing.assert_array_equal(np.isnan(angle_of(hidden, ReadOptions()).angle), likelihood < 0.6)
-    least = _points.MIN_SAMPLES
+    least = MIN_SAMPLES
     for count in (least, least - 1):
         few = replace(points, likelihood={"p": (np.arange(60) < count).astype(float)})
         if count < least:
@@ -191,7 +191,7 @@ def test_particles_of_trackpy():
     ],
 )  # fmt: skip
 def test_axes_in_headers(name, expected):
-    assert _axis(name) == expected
+    assert _point_tables._axis(name) == expected
 
 
 def test_exports_of_tracker():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import DatasetError
+from gyrotrack.io.readers import _text_table
 from gyrotrack.io.readers._motion_table import (
     MotionTable,
     ReadOptions,
@@ -17,7 +18,6 @@ from gyrotrack.io.readers._motion_table import (
     without_spikes,
 )
 from gyrotrack.io.readers._registry import read_motion
-from gyrotrack.io.readers._text_table import _are_units, _header
 
 ROWS = [(0.1 * k, 1.5 * k, 0.01) for k in range(12)]
 
@@ -281,7 +281,7 @@ def test_a_usual_interval_among_short_ones_is_not_a_gap():
     ],
 )
 def test_a_line_of_units_has_units_in_half_of_its_cells(cells, units):
-    assert _are_units(cells) is units
+    assert _text_table._are_units(cells) is units
 
 
 @pytest.mark.parametrize(
@@ -289,4 +289,4 @@ def test_a_line_of_units_has_units_in_half_of_its_cells(cells, units):
     [(["time,angle", "t,phi"], ["t", "phi"], 2), (["t,phi", "front,back"], ["t", "phi"], 1)],
 )
 def test_the_header_is_the_last_line_of_the_most_known_names(above, names, line):
-    assert _header(list(enumerate(above, start=1)), ",", 2) == (names, [], line)
+    assert _text_table._header(list(enumerate(above, start=1)), ",", 2) == (names, [], line)
