@@ -714,8 +714,7 @@ def _sentence(
                 "The recording is too short or too noisy for a useful upper limit of another effect."
             )
     else:
-        added = selection.chosen if verdict == "missing_effect" else None
-        parts = [_opening(fit, failures, criteria, added)]
+        parts = [_opening(fit, failures, criteria, selection.chosen)]
         parts += (
             _unexplained(selection, doubt, size, criteria)
             if verdict == "unexplained"
@@ -728,7 +727,7 @@ def _sentence(
 def _opening(
     fit: Fit, failures: Sequence[Failure], criteria: Criteria, added: Candidate | None = None
 ) -> str:
-    """Return whether the tests of the fit find a lack of fit, and the p-value of a named effect if they do not."""
+    """Return whether the tests of the fit find a lack of fit, and the p-value of the best effect if they do not."""
     if fit.has_lack_of_fit(criteria):
         return f"Significant lack of fit{f': {failures[0]}' if failures else ''}."
     but = "" if added is None else f", but an added effect is (p = {probability(added.p_value)})"

@@ -232,8 +232,12 @@ class TestVerdict(Answer):
     )
     def test_a_lack_of_fit_is_stated_only_if_the_fit_has_one(self, lack_of_fit, opening):
         chosen = candidate(estimates={f"{DRAG}.k": estimate()})
-        found = self.answer(Found(lack_of_fit=lack_of_fit), select=selection(chosen), grade=COMPLETE)
+        base = Found(lack_of_fit=lack_of_fit)
+        found = self.answer(base, select=selection(chosen), grade=COMPLETE)
         assert found.sentence.startswith(opening)
+        found = self.answer(base, grade=Grade(None, 0.02, LEFT))
+        assert found.verdict == "unexplained"
+        assert found.sentence.startswith(opening.removesuffix(" Missing"))
 
     def test_a_test_that_contradicts_the_final_fit_counts(self):
         found = self.answer(Found(), contradiction=SmoothTest("casing", 1e-5))
