@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import numpy as np
 import oscillators
@@ -9,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting import EstimationError, Experiment, Model, budget, fit, simulate
+from fitting.inference import _budget
 from fitting.inference._budget import combined_uncertainties, propagated
 from fitting.inference._case_data import CaseData, with_free_inertia
 from fitting.inference._fit import robust_fit
@@ -267,3 +269,22 @@ def test_prior_of_an_inertia_needs_a_stated_uncertainty():
     assert with_free_inertia([CaseData.of(record(0))], (MODEL + "setup.inertia").names)[0].prior is None
     stated = replace(record(0), I_casing_u=0.03 * I_CASING)
     assert with_free_inertia([CaseData.of(stated)], MODEL.names)[0].prior is None
+
+
+def test_the_calibration_of_each_input_counts_in_every_recording(monkeypatch):
+    """The second recording alone has the voltage; a current of unknown uncertainty does not contribute."""
+    inputs = {
+        "one": [SimpleNamespace(name="torque", u=0.1)],
+        "two": [
+            SimpleNamespace(name="current", u=None),
+            SimpleNamespace(name="voltage", u=0.2),
+            SimpleNamespace(name="torque", u=None),
+        ],
+    }
+    cases = [SimpleNamespace(label=k, dynamics=SimpleNamespace(inputs=v)) for k, v in inputs.items()]
+    fit = SimpleNamespace(problem=SimpleNamespace(cases=cases), predictions=[1, 2], theta="theta")
+    monkeypatch.setattr(_budget, "_input_rows", lambda case, p, theta, name: (case.label, p, theta, name))
+    found = dict(_budget._calibrations(SimpleNamespace(fit=fit, sensitivity=lambda rows: rows)))
+    assert found == {
+        name: [("one", 1, "theta", name), ("two", 2, "theta", name)] for name in ("torque", "voltage")
+    }

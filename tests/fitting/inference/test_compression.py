@@ -302,3 +302,22 @@ def test_samples_of_a_block_are_summed_in_groups_of_equal_number(bins):
     assert middle == pytest.approx(t[where].reshape(bins, -1).mean(axis=1))
     expected = operator[: run.lift.shape[1]].reshape(-1, bins, 200 // bins).sum(axis=2)
     assert grouped == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("first", "skipped"), [(None, 0), (4, 0), (5, 1), (7, 3), (2, 0)])
+def test_noise_rows_begin_at_the_given_power(monkeypatch, first, skipped):
+    """After a cubic, the next power is the fourth."""
+    asked = []
+
+    class EndError(Exception):
+        pass
+
+    def block(samples, where, degree, noise_rows, skip, *_):
+        asked.append((degree, noise_rows, skip))
+        raise EndError
+
+    monkeypatch.setattr(_compression, "_block", block)
+    t = np.arange(400) / 100.0
+    with pytest.raises(EndError):
+        compress(Samples(t, t, np.full(400, 1e-3)), degree=3, noise_rows=2, first_noise_row=first)
+    assert asked == [(3, 2, skipped)]

@@ -63,6 +63,15 @@ class TestStrengths:
         assert found["initial.omega_r@case"] == pytest.approx(300.0)
         assert found["initial.omega_c@case"] == pytest.approx(20.0)
 
+    @pytest.mark.parametrize("fixed", ["bearing.linear.d", "casing.air.linear.b2", "touchpoint.constant.b1"])
+    def test_a_law_of_fixed_strength_is_part_of_the_motion(self, fixed):
+        model = Model.of(LINEAR).with_fixed({fixed: VALUES[fixed]})
+        found = started(model, [moved()])
+        assert fixed not in found
+        for key, value in VALUES.items():
+            if key in found:
+                assert found[key] == pytest.approx(value, rel=2e-3)
+
     @pytest.mark.parametrize(
         ("name", "key", "value"),
         [

@@ -47,6 +47,24 @@ def test_the_same_film_twice_is_refused(recordings):
         synchronise(recordings[0], [recordings[1]] * 2, NAMES[:3], I_rotor=5.54e-5, I_casing=2.06e-5)
 
 
+def test_a_rotor_without_a_sample_is_refused(recordings):
+    rotor = recordings[1].bodies["rotor"]
+    none = {
+        f.name: getattr(rotor, f.name)[:0]
+        for f in dataclasses.fields(rotor)
+        if isinstance(getattr(rotor, f.name), np.ndarray)
+    }
+    empty = recordings[1].bodies | {"rotor": dataclasses.replace(rotor, **none)}
+    with pytest.raises(SyncError, match=r"a\.h5 does not show the rotor"):
+        synchronise(
+            recordings[0],
+            [dataclasses.replace(recordings[1], bodies=empty)],
+            NAMES[:2],
+            I_rotor=5.54e-5,
+            I_casing=2.06e-5,
+        )
+
+
 @pytest.mark.parametrize("missing", ["casing", "rotor"])
 def test_a_clip_without_a_body_is_refused(recordings, missing):
     bodies = {name: body for name, body in recordings[1].bodies.items() if name != missing}

@@ -433,6 +433,23 @@ def test_a_candidate_is_refined_on_its_frames(monkeypatch):
     np.testing.assert_allclose(np.diff(found.angle), np.diff(angle), atol=0.02)
 
 
+@pytest.mark.parametrize(("gain", "separate"), [(0.019, False), (0.021, True)])
+def test_a_fixed_picture_has_to_explain_clearly_more(monkeypatch, gain, separate):
+    """Of a body that turns by half a radian, a fixed picture is not resolved with certainty."""
+    scores = {False: 0.5, True: 0.5 + gain}
+    monkeypatch.setattr(module, "_COARSE", 20.0)
+    monkeypatch.setattr(module, "follow", lambda *_, **__: np.linspace(0.0, 0.5, 4))
+    monkeypatch.setattr(module, "_score", lambda *_, separate: (scores[separate], None))
+    blank = np.zeros((100, 120), np.float32)
+    moving = np.zeros((100, 120), dtype=bool)
+    moving[12:88, 22:98] = True
+    motion = Motion(blank, blank, 1.0, moving, (0, 0, 120, 100))
+    found = module._trials(Proposal((60.0, 50.0), "edges"), [blank] * 4, motion)
+    assert len(found) == 5
+    assert {t.separate for t in found} == {separate}
+    assert {t.score for t in found} == {scores[separate]}
+
+
 @pytest.mark.parametrize("turned", [0.8, 5.0])
 def test_trials_follow_a_body_with_and_without_a_fixed_picture(turned, monkeypatch):
     monkeypatch.setattr(module, "_COARSE", 20.0)

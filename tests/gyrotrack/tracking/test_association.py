@@ -29,6 +29,19 @@ def test_a_lock_finds_angle_and_step(step):
     assert motion.step == pytest.approx(step, abs=2e-3)
 
 
+@pytest.mark.parametrize("hidden", [0, 12, 31])
+@pytest.mark.parametrize("late", [0.0, 3.0])
+def test_a_lock_begins_where_a_body_is_seen(hidden, late):
+    """Of a body that appears late, the angle is that of the first frame of the lock."""
+    angle = 0.7 + 0.9 * np.arange(72)
+    seen = np.arange(72) >= hidden
+    start, motion = find_lock(_score(angle, seen), 0.4, place=np.arange(72.0) + late)
+    assert np.angle(np.exp(1j * (motion.angle - angle[start]))) == pytest.approx(0, abs=0.05)
+    assert motion.step == pytest.approx(0.9, abs=2e-3)
+    assert start % 6 == 0
+    assert max(hidden - 42, 0) <= start <= hidden
+
+
 def test_a_hint_chooses_among_whole_turns():
     angle = 0.7 + 3.1 * np.arange(48)
     assert find_lock(_score(angle), 0.4, hint=3.0)[1].step == pytest.approx(3.1, abs=5e-3)

@@ -302,3 +302,18 @@ class TestWorkers:
         assert found == {0: "a by a process", 1: "b by 1", 2: "c by 1"}
         found, _ = self.ran(self.workers("abc", others=0, refused="abc"), [0, 1, 2])
         assert found[0] == "a by 4"
+
+
+def test_the_angles_of_the_frames_that_were_stored_are_reported(monkeypatch):
+    """Seven frames were tracked before, three are new."""
+    angles = np.arange(20.0)
+    body = SimpleNamespace(coarse=lambda place, count: angles[place : place + count].tolist())
+    work = SimpleNamespace(
+        held=[SimpleNamespace(index=100 + k) for k in range(3)], filled=7, bodies={"casing": body}
+    )
+    work.take = lambda: setattr(work, "filled", 10)
+    told = []
+    monkeypatch.setattr(module, "report_angles", lambda *given: told.append(given))
+    module._take(work, 90)
+    ((name, part, frames, found),) = told
+    assert (name, part, frames.tolist(), found) == ("casing", 90, [100, 101, 102], [7.0, 8.0, 9.0])

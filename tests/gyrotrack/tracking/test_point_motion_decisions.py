@@ -131,6 +131,12 @@ def test_an_additional_error_of_position_acts_across_the_radius():
     found = module._with_error(_point(place), np.tile(np.array([[0.16, 0.02], [0.02, 0.09]]), (2, 1, 1)))
     assert found.sigma == pytest.approx([math.hypot(1e-3, 0.3 / 50.0), math.hypot(1e-3, 0.4 / 25.0)])
     np.testing.assert_allclose(found.place_sigma, np.hypot(0.1, [[0.4, 0.3]] * 2))
+    # along and across a radius that is not parallel to an axis
+    oblique, along = HUB + np.array([[30.0, 40.0]]), np.array([[0.6, 0.8]])
+    across = np.array([[-0.8, 0.6]])
+    for direction, expected in ((along, 1e-3), (across, math.hypot(1e-3, 0.5 / 50.0))):
+        shared = 0.25 * direction[:, :, None] * direction[:, None, :]
+        assert module._with_error(_point(oblique), shared).sigma == pytest.approx([expected])
     np.testing.assert_allclose(found.path.covariance[0], [[0.16 + 4e-4, 0.02], [0.02, 0.09 + 4e-4]])
 
 

@@ -168,3 +168,19 @@ class TestSource:
         assert np.allclose(found, straight) is not kept
         if kept:
             assert np.std(found - number - slow) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("repeated", "text"),
+    [
+        (0, ()),
+        (3, ("3 timestamps do not increase.",)),
+        (4, ("4 timestamps do not increase; times are counted from the decoded frames.",)),
+    ],
+)
+def test_equal_timestamps_do_not_increase(repeated, text):
+    """Above one step in a hundred, of 399, the frames are counted."""
+    stamps = EVEN.copy()
+    for k in range(repeated):
+        stamps[100 * k + 50] = stamps[100 * k + 49]
+    assert stamp_warnings(stamps) == text

@@ -8,6 +8,7 @@ import tracemalloc
 import wave
 import zipfile
 import zlib
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -134,6 +135,19 @@ def test_a_parquet_file_of_a_repeated_long_text(tmp_path):
     pq.write_table(many, path)
     with pytest.raises(DatasetError, match="at most 5,000,000"):
         read_motion(path)
+
+
+@pytest.mark.parametrize(("most", "read"), [(300, True), (299, False)])
+def test_the_numbers_of_a_parquet_file_are_limited(tmp_path, monkeypatch, most, read):
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    path = tmp_path / "a.parquet"
+    columns = {"t": np.arange(100.0) / 10, "angle": np.arange(100.0), "other": np.zeros(100)}
+    pq.write_table(pa.table(columns), path)
+    monkeypatch.setattr("gyrotrack.io.readers._columnar._MOST_NUMBERS", most)
+    with nullcontext() if read else pytest.raises(DatasetError, match=f"more than {most} cells"):
+        np.testing.assert_allclose(read_motion(path).value, np.arange(100.0))
 
 
 def test_numbers_are_read_without_a_text_for_each_cell(tmp_path):

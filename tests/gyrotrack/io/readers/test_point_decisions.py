@@ -2,8 +2,10 @@
 
 import math
 import pickle
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -423,3 +425,20 @@ def test_large_projects_are_refused(monkeypatch):
     monkeypatch.setattr(_point_files, "_MAX_MARKUP", text.count(b"<") + text.count(b"=") - 1)
     with pytest.raises(DatasetError, match="larger"):
         read_project(PATH, text, None)
+
+
+def test_a_body_of_a_case_is_found_by_its_own_name(monkeypatch):
+    """The first body of a chain is also the casing."""
+    values = {n: np.arange(3.0) + k for k, n in enumerate(("motor", "drum"))}
+    series = [SimpleNamespace(name=n, time=v, value=10 * v, u=0.1 * v) for n, v in values.items()]
+    stored = SimpleNamespace(casing=series[0], others=series[1:], attributes={"quantity": "angle"})
+    monkeypatch.setattr(_point_files, "READER", SimpleNamespace(open=lambda *_: nullcontext("file")))
+    monkeypatch.setattr(_point_files, "read_stored_case", lambda file, reader: stored)
+    monkeypatch.setattr(_point_files, "table_of", lambda path, names, columns: (names, columns))
+    for body, own in (("", "motor"), ("casing", "motor"), ("motor", "motor"), ("drum", "drum")):
+        names, columns = _point_files._case_body("a.h5", body)
+        assert names == ["t", "angle", "sigma"]
+        np.testing.assert_allclose(columns, [values[own], 10 * values[own], 0.1 * values[own]])
+    with pytest.raises(DatasetError) as caught:
+        _point_files._case_body("a.h5", "rotor")
+    assert caught.value.hint == "Its series: casing, motor, drum."
