@@ -586,6 +586,11 @@ def _coefficient(y: Array, w: Array, design: Array) -> tuple[float, float, int]:
     return float(beta[-1]), math.sqrt(factor * float(gram[-1, -1])), dof
 
 
+_ROUNDING = 1e-14
+"""Relative rounding error of a value [1]. Derived: about fifty times the precision of double numbers; smaller
+differences of the values are not a step."""
+
+
 def _step_statistics(y: Array, w: Array) -> tuple[Array, Array]:
     """Return F of a step at each place with at least `FEWEST` runs on both sides, and the largest F.
 
@@ -597,7 +602,7 @@ def _step_statistics(y: Array, w: Array) -> tuple[Array, Array]:
     whole = np.sum(w * (y - mean) ** 2, axis=-1, keepdims=True)
     explained = (before - mean * left) ** 2 * mass / (left * (mass - left))
     explained = explained[..., FEWEST - 1 : len(w) - FEWEST]
-    rounding = 1e-28 * np.sum(w * y**2, axis=-1, keepdims=True) + 1e-300  # equal values have no step
+    rounding = _ROUNDING**2 * np.sum(w * y**2, axis=-1, keepdims=True) + 1e-300  # equal values have no step
     f = explained * (len(w) - 2) / np.maximum(whole - explained, rounding)
     return np.asarray(f), np.asarray(f.max(axis=-1))
 

@@ -144,6 +144,14 @@ _TURNS = 5.0
 smaller value reports noise, a larger one omits small rotations."""
 
 
+_STILL = 0.5
+"""Rms displacement below which a hub stands still [px]. Chosen: a smaller value takes the noise of features for a
+path, a larger one ignores the motion of a suspended body."""
+_EXCURSION = 2.0
+"""Largest displacement of a hub that stands still [px]. Chosen: a smaller value takes an outlier for a path, a larger
+one ignores a short displacement."""
+
+
 def track_by_features(
     film: Film, usable: Frames, motion: Motion, progress: Progress | None = None
 ) -> Tracked | None:
@@ -159,7 +167,7 @@ def track_by_features(
         return None
     theta, path, followed, ring = found
     hub = complex(np.mean(path))
-    if path.std() < 0.5 and np.abs(path - hub).max() < 2.0:
+    if path.std() < _STILL and np.abs(path - hub).max() < _EXCURSION:
         return None
     shift = np.stack([(path - hub).real, (path - hub).imag], axis=1)
     use = np.unique(np.linspace(0, len(usable) - 1, _LEARNT).astype(int))

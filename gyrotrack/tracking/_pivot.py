@@ -166,6 +166,12 @@ _OUTLIER = 5.0
 good positions, a larger one keeps false matches."""
 
 
+_NEAR_HUB = 0.05
+"""Smallest distance of the mean position from the hub, divided by the radius, at which the parameters of the arc are
+regular [1]. Derived: the derivatives of the hub grow as the inverse of this distance; below it, hub and radius are the
+parameters; a smaller value leaves large rounding errors, a larger one changes nothing for long arcs."""
+
+
 def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
     """Fit a circle to positions (n, 2) with standard uncertainties (n,) [px]; at least 6 of them.
 
@@ -218,7 +224,7 @@ def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:
         axis=1,
     )
     bend = np.array([2.0, 0.0, 0.0])
-    if root < 0.05:  # these parameters are singular for a hub at the mean position: take hub and radius
+    if root < _NEAR_HUB:
         away = np.stack([x[use], y[use]], axis=1) - hub
         jacobian = np.column_stack([away / np.hypot(*away.T)[:, None], np.ones(len(away))])
         slope, bend = np.eye(2, 3), np.array([0.0, 0.0, curve**2])

@@ -2,7 +2,9 @@
 
 import itertools
 import json
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import cv2
@@ -387,3 +389,25 @@ def test_profile_shows_a_body_where_there_are_no_markers(puck, tmp_path, capsys)
     assert document["readings"][0]["hub_from"] == "outline"
     assert cv2.imread(str(picture)).shape[1] == 1600
     assert not target.exists()
+
+
+@pytest.mark.parametrize(
+    ("circle", "excursion", "moves"),
+    [(0.45, 0.0, False), (0.55, 0.0, True), (0.1, 1.9, False), (0.1, 2.1, True)],
+)
+def test_a_hub_that_circles_or_is_displaced_once_moves(monkeypatch, circle, excursion, moves):
+    """The distance of a circling hub from its mean position is constant."""
+
+    class Moves(Exception):  # noqa: N818 - not an error
+        pass
+
+    def some(frames):
+        raise Moves
+
+    path = 60.0 + 50.0j + circle * np.exp(2j * np.pi * np.arange(400) / 400)
+    path[[0, 200]] = 60.0 + 50.0j + np.array([1, -1]) * max(excursion, circle)
+    found = np.zeros(400), path, np.zeros(400, dtype=int), None
+    monkeypatch.setattr(_moving_hub, "_loose_motion", lambda *_: found)
+    film = SimpleNamespace(frames=list, some=some)
+    with pytest.raises(Moves) if moves else nullcontext():
+        assert _moving_hub.track_by_features(film, np.arange(400), None) is None
