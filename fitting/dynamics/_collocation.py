@@ -189,16 +189,14 @@ class Path:
         """Number of speeds in a state; they are its first values."""
         return sum(s.startswith("omega_") for s in self.states)
 
-    @property
-    def scale(self) -> Array:
-        """Scale of the errors of each state, (states,): its largest absolute value; for speeds at least least_scale."""
-        return self.scale_of(self.y)
+    def scale(self, y: Array | None = None) -> Array:
+        """Return the scale of the errors of each state, (states,): its largest absolute value at the nodes.
 
-    def scale_of(self, y: Array) -> Array:
-        """Return the scale of the errors for other states `y` at the nodes."""
-        largest = 1e-300 + np.abs(y).max(axis=(0, 1))
-        largest[: self.speeds] = np.maximum(largest[: self.speeds], self.least_scale)
-        return np.asarray(largest)
+        For speeds it is at least least_scale. `y` are states at the nodes other than those of this path.
+        """
+        least = [self.least_scale if name.startswith("omega_") else 0.0 for name in self.states]
+        largest = np.abs(self.y if y is None else y).max(axis=(0, 1))
+        return np.asarray(np.maximum(1e-300 + largest, least))
 
     def angle(self, state: str) -> tuple[Array, Array]:
         """Return the integral of a speed at all edges [rad], and the speed at the nodes [rad/s]."""
@@ -453,7 +451,7 @@ def newton(
             move = (shape.response + shape.carried(steps))[..., 0]
             y += move
             edges += steps[..., 0]
-            size = float((np.abs(move).max(axis=(0, 1)) / first.scale_of(y)).max())
+            size = float((np.abs(move).max(axis=(0, 1)) / first.scale(y)).max())
             if pivot is not None:
                 mesh, change = _stretched(mesh, y, edges, f, pivot)
                 size = max(size, change)
@@ -493,7 +491,7 @@ def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tu
 def truncation_error(path: Path) -> Array:
     """Return the largest of the last two Legendre coefficients in each interval, relative to the scale of its state."""
     coefficients = np.abs(rule().to_legendre[-2:] @ path.y)
-    return np.asarray((coefficients.max(axis=1) / path.scale).max(axis=1))
+    return np.asarray((coefficients.max(axis=1) / path.scale()).max(axis=1))
 
 
 def coarsened(path: Path) -> Path:

@@ -89,9 +89,7 @@ class Segments:
         return 1.0 if self.acceleration(time, y, 1.0) > -self.acceleration(time, y, -1.0) else -1.0
 
     def _solved(self, first: Path, pivot: float | None = None) -> Path:
-        return self._refined(newton(self.dynamics, self.numbers, first, pivot=pivot), pivot)
-
-    def _refined(self, path: Path, pivot: float | None = None) -> Path:
+        path = newton(self.dynamics, self.numbers, first, pivot=pivot)
         return refine(self.dynamics, self.numbers, path, pivot=pivot, most=self.intervals)
 
     def saltation(self, time: float, y: Array, before: float, after: float) -> Array:
@@ -156,7 +154,7 @@ class Segments:
 
     def _rests(self, path: Path, end: float) -> bool:
         stop, y, sense = float(path.mesh.edges[-1]), path.edges[-1], float(path.sense[0])
-        largest = path.scale[MAIN]
+        largest = path.scale()[MAIN]
         between = any(b <= stop for b in self.breaks if b > path.mesh.edges[0] and b not in path.mesh.edges)
         braked = self.acceleration(stop, y, sense) * sense < 0
         return bool(stop < end and not between and braked and abs(y[MAIN]) <= _STOPPED * largest)
@@ -329,7 +327,7 @@ class Segments:
             path = self._rough(start, part, sense, guess)
             stop = _first_crossing(path) if self.dynamics.dry else None
             if stop is None:
-                path = self._refined(path)
+                path = refine(self.dynamics, self.numbers, path, most=self.intervals)
                 stop = _first_crossing(path) if self.dynamics.dry else None
             if stop is not None:
                 path = self._until_rest(path, part, stop)
@@ -370,7 +368,7 @@ class Segments:
             move = -float(y[MAIN]) / rate if rate else np.inf
             if not np.isfinite(move):
                 break
-            if abs(y[MAIN]) <= _STOPPED * path.scale[MAIN] or abs(move) < 1e-13 * stop:
+            if abs(y[MAIN]) <= _STOPPED * path.scale()[MAIN] or abs(move) < 1e-13 * stop:
                 return path
             if stop + move > mesh.edges[-1]:
                 # the casing does not come to rest within the record
@@ -388,7 +386,7 @@ class Segments:
             np.zeros(len(mesh.edges) - 1),
         )
         path = self._rough(start, mesh, 0.0, _at_rest(still))
-        path = self._refined(path)
+        path = refine(self.dynamics, self.numbers, path, most=self.intervals)
         time = self._release(path)
         if time is None:
             return path
@@ -571,7 +569,7 @@ def solve(
         if time >= end:
             return _joined(pieces, jumps, breaks)
         y = piece.edges[-1].copy()
-        if abs(y[MAIN]) > ROUNDING * piece.scale[MAIN]:
+        if abs(y[MAIN]) > ROUNDING * piece.scale()[MAIN]:
             jumps.append(np.eye(len(y)))
             continue
         y[MAIN] = 0.0

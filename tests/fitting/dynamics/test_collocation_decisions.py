@@ -80,7 +80,7 @@ class TestPath:
     def test_errors_are_relative_to_the_largest_state(self):
         made = path(self.MESH, lambda t: -2.0 + 0 * t, lambda t: 1e-3 + 0 * t, lambda t: 1e-3 + 0 * t,
                     states=("omega_r", "omega_c", "deflection"), least=0.5)  # fmt: skip
-        assert made.scale == pytest.approx([2.0, 0.5, 1e-3])
+        assert made.scale() == pytest.approx([2.0, 0.5, 1e-3])
         assert made.speeds == 2
 
     def test_stretches_end_where_the_casing_stops(self):

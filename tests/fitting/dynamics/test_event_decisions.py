@@ -588,7 +588,9 @@ class TestHorizon:
             return SimpleNamespace(mesh=mesh, refined=False)
 
         monkeypatch.setattr(Segments, "_rough", rough)
-        monkeypatch.setattr(Segments, "_refined", lambda self, path: replace_path(path, refined=True))
+        monkeypatch.setattr(
+            module, "refine", lambda dynamics, numbers, path, **_: replace_path(path, refined=True)
+        )
         monkeypatch.setattr(
             Segments,
             "_until_rest",
