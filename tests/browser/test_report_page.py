@@ -96,6 +96,7 @@ def test_a_chart_is_exported_as_numbers(visit, tmp_path):
     assert {r.split(",")[0] for r in rows} >= {"base model", "final model"}
 
 
+@pytest.mark.slow
 def test_the_scale_of_the_browser_is_that_of_the_figures(chromium):
     import numpy as np
 

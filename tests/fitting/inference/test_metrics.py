@@ -25,15 +25,9 @@ def parts(result, level):
 
 # a random torque of 1e-9 N m already correlates the rows, of 1e-10 N m those of the rotor, whose windows have noise of
 # their own; more would be beyond the digits of this plain algebra
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("body", "level"),
-    [
-        ("rotor", 0.0),
-        *(
-            pytest.param(*v, marks=pytest.mark.slow)
-            for v in [("rotor", 1e-10), ("casing", 0.0), ("casing", 1e-9)]
-        ),
-    ],
+    ("body", "level"), [("rotor", 0.0), ("rotor", 1e-10), ("casing", 0.0), ("casing", 1e-9)]
 )
 def test_cross_validation_error_is_that_of_a_fit_without_the_fold(level, body):
     """Least squares on the other rows, prediction of the fold with its covariance, computed explicitly."""
@@ -101,6 +95,7 @@ def test_energy_balance_agrees_with_the_formula_of_the_paper():
     assert np.abs(total / total[0] - 1).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_missing_torque_makes_the_energy_balance_drift():
     right, wrong = (fitted(seed=0, hidden=h, few=True) for h in ("nothing", "step"))
     assert wrong.cases[0].energy_drift > 1.5 * right.cases[0].energy_drift

@@ -270,3 +270,72 @@ class TestBudget:
             assert found[name][0] == pytest.approx([0.1])
             assert found[name][1] == pytest.approx([1.0])
         assert ("i0 x i1" in found) is (count == 2)
+
+
+class TestCrossValidation:
+    """Two runs of a rotor and one of a casing: 12 blocks of three rows, and a harmonic row of each block."""
+
+    BLOCKS, WINDOWS = 12, (4, 6)
+    ROWS = 12 * 4 + sum(WINDOWS)
+
+    def data(self, chain=False):
+        lift = SimpleNamespace(shape=(self.BLOCKS, 3, 9))
+        casing = SimpleNamespace(lift=lift, harmonic=np.zeros(self.BLOCKS), rest=7.0, n_effective=55.0)
+        windows = [
+            SimpleNamespace(
+                z=np.zeros(n), lift=np.zeros(n), rest=n / 2, n_effective=2.0 * n,
+                samples=SimpleNamespace(state=0),
+            )
+            for n in self.WINDOWS
+        ]  # fmt: skip
+        mechanism = SimpleNamespace(main="casing", bodies=("rotor", "casing", "wheel"))
+        record = SimpleNamespace(mechanism=mechanism, is_chain=chain)
+        slices = {"rotor": slice(36, 46), "harmonic": slice(46, 58)}
+        return SimpleNamespace(
+            casing=casing, rotor=windows, slices=slices, record=record, z=RNG.standard_normal(self.ROWS)
+        )
+
+    def folds(self, chain):
+        blocks = np.arange(12).reshape(6, 2)
+        casing = [np.concatenate([*(np.arange(3) + 3 * b for b in pair), 46 + pair]) for pair in blocks]
+        rows = [np.arange(36, 40), np.arange(40, 46)]
+        if chain:
+            rows = [np.array([k]) for k in range(36, 46)]
+        return {"casing": casing, "rotor": rows}
+
+    @pytest.mark.parametrize("chain", [False, True])
+    def test_the_error_is_that_of_rows_predicted_from_all_others(self, chain):
+        data = self.data(chain)
+        scale = RNG.uniform(0.5, 2.0, self.ROWS)  # 1 / noise of the rows
+        white = lambda rows: (rows.T * scale).T  # noqa: E731
+        nuisance, jacobian = RNG.standard_normal((self.ROWS, 2)), RNG.standard_normal((self.ROWS, 3))
+        jacobian[:, 1] = 0.0  # a parameter without influence
+        basis = np.linalg.qr(white(nuisance))[0]
+
+        class Project:
+            whitener = staticmethod(white)
+
+            def __init__(self):
+                self.basis = basis
+
+            def __call__(self, rows):
+                rows = white(rows)
+                return rows - basis @ (basis.T @ rows)
+
+        prediction = SimpleNamespace(columns=jacobian, rows=RNG.standard_normal(self.ROWS))
+        found = _metrics.held_out(data, Project(), prediction)
+        y = data.z - prediction.rows
+        x, sigma = np.concatenate([nuisance, jacobian[:, [0, 2]]], axis=1), 1 / scale
+        rest = {"casing": (7.0, 55.0), "rotor": (5.0, 20.0)}
+        for body, folds in self.folds(chain).items():
+            total, samples = rest[body]
+            for fold in folds:
+                others = np.setdiff1d(np.arange(self.ROWS), fold)
+                weighted = x[others] / sigma[others, None]
+                beta = np.linalg.lstsq(weighted, y[others] / sigma[others], rcond=None)[0]
+                error = y[fold] - x[fold] @ beta
+                spread = x[fold] @ np.linalg.inv(weighted.T @ weighted) @ x[fold].T
+                total += error @ np.linalg.solve(np.diag(sigma[fold] ** 2) + spread, error)
+            assert found[body] == pytest.approx(np.sqrt(total / samples))
+        assert set(found) == {"casing", "rotor"}
+        assert set(_metrics.held_out(data, Project(), prediction, ["rotor"])) == {"rotor"}

@@ -203,7 +203,9 @@ def test_reversals_solved_jointly_agree_with_sequential_ones():
     assert len(together.jumps) == len(alone.jumps) != len(near.jumps)
 
 
-@pytest.mark.parametrize("excess", [1e-12, 1e-10, 1e-8])
+@pytest.mark.parametrize(
+    "excess", [1e-12, pytest.param(1e-10, marks=pytest.mark.slow), pytest.param(1e-8, marks=pytest.mark.slow)]
+)
 def test_a_body_that_friction_hardly_holds_is_solved(excess):
     """All torques but this share of the friction cancel: its speed is rounding."""
     dynamics = Dynamics(Model.of(["casing.gravity", DRAG, "touchpoint.constant", "external.constant"]))
@@ -326,7 +328,11 @@ def test_a_spring_on_a_body_that_turns_in_one_sense_is_fitted():
     assert np.isfinite(found.theta).all()
 
 
-@pytest.mark.parametrize(("duration", "periods"), [(30.0, 1), (90.0, 4)], ids=["48 periods", "200 periods"])
+@pytest.mark.parametrize(
+    ("duration", "periods"),
+    [(30.0, 1), pytest.param(90.0, 4, marks=pytest.mark.slow)],
+    ids=["48 periods", "200 periods"],
+)
 def test_the_residual_speed_of_an_oscillation_is_resolved_within_a_period(duration, periods):
     """A wrong spring changes the phase, a wrong deflection the amplitude: residual speeds in quadrature."""
     t = np.arange(0, duration, 0.04)

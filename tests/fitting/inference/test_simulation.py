@@ -12,14 +12,17 @@ from fitting.inference._simulation import simulate_path
 _DURATION = 6.0
 
 
-# friction with a memory is stiff
-_STIFF = {"casing.friction.gms", "casing.friction.lugre", "casing.friction.presliding"}
+# friction with a memory is stiff, and a law of the angle needs many steps
+_LONG = {
+    "casing.friction.gms", "casing.friction.lugre", "casing.friction.presliding",
+    "casing.asymmetry", "casing.unbalance",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=pytest.mark.slow) if n in _STIFF else n
+        pytest.param(n, marks=pytest.mark.slow) if n in _LONG else n
         for n, e in LIBRARY.items()
         if e.kind == "physical"
     ],

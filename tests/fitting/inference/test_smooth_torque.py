@@ -66,6 +66,7 @@ def test_a_random_torque_is_not_smooth():
     assert not any(compared(None, seed).is_better(DEFAULT) for seed in range(3))
 
 
+@pytest.mark.slow
 def test_torques_that_are_the_same_count_once(monkeypatch):
     """Of a single body the torque on the casing is that of the bearing; each direction of white noise adds 1."""
     monkeypatch.setattr(module, "slow_responses", lambda *case: np.tile(slow_responses(*case)[:, :KNOTS], 2))

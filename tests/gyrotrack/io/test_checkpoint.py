@@ -82,6 +82,7 @@ def _one_record_then(output, error):
         raise error
 
 
+@pytest.mark.slow
 def test_cut_at_every_byte_it_holds_the_whole_records_before(tmp_path):
     output = tmp_path / "o.h5"
     fill(output)

@@ -90,7 +90,7 @@ def test_edges_stand_where_they_should() -> None:
         assert abs(place) < 0.03  # px
 
 
-@pytest.mark.parametrize("smear", [0.05, 0.3, 0.7])
+@pytest.mark.parametrize("smear", [0.05, pytest.param(0.3, marks=pytest.mark.slow), 0.7])
 def test_smeared_paper_has_the_angle_of_mid_exposure(smear: float) -> None:
     exposure = 1.0e-3
     motion = Motion.constant(smear / exposure, 0.0, psi_rotor=1.234)

@@ -150,7 +150,7 @@ def _few_turns(seed, turns=3.4, frames=250, rho=0.0, sizes=(1.3e-3,)):
     return truth, join(truth + rng.normal(0, 0.01, frames), markers, 1000.0)
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.7])
+@pytest.mark.parametrize("rho", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 0.7])
 def test_errors_that_last_for_some_frames_are_not_taken_for_motion(rho):
     z = []
     for seed in range(20):
@@ -191,7 +191,9 @@ def _seen_beside_the_axis(seed, common, own, turns=1.6, frames=150):
     return error, error / body.sigma
 
 
-@pytest.mark.parametrize(("common", "own"), [(0.0, 0.0), (12e-3, 0.5e-3), (6e-3, 3e-3)])
+@pytest.mark.parametrize(
+    ("common", "own"), [(0.0, 0.0), pytest.param(12e-3, 0.5e-3, marks=pytest.mark.slow), (6e-3, 3e-3)]
+)
 def test_markers_of_a_body_show_together_where_its_axis_is(common, own):
     """In less than two turns: what one marker shows as motion, three show as an axis beside the one assumed."""
     errors, z = zip(*(_seen_beside_the_axis(seed, common, own) for seed in range(8)), strict=True)

@@ -19,7 +19,9 @@ def path(radius, reach, count=200, noise=0.02, seed=0, by_place=0.0):
     return exact + rng.normal(0, noise, (count, 2))
 
 
-@pytest.mark.parametrize("reach", [0.15, pytest.param(0.8, marks=pytest.mark.slow), np.pi])
+@pytest.mark.parametrize(
+    "reach", [0.15, pytest.param(0.8, marks=pytest.mark.slow), pytest.param(np.pi, marks=pytest.mark.slow)]
+)
 def test_the_uncertainty_of_the_pivot_is_that_of_its_error(reach):
     """Over 20 paths, curvature and pivot scatter by their uncertainties: rms z within 0.8 and 1.25."""
     z, chi2 = [], []

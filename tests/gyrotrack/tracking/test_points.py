@@ -47,7 +47,7 @@ def errors(found, film):
 @pytest.mark.parametrize(
     "scene",
     [
-        {},
+        pytest.param({}, marks=pytest.mark.slow),
         {"hub": (80.0, 60.0), "length": 42.0, "speed": 3.0},
         pytest.param(
             {"hub": (80.0, 60.0), "length": 42.0, "speed": 45.0, "thread": False, "exposure": 0.05},

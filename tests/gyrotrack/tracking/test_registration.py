@@ -322,6 +322,7 @@ def encoded(path, pictures, rate):
     return path
 
 
+@pytest.mark.slow
 def test_flicker_and_reversals_are_not_repeated_frames(tmp_path):
     """100 Hz at 60 fps lights two of three frames alike; an oscillation is at rest twice a period."""
     time = np.arange(90) / 60.0

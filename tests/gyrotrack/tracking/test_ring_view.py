@@ -367,7 +367,9 @@ class TestSlowBody:
         assert np.isfinite(found.angle).all()
         assert ((found.own_view > 0.0) == known).all()
 
-    @pytest.mark.parametrize("turns", [0.5, pytest.param(0.8, marks=pytest.mark.slow), 1.2])
+    @pytest.mark.parametrize(
+        "turns", [pytest.param(0.5, marks=pytest.mark.slow), pytest.param(0.8, marks=pytest.mark.slow), 1.2]
+    )
     @pytest.mark.parametrize("across", [False, True])
     def test_shading_does_not_turn_the_ring(self, turns, across):
         angle = np.linspace(0.0, turns * TURN, 70)

@@ -151,6 +151,7 @@ def test_missing_frames(tmp_path):
         probe(path)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_film(tmp_path):
     one = pictures(8).astype(np.uint8).tobytes()
     path = write(tmp_path, frames=60 * one, Total_Frame=60 * COUNT)

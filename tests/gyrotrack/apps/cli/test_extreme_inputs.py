@@ -71,7 +71,7 @@ def test_large_numbers_are_read(gyrotrack, tmp_path, name):
     assert "error" not in said.json
 
 
-@pytest.mark.parametrize("sigma", ["", ",1e-3"])
+@pytest.mark.parametrize("sigma", ["", pytest.param(",1e-3", marks=pytest.mark.slow)])
 def test_angles_without_any_acceleration_are_fitted(gyrotrack, tmp_path, sigma):
     path, case = tmp_path / "steady.csv", tmp_path / "steady.h5"
     path.write_text(

@@ -63,7 +63,7 @@ def test_a_negative_friction_is_called_unphysical(fit):
     assert row.judgement == "not distinguished from zero"
 
 
-@pytest.mark.parametrize("quarter", [0.0, 0.25])
+@pytest.mark.parametrize("quarter", [0.0, pytest.param(0.25, marks=pytest.mark.slow)])
 def test_a_spring_stores_energy_and_dissipates_none(quarter):
     """Damping takes all energy, whether the record ends at the equilibrium or at the largest deflection."""
     t = np.arange(0, 20.5 + quarter, 0.02)

@@ -554,7 +554,9 @@ def test_a_pose_file_of_movement(tmp_path):
     assert np.abs(np.angle(np.exp(1j * (read.value - ANGLE)))).max() < 1e-9
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".parquet", ".txt", ".nc"])
+@pytest.mark.parametrize(
+    "suffix", [".csv", ".json", ".parquet", ".txt", pytest.param(".nc", marks=pytest.mark.slow)]
+)
 def test_what_is_exported_is_imported(tmp_path, suffix):
     if suffix in {".parquet", ".nc"}:
         pytest.importorskip("pyarrow")
