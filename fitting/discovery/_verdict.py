@@ -402,9 +402,10 @@ def _diagnosis(
         )
     search = _Search(fit, ranked, tuple(extra), criteria, workers, history)
     found = search.graded()
-    if found.size.unknown and found.selection.final.model.names == found.selection.named.model.names:
+    if search.suggests_two(found):
         both = search.graded(follow_up=True)
-        found = both if _are_two_effects(both, found.size.unknown_bic, criteria) else found
+        bic = found.size.unknown_bic if found.size.unknown else found.selection.final.bic
+        found = both if _are_two_effects(both, bic, criteria) else found
     selection, as_given, rival, misfit, doubt, size = found
     if size.form is None and isinstance(doubt, PeriodogramPeak):
         # an effect that does not explain the sinusoidal torque is not part of the answer
@@ -505,17 +506,38 @@ class _Search(NamedTuple):
         size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
         return _Graded(selection, as_given, rival, misfit, doubt, size)
 
+    def suggests_two(self, found: _Graded) -> bool:
+        """Return whether a second effect is worth a search: none was tried, and one effect does not suffice.
+
+        This is so if a smooth law of a speed describes the data better than the effect, or if the score of a second
+        effect about the fit with the first one already exceeds what `_are_two_effects` needs.
+        """
+        selection = found.selection
+        end = selection.final
+        if selection.chosen is None or end.model.names != selection.named.model.names:
+            return False
+        if found.size.unknown:
+            return True
+        if found.misfit or not are_smooth(d.motion for d in end.problem.data):
+            return False
+        log_rows = math.log(end.rows)
+        return any(
+            c.significant and c.score - c.screened.columns * log_rows > _needed(selection, self.criteria)
+            for c in rank(end, self.extra, criteria=self.criteria, refitting=False)
+        )
+
+
+def _needed(selection: Selection, criteria: Criteria) -> float:
+    """Return the difference of BIC that two effects need: the second one is the best of N, at prior odds of 1:N."""
+    return criteria.equivalence_width + 2 * math.log(max(len(selection.candidates), 1))
+
 
 def _are_two_effects(found: _Graded, bic: float, criteria: Criteria) -> bool:
-    """Return whether two effects describe the data completely, and clearly better than a smooth law with this BIC.
-
-    The second effect is the best of N candidates; prior odds of 1:N add 2 ln N to the difference that is needed.
-    """
+    """Return whether two effects describe the data completely, and clearly better than one law with this BIC."""
     selection = found.selection
     complete = not found.misfit and found.doubt is None and not found.size.unknown
     more = set(selection.final.model.names) > set(selection.named.model.names)
-    needed = criteria.equivalence_width + 2 * math.log(max(len(selection.candidates), 1))
-    return complete and more and selection.final.bic < bic - needed
+    return complete and more and selection.final.bic < bic - _needed(selection, criteria)
 
 
 def _undetermined(selection: Selection, criteria: Criteria) -> str:

@@ -315,6 +315,60 @@ class TestVerdict(Answer):
         assert asked == [False]
 
     @pytest.mark.parametrize(
+        ("score", "columns", "significant", "wrong", "oscillates", "tried"),
+        [
+            (16.3, 1, True, False, False, True),  # 10 + ln 500
+            (16.1, 1, True, False, False, False),
+            (22.5, 2, True, False, False, True),
+            (22.3, 2, True, False, False, False),
+            (99.0, 1, False, False, False, False),
+            (99.0, 1, True, True, False, False),
+            (99.0, 1, True, False, True, False),
+        ],
+    )
+    def test_a_second_effect_with_a_high_score_is_tried(
+        self, monkeypatch, score, columns, significant, wrong, oscillates, tried
+    ):
+        """Beside the first one; with it the answer has a BIC of 100, and the second one states the remainder."""
+        recorded = problem(data(oscillation=SimpleNamespace() if oscillates else None))
+        alone = selection(
+            candidate(), named=Found(model=named(DRAG), wrong=wrong, problem=recorded), others=[]
+        )
+        end = Found(model=named(DRAG, LAMINAR), bic=88.5)
+        both = selection(candidate(), named=Found(model=named(DRAG)), final=end, others=[candidate(LAMINAR)])
+        asked = []
+        monkeypatch.setattr(
+            module, "select", lambda *_, follow_up: asked.append(follow_up) or (both if follow_up else alone)
+        )
+        next_one = replace(
+            candidate(LAMINAR, score=score, significant=significant),
+            screened=SimpleNamespace(columns=columns),
+        )
+        grades = {id(alone): COMPLETE, id(both): Grade(None, 0.7, LEFT)}
+        monkeypatch.setattr(module, "grade", lambda fit, found, *_, **__: grades[id(found)])
+        found = self.answer(rank=[next_one])
+        assert asked == ([False, True] if tried else [False])
+        assert (found.remainder is LEFT) is tried
+
+    @pytest.mark.parametrize("bic", [88.5, 88.7])
+    def test_a_second_effect_has_to_lower_bic_clearly(self, monkeypatch, bic):
+        alone = selection(candidate(), named=Found(model=named(DRAG), bic=100.0))
+        end = Found(model=named(DRAG, LAMINAR), bic=bic)
+        both = selection(candidate(), named=Found(model=named(DRAG)), final=end, others=[candidate(LAMINAR)])
+        monkeypatch.setattr(module, "select", lambda *_, follow_up: both if follow_up else alone)
+        next_one = replace(candidate(LAMINAR, score=99.0), screened=SimpleNamespace(columns=1))
+        grades = {id(alone): COMPLETE, id(both): Grade(None, 0.7, LEFT)}
+        monkeypatch.setattr(module, "grade", lambda fit, found, *_, **__: grades[id(found)])
+        assert (self.answer(rank=[next_one]).remainder is LEFT) is (bic < 100 - 10 - 2 * math.log(2))
+
+    def test_without_an_effect_no_second_one_is_sought(self, monkeypatch):
+        asked = []
+        monkeypatch.setattr(module, "select", lambda *_, follow_up: asked.append(follow_up) or selection())
+        next_one = replace(candidate(LAMINAR, score=99.0), screened=SimpleNamespace(columns=1))
+        self.answer(rank=[next_one])
+        assert asked == [False]
+
+    @pytest.mark.parametrize(
         ("text", "verdict"), [("within its uncertainty", "adequate"), ("", "missing_effect")]
     )
     def test_an_inertia_within_its_uncertainty_is_not_a_missing_effect(self, text, verdict):
