@@ -91,15 +91,16 @@ def exchanges(
     """
     context = context_without(about, [removed], cases)
     own = torque_rows([removed], cases)[:, None]
-    # laws that are equal in these recordings take part once, and not in the place of each other
-    laws = [best_group(context, removed, [(({},), own)], context.levels, null=False)]
-    for s in score(about, effects, cases, criteria, context=context):
-        is_new = all(1 - abs(s.direction @ other.direction) > _EQUAL for other in laws)
-        # the same law without its free shape constant has fewer parameters
-        if not s.absorbed and (is_new or s.effect.name == removed.name):
-            laws.append(s)
     layout, prefix = about.problem.layout, removed.name + "."
     of_removed = np.array([n.startswith(prefix) for n in layout.names])
+    # laws that are equal in these recordings take part once, and not in the place of each other, except for a law with
+    # fewer parameters: the removed law itself without its free shape constant, or one that it resembles at a bound
+    laws = [best_group(context, removed, [(({},), own)], context.levels, null=False)]
+    for s in score(about, effects, cases, criteria, context=context):
+        equal = [i for i, other in enumerate(laws) if 1 - abs(s.direction @ other.direction) <= _EQUAL]
+        simpler = equal == [0] and _parameters(s) < of_removed.sum()
+        if not s.absorbed and (not equal or simpler or s.effect.name == removed.name):
+            laws.append(s)
     # another parameter may leave its bound when the law is removed
     held = layout.at_bound(about.theta) & ~of_removed
     room = np.stack(layout.bounds())[:, held] - about.theta[held]

@@ -24,7 +24,7 @@ INERTIA = 2e-3
 # torque of each law at the initial speed of 100 rad/s [N m]; the exponents of the speed are 0, 1 and 2
 STRENGTHS = {"touchpoint.constant": 3e-3, "casing.air.linear": 4e-3, "casing.air.quadratic": 5e-3}
 CONSTANT, LINEAR, QUADRATIC = STRENGTHS
-STRIBECK, COOLING = "touchpoint.stribeck", "casing.seal.cooling"
+STRIBECK, COOLING, EDDY = "touchpoint.stribeck", "casing.seal.cooling", "casing.brake.eddy"
 
 
 def slowed(u=0.1, seed=1, label="case"):
@@ -142,6 +142,16 @@ def test_equal_laws_do_not_replace_each_other():
     found = exchanges_of(fitted((LINEAR, CONSTANT)), CONSTANT)
     assert found
     assert "external.constant" not in {e.name for x in found for e in x.laws}
+
+
+def test_a_law_is_exchanged_for_a_simpler_one_that_it_equals():
+    """At a high critical speed the braking torque of eddy currents is proportional to the speed."""
+    start = fitted(ALL).values
+    start |= {f"{EDDY}.k": start[f"{LINEAR}.b2"], f"{EDDY}.w": 9e4}
+    current = fit(Model.of((QUADRATIC, CONSTANT, EDDY)), measured(0.1), start=start)
+    assert current.estimates[f"{EDDY}.w"].value > 5e4
+    (found,) = (x for x in exchanges_of(current, EDDY) if [e.name for e in x.laws] == [LINEAR])
+    assert found.delta_bic == pytest.approx(-np.log(current.rows), abs=0.1)
 
 
 def test_two_laws_are_better_than_an_added_one():
