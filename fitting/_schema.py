@@ -338,6 +338,7 @@ class RemainderDocument(Document):
     share: Number  #: Share of the mean square unmodelled torque, 0 to 1 [1].
     p_value: Number  #: Probability that noise alone causes such a remainder [1].
     sentence: str  #: Size, and the variable on which it depends.
+    effects: list[str] = []  #: Further effects that describe it.
 
 
 class NuisanceDocument(Document):

@@ -71,6 +71,7 @@ class Remainder:
         float  # smallest p-value of the likelihood ratio test of its parameters and of the lack-of-fit tests
     )
     sentence: str  # its size, and the variable on which it depends
+    effects: tuple[str, ...] = ()  # further effects that describe it
 
 
 @dataclass(frozen=True)
@@ -428,7 +429,7 @@ def grade(
         else ""
     )
     words = f"Remainder{size}: {'; '.join(parts)}."
-    remainder = Remainder(rms, share, p, words)
+    remainder = Remainder(rms, share, p, words, tuple(others))
     if 1 - share < criteria.explained:
         return Grade(None, 1 - share, remainder, test=tested)
     unknown = (

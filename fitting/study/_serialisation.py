@@ -576,7 +576,9 @@ def restored_diagnosis(stored: StoredDiagnosis, fit: Fit, extra: Sequence[Effect
         tuple(_restored_candidate(c, fit) for c in stored.candidates),
         stored.form,
         stored.explained,
-        Remainder(**stored.remainder.model_dump()) if stored.remainder is not None else None,
+        None
+        if (r := stored.remainder) is None
+        else Remainder(r.torque_rms_Nm, r.share, r.p_value, r.sentence, tuple(r.effects)),
         tuple(Nuisance(**n.model_dump()) for n in stored.nuisance),
         stored.next_experiment,
         tuple(residual_torques(fit)),

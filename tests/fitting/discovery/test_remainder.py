@@ -203,7 +203,7 @@ def test_the_document_contains_form_and_remainder_and_is_restored():
     document = diagnosis_document(found, "f1")
     assert document["form"] == "approximate"
     assert document["explained"] == found.explained
-    assert set(document["remainder"]) == {"torque_rms_Nm", "share", "p_value", "sentence"}
+    assert set(document["remainder"]) == {"torque_rms_Nm", "share", "p_value", "sentence", "effects"}
     assert {"effect", "value", "stderr", "unit"} <= set(document["nuisance"][0])
     again = restored_diagnosis(stored_diagnosis(found), found.fit)
     assert (again.form, again.explained, again.remainder, again.nuisance) == (

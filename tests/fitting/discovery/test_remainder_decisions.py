@@ -549,6 +549,7 @@ class TestGrade:
             "second effect step of the friction at the touch point (touchpoint.step)"
             in size.remainder.sentence
         )
+        assert size.remainder.effects == ("touchpoint.step",)
         assert size.remainder.p_value == pytest.approx(chi2(2).sf(20.0))
         assert size.form == "approximate"
         assert self.asked[0] == (end, False)

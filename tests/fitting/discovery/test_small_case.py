@@ -26,6 +26,7 @@ from fitting.discovery._residuals import find_failures, residual_torques, whiten
 from fitting.discovery._select import Selection, best, needed_evidence, ordered
 from fitting.effects._expression import Tape, symbols
 from fitting.inference._fit import fit
+from fitting.study._serialisation import restored_diagnosis, stored_diagnosis
 
 INERTIA, SIGMA, DRAG = 2e-3, 1e-3, 4e-7
 FRICTION = (1e-3, 2e-5, DRAG)
@@ -299,6 +300,12 @@ class TestAnswer:
         assert "Missing: quadratic air drag of the body (air.quadratic), k = " in found.sentence
         assert found.upper_limits == ()
         assert found.form_limit is None or 0.0 < found.form_limit < 1.0
+
+    def test_a_stored_answer_keeps_its_remainder(self):
+        left = Remainder(1e-8, 0.03, 1e-9, "Remainder 10 nN m rms.", ("air.cubic",))
+        found = replace(answer(), form="approximate", explained=0.97, remainder=left)
+        again = restored_diagnosis(stored_diagnosis(found), found.fit)
+        assert (again.remainder, again.form, again.explained) == (left, "approximate", 0.97)
 
     def test_a_fit_of_the_true_model_is_adequate(self):
         found = answer(0.0)
