@@ -33,13 +33,14 @@ from gyrotrack.tracking._registration import (
     learn,
     register,
 )
-from gyrotrack.tracking._silhouettes import median_picture
+from gyrotrack.tracking._silhouettes import median_picture, quantile_picture
 from gyrotrack.tracking._tracked import Tracked, white_noise
 
 Floats = npt.NDArray[np.float64]
 Frames = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 Plane = npt.NDArray[np.uint8]
+Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
 _LEAST_RANGE = 0.01
@@ -78,6 +79,10 @@ smaller one costs time."""
 _HIDDEN = 6.0
 """Largest mean square residual, divided by its median, of a frame that shows the body [1]. Chosen: a smaller value
 omits frames of uneven light, a larger one keeps frames with a hand."""
+_AS_WELL = 1.2
+"""Largest ratio of the misfit at the angle extrapolated from the last frames to that at the rough angle for which the
+first one is used [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one
+removes true jumps."""
 _LARGEST_STEP = 2.0
 """Largest correction of the path by a registration [px]. Chosen: a smaller value needs more iterations, a larger one
 follows wrong fits."""
@@ -85,6 +90,12 @@ follows wrong fits."""
 _BACKGROUND = 60
 """Number of frames for the background, which is their median [frames]. Chosen: memory and time; fewer keep a slow body
 in the background."""
+_ONE_SIGN = 3.0
+"""Smallest ratio of lighter to darker differences from the background, or the inverse, for which a body has one sign
+[1]. Chosen: a smaller value takes marks of a body for the background, a larger one leaves a body at rest in it."""
+_RARE = 0.15
+"""Share of the frames in which the background is visible where a body covers it most of the time [1]. Chosen: a smaller
+value follows noise and shadows, a larger one leaves a body that stays longer in the background."""
 _LAG = 4
 """Distance between two frames in which the pictures of a moving body differ measurably [frames]. Chosen: fewer show
 less motion than noise, more shift the ends of the motion."""
@@ -107,6 +118,17 @@ path at each occlusion, more join different bodies."""
 _AREA = 0.3
 """Smallest relative change of the area of a body that touches another body or is occluded [1]. Chosen: a smaller value
 discards frames of uneven light, a larger one keeps touching bodies."""
+_RESCALED = 0.1
+"""Smallest share of the frames of a path in which only the distance from the camera explains the area of a body, for
+which its size is followed [1]. Chosen: a smaller value follows the noise of the areas, a larger one omits the ends of a
+path towards the camera."""
+_SIMILAR = 0.25
+"""Largest relative change of the moment of an outline, in units of its squared area, of a body whose distance changes
+[1]. Derived: a disc of which half is hidden changes by 0.28; a larger value takes occlusion for distance, a smaller one
+omits bodies that wobble."""
+_TREND = 15, 31
+"""Lengths of the running medians of area and moment [frames]. Chosen: smaller values follow an occlusion, larger ones
+do not follow the distance."""
 _GATE = 0.7
 """Largest distance of a body from its prediction [diameters]. Chosen: a smaller value loses fast bodies, a larger one
 confuses neighbours."""
@@ -258,7 +280,7 @@ def track_free_body(
     starts = [start for path in paths[:_BODIES] if (start := _rotation(film, path, noise)) is not None]
     starts.sort(key=lambda start: -float(np.ptp(start[2])))
     for n, (path, ring, theta, shift) in enumerate(starts):
-        tracked = _along_path(film, path.frame, ring, theta, shift, None, progress)
+        tracked = _along_path(film, path.frame, ring, theta, shift, None, progress, path.scale)
         if tracked.explained < _RIGID or np.std(tracked.angle) < _TURNS * np.median(tracked.sigma):
             continue
         steps = np.diff(tracked.angle) / np.diff(tracked.frame)
@@ -272,6 +294,11 @@ def track_free_body(
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
             notes.append(f"Another body moves as well; --hub {x:.0f},{y:.0f} selects it.")
+        if np.ptp(path.scale) > 0:
+            notes.append(
+                f"The distance of the body from the camera changes: its size in the picture changes by a factor of "
+                f"{path.scale.max() / path.scale.min():.2g}, which is compensated."
+            )
         # the last warning must be the doubt about the result
         notes.append(
             f"The body does not turn about a fixed axis: it moves across the picture by "
@@ -296,14 +323,17 @@ class Path:
     radius: float  # radius of a circle of the same area [px]
     # changed area of the picture in these frames, divided by the changed area in all frames
     share: float = 1.0
+    # size of the body relative to `radius`, (m,); 1 if its distance from the camera is constant
+    scale: Floats = field(default_factory=lambda: np.ones(1))
 
 
 @dataclass
 class _Outline:
-    """A body in one frame: centroid (x, y) [px] and area [px2]."""
+    """A body in one frame: centroid (x, y) [px], area [px2], and polar moment of the area in units of its square."""
 
     place: Floats
     area: float
+    moment: float
 
 
 @dataclass
@@ -313,8 +343,9 @@ class _Link:
     frame: list[int] = field(default_factory=list)
     outline: list[_Outline] = field(default_factory=list)
 
-    def area(self) -> float:
-        return median(o.area for o in self.outline[-10:])
+    def areas(self) -> tuple[float, float]:
+        """Return the median area of the last frames, and the last area [px2]."""
+        return median(o.area for o in self.outline[-10:]), self.outline[-1].area
 
     def expected(self, frame: int) -> Floats:
         """Extrapolate the position with the velocity of the last steps."""
@@ -338,6 +369,7 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     background = median_picture(sample)
     away = max(float(np.quantile(np.abs(frame - background), 0.999)) for frame in sample)
     limit = max(_CONTRAST * noise, _FAINTEST * away)
+    background = _uncovered(background, sample, limit)
     active: list[_Link] = []
     ended: list[_Link] = []
     wanted = set(usable.tolist())
@@ -349,14 +381,45 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     found = []
     for link in ended + active:
         area = np.array([o.area for o in link.outline])
-        whole = np.abs(area / np.median(area) - 1.0) < _AREA
+        whole, scale = _sizes(area, np.array([o.moment for o in link.outline]))
         place = np.array([o.place for o in link.outline])[whole]
         radius = math.sqrt(float(np.median(area)) / math.pi)
         if len(place) >= _FEWEST and np.hypot(*np.ptp(place, axis=0)) > _TRAVEL * 2 * radius:
-            frame = np.array(link.frame, dtype=np.int64)[whole]
-            share = float(changed[np.isin(usable, frame)].sum()) / max(float(moved[-1]), 1.0)
-            found.append(Path(frame, place, radius, share))
+            frames = np.array(link.frame, dtype=np.int64)[whole]
+            share = float(changed[np.isin(usable, frames)].sum()) / max(float(moved[-1]), 1.0)
+            found.append(Path(frames, place, radius, share, scale[whole]))
     return sorted(found, key=lambda p: -p.radius * float(np.hypot(*np.diff(p.place, axis=0).T).sum()))
+
+
+def _uncovered(background: Picture, sample: Sequence[Plane], limit: float) -> Picture:
+    """Return the median of some frames without a body that covers a part of the picture most of the time.
+
+    If nearly all differences larger than `limit` have one sign, the body is lighter, or darker, than the background.
+    Where the median shows the body, the rarer values of the other sign are the background.
+    """
+    sizes = [float(sum(np.count_nonzero(s * (f - background) > limit) for f in sample)) for s in (1.0, -1.0)]
+    if max(sizes) <= _ONE_SIGN * min(sizes):
+        return background
+    sign = 1.0 if sizes[0] > sizes[1] else -1.0
+    rank = int(_RARE * (len(sample) - 1))
+    other = quantile_picture(sample, (rank if sign > 0 else len(sample) - 1 - rank,))
+    return np.where(sign * (background - other) > limit, other, background)
+
+
+def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats]:
+    """Return in which frames of a path the outline is complete, and the size of the body relative to its median size.
+
+    `area` [px2] and `moment` (the polar moment divided by the squared area) are those of the outlines. The moment of a
+    body that touches another one, or is occluded, changes with its area. If only the area changes, and slowly, the
+    distance from the camera does.
+    """
+    ratio = area / np.median(area)
+    usual = np.abs(ratio - 1.0) < _AREA
+    trend, shape = (running_quantile(v, n, n // 2) for v, n in zip((ratio, moment), _TREND, strict=True))
+    similar = (np.abs(ratio / trend - 1.0) < _AREA) & (np.abs(moment / shape - 1.0) < _SIMILAR)
+    if np.mean(similar & ~usual) < _RESCALED:
+        return usual, np.ones(len(area))
+    return similar, np.sqrt(trend)
 
 
 def _changed(film: Film, usable: Frames, limit: float) -> Floats:
@@ -385,7 +448,8 @@ def _outlines(differs: Bools) -> list[_Outline]:
         sums = cv2.moments(contour)
         if sums["m00"] >= _SMALLEST:
             place = np.array([sums["m10"], sums["m01"]]) / sums["m00"]
-            found.append(_Outline(place, float(sums["m00"])))
+            moment = (sums["mu20"] + sums["mu02"]) / sums["m00"] ** 2
+            found.append(_Outline(place, float(sums["m00"]), float(moment)))
     return found
 
 
@@ -395,11 +459,12 @@ def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
     places = np.array([o.place for o in outlines]).reshape(-1, 2)
     areas = np.array([o.area for o in outlines])
     for link in links:
-        area = link.area()
-        gate = _GATE * 2 * math.sqrt(area / math.pi) + 2.0
+        usual, last = link.areas()
+        gate = _GATE * 2 * math.sqrt(usual / math.pi) + 2.0
         misses = [np.hypot(*(places - at).T) for at in (link.expected(index), link.outline[-1].place)]
         miss = np.minimum(*misses)
-        near = np.flatnonzero((miss < gate) & (np.abs(areas / area - 1.0) < _AREA))
+        unlike = np.minimum(np.abs(areas / usual - 1.0), np.abs(areas / last - 1.0))
+        near = np.flatnonzero((miss < gate) & (unlike < _AREA))
         pairs += [(float(miss[n]), n, link) for n in near.tolist()]
     joined: set[int] = set()
     grown: set[int] = set()
@@ -420,7 +485,8 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     )
     shift = path.place - hub
     where = {int(frame): k for k, frame in enumerate(path.frame)}
-    pictures = (ring.unwrap(f, tuple(shift[where[i]])) for i, f in enumerate(film.frames()) if i in where)
+    shown = ((where[i], f) for i, f in enumerate(film.frames()) if i in where)
+    pictures = (ring.scaled(path.scale[k]).unwrap(f, tuple(shift[k])) for k, f in shown)
     polars = StoredPictures.of(len(where), pictures)
     # exclude frames of a body at rest: they contain no information, and a codec copies them without noise
     turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
@@ -431,7 +497,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     if len(moves) < _FEWEST - _LAG:
         return None
     kept = slice(moves[0], moves[-1] + _LAG + 1)
-    path = replace(path, frame=path.frame[kept], place=path.place[kept])
+    path = replace(path, frame=path.frame[kept], place=path.place[kept], scale=path.scale[kept])
     polars, shift = polars[kept], shift[kept]
     allowed = np.ones((ring.rows, ring.columns), dtype=bool)
     nothing = np.zeros((ring.rows, ring.columns), dtype=np.float32)
@@ -455,22 +521,27 @@ def _along_path(
     shift: Floats,
     area: Area | None,
     progress: Progress | None,
+    scale: Floats | None = None,
 ) -> Tracked:
     """Register a body about an approximate path; angle and displacement of the hub are fitted together.
 
     `theta` (m,) are rough angles [rad], from x to y; `shift` (m, 2) are displacements of the hub [px] from the centre
     of the ring. `area` is the part of the picture that is used if the hub moves little; otherwise the whole body is
-    inside the picture.
+    inside the picture. `scale` (m,) is the size of the body in units of the ring, 1 by default.
     """
+    size = np.ones(len(frames)) if scale is None else scale
     theta, shift = theta.copy(), shift.copy()
     use = np.unique(np.linspace(0, len(frames) - 1, _LEARNT).astype(int))
     pictures = film.some(frames[use])
     ring = Ring.about(ring.hub, ring.inner, ring.outer, finest=_MIDDLE, start=ring.start, span=ring.span)
     allowed = np.ones((ring.rows, ring.columns), dtype=bool) if area is None else ring.inside(area)
 
+    def polar_of(frame: Plane, k: int) -> Picture:
+        return ring.scaled(size[k]).unwrap(frame, tuple(shift[k]))
+
     def unwrapped() -> StoredPictures:
         pairs = zip(use, pictures, strict=True)
-        return StoredPictures.of(len(use), (ring.unwrap(f, tuple(shift[k])) for k, f in pairs))
+        return StoredPictures.of(len(use), (polar_of(f, int(k)) for k, f in pairs))
 
     for _ in range(_ROUNDS):
         polars = unwrapped()
@@ -478,7 +549,8 @@ def _along_path(
         poses = [register(p, template, theta[k], move=True) for k, p in zip(use, polars, strict=True)]
         before = theta[use]
         theta[use] = [p.angle for p in poses]
-        shift[use] += np.array([p.shift for p in poses]).clip(-_LARGEST_STEP, _LARGEST_STEP)
+        moved = size[use, None] * np.array([p.shift for p in poses])
+        shift[use] += moved.clip(-_LARGEST_STEP, _LARGEST_STEP)
         if np.std(theta[use] - before) < _SETTLED * np.std(theta):
             break
     polars = unwrapped()
@@ -491,9 +563,16 @@ def _along_path(
     where = {int(frame): k for k, frame in enumerate(frames)}
     live = FrameAngles("single")
     for k, frame in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
-        pose = register(ring.unwrap(frame, tuple(shift[k])), template, theta[k], move=True)
-        shift[k] += np.clip(pose.shift, -_LARGEST_STEP, _LARGEST_STEP)
-        polar = ring.unwrap(frame, tuple(shift[k]))
+        polar = polar_of(frame, k)
+        pose = register(polar, template, theta[k], move=True)
+        if k > 1:
+            # the rough angle may be that of an equal part of the body, or be lost
+            last, before = every[-1].angle, every[-2].angle
+            step = (last - before) * (frames[k] - frames[k - 1]) / (frames[k - 1] - frames[k - 2])
+            steady = register(polar, template, last + step, move=True)
+            pose = steady if steady.misfit < _AS_WELL * pose.misfit else pose
+        shift[k] += np.clip(size[k] * np.array(pose.shift), -_LARGEST_STEP, _LARGEST_STEP)
+        polar = polar_of(frame, k)
         every.append(register(polar, template, pose.angle, move=True))
         halves[:, k] = [-register(polar, part, pose.angle, move=True).angle for part in parts]
         live.add(int(frames[k]), -every[-1].angle)
@@ -506,19 +585,19 @@ def _along_path(
     kept = misfit < _HIDDEN * usual
     formal = np.array([p.formal for p in every]) * np.sqrt(np.maximum(misfit / usual, 1.0))
     # the uncertainty is not below the Cramer-Rao bound
-    scale = max(white_noise(angle[kept], frames[kept]) / float(np.median(formal[kept])), 1.0)
+    larger = max(white_noise(angle[kept], frames[kept]) / float(np.median(formal[kept])), 1.0)
     lost = int((~kept).sum())
     text = f"The body does not match its template in {lost} of {len(kept)} frames, which are omitted."
     return Tracked(
         frame=frames[kept],
         angle=angle[kept],
-        sigma=(scale * formal)[kept],
+        sigma=(larger * formal)[kept],
         ring=ring,
         template=template,
         hub_path=shift[kept],
         explained=share,
         way="",
-        scale=scale,
+        scale=larger,
         halves=halves[:, kept],
         correlated=0.0,
         warnings=(text,) if lost else (),

@@ -90,6 +90,10 @@ class Ring:
             self.hub, inner, outer, finest=finest, start=self.start, span=self.span, stretch=self.stretch
         )
 
+    def scaled(self, factor: float) -> Ring:
+        """Return the ring about a body that is larger in the picture by a factor, with the same number of samples."""
+        return self if factor == 1.0 else replace(self, inner=factor * self.inner, outer=factor * self.outer)
+
     @property
     def tilt(self) -> tuple[float, float] | None:
         """Tilt of the axis from the stretch, and angle of the short axis, counter-clockwise [rad]; None for an arc."""

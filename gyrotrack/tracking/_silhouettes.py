@@ -80,8 +80,13 @@ class Spot:
 
 def median_picture(sample: Sequence[Plane]) -> Picture:
     """Return the median of some frames."""
+    last = len(sample) - 1
+    return quantile_picture(sample, (last // 2, (last + 1) // 2))
+
+
+def quantile_picture(sample: Sequence[Plane], ranks: Sequence[int]) -> Picture:
+    """Return the mean of some order statistics (from 0) of each pixel in some frames."""
     bands = (np.stack([f[y : y + _BAND] for f in sample]) for y in range(0, len(sample[0]), _BAND))
-    ranks = (len(sample) - 1) // 2, len(sample) // 2
     return np.concatenate([np.mean([_ranked(b, k) for k in ranks], axis=0, dtype=np.float32) for b in bands])
 
 

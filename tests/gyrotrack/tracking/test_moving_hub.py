@@ -59,8 +59,8 @@ def table(rng):
     return 60 + 12 * coarse / coarse.std()
 
 
-def film(path, angle, *, radius=14.0, marks=True, noise=2.0, seed=0, second=None):
-    """Draw a disc at places (n, 2) [px] and angles (n,) [rad], counter-clockwise as seen."""
+def film(path, angle, *, radius=14.0, marks=True, noise=2.0, seed=0, second=None, size=None):
+    """Draw a disc at places (n, 2) [px] and angles (n,) [rad], counter-clockwise as seen, and with sizes (n,) [1]."""
     rng = np.random.default_rng(seed)
     background = table(rng)
     bright, cover = disc(radius, marks)
@@ -70,17 +70,18 @@ def film(path, angle, *, radius=14.0, marks=True, noise=2.0, seed=0, second=None
         picture = background.copy()
         bodies = [(path[k], theta)] + ([(second, 0.3)] if second is not None else [])
         for place, turn in bodies:
-            c, s = np.cos(-turn), np.sin(-turn)
+            zoom = 1.0 if size is None else size[k]
+            c, s = zoom * np.cos(-turn), zoom * np.sin(-turn)
             move = np.array([[c, -s, 0], [s, c, 0]])
             # pixel centres of both scales: x_large = (x_small + 0.5) UP - 0.5
             large = (np.asarray(place) + 0.5) * UP - 0.5
             move[:, 2] = large - move[:, :2] @ [(n - 1) / 2, (n - 1) / 2]
-            wide = round(1.2 * radius) + 3  # the body is drawn in its own window
+            wide = round(1.2 * radius * zoom) + 3  # the body is drawn in its own window
             x, y = (max(int(p) - wide, 0) for p in place)
             right, below = min(x + 2 * wide, WIDTH), min(y + 2 * wide, HEIGHT)
             move[:, 2] -= np.array([x, y]) * UP
-            size = ((right - x) * UP, (below - y) * UP)
-            over, mask = (cv2.warpAffine(p, move, size, flags=cv2.INTER_LINEAR) for p in (bright, cover))
+            window = ((right - x) * UP, (below - y) * UP)
+            over, mask = (cv2.warpAffine(p, move, window, flags=cv2.INTER_LINEAR) for p in (bright, cover))
             over, mask = (
                 cv2.resize(p, (right - x, below - y), interpolation=cv2.INTER_AREA)
                 for p in (over * mask, mask)
@@ -135,6 +136,103 @@ def test_frames_in_which_the_body_is_hidden_are_left_out():
     tracked = track_free_body(film(path, angle, second=cover))
     assert np.hypot(*(path[tracked.frame] - cover).T).min() > 14.0
     assert np.std(error_of(tracked, angle)) < 0.02
+
+
+def test_a_body_that_moves_away_from_the_camera_is_followed_while_it_becomes_smaller():
+    count = 90
+    size = np.geomspace(2.6, 0.9, count)
+    path = np.stack([np.linspace(110, 220, count), np.linspace(70, 85, count)], axis=1)
+    angle = np.linspace(0.0, 18.0, count)
+    tracked = track_free_body(film(path, angle, size=size))
+    off = error_of(tracked, angle)
+    assert len(tracked.frame) > 80
+    assert np.std(off) < 0.01
+    assert 0.5 < np.sqrt(np.mean((off / tracked.sigma) ** 2)) < 1.5
+    place = np.array(tracked.ring.hub) + tracked.hub_path
+    assert np.abs(place - path[tracked.frame]).max() < 0.5
+    assert any("its size in the picture changes by a factor of 2.9" in w for w in tracked.warnings)
+
+
+def test_a_body_that_turns_in_one_place_for_most_of_the_film_is_not_a_background():
+    """A light bar covers the same part of the picture in most frames; its centroid is that of the bar alone."""
+    count = 90
+    path, _ = sliding(count)
+    path = 0.15 * path + 0.85 * path[-1]
+    path[:20] = np.linspace((50.0, 40.0), path[20], 20)
+    angle = np.linspace(0.0, 12.0, count)
+    shown = film(path, angle)
+    (found,) = _moving_hub.find_paths(shown, np.arange(count), 2.0)
+    assert len(found.frame) > 80
+    assert np.abs(found.place - path[found.frame]).max() < 1.0
+    assert (found.scale == 1.0).all()
+
+
+class TestSizes:
+    """The area of an outline and its moment, which changes if the body is not seen as a whole."""
+
+    DISC = 1 / (2 * np.pi)
+
+    def sizes(self, area, moment=None):
+        moment = np.full(len(area), self.DISC) if moment is None else moment
+        return _moving_hub._sizes(np.asarray(area), moment)
+
+    @pytest.mark.parametrize(
+        ("ratio", "complete"), [(1.29, True), (1.31, False), (0.71, True), (0.69, False)]
+    )
+    def test_a_few_other_areas_are_those_of_an_incomplete_body(self, ratio, complete):
+        area = np.full(60, 500.0)
+        area[30:33] *= ratio
+        whole, scale = self.sizes(area)
+        assert whole.tolist() == [complete or not 30 <= k < 33 for k in range(60)]
+        assert (scale == 1.0).all()
+
+    def test_the_size_is_the_root_of_the_area(self):
+        size = np.geomspace(3.0, 1.0, 101)
+        whole, scale = self.sizes(80.0 * size**2)
+        assert whole.all()
+        assert scale[8:-8] == pytest.approx(size[8:-8] / size[50])
+        assert scale.max() / scale.min() == pytest.approx(3.0, rel=0.02)
+
+    @pytest.mark.parametrize(
+        ("change", "complete"), [(1.24, True), (1.26, False), (0.76, True), (0.74, False)]
+    )
+    def test_the_moment_of_a_body_that_moves_away_stays(self, change, complete):
+        moment = np.full(101, self.DISC)
+        moment[40:46] *= change
+        whole, _ = self.sizes(80.0 * np.geomspace(3.0, 1.0, 101) ** 2, moment)
+        assert whole.tolist() == [complete or not 40 <= k < 46 for k in range(101)]
+
+    @pytest.mark.parametrize(("share", "followed"), [(0.08, False), (0.12, True)])
+    def test_the_size_is_followed_if_it_changes_in_a_tenth_of_the_frames(self, share, followed):
+        area = np.full(200, 500.0)
+        count = round(200 * share)
+        area[:count] = 500.0 * np.linspace(2.0, 1.5, count)
+        whole, scale = self.sizes(area)
+        assert whole.all() == followed
+        assert (scale.max() > 1.2) == followed
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("covered", "passed", "found"),
+    [
+        (20, 3, True),  # 42 differences of the sign of the body, 10 of the other
+        (20, 2, False),  # 28 and 10
+        (25, 3, True),
+        (26, 3, False),  # the background is seen in fewer than 15 % of the frames
+    ],
+)
+def test_the_background_is_found_where_a_body_covers_it(sign, covered, passed, found):
+    """In 30 frames, a body covers the first pixel for a time, and `passed` other pixels in 14 frames each."""
+    behind, body = 128 - sign * 60, 128
+    frames = np.full((30, 1, 9), behind, dtype=np.uint8)
+    frames[:covered, 0, 0] = body
+    frames[:14, 0, 2 : 2 + passed] = body
+    background = _moving_hub.median_picture(list(frames))
+    assert background[0].tolist() == [body] + 8 * [behind]
+    uncovered = _moving_hub._uncovered(background, list(frames), 20.0)
+    assert uncovered[0].tolist() == [behind if found else body] + 8 * [behind]
+    assert _moving_hub._uncovered(background, list(frames), 61.0) is background
 
 
 @pytest.mark.slow
