@@ -53,7 +53,7 @@ from gyrotrack.io.readers._run import Limits, enough_within, within
 from gyrotrack.plotting._frames import write_body_picture
 from gyrotrack.tracking._any_body import track_body
 from gyrotrack.tracking._diagnosis import RefusedFilmError
-from gyrotrack.tracking._extract import LEAST_TURN, extract, track_doubts
+from gyrotrack.tracking._extract import LEAST_TURN, extract, has_corners, track_doubts
 from gyrotrack.tracking._film import Film, Tilt, fresh_frames, is_coloured
 from gyrotrack.tracking._first_look import FirstLook, first_look, follow_long_body
 from gyrotrack.tracking._moving_hub import track_free_body
@@ -347,8 +347,9 @@ def _papers_markers(
             return None
         found = extract(source, capture_fps=fps, body=options.body, progress=progress)
         tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
-        # coloured objects at rest or in a hand are not markers
-        if any(float(np.ptp(b.angle)) >= LEAST_TURN for b in tracks):
+        # coloured objects at rest or in a hand, and coloured patches without corners, are not markers
+        turns = any(float(np.ptp(b.angle)) >= LEAST_TURN for b in tracks)
+        if turns and has_corners(found.markers.values()):
             note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
             return replace(found, warnings=(*warnings, note, *found.warnings))
     return None

@@ -274,8 +274,12 @@ def test_the_papers_markers_are_those_of_a_body_that_turns(monkeypatch):
     def body(count, swing):
         return SimpleNamespace(time=np.arange(count), angle=swing * np.linspace(0, 1, count))
 
-    def found(*bodies, coloured=True, **options):
-        recording = replace(RECORDING, bodies={str(k): b for k, b in enumerate(bodies)}, warnings=("own",))
+    def found(*bodies, coloured=True, corners=5, **options):
+        rho = np.where(np.arange(100) < corners, 80.0, np.nan)
+        markers = {"red": SimpleNamespace(rho=np.full(100, np.nan)), "blue": SimpleNamespace(rho=rho)}
+        recording = replace(
+            RECORDING, bodies={str(k): b for k, b in enumerate(bodies)}, markers=markers, warnings=("own",)
+        )
         monkeypatch.setattr(_spindown, "is_coloured", lambda _: coloured)
         monkeypatch.setattr(_spindown, "extract", lambda *_, **__: recording)
         return _spindown._papers_markers(Path("a"), StubFilm(count=100), SpindownOptions(**options), None)
@@ -290,6 +294,7 @@ def test_the_papers_markers_are_those_of_a_body_that_turns(monkeypatch):
     assert found(body(50, 9.0), body(100, 2 * least), body(100, 0.0)) is not None
     turns = body(100, 9.0)
     assert found(turns, coloured=False) is None
+    assert found(turns, corners=4) is None
     assert found(turns, hub=(1.0, 2.0)) is None
     assert found(turns, tilt=Tilt(0.1, 0.0)) is None
 

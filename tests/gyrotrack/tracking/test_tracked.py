@@ -326,6 +326,15 @@ def test_markers_that_are_missing_on_a_tracked_body_are_doubts(monkeypatch):
     assert absent.startswith("No red and no cyan marker is found on the casing.")
 
 
+@pytest.mark.parametrize(("corners", "doubted"), [(4, True), (5, False)])
+def test_coloured_patches_without_corners_are_doubted(corners, doubted):
+    never = SimpleNamespace(rho=np.full(100, np.nan))
+    some = SimpleNamespace(rho=np.where(np.arange(100) < corners, 80.0, np.nan))
+    assert bool(module._without_corners({"red": never, "blue": some})) == doubted
+    assert module._without_corners({"red": never})
+    assert module._without_corners({}) == ()
+
+
 @pytest.mark.parametrize(
     ("workers", "parts", "told"),
     [
