@@ -147,9 +147,9 @@ class TestCurve:
 
     ROWS, FINE = 40, 5
 
-    def setting(self, noise, seed=0):
+    def setting(self, noise, seed=0, weak=0.02):
         rng = np.random.default_rng(seed)
-        fine = rng.standard_normal((self.ROWS, self.FINE)) * [30.0, 20.0, 10.0, 1.0, 0.02]
+        fine = rng.standard_normal((self.ROWS, self.FINE)) * [30.0, 20.0, 10.0, 1.0, weak]
         gain = rng.uniform(0.5, 2.0, self.ROWS)
         basis = np.linalg.qr(rng.standard_normal((self.ROWS, 2)))[0]
         white = gain[:, None] * (2.0 * fine)
@@ -184,11 +184,13 @@ class TestCurve:
                     best = deviance, back, back @ r, np.sqrt(scatter), known.sum()
         return best
 
-    @pytest.mark.parametrize(("noise", "rough"), [(1.0, False), (0.2, False), (6.0, True)])
-    def test_it_is_the_determined_part_at_the_most_likely_strength(self, noise, rough):
-        context, level, test, response = self.setting(noise)
+    @pytest.mark.parametrize(
+        ("noise", "weak", "rough"), [(1.0, 0.02, False), (0.2, 0.02, False), (6.0, 0.02, True), (1.0, 0.06, False)]
+    )
+    def test_it_is_the_determined_part_at_the_most_likely_strength(self, noise, weak, rough):
+        context, level, test, response = self.setting(noise, weak=weak)
         _, back, torque, scatter, known = self.expected(level, test, response)
-        assert 0 < known < 5
+        assert known == (5 if weak > 0.02 else 4 if noise <= 1.0 else known)
         assert bool(scatter > 2.0) is rough
         found, sigma, identified = module._curve(context, level, test)
         assert found == pytest.approx(torque, rel=1e-4)
@@ -201,7 +203,20 @@ class TestCurve:
     def test_pairs_and_harmonics_of_the_rotor_have_none(self):
         context, level, test, _ = self.setting(1.0)
         for changed in (test._replace(value=np.zeros(0)), test._replace(priors=())):
-            assert [x.size for x in module._curve(context, level, changed)] == [0, 0, 0]
+            assert [x.shape for x in module._curve(context, level, changed)] == [(0,), (0,), (0, 0)]
+
+
+@pytest.mark.parametrize(("rest", "explained"), [(0.5, 1.0 - 2 / 200), (5.0, 198 / (200 + 15 * 25 - 15 - 2))])
+def test_the_explained_share_is_that_of_the_excess_of_chi_square(rest, explained):
+    """Of 20 rows with three free columns, two functions that fall by 200, and 15 rows of a residual."""
+    residual = np.concatenate([np.zeros(3), [10.0, -10.0], np.full(15, rest)])
+    level = SimpleNamespace(gain=np.ones(20), basis=np.eye(20)[:, :3], residual=residual, deviance=0.0)
+    context = SimpleNamespace(levels=[level], draws=np.zeros((20, 7)), rotated=lambda c: c)
+    test = module._Test("casing", ("t", "delta"), np.eye(20)[:, [3, 4]], None, np.zeros(0), None, ())
+    found, null = module._tested(context, test)
+    assert found.explained == pytest.approx(explained)
+    assert (found.score, found.columns, found.variable, found.body) == (pytest.approx(200.0), 2, "t*delta", "casing")
+    assert null.tolist() == [1.0] * 7
 
 
 def test_functions_that_the_base_contains_are_not_tested():

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import Case, Ledger, LedgerError, RecordError, fit, load_fit, make_record
+from fitting import Case, Estimate, Ledger, LedgerError, RecordError, fit, load_fit, make_record
 from fitting.discovery._certificate import Certificate, Outcome
+from fitting.discovery._difference import DifferentParameter, ValuesPerRecording
 from fitting.inference._profile import Interval
 from fitting.inference._record import Samples
 from fitting.study import _history, _preparation, _serialisation
@@ -438,3 +439,49 @@ class TestDocuments:
         (tmp_path / "fit.json").write_text(json.dumps(document))
         with pytest.raises(LedgerError, match="size of the covariance"):
             load_fit(tmp_path / "fit.json")
+
+
+class TestPriors:
+    KNOWN = {
+        "fit_id": "f1", "model": [], "parameters": {}, "digests": ["d"], "verdict": "x", "variables": ["a", "b"],
+        "covariance": [[4.0, 0.5], [0.5, 1.0]], "share": ["s"], "per_case": ["p"],
+    }  # fmt: skip
+
+    def test_an_entry_has_the_variables_of_its_covariance(self):
+        entry = Entry(self.KNOWN)
+        assert (entry.variables, entry.covariance) == (["a", "b"], [[4.0, 0.5], [0.5, 1.0]])
+        assert entry.choices == (("s",), ("p",))
+        assert entry.digests == ["d"]
+        bare = Entry({k: v for k, v in self.KNOWN.items() if k not in ("variables", "covariance")})
+        assert (bare.variables, bare.covariance) == ([], [])
+
+    def test_a_stored_prior_is_that_of_the_fit(self):
+        prior = {"names": ["a", "b"], "mean": [1.0, 2.0], "covariance": [[4.0, 0.5], [0.5, 1.0]], "source": "run (f2)"}
+        found = Entry(self.KNOWN | {"prior": prior}).prior
+        assert (found.names, found.mean, found.source) == (("a", "b"), (1.0, 2.0), "run (f2)")
+        assert found.covariance == ((4.0, 0.5), (0.5, 1.0))
+
+
+def test_a_difference_is_stored_with_bounds_and_shown_without():
+    def estimate(value):
+        return Estimate(value, 0.5, "N m", at_bound=False, min=0.0, max=9.0)
+
+    values = {"one": estimate(1.0), "two": estimate(3.0)}
+    other = ValuesPerRecording("b.c", {"one": estimate(7.0)}, {"two": estimate(8.0)})
+    found = DifferentParameter("a.k", values, {"two": estimate(2.0)}, ("z.y",), -12.0, 0.003, (other,))
+    assert _serialisation.difference_document(None) is None
+    assert _serialisation.shown_difference(None) is None
+    stored = _serialisation.difference_document(found)
+    assert (stored.parameter, stored.delta_bic, stored.p_value) == ("a.k", -12.0, 0.003)
+    assert stored.indistinguishable_from == ["z.y"]
+    assert {k: (v.value, v.stderr, v.min, v.max) for k, v in stored.values.items()} == {
+        "one": (1.0, 0.5, 0.0, 9.0),
+        "two": (3.0, 0.5, 0.0, 9.0),
+    }
+    assert stored.differences["two"].value == 2.0
+    ((more),) = stored.others
+    assert (more.parameter, more.values["one"].value, more.differences["two"].value) == ("b.c", 7.0, 8.0)
+    shown = _serialisation.shown_difference(found)
+    assert shown["values"]["two"]["value"] == 3.0
+    assert "max" not in shown["values"]["two"]
+    assert (shown["parameter"], shown["others"][0]["parameter"]) == ("a.k", "b.c")
