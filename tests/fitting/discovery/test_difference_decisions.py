@@ -384,3 +384,23 @@ class TestDependence:
         assert (found.torque, found.sigma, found.identified) == (1.0, 2.0, 3.0)
         context.levels[0].deviance, context.levels[1].deviance = 900.0, 100.0
         assert _dependence._tested(context, test)[0].score == pytest.approx(0.01 * fall)
+
+
+def test_a_difference_has_the_uncertainty_of_correlated_values():
+    covariance = np.array([[4.0, 0.0, 1.5, -1.0], [0.0, 9.0, 0.0, 0.0], [1.5, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 2.0]])
+    index = {"a.k@x": 0, "b.c": 1, "a.k@y": 2, "a.k@z": 3}
+    theta = np.array([5.0, 0.0, 7.0, 1.0])
+    estimates = {n: Estimate(float(theta[i]), 0.1, "s", at_bound=False) for n, i in index.items()}
+    records = [SimpleNamespace(label=x) for x in "xyz"]
+    layout = SimpleNamespace(records=records, index=index)
+    fit = SimpleNamespace(
+        problem=SimpleNamespace(layout=layout), estimates=estimates, covariance=covariance, theta=theta
+    )
+    found = _difference._values(fit, "a.k")
+    assert found.name == "a.k"
+    assert {k: e.value for k, e in found.estimates.items()} == {"x": 5.0, "y": 7.0, "z": 1.0}
+    assert {k: (e.value, e.stderr, e.unit) for k, e in found.differences.items()} == {
+        "y": (2.0, pytest.approx(math.sqrt(2.0)), "s"),
+        "z": (-4.0, pytest.approx(math.sqrt(8.0)), "s"),
+    }
+    assert found.largest == pytest.approx(math.sqrt(2.0))
