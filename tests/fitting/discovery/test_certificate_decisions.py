@@ -170,3 +170,102 @@ def test_a_pair_of_hypotheses_has_its_row_of_counted_answers():
     found = module.Certificate(3, "missing_effect", (name,), 1.0, outcomes)
     words = found.in_words(name)
     assert found.rows == [("none", "3", "no effect 2; undecided 1"), (words, "1", f"{words} 1")]
+
+
+class TestHypotheses:
+    """The effect e is named; f and g are in its class, h to k follow, of which i is not significant."""
+
+    def hypotheses(self, monkeypatch, verdict="missing_effect", *, fails=(), names="ehgfijk", others=("f", "g")):
+        def with_effect(base, c):
+            assert base == "base"
+            return None if c.effect.name in fails else SimpleNamespace(name=c.effect.name, noise=f"noise {c.effect.name}")
+
+        monkeypatch.setattr(module, "_with_effect", with_effect)
+        monkeypatch.setattr(module, "replace", lambda fit, noise: (getattr(fit, "name", fit), noise))
+        candidates = [
+            SimpleNamespace(effect=SimpleNamespace(name=n), significant=n != "i", indistinguishable_from=others if n == "e" else ())
+            for n in names
+        ]  # fmt: skip
+        found = SimpleNamespace(fit="base", verdict=verdict, candidates=candidates)
+        return [(h.kind, h.effect, getattr(h.fit, "name", h.fit)) for h in module.hypotheses(found)]
+
+    def test_rivals_of_the_class_come_first(self, monkeypatch):
+        found = self.hypotheses(monkeypatch)
+        assert found == [
+            ("null", "", ("base", "noise e")),
+            ("truth", "e", "e"),
+            ("rival", "g", ("g", "noise e")),
+            ("rival", "f", ("f", "noise e")),
+            ("rival", "h", ("h", "noise e")),
+        ]
+
+    def test_a_rival_without_a_fit_leaves_its_place(self, monkeypatch):
+        assert [e for _, e, _ in self.hypotheses(monkeypatch, fails="g")] == ["", "e", "f", "h", "j"]
+        assert [e for _, e, _ in self.hypotheses(monkeypatch, fails="ghj")] == ["", "e", "f", "k"]
+        assert [e for _, e, _ in self.hypotheses(monkeypatch, others=())] == ["", "e", "h", "g", "f"]
+
+    def test_without_a_named_effect_or_its_fit_there_is_the_null_hypothesis(self, monkeypatch):
+        null = [("null", "", "base")]
+        assert self.hypotheses(monkeypatch, "undecided") == null
+        assert self.hypotheses(monkeypatch, names="") == null
+        assert self.hypotheses(monkeypatch, fails="e") == null
+
+
+@pytest.mark.parametrize(("n", "rival"), [(200, 50), (201, 51), (16, 4), (17, 5), (10, 4), (4, 4), (3, 3), (1, 1)])
+def test_a_rival_has_a_quarter_of_the_recordings_and_four_at_the_least(n, rival):
+    kinds = [module.Hypothesis(kind, kind, None) for kind in ("null", "truth", "rival")]
+    items = module._planned(kinds, n)
+    assert [sum(i[0] == kind for i in items) for kind in ("null", "truth", "rival")] == [n, n, rival]
+    assert [i[2] for i in items] == sorted(i[2] for i in items)
+    assert items[:3] == [(k, k, 0) for k in ("null", "truth", "rival")]
+
+
+@pytest.mark.parametrize(("processes", "rounds"), [(0, [1, 5, 9, 10]), (1, [2, 10]), (2, [3, 10]), (20, [10])])
+def test_recordings_are_simulated_in_rounds_of_which_the_first_is_short(monkeypatch, processes, rounds):
+    """Of twelve recordings, two are known."""
+    monkeypatch.setattr(module, "hypotheses", lambda found: [module.Hypothesis("null", "", None)])
+    monkeypatch.setattr(module.Certificate, "of_answer", lambda found, outcomes, n, seed: (outcomes, n, seed))
+
+    class Workers:
+        def __init__(self):
+            self.processes, self.calls = processes, []
+
+        def map(self, function, work, items):
+            assert function is module._outcome
+            assert (work.seed, work.criteria, work.extra) == (5, "of the fit", ("own",))
+            self.calls.append(items)
+            return [Outcome(*item, "adequate", (), 1.0, {}) for item in items]
+
+    known = [Outcome("null", "", k, "known", (), 1.0, {}) for k in (3, 7, 99)]
+    workers, kept = Workers(), []
+    found = SimpleNamespace(fit=SimpleNamespace(criteria="of the fit"))
+    outcomes, n, seed = module.certify(
+        found, 12, seed=5, extra=["own"], known=known, workers=workers,
+        keep=lambda done, total: kept.append((len(done), total)),
+    )  # fmt: skip
+    assert (n, seed) == (12, 5)
+    assert [o.number for o in outcomes] == list(range(12))
+    assert [o.number for o in outcomes if o.verdict == "known"] == [3, 7]
+    assert kept == [(2 + k, 12) for k in rounds]
+    assert [i[2] for part in workers.calls for i in part] == [k for k in range(12) if k not in (3, 7)]
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "total", "inside"),
+    [
+        (1.195, 0.1, 0.0, True), (1.197, 0.1, 0.0, False), (0.805, 0.1, 0.0, True), (0.803, 0.1, 0.0, False),
+        (1.39, 0.1, 0.2, True), (1.40, 0.1, 0.2, False), (1.1, 0.1, 0.01, True),
+    ],
+)  # fmt: skip
+def test_an_interval_contains_the_simulated_value(monkeypatch, value, stderr, total, inside):
+    monkeypatch.setattr(module, "combined_uncertainties", lambda found: {"k": total} if total else {})
+
+    def fit(value, stderr, converged=True):
+        known = {"k": SimpleNamespace(value=value, stderr=stderr), "held": SimpleNamespace(value=1.0, stderr=0.0)}
+        known["bound"] = SimpleNamespace(value=1.0, stderr=math.nan)
+        return SimpleNamespace(estimates=known, converged=converged)
+
+    truth = fit(1.0, 0.3)
+    truth.estimates["only there"] = None
+    assert module._inside(fit(value, stderr), truth) == {"k": inside}
+    assert module._inside(fit(value, stderr, converged=False), truth) == {}
