@@ -172,3 +172,51 @@ def test_without_any_run_there_is_no_proposal(monkeypatch):
     assert order == ["explore"]
     assert module.next_run("information", "rivals", "criteria", ["a run"]) == "result"
     assert order == ["explore", "explore", "refine", "vary_apparatus", "result"]
+
+
+class TestSearch:
+    """Two recordings; the windows of the first last 2, 3 and 9 s, and its casing begins at 7 rad/s."""
+
+    def search(self, windows=(2.0, 3.0, 9.0)):
+        runs = [SimpleNamespace(time=np.array([20.0, 20.0 + w])) for w in windows]
+        speeds = (None, np.array([[900.0, 7.0], [800.0, 60.0]]))
+        data = [SimpleNamespace(record=SimpleNamespace(rotor=runs), initial_speeds=speeds), SimpleNamespace()]
+        fit = SimpleNamespace(problem=SimpleNamespace(data=data))
+        information = SimpleNamespace(
+            fit=fit, parameters=2, candidates=[("e", {})], present=np.eye(3), places=lambda i: [2]
+        )
+        bounds = module.Bounds((300.0, 900.0), (-50.0, 150.0), (100.0, 300.0))
+        return module._RunSearch(information, [], SimpleNamespace(experiment_sigma=3.0), bounds, 60, None)
+
+    def test_a_run_is_a_point_between_the_bounds(self):
+        search = self.search()
+        run = search._run(np.array([0.5, 0.25, 1.0, 0.9, 0.1, 0.5]), -1.0)
+        assert (run.omega_rotor, run.omega_casing, run.duration) == (-600.0, 0.0, 300.0)
+        # three windows of the median length, in 291 s that are left
+        assert run.window_length == 3.0
+        assert run.windows == pytest.approx((29.1, 148.5, 267.9))
+        assert search._start == 7.0
+
+    def test_windows_fit_into_a_short_run(self):
+        run = self.search((90.0, 80.0, 70.0))._run(np.array([0.0, 0.0, 0.0, 0.2, 0.4, 0.6]), 1.0)
+        assert run.window_length == pytest.approx(100 / 3)
+        assert run.windows == pytest.approx((0.0, 100 / 3, 200 / 3))
+        alone = self.search(())._run(np.array([0.0, 1.0, 0.5]), 1.0)
+        assert (alone.windows, alone.window_length) == ((), 0.0)
+        assert (alone.omega_rotor, alone.omega_casing, alone.duration) == (300.0, 150.0, 200.0)
+
+    def test_the_search_is_given_what_is_asked(self, monkeypatch):
+        made = []
+
+        class Search:
+            tried = ()
+
+            def __init__(self, *args):
+                made.append(args)
+
+            def explore(self):
+                pass
+
+        monkeypatch.setattr(module, "_RunSearch", Search)
+        module.next_run("information", "rivals", "criteria", "bounds", evaluations=7, progress="progress")
+        assert made == [("information", "rivals", "criteria", "bounds", 7, "progress")]
