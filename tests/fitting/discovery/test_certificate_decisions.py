@@ -138,7 +138,9 @@ class TestWithEffect:
     def base(self, monkeypatch, kind="works"):
         model = type("Model", (str,), {"names": ("a", "e")})(kind)
         monkeypatch.setattr(module, "with_candidate", lambda base, effect: model)
-        return SimpleNamespace(estimates={"a.k": SimpleNamespace(value=2.0), "e.k": SimpleNamespace(value=5.0)})
+        return SimpleNamespace(
+            estimates={"a.k": SimpleNamespace(value=2.0), "e.k": SimpleNamespace(value=5.0)}
+        )
 
     @pytest.mark.parametrize("converged", [True, False])
     def test_the_fit_of_the_candidate_is_used(self, calls, monkeypatch, converged):
@@ -175,17 +177,27 @@ def test_a_pair_of_hypotheses_has_its_row_of_counted_answers():
 class TestHypotheses:
     """The effect e is named; f and g are in its class, h to k follow, of which i is not significant."""
 
-    def hypotheses(self, monkeypatch, verdict="missing_effect", *, fails=(), names="ehgfijk", others=("f", "g")):
+    def hypotheses(
+        self, monkeypatch, verdict="missing_effect", *, fails=(), names="ehgfijk", others=("f", "g")
+    ):
         def with_effect(base, c):
             assert base == "base"
-            return None if c.effect.name in fails else SimpleNamespace(name=c.effect.name, noise=f"noise {c.effect.name}")
+            return (
+                None
+                if c.effect.name in fails
+                else SimpleNamespace(name=c.effect.name, noise=f"noise {c.effect.name}")
+            )
 
         monkeypatch.setattr(module, "_with_effect", with_effect)
         monkeypatch.setattr(module, "replace", lambda fit, noise: (getattr(fit, "name", fit), noise))
         candidates = [
-            SimpleNamespace(effect=SimpleNamespace(name=n), significant=n != "i", indistinguishable_from=others if n == "e" else ())
+            SimpleNamespace(
+                effect=SimpleNamespace(name=n),
+                significant=n != "i",
+                indistinguishable_from=others if n == "e" else (),
+            )
             for n in names
-        ]  # fmt: skip
+        ]
         found = SimpleNamespace(fit="base", verdict=verdict, candidates=candidates)
         return [(h.kind, h.effect, getattr(h.fit, "name", h.fit)) for h in module.hypotheses(found)]
 
@@ -211,7 +223,9 @@ class TestHypotheses:
         assert self.hypotheses(monkeypatch, fails="e") == null
 
 
-@pytest.mark.parametrize(("n", "rival"), [(200, 50), (201, 51), (16, 4), (17, 5), (10, 4), (4, 4), (3, 3), (1, 1)])
+@pytest.mark.parametrize(
+    ("n", "rival"), [(200, 50), (201, 51), (16, 4), (17, 5), (10, 4), (4, 4), (3, 3), (1, 1)]
+)
 def test_a_rival_has_a_quarter_of_the_recordings_and_four_at_the_least(n, rival):
     kinds = [module.Hypothesis(kind, kind, None) for kind in ("null", "truth", "rival")]
     items = module._planned(kinds, n)
@@ -220,7 +234,9 @@ def test_a_rival_has_a_quarter_of_the_recordings_and_four_at_the_least(n, rival)
     assert items[:3] == [(k, k, 0) for k in ("null", "truth", "rival")]
 
 
-@pytest.mark.parametrize(("processes", "rounds"), [(0, [1, 5, 9, 10]), (1, [2, 10]), (2, [3, 10]), (20, [10])])
+@pytest.mark.parametrize(
+    ("processes", "rounds"), [(0, [1, 5, 9, 10]), (1, [2, 10]), (2, [3, 10]), (20, [10])]
+)
 def test_recordings_are_simulated_in_rounds_of_which_the_first_is_short(monkeypatch, processes, rounds):
     """Of twelve recordings, two are known."""
     monkeypatch.setattr(module, "hypotheses", lambda found: [module.Hypothesis("null", "", None)])
@@ -261,7 +277,10 @@ def test_an_interval_contains_the_simulated_value(monkeypatch, value, stderr, to
     monkeypatch.setattr(module, "combined_uncertainties", lambda found: {"k": total} if total else {})
 
     def fit(value, stderr, converged=True):
-        known = {"k": SimpleNamespace(value=value, stderr=stderr), "held": SimpleNamespace(value=1.0, stderr=0.0)}
+        known = {
+            "k": SimpleNamespace(value=value, stderr=stderr),
+            "held": SimpleNamespace(value=1.0, stderr=0.0),
+        }
         known["bound"] = SimpleNamespace(value=1.0, stderr=math.nan)
         return SimpleNamespace(estimates=known, converged=converged)
 

@@ -61,7 +61,11 @@ class TestFunctions:
             ("rotor", ("t",)),
         ]
         response = Case.response
-        acting = {"casing": response.casing, "rotor": response.rotor, "bearing": response.casing - response.rotor}
+        acting = {
+            "casing": response.casing,
+            "rotor": response.rotor,
+            "bearing": response.casing - response.rotor,
+        }
         for test in tests:
             w, values = acting[test.body], [MOTION[v] for v in test.variables]
             assert test.columns.shape[0] == 142
@@ -83,7 +87,9 @@ class TestFunctions:
                 assert test.basis.shape == (120, test.fine.shape[1])
                 assert test.fine.shape[1] > rows.shape[1]
                 c = np.linalg.lstsq(test.basis, test.value**2, rcond=None)[0]
-                assert test.fine[:70] @ c == pytest.approx(w @ v**2, rel=1e-6, abs=1e-6 * np.abs(w @ v**2).max())
+                assert test.fine[:70] @ c == pytest.approx(
+                    w @ v**2, rel=1e-6, abs=1e-6 * np.abs(w @ v**2).max()
+                )
                 assert len(test.priors) == 9
 
     def test_a_body_alone_has_no_rotor(self):
@@ -185,7 +191,8 @@ class TestCurve:
         return best
 
     @pytest.mark.parametrize(
-        ("noise", "weak", "rough"), [(1.0, 0.02, False), (0.2, 0.02, False), (6.0, 0.02, True), (1.0, 0.06, False)]
+        ("noise", "weak", "rough"),
+        [(1.0, 0.02, False), (0.2, 0.02, False), (6.0, 0.02, True), (1.0, 0.06, False)],
     )
     def test_it_is_the_determined_part_at_the_most_likely_strength(self, noise, weak, rough):
         context, level, test, response = self.setting(noise, weak=weak)
@@ -215,7 +222,12 @@ def test_the_explained_share_is_that_of_the_excess_of_chi_square(rest, explained
     test = module._Test("casing", ("t", "delta"), np.eye(20)[:, [3, 4]], None, np.zeros(0), None, ())
     found, null = module._tested(context, test)
     assert found.explained == pytest.approx(explained)
-    assert (found.score, found.columns, found.variable, found.body) == (pytest.approx(200.0), 2, "t*delta", "casing")
+    assert (found.score, found.columns, found.variable, found.body) == (
+        pytest.approx(200.0),
+        2,
+        "t*delta",
+        "casing",
+    )
     assert null.tolist() == [1.0] * 7
 
 

@@ -387,7 +387,9 @@ class TestDependence:
 
 
 def test_a_difference_has_the_uncertainty_of_correlated_values():
-    covariance = np.array([[4.0, 0.0, 1.5, -1.0], [0.0, 9.0, 0.0, 0.0], [1.5, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 2.0]])
+    covariance = np.array(
+        [[4.0, 0.0, 1.5, -1.0], [0.0, 9.0, 0.0, 0.0], [1.5, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 2.0]]
+    )
     index = {"a.k@x": 0, "b.c": 1, "a.k@y": 2, "a.k@z": 3}
     theta = np.array([5.0, 0.0, 7.0, 1.0])
     estimates = {n: Estimate(float(theta[i]), 0.1, "s", at_bound=False) for n, i in index.items()}

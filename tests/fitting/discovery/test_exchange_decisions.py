@@ -24,7 +24,15 @@ def law(name, lower=-9.0, upper=9.0, *, shape=False, per_case=False):
 def scored(effect, direction, *, absorbed=False, columns=1, cases=1):
     symbols = {"n": 1.0} if len(effect.parameters) > 1 else {}
     return Score(
-        effect, 0.0, np.zeros(columns), (symbols,) * cases, columns, 1, absorbed=absorbed, direction=direction, null=NONE
+        effect,
+        0.0,
+        np.zeros(columns),
+        (symbols,) * cases,
+        columns,
+        1,
+        absorbed=absorbed,
+        direction=direction,
+        null=NONE,
     )
 
 
@@ -81,7 +89,9 @@ class Setting:
         """Return names and change of BIC of all exchanges; `laws` are those that take part."""
         every = [self.own_score, *laws]
         columns = [self.own, *(self.columns[s.effect.name] for s in laws)]
-        number = [1] + [s.columns + len(s.shape[0]) * (len(s.shape) if s.effect.per_case else 1) for s in laws]
+        number = [1] + [
+            s.columns + len(s.shape[0]) * (len(s.shape) if s.effect.per_case else 1) for s in laws
+        ]
         found, added = {}, 0.0
         for count in (0, 1, 2):
             for chosen in itertools.combinations(range(len(every)), count):
@@ -93,7 +103,9 @@ class Setting:
                 gammas = np.split(np.array(gammas), np.cumsum([columns[i].shape[1] for i in chosen]))
                 limits = [every[i].effect.amplitude for i in chosen]
                 if any(
-                    ((g < a.lower) | (g > a.upper)).any() for i, g, a in zip(chosen, gammas, limits, strict=False) if i
+                    ((g < a.lower) | (g > a.upper)).any()
+                    for i, g, a in zip(chosen, gammas, limits, strict=False)
+                    if i
                 ):
                     continue
                 if 0 in chosen:
@@ -138,7 +150,12 @@ class TestExchanges:
             scored(law(name, lower, upper), directions(3)[i])
             for i, (name, lower, upper) in enumerate([("a", 1.0, 9.0), ("b", 0.0, 2.0), ("c", -9.0, 9.0)])
         ]
-        for a, b, taken in ((1.3, 1.7, {"a", "b", "c"}), (0.7, 1.7, {"b", "c"}), (1.3, 2.4, {"a", "c"}), (-5.0, -1.0, {"c"})):
+        for a, b, taken in (
+            (1.3, 1.7, {"a", "b", "c"}),
+            (0.7, 1.7, {"b", "c"}),
+            (1.3, 2.4, {"a", "c"}),
+            (-5.0, -1.0, {"c"}),
+        ):
             setting = Setting(monkeypatch, laws, true={"a": a, "b": b, "c": 1.0})
             # in the model of both, each strength is near its true value
             both = {k for k in setting.found(-1e6) if len(k) == 2}
@@ -213,7 +230,9 @@ def test_a_refit_begins_with_the_strengths_of_first_order(monkeypatch, deviance)
         module, "initial_values_of", lambda about, s: {f"{s.effect.name}.k@1": 5.0, f"{s.effect.name}.n": 1.5}
     )
     about = SimpleNamespace(
-        model=Known(("old", "b")), noise="noise", values={"old.k": 1.0, "older.k": 3.0, "b.k": 2.0, "initial": 9.0}
+        model=Known(("old", "b")),
+        noise="noise",
+        values={"old.k": 1.0, "older.k": 3.0, "b.k": 2.0, "initial": 9.0},
     )
     change = module.Exchange(law("old"), (scored(law("x", shape=True), NONE), scored(law("y"), NONE)), -5.0)
     found = change.refit(about)

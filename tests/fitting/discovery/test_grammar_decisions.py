@@ -126,7 +126,9 @@ class TestShapes:
             ("few frequencies", "s-1", math.pi / 80, 2 * math.pi, math.pi / 40, math.pi, 62),
         ],
     )
-    def test_bounds_and_trial_values_follow_speed_and_span(self, kind, unit, lower, upper, first, last, count):
+    def test_bounds_and_trial_values_follow_speed_and_span(
+        self, kind, unit, lower, upper, first, last, count
+    ):
         p = module._shape("c", kind, 10.0, 40.0)
         assert (p.symbol, p.unit, p.role, p.relative) == ("c", unit, "shape", False)
         assert (p.lower, p.upper) == (pytest.approx(lower), pytest.approx(upper))
@@ -158,18 +160,24 @@ class TestShapes:
         law = module._of_speed(form, "casing", "omega_c", (low, high), 40.0)
         exponent = law.effect.parameters[1]
         assert (min(exponent.grid) > 0) is positive
-        speed = module._of_speed(module._OF_SPEED[1], "casing", "omega_c", (low, high), 40.0).effect.parameters[1]
+        speed = module._of_speed(
+            module._OF_SPEED[1], "casing", "omega_c", (low, high), 40.0
+        ).effect.parameters[1]
         assert speed.upper == pytest.approx(3000.0)
         assert speed.lower == pytest.approx(0.3)
 
 
 def test_laws_of_a_name_are_numbered():
     names = [x.effect.name for x in laws() if x.effect.name.startswith("law.casing.omega_c.saturation")]
-    assert names == ["law.casing.omega_c.saturation"] + [f"law.casing.omega_c.saturation_{i}" for i in (2, 3, 4, 5)]
+    assert names == ["law.casing.omega_c.saturation"] + [
+        f"law.casing.omega_c.saturation_{i}" for i in (2, 3, 4, 5)
+    ]
     assert "law.casing.omega_r_t.product" in {x.effect.name for x in laws()}
     assert "law.bearing.t.decay_in_time" in {x.effect.name for x in laws()}
 
 
 def test_a_body_alone_has_the_laws_of_its_own_motion():
     alone = {x.effect.law for x in laws(bodies=("casing",), angles=False)}
-    assert alone == {law for (body, law) in expected() if body == "casing" and "omega_r" not in law and "psi" not in law}
+    assert alone == {
+        law for (body, law) in expected() if body == "casing" and "omega_r" not in law and "psi" not in law
+    }

@@ -100,7 +100,9 @@ class TestExplanations:
         assert planned(self.A, self.B, contact=object()) == ("", [])
         assert planned(self.A, self.B, chain=True) == ("", [])
 
-    @pytest.mark.parametrize(("laws", "told"), [((1, 1), True), ((1, 0), False), ((0, 0), False), ((1, 0, 1), True)])
+    @pytest.mark.parametrize(
+        ("laws", "told"), [((1, 1), True), ((1, 0), False), ((0, 0), False), ((1, 0, 1), True)]
+    )
     def test_of_an_oscillation_two_restoring_laws_need_a_larger_angle(self, planned, laws, told):
         rivals = [(str(i), [effect("z"), effect("y", restoring=bool(r))], {}) for i, r in enumerate(laws)]
         sentence, calls = planned(*rivals, reversals=(1.0,))
@@ -110,7 +112,9 @@ class TestExplanations:
 def test_a_value_of_each_recording_counts_by_its_mean(monkeypatch):
     law = effect("a.b", shape=True)
     monkeypatch.setattr(
-        module, "parameters_at", lambda effects, records: {f"a.b.{p.symbol}": p for p in effects[0].parameters}
+        module,
+        "parameters_at",
+        lambda effects, records: {f"a.b.{p.symbol}": p for p in effects[0].parameters},
     )
     known = {"a.b.k@one": 2.0, "a.b.k@two": 5.0, "a.b.kk": 100.0}
     found = module._mean_values(law, {k: SimpleNamespace(value=v) for k, v in known.items()}, ())
@@ -136,7 +140,13 @@ class TestTrial:
     def test_its_value_is_that_of_the_information_with_it(self):
         search, seen = self.search(np.full((2, 2), 3.0))
         found = search._try("x", -1.0, "run")
-        assert (found.value, found.x, found.sense, found.run, found.planned) == (16.0, "x", -1.0, "run", "planned")
+        assert (found.value, found.x, found.sense, found.run, found.planned) == (
+            16.0,
+            "x",
+            -1.0,
+            "run",
+            "planned",
+        )
         assert (found.added == 3.0).all()
         search._try("x", -1.0, "run")
         search._try("x", -1.0, "run")
@@ -147,7 +157,12 @@ class TestTrial:
 
     @pytest.mark.parametrize(
         "added",
-        [SimulationError("no motion"), np.linalg.LinAlgError(), np.array([[1.0, np.nan], [0.0, 1.0]]), np.full((2, 2), np.inf)],
+        [
+            SimulationError("no motion"),
+            np.linalg.LinAlgError(),
+            np.array([[1.0, np.nan], [0.0, 1.0]]),
+            np.full((2, 2), np.inf),
+        ],
     )
     def test_a_run_without_a_motion_is_left_out(self, added):
         search, seen = self.search(added)

@@ -823,6 +823,8 @@ def test_an_upper_limit_is_at_least_that_of_the_refit(monkeypatch, values, shape
     limits = SimpleNamespace(
         effect=SimpleNamespace(name="a"), strength="k", shape=shape, absorbed=absorbed, upper_limit=2.0
     )
-    refit = SimpleNamespace(estimates={n: Estimate(v, u, "1", at_bound=False) for n, (v, u) in values.items()})
+    refit = SimpleNamespace(
+        estimates={n: Estimate(v, u, "1", at_bound=False) for n, (v, u) in values.items()}
+    )
     assert module._at_least_of_refit(limits, refit).upper_limit == pytest.approx(limit)
     assert module._at_least_of_refit(limits, None) is limits

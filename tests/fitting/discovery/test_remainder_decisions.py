@@ -735,7 +735,10 @@ class TestSlowResidual:
 
 
 def test_ranges_are_those_of_all_recordings():
-    paths = [np.array([[[900.0, 5.0, 9.0], [700.0, 8.0, 9.0]]]), np.array([[[600.0, -2.0, 9.0], [650.0, 3.0, 9.0]]])]
+    paths = [
+        np.array([[[900.0, 5.0, 9.0], [700.0, 8.0, 9.0]]]),
+        np.array([[[600.0, -2.0, 9.0], [650.0, 3.0, 9.0]]]),
+    ]
     fit = SimpleNamespace(
         model=SimpleNamespace(mechanism=Laws.of(LINEAR).mechanism),
         predictions=[SimpleNamespace(path=SimpleNamespace(y=y)) for y in paths],

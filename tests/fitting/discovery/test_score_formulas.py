@@ -672,8 +672,8 @@ class TestGrids:
         made._states = lambda effect, state, rate, at: np.asarray(phase)[:, None]
         return made
 
-    def effect(self, *, breakpoint="", state=None):
-        return SimpleNamespace(breakpoint=breakpoint, state=state, rates=[None], parameters=())
+    def effect(self, *, jump="", state=None):
+        return SimpleNamespace(breakpoint=jump, state=state, rates=[None], parameters=())
 
     def test_trial_values_are_those_declared(self):
         p = SimpleNamespace(symbol="n", grid=(0.5, 1.5), start=1.0, relative=False)
@@ -685,12 +685,13 @@ class TestGrids:
 
     def test_moments_of_a_change_are_eight_times_as_dense(self):
         p = SimpleNamespace(symbol="t0", grid=(0.1, 0.2, 0.6), start=0.1, relative=True)
-        found = self.columns()._grid(self.effect(breakpoint="t0"), p)
+        found = self.columns()._grid(self.effect(jump="t0"), p)
         shares = [*np.linspace(0.1, 0.2, 9), *np.linspace(0.2, 0.6, 9)[1:]]
         assert found == pytest.approx(3.0 + 10.0 * np.array(shares))
 
     @pytest.mark.parametrize(
-        ("steps", "count"), [([0.1] * 100, 66), ([0.1] * 50 + [0.2] * 25, 33), ([1e-4] * 30000, 1500), ([2.0], 1)]
+        ("steps", "count"),
+        [([0.1] * 100, 66), ([0.1] * 50 + [0.2] * 25, 33), ([1e-4] * 30000, 1500), ([2.0], 1)],
     )
     def test_frequencies_are_a_phase_step_apart_up_to_one_radian_per_cell(self, monkeypatch, steps, count):
         monkeypatch.setattr(module, "_phase_symbol", lambda effect: "phi")
@@ -713,14 +714,18 @@ class TestShapesOfCases:
             values = scores[int(case)] if levels == "levels" else given(int(case), levels)
             calls.append((int(case), levels, null))
             k = int(np.argmax(values))
-            return SimpleNamespace(shape=({"n": k},), score=max(values), null=np.array([1.0, 2.0]) * (case + 1))
+            return SimpleNamespace(
+                shape=({"n": k},), score=max(values), null=np.array([1.0, 2.0]) * (case + 1)
+            )
 
         monkeypatch.setattr(module, "best_group", best_group)
         monkeypatch.setattr(
             module, "rows_of_case",
             lambda context, trials, i: [((t.shape,), np.array([[float(i), float(t.shape["n"])]])) for t in trials],
         )  # fmt: skip
-        context = SimpleNamespace(with_free=lambda columns: tuple(map(tuple, columns.reshape(-1, 2).astype(int).tolist())))
+        context = SimpleNamespace(
+            with_free=lambda columns: tuple(map(tuple, columns.reshape(-1, 2).astype(int).tolist()))
+        )
         trials = [[SimpleNamespace(shape={"n": k}) for k in range(3)] for _ in scores]
         found, null = module._choose_shapes(context, "effect", trials, "levels", null=True)
         return [t.shape["n"] for t in found], null, calls
@@ -738,7 +743,8 @@ class TestShapesOfCases:
         assert null.tolist() == [6.0, 12.0]
         assert [c for c in calls if c[1] == "levels"] == [(i, "levels", True) for i in range(3)]
         assert [(case, set(others)) for case, others, null in calls[3:]] == [
-            (2, {(0, 0), (1, 1)}), (0, {(1, 1), (2, 2)}), (1, {(0, 1), (2, 2)}), (2, {(0, 1), (1, 1)}), (0, {(1, 1), (2, 2)}),
+            (2, {(0, 0), (1, 1)}), (0, {(1, 1), (2, 2)}), (1, {(0, 1), (2, 2)}), (2, {(0, 1), (1, 1)}),
+            (0, {(1, 1), (2, 2)}),
         ]  # fmt: skip
         assert not any(null for *_, null in calls[3:])
 

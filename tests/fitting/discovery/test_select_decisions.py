@@ -1386,7 +1386,16 @@ class TestExchanged:
     """The laws a and b were added to the base; d is a law of the user whose own form is in the model."""
 
     def step(
-        self, monkeypatch, refits, *, deltas=None, fails=True, restoring=False, quiet=0.0, added=("a", "b"), torque=(0.0, 0.0)
+        self,
+        monkeypatch,
+        refits,
+        *,
+        deltas=None,
+        fails=True,
+        restoring=False,
+        quiet=0.0,
+        added=("a", "b"),
+        torque=(0.0, 0.0),
     ):
         def law(name, kind="physical"):
             return SimpleNamespace(name=name, kind=kind)
@@ -1403,7 +1412,8 @@ class TestExchanged:
         tried, asked = [], []
         current = SimpleNamespace(
             model=SimpleNamespace(effects=[law(n) for n in ("base", *added)], restoring=restoring),
-            problem=SimpleNamespace(cases=[1, 2]), bic=100.0, deviance=70.0, fails=lambda criteria: fails, name="current",
+            problem=SimpleNamespace(cases=[1, 2]), bic=100.0, deviance=70.0,
+            fails=lambda criteria: fails, name="current",
         )  # fmt: skip
         first = SimpleNamespace(model=SimpleNamespace(names=("base",)))
 
@@ -1413,7 +1423,9 @@ class TestExchanged:
 
         monkeypatch.setattr(module, "exchanges", exchanges)
         monkeypatch.setattr(module, "_is_friction", lambda e: e.kind == "physical")
-        monkeypatch.setattr(module, "applicable_effects", lambda fit, extra: [law("x"), law("phase", "other"), law("y")])
+        monkeypatch.setattr(
+            module, "applicable_effects", lambda fit, extra: [law("x"), law("phase", "other"), law("y")]
+        )
         monkeypatch.setattr(module, "laws_of", lambda mechanism: {"a": law("a"), "b": law("b", "changed")})
         monkeypatch.setattr(module, "mechanism_of", lambda effects: None)
         monkeypatch.setattr(module, "CaseColumns", lambda fit, i: i)
@@ -1431,7 +1443,9 @@ class TestExchanged:
 
     def test_three_exchanges_are_refitted_and_the_best_is_taken(self, monkeypatch):
         deltas = {"a1": -7.0, "a2": -30.0, "b1": -9.0, "b2": -8.0}
-        found, tried, asked = self.step(monkeypatch, {"a2": 93.0, "b1": 91.0, "b2": 90.0, "a1": 1.0}, deltas=deltas)
+        found, tried, asked = self.step(
+            monkeypatch, {"a2": 93.0, "b1": 91.0, "b2": 90.0, "a1": 1.0}, deltas=deltas
+        )
         assert (found, tried) == ("b2", ["a2", "b1", "b2"])
         # of b, the library has another form
         assert asked == [("a", ["x", "y"], [0, 1]), ("b", ["b", "x", "y"], [0, 1])]

@@ -52,7 +52,13 @@ def fitted(frictions, *, noise=0.0, errors=None, begin=2.0):
 class TestAveraged:
     @pytest.mark.parametrize(
         "frictions",
-        [{LINEAR: 0.05}, {DRY: 0.02}, {QUADRATIC: 0.03}, {DRY: 0.02, LINEAR: 0.01}, {LINEAR: 0.02, QUADRATIC: 0.01}],
+        [
+            {LINEAR: 0.05},
+            {DRY: 0.02},
+            {QUADRATIC: 0.03},
+            {DRY: 0.02, LINEAR: 0.01},
+            {LINEAR: 0.02, QUADRATIC: 0.01},
+        ],
     )
     def test_strengths_are_those_that_damp_the_motion(self, frictions):
         values, found, slow = fitted(frictions)
@@ -91,7 +97,9 @@ class TestAveraged:
         given = [np.full(120, 0.5)]
         _, again, _ = fitted({LINEAR: 0.05}, noise=1e-3, errors=given)
         assert again.scales[0] is given[0]
-        assert again.rows[0][2].reshape(2, -1)[0] == pytest.approx(rest[0] * amplitude / 0.5, rel=0.2, abs=2e-4)
+        assert again.rows[0][2].reshape(2, -1)[0] == pytest.approx(
+            rest[0] * amplitude / 0.5, rel=0.2, abs=2e-4
+        )
 
     def test_a_motion_of_few_periods_has_no_averages(self):
         record = oscillators.record(np.linspace(0.0, 9.0, 99), np.zeros(99), 1e-3, 0)
@@ -122,7 +130,9 @@ def test_a_dead_time_is_that_of_the_best_regression(monkeypatch, best, found):
     assert theta[1] == 5.0
 
 
-@pytest.mark.parametrize(("periods", "counts"), [((2.0,), []), ((2.1,), [2]), ((9.0, 3.0), [2, 4, 8]), ((8.0,), [2, 4])])
+@pytest.mark.parametrize(
+    ("periods", "counts"), [((2.0,), []), ((2.1,), [2]), ((9.0, 3.0), [2, 4, 8]), ((8.0,), [2, 4])]
+)
 def test_an_oscillation_is_searched_through_doubled_numbers_of_periods(monkeypatch, periods, counts):
     searched = []
 
@@ -134,8 +144,12 @@ def test_an_oscillation_is_searched_through_doubled_numbers_of_periods(monkeypat
         return SimpleNamespace(theta=theta + 1)
 
     monkeypatch.setattr(initial, "search", search)
-    monkeypatch.setattr(initial, "_first_periods", lambda d, count: SimpleNamespace(of=(d.motion.periods, count)))
-    monkeypatch.setattr(initial.CaseData, "of", lambda record, criteria: SimpleNamespace(record=record, criteria=criteria))
+    monkeypatch.setattr(
+        initial, "_first_periods", lambda d, count: SimpleNamespace(of=(d.motion.periods, count))
+    )
+    monkeypatch.setattr(
+        initial.CaseData, "of", lambda record, criteria: SimpleNamespace(record=record, criteria=criteria)
+    )
     monkeypatch.setattr(initial.Problem, "of", lambda layout, data: [d.record.of for d in data])
     monkeypatch.setattr(initial, "replace", lambda layout, records: None)
     data = [SimpleNamespace(motion=SimpleNamespace(periods=p), criteria="c") for p in periods]

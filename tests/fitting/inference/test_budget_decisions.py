@@ -26,9 +26,7 @@ def found():
     base = linearised.gyroscope()
     (data,), (prediction,) = base.problem.data, base.predictions
     data = replace(data, record=replace(data.record, start_sigma=(1e-3, 2e-3), digest=""))
-    problem = Problem.of(
-        replace(base.problem.layout, records=(data.record,)), [data]
-    )
+    problem = Problem.of(replace(base.problem.layout, records=(data.record,)), [data])
     prediction = problem.predict(base.theta)[0]
     white = TorqueResponse(data, prediction.motion).whitener(TorqueNoise(1.0, 1.0))
     noise = SimpleNamespace(with_unresolved=SimpleNamespace(whitener=white.at(LEVEL)))
@@ -236,13 +234,15 @@ class TestBudget:
         assert [c.type for c in a.contributions] == ["B", "A", "B", "B"]
         assert [c.u for c in a.contributions] == pytest.approx([5.0, 2.0, 2.0, 1.0])
         assert [c.sensitivity for c in a.contributions] == [-50.0, None, 8.0, None]
-        assert [c.share for c in a.contributions] == pytest.approx([25 / total, 4 / total, 4 / total, 1 / total])
+        assert [c.share for c in a.contributions] == pytest.approx(
+            [25 / total, 4 / total, 4 / total, 1 / total]
+        )
         # contributions of a millionth of a millionth are rounding errors
         assert [c.source for c in b.contributions] == ["angle noise", "clock rate"]
         assert b.u == pytest.approx(math.hypot(3.0, 2.0))
         assert linear == [[[1.0, 2.0]]]
 
-    def test_a_clock_without_an_error_is_no_input(self, linear):
+    def test_an_exact_clock_does_not_contribute(self, linear):
         sources = {c.source for c in module.budget(asked(), clock_rate_u=0.0)["a"].contributions}
         assert "clock rate" not in sources
         assert linear == []
@@ -280,7 +280,9 @@ def test_combined_uncertainties_add_all_inputs_in_quadrature(linear, monkeypatch
         module, "_inertia_rows",
         lambda c, p, theta, body, value: np.array([rows[body, c.data.record.I_casing]] * 2),
     )  # fmt: skip
-    monkeypatch.setattr(module, "_inertias", lambda fit: iter([("i", "rotor", 4.0, 0.2), ("j", "casing", 2.0, 0.2)]))
+    monkeypatch.setattr(
+        module, "_inertias", lambda fit: iter([("i", "rotor", 4.0, 0.2), ("j", "casing", 2.0, 0.2)])
+    )
     monkeypatch.setattr(module, "_ratio_has_prior", lambda fit: prior)
     found = module.combined_uncertainties(known)
     clock = 50e-6 / math.sqrt(3)
@@ -336,7 +338,12 @@ class TestRefit:
             ("x", 2.2, pytest.approx(moved), [8.0]),
             ("y", 4.0, 3.0, [8.0]),
         ]
-        options = {"share": ("s",), "per_case": ("p",), "start": {"a": 1.5, "b": 2.5}, "ranges": {"a": (0.0, 1.0)}}
+        options = {
+            "share": ("s",),
+            "per_case": ("p",),
+            "start": {"a": 1.5, "b": 2.5},
+            "ranges": {"a": (0.0, 1.0)},
+        }
         assert calls == [("model", ["x", "y"], options)]
 
     def test_the_present_inertias_need_no_fit(self, monkeypatch):

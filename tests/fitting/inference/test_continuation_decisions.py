@@ -99,7 +99,8 @@ class TestLimits:
         assert self.limits([1.0, -2.0, 3.0], reversals=[1.0])._most_events == 24
 
     @pytest.mark.parametrize(
-        ("samples", "most"), [((100, 50), 600), ((200, 100, 1), 602), ((15000, 5000), 40000), ((30000,), 40000)]
+        ("samples", "most"),
+        [((100, 50), 600), ((200, 100, 1), 602), ((15000, 5000), 40000), ((30000,), 40000)],
     )
     def test_intervals_are_two_per_sample(self, samples, most):
         assert self.limits([1.0], samples=samples)._most == most
@@ -125,7 +126,7 @@ class TestMesh:
         slow = self.mesh(relaxation="T", settling=8.0)
         assert slow == pytest.approx(np.linspace(2.0, 26.0, 13))
 
-    def test_a_swing_has_five_intervals(self):
+    def test_an_oscillation_has_five_intervals_between_reversals(self):
         """Reversals at the ends of the record are no ends of a swing."""
         edges = self.mesh(reversals=(2.0, 7.0, 17.0, 26.0))
         assert edges == pytest.approx([2, 3, 4, 5, 6, 7, 9, 11, 13, 15, 17, 18.8, 20.6, 22.4, 24.2, 26])
@@ -168,7 +169,9 @@ class TestIntegratedAngle:
         weights[[0, -1]] = step / 2
         for k, column in enumerate((found / 11.0).T):
             value = column @ (weights * column)
-            assert walk @ (weights * column) == pytest.approx(value * column, abs=1e-4 * value * np.abs(column).max())
+            assert walk @ (weights * column) == pytest.approx(
+                value * column, abs=1e-4 * value * np.abs(column).max()
+            )
             assert value == pytest.approx(variance * 5.0 / ((k + 0.5) * np.pi) ** 2, rel=1e-4)
 
     def test_angles_and_models_without_a_law_of_the_angle_have_none(self, monkeypatch):

@@ -132,7 +132,9 @@ def test_the_level_of_the_residuals_has_its_limits(monkeypatch, restoring, gross
     monkeypatch.setattr(_problem, "replace", lambda n, **changed: Level(**(vars(n) | changed)))
     data = SimpleNamespace(z=np.zeros(3), largest_torque=largest, driven=driven)
     prediction = SimpleNamespace(rows=np.zeros(3))
-    layout = SimpleNamespace(at_bound=lambda _: np.zeros(0, dtype=bool), model=SimpleNamespace(restoring=restoring))
+    layout = SimpleNamespace(
+        at_bound=lambda _: np.zeros(0, dtype=bool), model=SimpleNamespace(restoring=restoring)
+    )
     problem = SimpleNamespace(data=[data], layout=layout, predict=lambda _: [prediction])
     noise = [Level(level=1.0, pure=7e-9, least=2e-8, whitener=None, common=False)]
     (found,) = _problem.refine_level(problem, np.zeros(0), noise)

@@ -18,8 +18,9 @@ class Emcee:
 
     def __init__(self):
         self.State = lambda begin, random_state: SimpleNamespace(begin=begin, random_state=random_state)
+        self.EnsembleSampler = self.sampler
 
-    def EnsembleSampler(self, walkers, n, log):
+    def sampler(self, walkers, n, log):
         self.walkers, self.n, self.log = walkers, n, log
         return self
 

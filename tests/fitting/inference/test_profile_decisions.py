@@ -71,7 +71,9 @@ class TestEnds:
         fourth = third + (6.0 - third) * 3 / 11
         fifth = 0.5 * (fourth + 6.0)
         sixth = fourth + (fifth - fourth) * 3 / 11
-        assert sign * (np.array(held.tried) - 5.0)[:6] == pytest.approx([2.0, 6.0, third, fourth, fifth, sixth])
+        assert sign * (np.array(held.tried) - 5.0)[:6] == pytest.approx(
+            [2.0, 6.0, third, fourth, fifth, sixth]
+        )
         assert len(held.tried) == 20
         assert end == pytest.approx(5.0 + 4.0 * sign, abs=1e-3)
         assert not opened

@@ -106,7 +106,7 @@ class TestHarmonics:
     def test_slow_blocks_have_a_larger_first_and_second_order(self, block, periodic):
         found = module._harmonics(self.run(), 0.3, Drawn(), 0.4)
         psi = self.VALUE[block]
-        size = {n: 0.3 for n in range(3, 13)} | dict.fromkeys((1, 2), np.hypot(0.3, periodic))
+        size = dict.fromkeys(range(3, 13), 0.3) | dict.fromkeys((1, 2), np.hypot(0.3, periodic))
         expected = sum(a * (np.cos(n * psi) + np.sin(n * psi)) for n, a in size.items())
         assert found[block] == pytest.approx(expected)
 
@@ -255,12 +255,9 @@ class TestRandomTorque:
         """Of a record of 12 s, between 400 and 40000."""
         lengths = []
 
-        class Stop(Exception):
-            pass
-
         def process(times, correlation, random):
             lengths.append((len(times), correlation, times[0]))
-            raise Stop
+            raise EstimationError("enough")
 
         monkeypatch.setattr(module, "_ornstein_uhlenbeck", process)
         known = SimpleNamespace(level=1e-6, time=time)
@@ -269,7 +266,7 @@ class TestRandomTorque:
             fit=SimpleNamespace(noise=[SimpleNamespace(with_unresolved=known)]), case=0,
             data=SimpleNamespace(record=record),
         )  # fmt: skip
-        with pytest.raises(Stop):
+        with pytest.raises(EstimationError):
             module._random_torque(motion, None)
         assert lengths == [(cells, time, 3.0)]
 

@@ -508,7 +508,11 @@ class TestBodies:
 
     def fit(self):
         mechanism = SimpleNamespace(bodies=("arm", "wheel", "hub"), main="wheel")
-        runs = [SimpleNamespace(state=0, name="a"), SimpleNamespace(state=2, name="h"), SimpleNamespace(state=0, name="b")]
+        runs = [
+            SimpleNamespace(state=0, name="a"),
+            SimpleNamespace(state=2, name="h"),
+            SimpleNamespace(state=0, name="b"),
+        ]
         record = SimpleNamespace(
             bodies=[SimpleNamespace(name="disc", state=0), SimpleNamespace(name="rim", state=1)],
             mechanism=mechanism, casing="wheel run", rotor=runs, quantity="angle", harmonic=0.0,

@@ -98,7 +98,10 @@ class TestCurve:
 
 def test_residuals_are_in_units_of_the_stated_noise(monkeypatch, found):
     data = found.problem.data[0]
-    values = [w.value - size * w.sigma for size, w in zip((1.0, -2.0, 5.0), (data.record.casing, *data.record.rotor), strict=True)]
+    values = [
+        w.value - size * w.sigma
+        for size, w in zip((1.0, -2.0, 5.0), (data.record.casing, *data.record.rotor), strict=True)
+    ]
     monkeypatch.setattr(FittedMotion, "values", lambda self: values)
     expected = np.concatenate([np.full(600, 1.0), np.full(100, -2.0), np.full(100, 5.0)])
     assert residuals_of(found) == pytest.approx(expected)
@@ -140,7 +143,9 @@ class TestExpected:
         """k psi + c t + omega; times of the rotor's camera begin with the window, and c has its start of 3."""
         t = self.T
         parameters = [SimpleNamespace(symbol="k", start=0.0), SimpleNamespace(symbol="c", start=3.0)]
-        effect = SimpleNamespace(name="camera.x", expression=parse("k*psi + c*t + omega"), parameters=parameters)
+        effect = SimpleNamespace(
+            name="camera.x", expression=parse("k*psi + c*t + omega"), parameters=parameters
+        )
         value = 10.0 + t
         made = self.motion(is_angle=is_angle)._camera_error(effect, Samples(t, value, t), value, rotor=rotor)
         speed = 4 + 2 * t if rotor else 7 - t
@@ -171,7 +176,9 @@ def test_values_contain_laws_of_an_angle_and_the_error_of_each_camera(monkeypatc
 
         def _camera_error(self, effect, run, value, *, rotor):
             assert rotor == (effect.camera == "rotor")
-            assert run is runs[[10, 20].index(round(smooth[1 + (value[0] > 300)][0])) + 1] if rotor else runs[0]
+            assert (
+                run is runs[[10, 20].index(round(smooth[1 + (value[0] > 300)][0])) + 1] if rotor else runs[0]
+            )
             return effect.size * value
 
     found = Motion(fit, 0, data).values()
@@ -196,7 +203,11 @@ class TestResponse:
             ends = (Samples(windows, np.zeros(len(windows)), np.ones(len(windows))),)
             data = replace(data, record=replace(data.record, rotor=ends, digest=""))
         effect = SimpleNamespace(
-            name="law", site=site, mechanism=GYROSCOPE, expression=parse(law), parameters=[SimpleNamespace(symbol="k", start=4e-5)]
+            name="law",
+            site=site,
+            mechanism=GYROSCOPE,
+            expression=parse(law),
+            parameters=[SimpleNamespace(symbol="k", start=4e-5)],
         )
         return FittedMotion(base, 0, data).angle_response(effect, zero)
 
@@ -210,7 +221,8 @@ class TestResponse:
         t = base.problem.data[0].record.casing.time
         whole = solve_ivp(slope, (3.0, 15.0), [300.0, 20.0, 0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-9).y
         rotor, casing = (
-            start * (1 - np.exp(-rate * (t - 3.0))) / rate for start, rate in zip((300.0, 20.0), rates, strict=True)
+            start * (1 - np.exp(-rate * (t - 3.0))) / rate
+            for start, rate in zip((300.0, 20.0), rates, strict=True)
         )
         return t, whole[2] - casing, whole[3] - rotor
 
@@ -235,6 +247,7 @@ class TestResponse:
     def test_before_and_after_the_casing_it_is_constant(self, base):
         """A window may begin before the first and end after the last frame of the casing."""
         last, outside = (
-            self.response(base, "bearing", "k", windows=np.array(w))[1] for w in ([3.0, 9.0, 15.0], [2.9, 9.0, 15.2])
+            self.response(base, "bearing", "k", windows=np.array(w))[1]
+            for w in ([3.0, 9.0, 15.0], [2.9, 9.0, 15.2])
         )
         assert outside == pytest.approx(last)

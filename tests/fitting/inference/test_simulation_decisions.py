@@ -135,7 +135,9 @@ def test_a_run_of_the_paper_is_filmed_by_default():
     assert (one.torque_noise, one.torque_time, one.centre_offset) == (0.0, 1.0, 0.0)
 
 
-@pytest.mark.parametrize("name", ["duration", "casing_fps", "rotor_fps", "window_length", "torque_time", "sigma"])
+@pytest.mark.parametrize(
+    "name", ["duration", "casing_fps", "rotor_fps", "window_length", "torque_time", "sigma"]
+)
 def test_lengths_and_rates_of_an_experiment_are_positive(name):
     for value in (0.0, -1.0, math.nan):
         if name == "sigma" and value == 0:
@@ -184,12 +186,16 @@ class TestPaths:
             calls.append((system.model, numbers, first.tolist(), mesh.edges))
             if len(calls) in fails:
                 raise SimulationError("no motion")
-            return SimpleNamespace(angle=lambda state: (np.array([0.0, 40.4, -60.0]) * np.pi, None), number=len(calls))
+            return SimpleNamespace(
+                angle=lambda state: (np.array([0.0, 40.4, -60.0]) * np.pi, None), number=len(calls)
+            )
 
         monkeypatch.setattr(module, "Dynamics", dynamics)
         monkeypatch.setattr(module, "solve", solve)
         model = SimpleNamespace(angle_dependent=angle_dependent, smooth="smooth")
-        _, path = module.simulate_path(model, {"k": 1.0}, Experiment(omega_rotor=8.0, omega_casing=3.0, duration=6.0))
+        _, path = module.simulate_path(
+            model, {"k": 1.0}, Experiment(omega_rotor=8.0, omega_casing=3.0, duration=6.0)
+        )
         assert path.number == len(calls)
         return calls
 

@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -442,7 +443,7 @@ class TestDocuments:
 
 
 class TestPriors:
-    KNOWN = {
+    KNOWN: ClassVar = {
         "fit_id": "f1", "model": [], "parameters": {}, "digests": ["d"], "verdict": "x", "variables": ["a", "b"],
         "covariance": [[4.0, 0.5], [0.5, 1.0]], "share": ["s"], "per_case": ["p"],
     }  # fmt: skip
@@ -456,7 +457,12 @@ class TestPriors:
         assert (bare.variables, bare.covariance) == ([], [])
 
     def test_a_stored_prior_is_that_of_the_fit(self):
-        prior = {"names": ["a", "b"], "mean": [1.0, 2.0], "covariance": [[4.0, 0.5], [0.5, 1.0]], "source": "run (f2)"}
+        prior = {
+            "names": ["a", "b"],
+            "mean": [1.0, 2.0],
+            "covariance": [[4.0, 0.5], [0.5, 1.0]],
+            "source": "run (f2)",
+        }
         found = Entry(self.KNOWN | {"prior": prior}).prior
         assert (found.names, found.mean, found.source) == (("a", "b"), (1.0, 2.0), "run (f2)")
         assert found.covariance == ((4.0, 0.5), (0.5, 1.0))
