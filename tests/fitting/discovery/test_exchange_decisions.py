@@ -164,12 +164,11 @@ class TestExchanges:
 
     def test_equal_and_absorbed_laws_take_no_part(self, monkeypatch):
         first, second = directions(2)
-        slightly = first + 3e-5 * second
         laws = [
             scored(law("a"), first),
             scored(law("same"), -first),
-            scored(law("nearly"), first + 1e-5 * second),
-            scored(law("other"), slightly / np.linalg.norm(slightly) * (1 - 5e-9)),
+            scored(law("nearly"), first * (1 - 0.7e-9)),
+            scored(law("other"), first * (1 - 1.4e-9)),
             scored(law("absorbed"), second, absorbed=True),
             scored(law("old", shape=True), np.eye(ROWS)[0]),
             scored(law("of the removed"), np.eye(ROWS)[0]),

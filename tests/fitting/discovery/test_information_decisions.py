@@ -330,6 +330,10 @@ def test_added_effects_are_physical_ones_with_one_free_strength(monkeypatch):
         model=SimpleNamespace(smooth=SimpleNamespace(effects=effects)),
         estimates=estimates | {n: SimpleNamespace(value=9.0) for n in ("usual.k", "camera.k", "held.k", "")},
     )
-    for name, value in {"fit": fit, "_shared": ["usual.k", "own.c", "camera.k", "held.k", "drag.k"], "_held": {"held.k"}}.items():
+    for name, value in {
+        "fit": fit,
+        "_shared": ["usual.k", "own.c", "camera.k", "held.k", "drag.k"],
+        "_held": {"held.k"},
+    }.items():
         object.__setattr__(known, name, value)
     assert known.added() == {"drag": (4, 3.0), "own": (1, -2.0)}

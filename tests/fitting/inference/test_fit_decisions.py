@@ -846,5 +846,12 @@ def test_of_further_searches_the_best_is_taken(monkeypatch):
 
     monkeypatch.setattr(module, "search", search)
     first = SimpleNamespace(minimum=SimpleNamespace(cost=10.0), begin="first")
-    for others, best in (("", "first"), ("b", "first"), ("ab", "a"), ("abcd", "d"), ("dab", "d"), ("c", "first")):
+    for others, best in (
+        ("", "first"),
+        ("b", "first"),
+        ("ab", "a"),
+        ("abcd", "d"),
+        ("dab", "d"),
+        ("c", "first"),
+    ):
         assert module._from_other_starts("problem", first, others, quick=True).begin == best
