@@ -71,7 +71,7 @@ class Setting:
         )  # fmt: skip
         self.about = SimpleNamespace(
             problem=SimpleNamespace(layout=layout, rows=100), theta=np.array([1.0, 2.0, 0.0]), deviance=40.0,
-            predictions=[SimpleNamespace(jacobian=np.concatenate([np.zeros((ROWS, 1)), self.held, self.own], axis=1))],
+            predictions=[SimpleNamespace(jacobian=np.concatenate([np.ones((ROWS, 1)), self.held, self.own], axis=1))],
         )  # fmt: skip
 
     def least(self, columns):
