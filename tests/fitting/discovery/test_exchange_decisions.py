@@ -42,7 +42,7 @@ class Setting:
     def __init__(self, monkeypatch, laws, *, true, held=0.0, gains=(1.0,), bounds=(2.0, 9.0), seed=3):
         rng = np.random.default_rng(seed)
         self.laws, self.bounds = laws, bounds
-        self.own, self.held = 1e5 * rng.standard_normal((ROWS, 1)), rng.standard_normal((ROWS, 1))
+        self.own, self.held = 1e7 * rng.standard_normal((ROWS, 1)), rng.standard_normal((ROWS, 1))
         self.columns = {s.effect.name: rng.standard_normal((ROWS, s.columns)) for s in laws}
         self.basis = np.linalg.qr(rng.standard_normal((ROWS, 2)))[0]
         rows = self.held[:, 0] * held + 0.3 * rng.standard_normal(ROWS)
@@ -138,7 +138,7 @@ class TestExchanges:
             scored(law("c"), directions(3)[2], columns=2),
         ]
         setting = Setting(
-            monkeypatch, laws, true={"old": 2e-6, "a": 2.0, "b": -1.5, "c": [1.0, 0.5]}, held=held, gains=gains
+            monkeypatch, laws, true={"old": 2e-8, "a": 2.0, "b": -1.5, "c": [1.0, 0.5]}, held=held, gains=gains
         )
         for evidence in (-1e6, 2.0, 10.0):
             found, expected = setting.found(evidence), setting.expected(laws, evidence)

@@ -491,3 +491,48 @@ def test_a_difference_is_stored_with_bounds_and_shown_without():
     assert shown["values"]["two"]["value"] == 3.0
     assert "max" not in shown["values"]["two"]
     assert (shown["parameter"], shown["others"][0]["parameter"]) == ("a.k", "b.c")
+
+
+class TestStoredDiagnosis:
+    def stored(self, monkeypatch, candidates):
+        monkeypatch.setattr(_serialisation, "stored_fit", lambda fit: f"stored {fit.name}")
+        monkeypatch.setattr(_serialisation, "own_effects", lambda effects: [e.name for e in effects])
+        monkeypatch.setattr(_serialisation, "fingerprint", lambda: "code")
+        monkeypatch.setattr(_serialisation, "difference_document", lambda d: f"document of {d}")
+        monkeypatch.setattr(_serialisation, "StoredDiagnosis", SimpleNamespace(model_validate=lambda known: known))
+        found = SimpleNamespace(
+            fit=SimpleNamespace(model=SimpleNamespace(names=("a", "b"))), candidates=candidates, differs="difference",
+            verdict="missing_effect",
+        )  # fmt: skip
+        return _serialisation.stored_diagnosis(found, [SimpleNamespace(name="own")])
+
+    def candidate(self, name, *, count=3, fitted=True, physical=True, significant=True):
+        fit = SimpleNamespace(name=name, model=SimpleNamespace(names=("x",) * count))
+        return SimpleNamespace(
+            effect=SimpleNamespace(name=name), fit=fit if fitted else None, physical=physical, significant=significant,
+            score=7.0,
+        )  # fmt: skip
+
+    def test_the_fits_of_the_first_physical_candidates_are_kept(self, monkeypatch):
+        """A fit with free moments of inertia has another model."""
+        made = [
+            self.candidate("free", count=4), self.candidate("camera", physical=False), self.candidate("weak", significant=False),
+            self.candidate("none", fitted=False), *(self.candidate(f"c{i}") for i in range(9)),
+        ]  # fmt: skip
+        found = self.stored(monkeypatch, made)
+        fits = {c["effect"]: c["fit"] for c in found["candidates"]}
+        kept = [f"c{i}" for i in range(_serialisation._FITS)]
+        assert fits == {
+            c.effect.name: f"stored {c.effect.name}" if c.effect.name in kept else None for c in made
+        }
+        first = found["candidates"][0]
+        assert (first["own_effects"], first["score"], first["significant"]) == (["free"], 7.0, True)
+        assert (found["code"], found["extra"], found["verdict"]) == ("code", ["own"], "missing_effect")
+        assert found["differs"] == "document of difference"
+
+    @pytest.mark.parametrize(("code", "extra"), [("other", ["own"]), ("code", []), ("code", ["own", "more"])])
+    def test_one_of_other_code_or_effects_is_not_restored(self, monkeypatch, code, extra):
+        monkeypatch.setattr(_serialisation, "own_effects", lambda effects: [e.name for e in effects])
+        monkeypatch.setattr(_serialisation, "fingerprint", lambda: "code")
+        stored = SimpleNamespace(code=code, extra=extra)
+        assert _serialisation.restored_diagnosis(stored, None, [SimpleNamespace(name="own")]) is None
