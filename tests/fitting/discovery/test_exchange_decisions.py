@@ -138,7 +138,11 @@ class TestExchanges:
             scored(law("c"), directions(3)[2], columns=2),
         ]
         setting = Setting(
-            monkeypatch, laws, true={"old": 2e-8, "a": 2.0, "b": -1.5, "c": [1.0, 0.5]}, held=held, gains=gains
+            monkeypatch,
+            laws,
+            true={"old": 2e-8, "a": 2.0, "b": -1.5, "c": [1.0, 0.5]},
+            held=held,
+            gains=gains,
         )
         for evidence in (-1e6, 2.0, 10.0):
             found, expected = setting.found(evidence), setting.expected(laws, evidence)

@@ -158,3 +158,28 @@ def test_an_oscillation_is_searched_through_doubled_numbers_of_periods(monkeypat
     assert theta == 10 + len(counts) - (len(counts) > 1)
     # a search that fails leaves the values of the one before
     assert [t for _, t in searched] == [10, 11, 11][: len(counts)]
+
+
+@pytest.mark.parametrize("target", [(3.0, 4.0, 0.0), (0.0, 0.0, 0.0)])
+def test_the_error_of_the_equations_is_the_share_that_the_strengths_leave(monkeypatch, target):
+    """Of two recordings, the second with twice the change of the speeds; the strength is half of that needed."""
+    layout = SimpleNamespace(places=lambda case, keys: [0])
+    monkeypatch.setattr(initial.ParameterLayout, "of", lambda model, records: layout)
+    monkeypatch.setattr(initial, "reference_speed", lambda data, mechanism: 1.0)
+    monkeypatch.setattr(initial, "start_values", lambda *_: np.array([0.5]))
+    monkeypatch.setattr(
+        initial, "_equations",
+        lambda layout, case, times, speeds, deflection, theta: (
+            ["k"], (case + 1.0) * np.array([*target[:2], 0.0])[:, None], (case + 1.0) * np.array([*target[:2], 5.0 * any(target)])
+        ),
+    )  # fmt: skip
+    motion = SimpleNamespace(time=np.array([0.0, 1.0]), deflection=np.array([0.0, 1.0]))
+    data = [SimpleNamespace(record=None, initial_speeds=(np.zeros(3), np.zeros((3, 2))), motion=motion)] * 2
+    model = SimpleNamespace(restoring=False, mechanism=None)
+    # half of 5 and all of 5 are left, of 5 and 5
+    expected = math.sqrt((2.5**2 + 25.0) / 50.0) if any(target) else 0.0
+    assert initial.equation_error(model, data) == pytest.approx(expected)
+    monkeypatch.setattr(initial, "averaged_fit", lambda model, data: SimpleNamespace(phase_error=0.3))
+    assert initial.equation_error(model, data) == pytest.approx(expected)
+    model.restoring = True
+    assert initial.equation_error(model, data) == 0.3

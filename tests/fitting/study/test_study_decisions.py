@@ -499,7 +499,9 @@ class TestStoredDiagnosis:
         monkeypatch.setattr(_serialisation, "own_effects", lambda effects: [e.name for e in effects])
         monkeypatch.setattr(_serialisation, "fingerprint", lambda: "code")
         monkeypatch.setattr(_serialisation, "difference_document", lambda d: f"document of {d}")
-        monkeypatch.setattr(_serialisation, "StoredDiagnosis", SimpleNamespace(model_validate=lambda known: known))
+        monkeypatch.setattr(
+            _serialisation, "StoredDiagnosis", SimpleNamespace(model_validate=lambda known: known)
+        )
         found = SimpleNamespace(
             fit=SimpleNamespace(model=SimpleNamespace(names=("a", "b"))), candidates=candidates, differs="difference",
             verdict="missing_effect",
