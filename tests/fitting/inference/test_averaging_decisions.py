@@ -170,7 +170,9 @@ def test_the_error_of_the_equations_is_the_share_that_the_strengths_leave(monkey
     monkeypatch.setattr(
         initial, "_equations",
         lambda layout, case, times, speeds, deflection, theta: (
-            ["k"], (case + 1.0) * np.array([*target[:2], 0.0])[:, None], (case + 1.0) * np.array([*target[:2], 5.0 * any(target)])
+            ["k"],
+            (case + 1.0) * np.array([*target[:2], 0.0])[:, None],
+            (case + 1.0) * np.array([*target[:2], 5.0 * any(target)]),
         ),
     )  # fmt: skip
     motion = SimpleNamespace(time=np.array([0.0, 1.0]), deflection=np.array([0.0, 1.0]))

@@ -137,6 +137,49 @@ class TestExpected:
         assert speeds.expected(t, rotor=False) == pytest.approx(7 - t)
         assert speeds.expected_of(1, t) == pytest.approx(7 - t)
 
+    def test_another_path_may_be_asked_for(self):
+        t, other = self.T, self.motion(is_angle=False).prediction.path
+        for is_angle in (True, False):
+            made = self.motion(is_angle=is_angle)
+            known = made.fit.predictions[1]
+            made.fit.predictions[1] = SimpleNamespace(path=None)
+            for rotor, value in (
+                (True, 4 * t + t**2 if is_angle else 4 + 2 * t),
+                (False, 7 * t - t**2 / 2 if is_angle else 7 - t),
+            ):
+                assert made.expected(t, other, rotor=rotor) == pytest.approx(value)
+            assert known.path is not None
+
+    @pytest.mark.parametrize("is_angle", [True, False])
+    def test_samples_are_predicted_with_error_modes_zeros_and_the_camera(self, monkeypatch, is_angle):
+        """Of a casing and two windows; the coefficients are three zeros, two modes and two of the camera."""
+        made = self.motion(is_angle=is_angle)
+        times = [np.linspace(0.5, 4.5, 9), np.linspace(1.0, 2.0, 5), np.linspace(3.0, 4.0, 7)]
+        runs = [Samples(t, t, t, state=0) for t in times]
+        modes = [np.stack([t, 1 + t**2], axis=1) for t in times]
+        camera = np.stack([np.cos(times[0]), np.sin(times[0])], axis=1)
+        record = SimpleNamespace(casing=runs[0], rotor=(runs[1], runs[2]))
+        coefficients = np.array([*((0.3, -0.2, 0.1) if is_angle else ()), 0.5, -0.7, 2.0, 3.0])
+        monkeypatch.setattr(module, "_nuisance", lambda case, found: coefficients)
+        fitted = SimpleNamespace(
+            mode_columns=(modes[0], modes[1:]), has_camera_prior=is_angle, camera_columns=camera
+        )
+        made.fit.problem.data = ["other", fitted]
+        data = SimpleNamespace(record=record, is_angle=is_angle)
+        found = list(module.predicted_samples(data, 1, made.fit))
+        for i, (t, value) in enumerate(zip(times, found, strict=True)):
+            expected = modes[i] @ [0.5, -0.7]
+            if is_angle:
+                expected = expected + (4 * t + t**2 if i else 7 * t - t**2 / 2) + (0.3, -0.2, 0.1)[i]
+                expected = expected + (0.0 if i else camera @ [2.0, 3.0])
+            else:
+                expected = expected + (4 + 2 * t if i else 7 - t)
+            assert value == pytest.approx(expected)
+        if is_angle:
+            fitted.has_camera_prior = False
+            (casing, *_) = module.predicted_samples(data, 1, made.fit)
+            assert casing == pytest.approx(found[0] - camera @ [2.0, 3.0])
+
     @pytest.mark.parametrize("rotor", [True, False])
     @pytest.mark.parametrize("is_angle", [True, False])
     def test_an_error_of_a_camera_is_one_of_its_angle(self, rotor, is_angle):
@@ -251,3 +294,8 @@ class TestResponse:
             for w in ([3.0, 9.0, 15.0], [2.9, 9.0, 15.2])
         )
         assert outside == pytest.approx(last)
+        assert abs(last[2] - last[1]) > 0.3 * abs(last[2])
+        t = base.problem.data[0].record.casing.time
+        ends = self.response(base, "bearing", "k", windows=np.array([t[0], t[1], t[-2], t[-1]]))[1]
+        assert ends[0] == 0.0
+        assert np.diff(np.abs(ends)).min() > 0.0

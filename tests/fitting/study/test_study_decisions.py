@@ -518,7 +518,8 @@ class TestStoredDiagnosis:
     def test_the_fits_of_the_first_physical_candidates_are_kept(self, monkeypatch):
         """A fit with free moments of inertia has another model."""
         made = [
-            self.candidate("free", count=4), self.candidate("camera", physical=False), self.candidate("weak", significant=False),
+            self.candidate("free", count=4), self.candidate("camera", physical=False),
+            self.candidate("weak", significant=False),
             self.candidate("none", fitted=False), *(self.candidate(f"c{i}") for i in range(9)),
         ]  # fmt: skip
         found = self.stored(monkeypatch, made)
