@@ -447,7 +447,7 @@ class TestShared:
     def fit(self, fails):
         return SimpleNamespace(fit=SimpleNamespace(fails=lambda criteria: fails))
 
-    def test_each_later_recording_has_a_column_of_its_own(self, monkeypatch):
+    def test_each_later_recording_has_its_own_column(self, monkeypatch):
         _, _, asked = self.found(monkeypatch, {"a": 5.0, "b": 9.0})
         for k, columns in enumerate(asked[:2]):
             # rows of 2, 3 and 4 samples

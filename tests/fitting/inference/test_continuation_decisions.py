@@ -138,7 +138,7 @@ class TestIntegratedAngle:
     T = np.linspace(3.0, 8.0, 21)
 
     def errors(self, monkeypatch, *, is_angle=False, angle=True, laws=("a", "b")):
-        grid = np.linspace(3.0, 8.0, 2001)
+        grid = np.linspace(3.0, 8.0, 501)
 
         def rows(data, effect, path, motion, numbers, error):
             assert (path, motion, numbers) == ("path", "motion", "numbers")
@@ -155,17 +155,17 @@ class TestIntegratedAngle:
             model=SimpleNamespace(angle_dependent=laws), numbers=lambda theta, case: "numbers"
         )
         model.case = 0
-        prediction = SimpleNamespace(rows=np.zeros(2001), path="path", motion="motion")
+        prediction = SimpleNamespace(rows=np.zeros(501), path="path", motion="motion")
         return grid, model.integration_errors(prediction, None)
 
     def test_it_has_the_parts_of_a_random_walk(self, monkeypatch):
         """Each is an eigenfunction of the covariance min(s, t) v / T, of the size of its root."""
         t, found = self.errors(monkeypatch)
-        assert found.shape == (2001, 6)
+        assert found.shape == (501, 6)
         variance = 21 * (2.0 * 0.1 * 0.25) ** 2
-        step = 5.0 / 2000
+        step = 5.0 / 500
         walk = variance / 5.0 * np.minimum(t[:, None] - 3.0, t - 3.0)
-        weights = np.full(2001, step)
+        weights = np.full(501, step)
         weights[[0, -1]] = step / 2
         for k, column in enumerate((found / 11.0).T):
             value = column @ (weights * column)
@@ -176,4 +176,4 @@ class TestIntegratedAngle:
 
     def test_angles_and_models_without_a_law_of_the_angle_have_none(self, monkeypatch):
         for changed in ({"is_angle": True}, {"angle": False}, {"laws": ()}):
-            assert self.errors(monkeypatch, **changed)[1].shape == (2001, 0)
+            assert self.errors(monkeypatch, **changed)[1].shape == (501, 0)

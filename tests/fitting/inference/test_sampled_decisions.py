@@ -137,7 +137,7 @@ class TestExpected:
         assert speeds.expected(t, rotor=False) == pytest.approx(7 - t)
         assert speeds.expected_of(1, t) == pytest.approx(7 - t)
 
-    def test_another_path_may_be_asked_for(self):
+    def test_values_follow_another_path(self):
         t, other = self.T, self.motion(is_angle=False).prediction.path
         for is_angle in (True, False):
             made = self.motion(is_angle=is_angle)
