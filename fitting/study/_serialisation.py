@@ -330,9 +330,9 @@ def difference_document(found: DifferentParameter | None) -> StoredDifference | 
 
 def shown_difference(found: DifferentParameter | None) -> dict[str, Any] | None:
     """Return a parameter that differs between the recordings as documents show it, without bounds."""
-    if found is None:
+    if (stored := difference_document(found)) is None:
         return None
-    return DifferenceBetweenRecordings.model_validate(difference_document(found)).model_dump()
+    return DifferenceBetweenRecordings.model_validate(stored.model_dump()).model_dump()
 
 
 def _values_document(p: ValuesPerRecording) -> dict[str, Any]:

@@ -384,3 +384,104 @@ class TestDependence:
         assert (found.torque, found.sigma, found.identified) == (1.0, 2.0, 3.0)
         context.levels[0].deviance, context.levels[1].deviance = 900.0, 100.0
         assert _dependence._tested(context, test)[0].score == pytest.approx(0.01 * fall)
+
+
+def test_a_difference_has_the_uncertainty_of_correlated_values():
+    covariance = np.array(
+        [[4.0, 0.0, 1.5, -1.0], [0.0, 9.0, 0.0, 0.0], [1.5, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 2.0]]
+    )
+    index = {"a.k@x": 0, "b.c": 1, "a.k@y": 2, "a.k@z": 3}
+    theta = np.array([5.0, 0.0, 7.0, 1.0])
+    estimates = {n: Estimate(float(theta[i]), 0.1, "s", at_bound=False) for n, i in index.items()}
+    records = [SimpleNamespace(label=x) for x in "xyz"]
+    layout = SimpleNamespace(records=records, index=index)
+    fit = SimpleNamespace(
+        problem=SimpleNamespace(layout=layout), estimates=estimates, covariance=covariance, theta=theta
+    )
+    found = _difference._values(fit, "a.k")
+    assert found.name == "a.k"
+    assert {k: e.value for k, e in found.estimates.items()} == {"x": 5.0, "y": 7.0, "z": 1.0}
+    assert {k: (e.value, e.stderr, e.unit) for k, e in found.differences.items()} == {
+        "y": (2.0, pytest.approx(math.sqrt(2.0)), "s"),
+        "z": (-4.0, pytest.approx(math.sqrt(8.0)), "s"),
+    }
+    assert found.largest == pytest.approx(math.sqrt(2.0))
+
+
+class TestShared:
+    """Shared parameters of three recordings, of which the keys have given scores."""
+
+    def found(
+        self, monkeypatch, scores, *, labels=3, rival=None, one=None, several=None, least=0.0, per_case=()
+    ):
+        calls = []
+        keys = tuple(scores)
+        jacobian = [np.outer(np.arange(1.0, 3.0 + i), 10.0 ** np.arange(len(keys))) for i in range(labels)]
+
+        def score_of_columns(context, columns):
+            asked.append(columns)
+            return list(scores.values())[len(asked) - 1] if len(asked) <= len(keys) else 7.0
+
+        def one_that_differs(base, promising, tests, criteria, of_rival):
+            calls.append((promising, tests, of_rival))
+            return one
+
+        asked = []
+        monkeypatch.setattr(_difference, "ScoreContext", lambda base, draws: None)
+        monkeypatch.setattr(_difference, "score_of_columns", score_of_columns)
+        monkeypatch.setattr(_difference, "_one_that_differs", one_that_differs)
+        monkeypatch.setattr(
+            _difference, "_several_that_differ", lambda base, keys, criteria: several and (several, keys)
+        )
+        layout = SimpleNamespace(
+            per_case=per_case, records=[1] * labels, index={k: i for i, k in enumerate(keys)}
+        )
+        base = SimpleNamespace(
+            problem=SimpleNamespace(layout=layout, data=[SimpleNamespace(z=np.zeros(2 + i)) for i in range(labels)]),
+            predictions=[SimpleNamespace(jacobian=j) for j in jacobian],
+            model=SimpleNamespace(free=(*keys, *per_case)),
+        )  # fmt: skip
+        found = _difference.different_parameter(base, DEFAULT, rival=rival, least=least)
+        return found, calls, asked
+
+    def fit(self, fails):
+        return SimpleNamespace(fit=SimpleNamespace(fails=lambda criteria: fails))
+
+    def test_each_later_recording_has_its_own_column(self, monkeypatch):
+        _, _, asked = self.found(monkeypatch, {"a": 5.0, "b": 9.0})
+        for k, columns in enumerate(asked[:2]):
+            # rows of 2, 3 and 4 samples
+            expected = np.zeros((9, 2))
+            expected[2:5, 0] = 10.0**k * np.arange(1, 4)
+            expected[5:9, 1] = 10.0**k * np.arange(1, 5)
+            assert columns.tolist() == expected.tolist()
+        assert asked[2].tolist() == np.concatenate(asked[:2], axis=1).tolist()
+
+    def test_the_best_scores_are_refitted(self, monkeypatch):
+        scores = {k: float(v) for k, v in zip("abcdefgh", (3, 8, 1, 6, 7, 2, 5, 4), strict=True)}
+        _, calls, _ = self.found(monkeypatch, scores, per_case=("z",))
+        ((promising, tests, _),) = calls
+        assert promising == list("bedghafc")[: _difference._REFITTED]
+        assert tests == 8
+        _, ((promising, *_),), _ = self.found(monkeypatch, scores, least=7.0)
+        assert promising == ["b", "e"]
+
+    def test_several_parameters_differ_if_one_does_not_suffice(self, monkeypatch):
+        scores = {"a": 1.0, "b": 2.0}
+        good, bad = self.fit(False), self.fit(True)
+        assert self.found(monkeypatch, scores, one=good, several="many")[0] is good
+        assert self.found(monkeypatch, scores, one=bad, several="many")[0] == ("many", ["a", "b"])
+        assert self.found(monkeypatch, scores, one=bad)[0] is bad
+        assert self.found(monkeypatch, scores, several="many")[0] == ("many", ["a", "b"])
+        assert self.found(monkeypatch, scores)[0] is None
+        # not beside a rival, for one parameter, or with all of them below the least score
+        rival = ("fit", 3.0)
+        found, calls, _ = self.found(monkeypatch, scores, one=bad, several="many", rival=rival)
+        assert (found, calls[0][2]) == (bad, rival)
+        assert self.found(monkeypatch, {"a": 1.0}, one=bad, several="many")[0] is bad
+        assert self.found(monkeypatch, scores, one=bad, several="many", least=7.1)[0] is bad
+        assert self.found(monkeypatch, scores, one=bad, several="many", least=6.9)[0] == ("many", ["a", "b"])
+
+    def test_one_recording_shares_nothing(self, monkeypatch):
+        assert self.found(monkeypatch, {"a": 1.0}, labels=1, one=self.fit(False)) == (None, [], [])
+        assert self.found(monkeypatch, {}, per_case=("z",), one=self.fit(False)) == (None, [], [])

@@ -312,3 +312,28 @@ class TestSets:
         columns = np.column_stack([base, a, self.near(a, b), c])
         found = self.found(columns, 10.0 * a + 0.5 * c)
         assert [r.names for r in found] == [("e0",), ("e1",)]
+
+
+def test_added_effects_are_physical_ones_with_one_free_strength(monkeypatch):
+    monkeypatch.setattr(module, "GENERAL", {"usual"})
+
+    def effect(name, kind="physical", symbol="k"):
+        return SimpleNamespace(name=name, kind=kind, amplitude=symbol and SimpleNamespace(symbol=symbol))
+
+    effects = [
+        effect("usual"), effect("drag"), effect("camera", "measurement"), effect("own", symbol="c"), effect("held"),
+        effect("per case"), effect("shape", symbol=None),
+    ]  # fmt: skip
+    known = object.__new__(Information)
+    estimates = {"drag.k": SimpleNamespace(value=3.0), "own.c": SimpleNamespace(value=-2.0)}
+    fit = SimpleNamespace(
+        model=SimpleNamespace(smooth=SimpleNamespace(effects=effects)),
+        estimates=estimates | {n: SimpleNamespace(value=9.0) for n in ("usual.k", "camera.k", "held.k", "")},
+    )
+    for name, value in {
+        "fit": fit,
+        "_shared": ["usual.k", "own.c", "camera.k", "held.k", "drag.k"],
+        "_held": {"held.k"},
+    }.items():
+        object.__setattr__(known, name, value)
+    assert known.added() == {"drag": (4, 3.0), "own": (1, -2.0)}

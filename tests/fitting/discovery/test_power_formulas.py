@@ -804,3 +804,27 @@ def test_a_power_that_falls_again_counts_where_it_is_reached_first():
     # between 2 and 3 the power rises from the 0.85 that were reached before
     share = (norm.ppf(0.9) - norm.ppf(0.85)) / (norm.ppf(0.95) - norm.ppf(0.85))
     assert delta_of_power(falling, 0.9) == pytest.approx(2.0 + share)
+
+
+@pytest.mark.parametrize(
+    ("values", "shape", "absorbed", "limit"),
+    [
+        ({"a.k": (-3.0, 1.0)}, {}, False, 3.0 + ONE_SIDED),
+        ({"a.k@x": (1.0, 0.5), "a.k@y": (-2.0, 0.25)}, {}, False, 2.0 + 0.25 * ONE_SIDED),
+        ({"a.k": (0.5, 0.1)}, {}, False, 2.0),
+        ({"a.k": (9.0, math.nan)}, {}, False, 2.0),
+        ({"a.kk": (9.0, 1.0)}, {}, False, 2.0),
+        ({"a.k": (9.0, 1.0)}, {"n": 1.0}, False, 2.0),
+        ({"a.k": (9.0, 1.0)}, {}, True, 2.0),
+    ],
+)
+def test_an_upper_limit_is_at_least_that_of_the_refit(monkeypatch, values, shape, absorbed, limit):
+    monkeypatch.setattr(module, "replace", lambda old, upper_limit: SimpleNamespace(upper_limit=upper_limit))
+    limits = SimpleNamespace(
+        effect=SimpleNamespace(name="a"), strength="k", shape=shape, absorbed=absorbed, upper_limit=2.0
+    )
+    refit = SimpleNamespace(
+        estimates={n: Estimate(v, u, "1", at_bound=False) for n, (v, u) in values.items()}
+    )
+    assert module._at_least_of_refit(limits, refit).upper_limit == pytest.approx(limit)
+    assert module._at_least_of_refit(limits, None) is limits

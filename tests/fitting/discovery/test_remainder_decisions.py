@@ -698,3 +698,51 @@ def test_amplitudes_of_the_camera_are_those_of_least_squares(held):
         assert one.stderr * scale == pytest.approx(math.sqrt(along @ own @ along), rel=1e-3)
         assert one.p_value == pytest.approx(math.exp(-0.5 * pair @ np.linalg.solve(own, pair)), rel=1e-2)
         assert (one.unit, one.label) == (units[name], "case")
+
+
+class TestSlowResidual:
+    """An oscillation of 3 rad/s whose amplitude and phase differ from the model by 0.01 t and 0.02 t."""
+
+    def residual(self, monkeypatch, *, gross=True, restoring=True, error=0.69, fits=True):
+        time = np.linspace(0.0, 20.0, 81)
+        motion = SimpleNamespace(time=time, amplitude=np.full(81, 0.5), phase=3.0 * time)
+        rest = np.concatenate([0.01 * time, 0.02 * time]) / 0.1
+        fitted = SimpleNamespace(phase_error=error, rows=[(None, None, rest)], scales=[np.full(162, 0.1)])
+        asked = []
+        monkeypatch.setattr(module, "fails_grossly", lambda d, p, n: asked.append((p, n)) or gross)
+        monkeypatch.setattr(module, "averaged_fit", lambda model, data: fitted if fits else None)
+        at = np.linspace(1.0, 19.0, 50)
+        data = SimpleNamespace(
+            motion=SimpleNamespace(slow_motion=motion, time=at, phase=lambda t: 3.0 * t),
+            record=SimpleNamespace(I_casing=2e-3),
+        )
+        end = SimpleNamespace(
+            problem=SimpleNamespace(data=["other", data]), model=SimpleNamespace(restoring=restoring),
+            predictions=["p0", "p1"], noise=["n0", "n1"],
+        )  # fmt: skip
+        found = module._slow_residual(end, 1)
+        assert asked in ([("p1", "n1")], [])
+        return at, found
+
+    def test_it_is_the_torque_that_changes_amplitude_and_phase(self, monkeypatch):
+        t, (time, torque) = self.residual(monkeypatch)
+        assert time is t
+        expected = 2e-3 * (2 * 3.0 * 0.5 * 0.02 * np.cos(3 * t) - 2 * 3.0 * 0.01 * np.sin(3 * t))
+        assert torque == pytest.approx(expected)
+
+    def test_it_needs_a_gross_misfit_whose_phase_is_described(self, monkeypatch):
+        for changed in ({"gross": False}, {"restoring": False}, {"error": 0.7}, {"fits": False}):
+            assert self.residual(monkeypatch, **changed)[1] is None
+
+
+def test_ranges_are_those_of_all_recordings():
+    paths = [
+        np.array([[[900.0, 5.0, 9.0], [700.0, 8.0, 9.0]]]),
+        np.array([[[600.0, -2.0, 9.0], [650.0, 3.0, 9.0]]]),
+    ]
+    fit = SimpleNamespace(
+        model=SimpleNamespace(mechanism=Laws.of(LINEAR).mechanism),
+        predictions=[SimpleNamespace(path=SimpleNamespace(y=y)) for y in paths],
+    )
+    found = module.ranges_of(fit)
+    assert found == {"omega_r": (600.0, 900.0), "omega_c": (-2.0, 8.0), "delta": (602.0, 895.0)}

@@ -253,3 +253,40 @@ class TestMeasuredMotion:
         error = np.sqrt(np.diag(np.linalg.inv(powers.T @ powers))) * 1e-4
         expected = 2.0 * (2 * error[2] if quantity == "angle" else error[1])
         assert u[1] == pytest.approx(expected, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "other", "worst"),
+    [
+        (-3.0, 1.0, 0.0, -3.0),
+        (-1.0, 3.0, 0.0, 3.0),
+        (-1.0, 1.5, -2.0, -2.0),
+        (-1.0, 1.5, 2.5, 2.5),
+        (0.0, 0.0, 0.0, 0.0),
+    ],
+)
+def test_the_largest_speed_residual_is_that_of_all_windows_within_the_interval(
+    monkeypatch, low, high, other, worst
+):
+    """A tenth of the samples of the first window have each of two residuals; outside of the interval it is 99."""
+    t = np.linspace(20.0, 29.9, 100)
+    first = np.where(
+        t < 25.0, np.where(np.arange(100) % 5 == 0, low, 0.0), np.where(np.arange(100) % 5 == 0, high, 0.0)
+    )
+    runs = {
+        "one": (np.concatenate([[9.0], t, [71.0]]), np.concatenate([[99.0], first, [99.0]])),
+        "two": (np.linspace(40.0, 50.0, 30), np.full(30, other)),
+        "outside": (np.linspace(80.0, 90.0, 30), np.full(30, 99.0)),
+    }
+    monkeypatch.setattr(_residuals, "speeds", lambda run, quantity, width: (runs[run][0], runs[run][1] + 5.0))
+    monkeypatch.setattr(
+        _residuals, "modelled_speed", lambda fit, index, state, time: (np.full(len(time), 5.0), None)
+    )
+    bodies = [
+        SimpleNamespace(part="casing", series=(), state=1),
+        SimpleNamespace(part="rotor", series=runs, state=0),
+    ]
+    data = SimpleNamespace(record=SimpleNamespace(bodies=bodies, quantity="angle"), smoothing_width=3)
+    fit = SimpleNamespace(labels=("other", "x"), problem=SimpleNamespace(data=[None, data]))
+    found = _residuals._largest_speed_residual(fit, curve(np.zeros(N), body="rotor"), 40, 280)
+    assert found == pytest.approx(worst)

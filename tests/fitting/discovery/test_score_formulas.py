@@ -663,3 +663,94 @@ def test_each_case_may_choose_its_own_shape():
     assert found.gamma == pytest.approx([3e-5, 3e-5], rel=0.1)
     assert len(found.null) == 5
     assert ends[-1] == len(found.direction)
+
+
+class TestGrids:
+    def columns(self, span=(3.0, 13.0), phase=None):
+        made = object.__new__(module.CaseColumns)
+        made.case = SimpleNamespace(data=SimpleNamespace(record=SimpleNamespace(span=span)))
+        made._states = lambda effect, state, rate, at: np.asarray(phase)[:, None]
+        return made
+
+    def effect(self, *, jump="", state=None):
+        return SimpleNamespace(breakpoint=jump, state=state, rates=[None], parameters=())
+
+    def test_trial_values_are_those_declared(self):
+        p = SimpleNamespace(symbol="n", grid=(0.5, 1.5), start=1.0, relative=False)
+        assert self.columns()._grid(self.effect(), p).tolist() == [0.5, 1.5]
+        p.grid = ()
+        assert self.columns()._grid(self.effect(), p).tolist() == [1.0]
+        p.grid, p.relative = (0.1, 0.5), True
+        assert self.columns()._grid(self.effect(), p).tolist() == [1.0, 5.0]
+
+    def test_moments_of_a_change_are_eight_times_as_dense(self):
+        p = SimpleNamespace(symbol="t0", grid=(0.1, 0.2, 0.6), start=0.1, relative=True)
+        found = self.columns()._grid(self.effect(jump="t0"), p)
+        shares = [*np.linspace(0.1, 0.2, 9), *np.linspace(0.2, 0.6, 9)[1:]]
+        assert found == pytest.approx(3.0 + 10.0 * np.array(shares))
+
+    @pytest.mark.parametrize(
+        ("steps", "count"),
+        [([0.1] * 100, 66), ([0.1] * 50 + [0.2] * 25, 33), ([1e-4] * 30000, 1500), ([2.0], 1)],
+    )
+    def test_frequencies_are_a_phase_step_apart_up_to_one_radian_per_cell(self, monkeypatch, steps, count):
+        monkeypatch.setattr(module, "_phase_symbol", lambda effect: "phi")
+        p = SimpleNamespace(symbol="w", grid=(), start=1.0, relative=False)
+        found = self.columns(phase=np.cumsum([0.0, *steps]))._grid(self.effect(state=object()), p)
+        fastest = 1.0 / max(steps)
+        assert found == pytest.approx(np.linspace(fastest / count, fastest, count))
+        assert len(found) == min(1500, max(1, int(fastest * sum(steps) / 1.5)))
+
+
+class TestShapesOfCases:
+    """Each case has three trials; the score of one is that of its shape, with those of the other cases free."""
+
+    def chosen(self, monkeypatch, scores, given):
+        """`scores` are those of each case alone; `given` those with the chosen trials of the other cases."""
+        calls = []
+
+        def best_group(context, effect, groups, levels, *, null):
+            case = groups[0][1][0, 0]
+            values = scores[int(case)] if levels == "levels" else given(int(case), levels)
+            calls.append((int(case), levels, null))
+            k = int(np.argmax(values))
+            return SimpleNamespace(
+                shape=({"n": k},), score=max(values), null=np.array([1.0, 2.0]) * (case + 1)
+            )
+
+        monkeypatch.setattr(module, "best_group", best_group)
+        monkeypatch.setattr(
+            module, "rows_of_case",
+            lambda context, trials, i: [((t.shape,), np.array([[float(i), float(t.shape["n"])]])) for t in trials],
+        )  # fmt: skip
+        context = SimpleNamespace(
+            with_free=lambda columns: tuple(map(tuple, columns.reshape(-1, 2).astype(int).tolist()))
+        )
+        trials = [[SimpleNamespace(shape={"n": k}) for k in range(3)] for _ in scores]
+        found, null = module._choose_shapes(context, "effect", trials, "levels", null=True)
+        return [t.shape["n"] for t in found], null, calls
+
+    def test_the_best_case_is_chosen_first_and_all_once_more(self, monkeypatch):
+        scores = [[5.0, 1.0, 0.0], [0.0, 9.0, 1.0], [0.0, 1.0, 7.0]]
+
+        def given(case, others):
+            # beside trial 1 of case 1, the first case has its second trial
+            known = dict(others)
+            return [0.0, 8.0, 1.0] if case == 0 and known[1] == 1 else scores[case]
+
+        found, null, calls = self.chosen(monkeypatch, scores, given)
+        assert found == [1, 1, 2]
+        assert null.tolist() == [6.0, 12.0]
+        assert [c for c in calls if c[1] == "levels"] == [(i, "levels", True) for i in range(3)]
+        assert [(case, set(others)) for case, others, null in calls[3:]] == [
+            (2, {(0, 0), (1, 1)}), (0, {(1, 1), (2, 2)}), (1, {(0, 1), (2, 2)}), (2, {(0, 1), (1, 1)}),
+            (0, {(1, 1), (2, 2)}),
+        ]  # fmt: skip
+        assert not any(null for *_, null in calls[3:])
+
+    def test_many_cases_have_their_own_best_trials(self, monkeypatch):
+        scores = [[1.0, 0.0, 0.0]] * 5
+        found, _, calls = self.chosen(monkeypatch, scores, lambda case, others: [0.0, 0.0, 9.0])
+        assert found == [0] * 5
+        assert len(calls) == 5
+        assert self.chosen(monkeypatch, scores[:4], lambda case, others: [0.0, 0.0, 9.0])[0] == [2] * 4

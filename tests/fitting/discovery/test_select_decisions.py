@@ -1380,3 +1380,99 @@ class TestFoundStarts:
     def test_of_phases_common_and_own_values(self, monkeypatch):
         found = self.starts(monkeypatch, score(PERIODIC, columns=4, own_phase=True))
         assert found == {f"{PERIODIC.name}.False": 2.0, f"{PERIODIC.name}.True": 4.0}
+
+
+class TestExchanged:
+    """The laws a and b were added to the base; d is a law of the user whose own form is in the model."""
+
+    def step(
+        self,
+        monkeypatch,
+        refits,
+        *,
+        deltas=None,
+        fails=True,
+        restoring=False,
+        quiet=0.0,
+        added=("a", "b"),
+        torque=(0.0, 0.0),
+    ):
+        def law(name, kind="physical"):
+            return SimpleNamespace(name=name, kind=kind)
+
+        class Exchanged:
+            def __init__(self, change, delta):
+                self.change, self.delta_bic = change, delta
+
+            def refit(self, about):
+                tried.append(self.change)
+                bic = refits.get(self.change)
+                return bic and SimpleNamespace(bic=bic, deviance=bic - 20.0, name=self.change)
+
+        tried, asked = [], []
+        current = SimpleNamespace(
+            model=SimpleNamespace(effects=[law(n) for n in ("base", *added)], restoring=restoring),
+            problem=SimpleNamespace(cases=[1, 2]), bic=100.0, deviance=70.0,
+            fails=lambda criteria: fails, name="current",
+        )  # fmt: skip
+        first = SimpleNamespace(model=SimpleNamespace(names=("base",)))
+
+        def exchanges(about, removed, effects, cases, criteria):
+            asked.append((removed.name, [e.name for e in effects], cases))
+            return [Exchanged(c, d) for c, d in (deltas or {}).items() if c.startswith(removed.name)]
+
+        monkeypatch.setattr(module, "exchanges", exchanges)
+        monkeypatch.setattr(module, "_is_friction", lambda e: e.kind == "physical")
+        monkeypatch.setattr(
+            module, "applicable_effects", lambda fit, extra: [law("x"), law("phase", "other"), law("y")]
+        )
+        monkeypatch.setattr(module, "laws_of", lambda mechanism: {"a": law("a"), "b": law("b", "changed")})
+        monkeypatch.setattr(module, "mechanism_of", lambda effects: None)
+        monkeypatch.setattr(module, "CaseColumns", lambda fit, i: i)
+        monkeypatch.setattr(module, "_refined", lambda fit, criteria: fit)
+        monkeypatch.setattr(module, "deviance_at_noise_of", lambda old, new: old.deviance - quiet)
+        random = {"current": torque[0]}
+        monkeypatch.setattr(
+            module, "with_random_torque",
+            lambda f, criteria: SimpleNamespace(deviance=f.deviance - random.get(f.name, torque[1])),
+        )  # fmt: skip
+        criteria = SimpleNamespace(evidence=6.0)
+        found = module._exchanged([SimpleNamespace(fit=first), SimpleNamespace(fit=current)], (), criteria)
+        assert found is None or found.is_exchange
+        return found and found.change, tried, asked
+
+    def test_three_exchanges_are_refitted_and_the_best_is_taken(self, monkeypatch):
+        deltas = {"a1": -7.0, "a2": -30.0, "b1": -9.0, "b2": -8.0}
+        found, tried, asked = self.step(
+            monkeypatch, {"a2": 93.0, "b1": 91.0, "b2": 90.0, "a1": 1.0}, deltas=deltas
+        )
+        assert (found, tried) == ("b2", ["a2", "b1", "b2"])
+        # of b, the library has another form
+        assert asked == [("a", ["x", "y"], [0, 1]), ("b", ["b", "x", "y"], [0, 1])]
+
+    def test_a_refit_that_fails_is_left_out(self, monkeypatch):
+        assert self.step(monkeypatch, {"b1": 93.0}, deltas={"a1": -9.0, "b1": -8.0})[0] == "b1"
+        assert self.step(monkeypatch, {}, deltas={"a1": -9.0})[0] is None
+
+    @pytest.mark.parametrize(
+        ("bic", "quiet", "fails", "torque", "taken"),
+        [
+            (93.9, 0.0, True, (0.0, 0.0), True), (94.1, 0.0, True, (0.0, 0.0), False),
+            # a part of the fall is due to the noise of the new fit
+            (92.0, 1.9, True, (0.0, 0.0), True), (92.0, 2.1, True, (0.0, 0.0), False),
+            (94.1, -5.0, True, (0.0, 0.0), False),
+            # a random torque describes the data of a model without a lack of fit as well
+            (90.0, 0.0, False, (3.9, 0.0), True), (90.0, 0.0, False, (4.1, 0.0), False),
+            (90.0, 0.0, True, (4.1, 0.0), True), (90.0, 0.0, False, (5.0, 1.2), True),
+            (94.1, 0.0, False, (0.0, 9.0), False),
+        ],
+    )  # fmt: skip
+    def test_bic_falls_by_more_than_noise_explains(self, monkeypatch, bic, quiet, fails, torque, taken):
+        found, *_ = self.step(
+            monkeypatch, {"a1": bic}, deltas={"a1": -20.0}, quiet=quiet, fails=fails, torque=torque
+        )
+        assert (found == "a1") is taken
+
+    def test_oscillations_and_first_models_have_none(self, monkeypatch):
+        assert self.step(monkeypatch, {"a1": 1.0}, deltas={"a1": -20.0}, restoring=True) == (None, [], [])
+        assert self.step(monkeypatch, {"a1": 1.0}, deltas={"a1": -20.0}, added=()) == (None, [], [])

@@ -6,6 +6,7 @@ pi / sqrt(k), its turning points fall by 2 b / k each, and it stays where the sp
 
 import math
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -628,3 +629,66 @@ class TestHorizon:
 
 def replace_path(path, **changes):
     return SimpleNamespace(**{**vars(path), **changes})
+
+
+@cache
+def known_swings():
+    dynamics = Dynamics(Model.of((DRY, SPRING)))
+    numbers = {f"{SPRING}.k": 8.0, f"{DRY}.b1": 0.2, **UNIT}
+    return dynamics, solve(dynamics, numbers, np.array([5.0, 2.0, 0.0]), Mesh.uniform(0.0, 9.0, 40))
+
+
+class TestSimultaneousReversals:
+    """A spring with dry friction: from a solution for other numbers, all reversals are found at once."""
+
+    FIRST = np.array([5.0, 2.0, 0.0])
+
+    def numbers(self, k, b):
+        return {f"{SPRING}.k": k, f"{DRY}.b1": b, **UNIT}
+
+    def exact(self, k, b, count):
+        """Return times and deflections of the turning points of a body of inertia 2 that begins at 2 rad/s."""
+        w, rest = math.sqrt(k / 2.0), b / k
+        times, places = [math.atan2(2.0 / w, rest) / w], [math.hypot(rest, 2.0 / w) - rest]
+        for _ in range(count - 1):
+            sense = -math.copysign(1.0, places[-1])
+            times.append(times[-1] + math.pi / w)
+            # about the equilibrium -sense rest
+            places.append(-2 * sense * rest - places[-1])
+        return np.array(times), np.array(places)
+
+    @pytest.mark.parametrize(("k", "b"), [(8.0, 0.2), (8.3, 0.2), (7.8, 0.26), (8.2, 0.24)])
+    def test_they_are_those_of_the_exact_motion(self, k, b):
+        dynamics, known = known_swings()
+        turns = sorted(known.jumps)
+        assert len(turns) == 6
+        times, places = self.exact(8.0, 0.2, 6)
+        assert known.mesh.edges[turns] == pytest.approx(times, abs=1e-6)
+        assert known.edges[turns, 2] == pytest.approx(places, abs=1e-6)
+        pieces = Segments(dynamics, self.numbers(k, b), ()).oscillating(self.FIRST, 1.0, known)
+        assert len(pieces) == 7
+        times, places = self.exact(k, b, 6)
+        w, last = math.sqrt(k / 2.0), (0.0, None)
+        for i, piece in enumerate(pieces):
+            sense = 1.0 - 2.0 * (i % 2)
+            assert (piece.sense == sense).all()
+            end = times[i] if i < 6 else 9.0
+            assert (piece.mesh.edges[0], piece.mesh.edges[-1]) == (
+                pytest.approx(last[0], abs=1e-6), pytest.approx(end, abs=1e-6),
+            )  # fmt: skip
+            centre, turn = -sense * b / k, (times[i], places[i]) if i < 6 else last
+            at = piece.mesh.times
+            x = centre + (turn[1] - centre) * np.cos(w * (at - turn[0]))
+            v = -(turn[1] - centre) * w * np.sin(w * (at - turn[0]))
+            assert piece.y[..., 2] == pytest.approx(x, abs=2e-6)
+            assert piece.y[..., 1] == pytest.approx(v, abs=5e-6)
+            assert (piece.y[..., 0] == 5.0).all()
+            if i < 6:
+                assert piece.edges[-1, 1] == pytest.approx(0.0, abs=1e-9)
+                assert piece.edges[-1, 2] == pytest.approx(places[i], abs=2e-6)
+                last = turn
+
+    def test_a_motion_without_the_known_reversals_is_not_found(self):
+        """With a fifth of the stiffness they are a factor of 2.2 later."""
+        dynamics, known = known_swings()
+        assert Segments(dynamics, self.numbers(1.6, 0.2), ()).oscillating(self.FIRST, 1.0, known) == []

@@ -533,3 +533,23 @@ class TestKinks:
                 assert found[block] == pytest.approx(expected)
         assert np.abs(exact_harmonic).max() > 1.0
         assert of_window == pytest.approx(exact_of_window if window else np.full(of_window.shape, 7.0))
+
+
+@pytest.mark.parametrize("stated", [(math.nan, math.nan, math.nan), (1e-3, math.nan, 0.0), (math.nan,), ()])
+def test_columns_of_starts_are_in_the_rows_of_their_windows(monkeypatch, stated):
+    """Of windows of 2, 3 and 1 rows after four rows of the casing; rows are whitened twice as large."""
+    monkeypatch.setattr(
+        module, "start_response", lambda window, *, angle: np.full(window.rows, window.rows + 10.0 * angle)
+    )
+    windows = [SimpleNamespace(rows=n) for n in (2, 3, 1)]
+    data = SimpleNamespace(
+        slices={"rotor": slice(4, 10)}, rotor=windows, z=np.zeros(12), is_angle=True,
+        record=SimpleNamespace(start_sigma=stated), with_white_angles=lambda rows: 2 * rows,
+    )  # fmt: skip
+    found = dict(CaseData.start_columns(data))
+    assert list(found) == [i for i, s in enumerate(stated) if math.isnan(s)]
+    for i, column in found.items():
+        first = 4 + (0, 2, 5)[i]
+        expected = np.zeros(12)
+        expected[first : first + windows[i].rows] = 2 * (10.0 + windows[i].rows)
+        assert column.tolist() == expected.tolist()

@@ -11,6 +11,7 @@ import pytest
 from linearised import covariance, gyroscope, least_squares
 
 from fitting import LIBRARY, Estimate, EstimationError, Model, SimulationError
+from fitting.effects._mechanism import GYROSCOPE
 from fitting.effects._user import resolve
 from fitting.inference import _fit as module
 from fitting.inference import _optimisation as optimisation
@@ -809,3 +810,48 @@ def test_at_a_bound_of_d_the_torque_and_its_slope_at_the_reference_speed_are_tho
     assert torque_and_slope(*at_d) == pytest.approx(torque_and_slope(*theta))
     assert at_f[1] == 0.005
     assert torque_and_slope(*at_f) == pytest.approx(torque_and_slope(*theta), rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "symbol", "reverses"),
+    [
+        ((-0.9, 50.0), "omega_r", True),
+        ((-0.4, 50.0), "omega_r", False),
+        ((0.0, 50.0), "omega_r", False),
+        ((-50.0, 0.4), "omega_r", False),
+        ((-50.0, 0.6), "omega_r", True),
+        ((-50.0, -1.0), "omega_r", False),
+        # against the casing at 2 rad/s, the bearing turns in one sense or in both
+        ((1.0, 50.0), "delta", True),
+        ((2.1, 50.0), "delta", False),
+        ((-60.0, 1.9), "delta", False),
+    ],
+)
+def test_a_speed_reverses_beyond_a_hundredth_of_its_largest_value(speeds, symbol, reverses):
+    time = np.array([0.0, 1.0])
+    record = SimpleNamespace(mechanism=GYROSCOPE, bodies=[SimpleNamespace(part="casing")])
+    known = {"casing": (time, np.array([2.0, 2.0])), "rotor": (time, np.array(speeds))}
+    data = SimpleNamespace(record=record, speeds=known)
+    assert module._reverses(data, symbol) is reverses
+
+
+def test_of_further_searches_the_best_is_taken(monkeypatch):
+    ends = {"a": 8.0, "b": 12.0, "c": None, "d": 5.0}
+
+    def search(problem, begin, *, quick):
+        assert (problem, quick) == ("problem", True)
+        if ends[begin] is None:
+            raise EstimationError("no motion")
+        return SimpleNamespace(minimum=SimpleNamespace(cost=ends[begin]), begin=begin)
+
+    monkeypatch.setattr(module, "search", search)
+    first = SimpleNamespace(minimum=SimpleNamespace(cost=10.0), begin="first")
+    for others, best in (
+        ("", "first"),
+        ("b", "first"),
+        ("ab", "a"),
+        ("abcd", "d"),
+        ("dab", "d"),
+        ("c", "first"),
+    ):
+        assert module._from_other_starts("problem", first, others, quick=True).begin == best

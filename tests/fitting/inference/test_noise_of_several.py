@@ -104,3 +104,62 @@ def test_a_recording_is_given_up_only_if_the_model_does_not_describe_it_alone(
     _, found = _fit._from_separate_fits(problem, solution, noise, quick=False)
     assert [n.common for n in found] == [common] * 2
     assert [n.level for n in found] == ([31.0, 31.0] if common else [float(r) for r in joint])
+
+
+@pytest.mark.parametrize(
+    ("restoring", "gross", "driven", "largest", "level"),
+    [
+        (False, True, False, 1.0, 3e-8),
+        (True, False, False, 1.0, 3e-8),
+        (True, True, False, 1.0, 7e-9),
+        (True, True, True, 1.0, 7e-9),
+        (False, False, True, 1.0, 2e-8),
+        (False, False, False, 1e-8, 1e-8),
+        (False, False, False, 0.0, 3e-8),
+        (False, False, True, 1e-8, 1e-8),
+    ],
+)
+def test_the_level_of_the_residuals_has_its_limits(monkeypatch, restoring, gross, driven, largest, level):
+    """Of 3e-8 N m; that of the recording is 7e-9, its least plausible one 2e-8."""
+
+    class Level(SimpleNamespace):
+        def at(self, level):
+            return Level(**(vars(self) | {"level": level}))
+
+    monkeypatch.setattr(_problem, "remaining_level", lambda whitener, residual, columns: (3e-8, 4.0))
+    monkeypatch.setattr(_problem, "fails_grossly", lambda *_: gross)
+    monkeypatch.setattr(_problem, "free_columns", lambda data, p, moving: None)
+    monkeypatch.setattr(_problem, "replace", lambda n, **changed: Level(**(vars(n) | changed)))
+    data = SimpleNamespace(z=np.zeros(3), largest_torque=largest, driven=driven)
+    prediction = SimpleNamespace(rows=np.zeros(3))
+    layout = SimpleNamespace(
+        at_bound=lambda _: np.zeros(0, dtype=bool), model=SimpleNamespace(restoring=restoring)
+    )
+    problem = SimpleNamespace(data=[data], layout=layout, predict=lambda _: [prediction])
+    noise = [Level(level=1.0, pure=7e-9, least=2e-8, whitener=None, common=False)]
+    (found,) = _problem.refine_level(problem, np.zeros(0), noise)
+    assert (found.level, found.excess, found.limited) == (level, 4.0, driven)
+
+
+@pytest.mark.parametrize(("share", "gross"), [(0.98, False), (1.02, True)])
+@pytest.mark.parametrize("time", [0.3, 2.0])
+def test_a_torque_that_makes_the_phase_random_is_a_gross_misfit(monkeypatch, share, gross, time):
+    """An oscillation of 1.5 s and 0.2 rad over 40 periods, with an inertia of 3e-4 kg m2."""
+    w = 2 * np.pi / 1.5
+    criteria = SimpleNamespace(gross_misfit=0.7)
+    density = lambda s: 2 * (s / 3e-4) ** 2 * time / (1 + (w * time) ** 2)  # noqa: E731
+    unit = np.sqrt(density(1.0) * 60.0 / 2) / (0.2 * w)
+    level = share * 0.7 / unit
+    monkeypatch.setattr(_problem, "remaining_level", lambda whitener, residual, columns: (level, 0.0))
+    motion = SimpleNamespace(
+        period=1.5, periods=40, slow_motion=SimpleNamespace(amplitude=np.array([0.2, -0.2]))
+    )
+    none = np.zeros((2, 0))
+    data = SimpleNamespace(
+        motion=motion, nuisance=none, z=np.zeros(2), criteria=criteria, record=SimpleNamespace(I_casing=3e-4)
+    )
+    prediction = SimpleNamespace(columns=none, rows=np.zeros(2))
+    noise = SimpleNamespace(whitener=None, time=time)
+    assert _problem.fails_grossly(data, prediction, noise) is gross
+    motion.slow_motion = None
+    assert not _problem.fails_grossly(data, prediction, noise)

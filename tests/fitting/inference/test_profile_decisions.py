@@ -62,6 +62,35 @@ class TestEnds:
         assert opened
         assert end == held.tried[-1] > 100.0
 
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_trials_grow_are_interpolated_and_bisected(self, sign):
+        """The root is 0.5 up to a deviation of 4, then 6: the share of the target between them is 3 / 11."""
+        held = Known(lambda x: 0.5 if abs(x) < 4.0 else 6.0)
+        end, opened = held.end(sign)
+        third = 2.0 + 4.0 * 3 / 11
+        fourth = third + (6.0 - third) * 3 / 11
+        fifth = 0.5 * (fourth + 6.0)
+        sixth = fourth + (fifth - fourth) * 3 / 11
+        assert sign * (np.array(held.tried) - 5.0)[:6] == pytest.approx(
+            [2.0, 6.0, third, fourth, fifth, sixth]
+        )
+        assert len(held.tried) == 20
+        assert end == pytest.approx(5.0 + 4.0 * sign, abs=1e-3)
+        assert not opened
+
+    @pytest.mark.parametrize(("root", "second"), [(0.99, 6.0), (1.01, 4.6), (1.97, 4.6)])
+    def test_a_step_doubles_below_half_of_the_quantile(self, root, second):
+        held = Known(lambda x: root if x < 3.0 else 9.0)
+        held.end(1.0)
+        assert held.tried[1] - 5.0 == pytest.approx(second)
+
+    def test_an_interpolated_trial_keeps_a_tenth_from_either_end(self):
+        for low, high, share in ((1.9, 9.0, 0.1), (0.0, 2.1, 0.9), (0.5, 2.5, 0.75)):
+            held = Known(lambda x, low=low, high=high: low if abs(x) <= 2.0 else high)
+            held.end(1.0)
+            first, second = held.tried[:2]
+            assert held.tried[2] == pytest.approx(first + share * (second - first))
+
     def test_where_the_model_cannot_be_computed_is_an_end(self):
         """The root is half the target up to a deviation of 3, beyond which no motion exists."""
         end, opened = Known(lambda x: 1.0 if abs(x) < 3.0 else math.inf).end(-1.0)
@@ -120,6 +149,7 @@ class TestHeld:
         asked = []
 
         def search(problem, theta, *, max_iterations, active):
+            assert max_iterations == 300
             asked.append((problem, theta.tolist(), active))
             return SimpleNamespace(minimum=SimpleNamespace(cost=136.0), theta=theta + 1.0, active="active")
 

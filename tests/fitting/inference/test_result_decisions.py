@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import Estimate, Fit
+from fitting import Estimate, EstimationError, Fit
 from fitting._criteria import DEFAULT
 from fitting.inference import _result as module
+from fitting.inference._angle_noise import AngleNoise
 from fitting.inference._problem import degenerate_directions, surely_at_bound
 from fitting.inference._result import FitSummary, not_determined
 
@@ -469,3 +470,114 @@ class TestLines:
         assert ("not separable" in text) is stated
         assert ("2, 2.1 N m" in text) is stated
         assert "not separable" not in " ".join(self.merits(noise=()))
+
+    def test_correlated_angle_noise_is_stated_of_each_camera_that_shows_it(self, monkeypatch):
+        """Of two recordings; the first has none in its windows, the second has both parts of the casing's."""
+        silent = AngleNoise(2e-3, 1e-4, 0.5, gain=9.9, needed=10.0)
+        slow = AngleNoise(2e-3, 1e-4, 0.5, gain=10.0, needed=10.0)
+        both = AngleNoise(3e-3, 1e-4, 0.25, 7e-3, 1e-3, 4.0, gain=90.0, needed=10.0)
+        turning = AngleNoise(turn_sigma=7e-3, turn_sigma_u=1e-3, turn_time=4.0, gain=90.0, needed=10.0)
+        data = [
+            SimpleNamespace(record=SimpleNamespace(label=x), angle_noise=own, rotor_angle_noise=other)
+            for x, own, other in (("one", slow, silent), ("two", both, turning))
+        ]
+        shown = object.__new__(Fit)
+        object.__setattr__(shown, "problem", SimpleNamespace(data=data))
+        lines = module.angle_noise_lines(shown)
+        assert [x.partition(":")[0] for x in lines] == [
+            "correlated angle noise of one",
+            "correlated angle noise of two",
+            "correlated angle noise of two in the rotor's windows",
+        ]
+        slow_part, turn_part = [x.partition(": ")[2].split("; ") for x in (lines[0], lines[2])]
+        assert len(slow_part) == len(turn_part) == 1
+        assert "mrad" in slow_part[0]
+        assert slow_part[0].startswith("2.0")
+        assert slow_part[0].endswith("0.5 s")
+        assert turn_part[0].startswith("7")
+        assert turn_part[0].endswith("4 s")
+        parts = lines[1].partition(": ")[2].split("; ")
+        assert [p[0] for p in parts] == ["3", "7"]
+        object.__setattr__(shown, "problem", SimpleNamespace(data=data[:1]))
+        assert module.angle_noise_lines(shown) == [lines[0].replace(" of one", "")]
+        assert module.angle_noise_lines(SimpleNamespace()) == []
+
+
+class TestBodies:
+    """A recording of a wheel (the main body) and of an arm with two runs, and a second case."""
+
+    def fit(self):
+        mechanism = SimpleNamespace(bodies=("arm", "wheel", "hub"), main="wheel")
+        runs = [
+            SimpleNamespace(state=0, name="a"),
+            SimpleNamespace(state=2, name="h"),
+            SimpleNamespace(state=0, name="b"),
+        ]
+        record = SimpleNamespace(
+            bodies=[SimpleNamespace(name="disc", state=0), SimpleNamespace(name="rim", state=1)],
+            mechanism=mechanism, casing="wheel run", rotor=runs, quantity="angle", harmonic=0.0,
+        )  # fmt: skip
+        data = SimpleNamespace(record=record, smoothing_width=7)
+        shown = object.__new__(Fit)
+        layout = SimpleNamespace(model=SimpleNamespace(mechanism=mechanism))
+        problem = SimpleNamespace(data=[data, data], layout=layout)
+        for name, value in {"problem": problem, "labels": ("x", "y")}.items():
+            object.__setattr__(shown, name, value)
+        return shown
+
+    def test_speeds_are_those_of_all_runs_of_the_body(self, monkeypatch):
+        monkeypatch.setattr(module, "speeds", lambda run, quantity, width: (run, quantity, width))
+        shown = self.fit()
+        runs = shown.problem.data[0].record.rotor
+        assert shown.measured_speeds(1, 1) == [("wheel run", "angle", 7)]
+        assert shown.measured_speeds(0, 0) == [(runs[0], "angle", 7), (runs[2], "angle", 7)]
+        assert shown.measured_speeds(0, 2) == [(runs[1], "angle", 7)]
+        for case, body in ((2, 0), (-1, 0), (0, 3), (0, -1), (0.5, 1), (0, 1.5)):
+            with pytest.raises(EstimationError):
+                shown.measured_speeds(case, body)
+
+    def test_a_body_is_found_by_its_name_and_the_main_one_by_default(self):
+        shown = self.fit()
+        places = {name: shown._place(name, 0) for name in (None, "disc", "rim", "wheel")}
+        assert places == {None: 1, "disc": 0, "rim": 1, "wheel": 1}
+        with pytest.raises(EstimationError, match="no body"):
+            shown._place("hub", 0)
+        with pytest.raises(EstimationError, match="no case"):
+            shown._place("disc", 2)
+
+    @pytest.mark.parametrize("case", [0, 1])
+    def test_the_curve_is_that_of_body_and_case(self, monkeypatch, case):
+        monkeypatch.setattr(module, "evaluate", lambda *asked: asked)
+        shown = self.fit()
+        assert shown.eval([1.0], body="disc", case=case, quantity="omega") == (shown, [1.0], 0, case, "omega")
+        assert shown.eval() == (shown, None, 1, 0, None)
+
+    def test_intervals_are_those_of_the_named_free_parameters(self, monkeypatch):
+        from fitting.inference import _profile
+
+        monkeypatch.setattr(_profile, "profile", lambda fit, key, level: (key, level))
+        shown = self.fit()
+        names = ("a.k", "b.c", "initial.omega_r", "tied.d", "absent.e")
+        free = np.array([True, True, True, False, True])
+        shown.problem.layout.names, shown.problem.layout.is_free = names, free
+        known = {n: None for n in names if n != "absent.e"}
+        for name, value in {"estimates": known, "labels": ("x",)}.items():
+            object.__setattr__(shown, name, value)
+        monkeypatch.setattr(Fit, "body_name", "")
+        assert shown.conf_interval() == {"a.k": ("a.k", 0.95), "b.c": ("b.c", 0.95)}
+        assert shown.conf_interval("k", level=0.5) == {"k": ("a.k", 0.5)}
+        assert shown.conf_interval("b.c", level=[0.5, 1]) == {"b.c": {0.5: ("b.c", 0.5), 1.0: ("b.c", 1.0)}}
+        with pytest.raises(Exception, match="d"):
+            shown.conf_interval("tied.d")
+
+    def test_energy_is_that_of_a_label(self, monkeypatch):
+        monkeypatch.setattr(module, "energy_balance", lambda case, theta, path: (case, theta, path))
+        shown = self.fit()
+        shown.problem.cases = ["first", "second"]
+        for name, value in {"theta": "theta", "predictions": [SimpleNamespace(path=p) for p in "pq"]}.items():
+            object.__setattr__(shown, name, value)
+        assert shown.energy() == ("first", "theta", "p")
+        assert shown.energy("x") == ("first", "theta", "p")
+        assert shown.energy("y") == ("second", "theta", "q")
+        with pytest.raises(EstimationError, match="no case"):
+            shown.energy("z")

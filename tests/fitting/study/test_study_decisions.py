@@ -4,12 +4,14 @@ import json
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from fitting import Case, Ledger, LedgerError, RecordError, fit, load_fit, make_record
+from fitting import Case, Estimate, Ledger, LedgerError, RecordError, fit, load_fit, make_record
 from fitting.discovery._certificate import Certificate, Outcome
+from fitting.discovery._difference import DifferentParameter, ValuesPerRecording
 from fitting.inference._profile import Interval
 from fitting.inference._record import Samples
 from fitting.study import _history, _preparation, _serialisation
@@ -438,3 +440,102 @@ class TestDocuments:
         (tmp_path / "fit.json").write_text(json.dumps(document))
         with pytest.raises(LedgerError, match="size of the covariance"):
             load_fit(tmp_path / "fit.json")
+
+
+class TestPriors:
+    KNOWN: ClassVar = {
+        "fit_id": "f1", "model": [], "parameters": {}, "digests": ["d"], "verdict": "x", "variables": ["a", "b"],
+        "covariance": [[4.0, 0.5], [0.5, 1.0]], "share": ["s"], "per_case": ["p"],
+    }  # fmt: skip
+
+    def test_an_entry_has_the_variables_of_its_covariance(self):
+        entry = Entry(self.KNOWN)
+        assert (entry.variables, entry.covariance) == (["a", "b"], [[4.0, 0.5], [0.5, 1.0]])
+        assert entry.choices == (("s",), ("p",))
+        assert entry.digests == ["d"]
+        bare = Entry({k: v for k, v in self.KNOWN.items() if k not in ("variables", "covariance")})
+        assert (bare.variables, bare.covariance) == ([], [])
+
+    def test_a_stored_prior_is_that_of_the_fit(self):
+        prior = {
+            "names": ["a", "b"],
+            "mean": [1.0, 2.0],
+            "covariance": [[4.0, 0.5], [0.5, 1.0]],
+            "source": "run (f2)",
+        }
+        found = Entry(self.KNOWN | {"prior": prior}).prior
+        assert (found.names, found.mean, found.source) == (("a", "b"), (1.0, 2.0), "run (f2)")
+        assert found.covariance == ((4.0, 0.5), (0.5, 1.0))
+
+
+def test_a_difference_is_stored_with_bounds_and_shown_without():
+    def estimate(value):
+        return Estimate(value, 0.5, "N m", at_bound=False, min=0.0, max=9.0)
+
+    values = {"one": estimate(1.0), "two": estimate(3.0)}
+    other = ValuesPerRecording("b.c", {"one": estimate(7.0)}, {"two": estimate(8.0)})
+    found = DifferentParameter("a.k", values, {"two": estimate(2.0)}, ("z.y",), -12.0, 0.003, (other,))
+    assert _serialisation.difference_document(None) is None
+    assert _serialisation.shown_difference(None) is None
+    stored = _serialisation.difference_document(found)
+    assert (stored.parameter, stored.delta_bic, stored.p_value) == ("a.k", -12.0, 0.003)
+    assert stored.indistinguishable_from == ["z.y"]
+    assert {k: (v.value, v.stderr, v.min, v.max) for k, v in stored.values.items()} == {
+        "one": (1.0, 0.5, 0.0, 9.0),
+        "two": (3.0, 0.5, 0.0, 9.0),
+    }
+    assert stored.differences["two"].value == 2.0
+    ((more),) = stored.others
+    assert (more.parameter, more.values["one"].value, more.differences["two"].value) == ("b.c", 7.0, 8.0)
+    shown = _serialisation.shown_difference(found)
+    assert shown["values"]["two"]["value"] == 3.0
+    assert "max" not in shown["values"]["two"]
+    assert (shown["parameter"], shown["others"][0]["parameter"]) == ("a.k", "b.c")
+
+
+class TestStoredDiagnosis:
+    def stored(self, monkeypatch, candidates):
+        monkeypatch.setattr(_serialisation, "stored_fit", lambda fit: f"stored {fit.name}")
+        monkeypatch.setattr(_serialisation, "own_effects", lambda effects: [e.name for e in effects])
+        monkeypatch.setattr(_serialisation, "fingerprint", lambda: "code")
+        monkeypatch.setattr(_serialisation, "difference_document", lambda d: f"document of {d}")
+        monkeypatch.setattr(
+            _serialisation, "StoredDiagnosis", SimpleNamespace(model_validate=lambda known: known)
+        )
+        found = SimpleNamespace(
+            fit=SimpleNamespace(model=SimpleNamespace(names=("a", "b"))), candidates=candidates, differs="difference",
+            verdict="missing_effect",
+        )  # fmt: skip
+        return _serialisation.stored_diagnosis(found, [SimpleNamespace(name="own")])
+
+    def candidate(self, name, *, count=3, fitted=True, physical=True, significant=True):
+        fit = SimpleNamespace(name=name, model=SimpleNamespace(names=("x",) * count))
+        return SimpleNamespace(
+            effect=SimpleNamespace(name=name), fit=fit if fitted else None, physical=physical, significant=significant,
+            score=7.0,
+        )  # fmt: skip
+
+    def test_the_fits_of_the_first_physical_candidates_are_kept(self, monkeypatch):
+        """A fit with free moments of inertia has another model."""
+        made = [
+            self.candidate("free", count=4), self.candidate("camera", physical=False),
+            self.candidate("weak", significant=False),
+            self.candidate("none", fitted=False), *(self.candidate(f"c{i}") for i in range(9)),
+        ]  # fmt: skip
+        found = self.stored(monkeypatch, made)
+        fits = {c["effect"]: c["fit"] for c in found["candidates"]}
+        kept = [f"c{i}" for i in range(_serialisation._FITS)]
+        assert fits == {
+            c.effect.name: f"stored {c.effect.name}" if c.effect.name in kept else None for c in made
+        }
+        first = found["candidates"][0]
+        assert (first["own_effects"], first["score"], first["significant"]) == (["free"], 7.0, True)
+        assert (found["code"], found["extra"], found["verdict"]) == ("code", ["own"], "missing_effect")
+        assert found["differs"] == "document of difference"
+
+    @pytest.mark.parametrize(("code", "extra"), [("other", ["own"]), ("code", []), ("code", ["own", "more"])])
+    def test_one_of_other_code_or_effects_is_not_restored(self, monkeypatch, code, extra):
+        monkeypatch.setattr(_serialisation, "own_effects", lambda effects: [e.name for e in effects])
+        monkeypatch.setattr(_serialisation, "fingerprint", lambda: "code")
+        stored = SimpleNamespace(code=code, extra=extra)
+        assert _serialisation.restored_diagnosis(stored, None, [SimpleNamespace(name="own")]) is None
