@@ -50,6 +50,13 @@ class TestSplit:
         assert (first.first, first.start, first.stop) == (0, None, 100 + 10 * (480 + 64))
         assert (second.first, second.start, second.stop) == (480, 100 + 10 * 480, None)
 
+    @pytest.mark.parametrize(("second", "starts"), [(2399, [0, 2000, 3751]), (2400, [0, 2000, 2400, 3751])])
+    def test_each_part_begins_400_frames_after_the_previous_one(self, second, starts):
+        found = split(packets(5001, [0, 2000, second, 3751]))
+        assert [p.first for p in found] == starts
+        assert [p.start for p in found[1:]] == [100 + 10 * k for k in starts[1:]]
+        assert [p.stop for p in found[:-1]] == [100 + 10 * (k + 64) for k in starts[1:]]
+
     def test_the_key_frame_nearest_to_the_division_is_taken(self):
         assert [p.first for p in split(packets(1000, [0, 440, 530]))] == [0, 530]
 
@@ -126,12 +133,24 @@ class TestAdvance:
         assert step == [0.0, 1.0, 1.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
 
     def test_steps_of_a_varying_rate_are_those_of_the_stamps(self):
-        stamps = np.cumsum(np.where(np.arange(60) % 2, 30, 50))
+        """With a capture rate of 25 frames/s the places are 2 and 1 periods apart, the median is 1."""
+        stamps = np.cumsum(np.where(np.arange(60) % 3 == 1, 80, 40))
         clock = module._Advance(stamps, 1e-3, Timing("stamps", 25.0))
         assert clock.stamped
-        found = [clock.step(SimpleNamespace(pts=int(s), index=i)) for i, s in enumerate(stamps)][1:]
-        ratio = found[0] / found[1]
-        assert ratio == pytest.approx(30 / 50) or ratio == pytest.approx(1.0)
+        found = [clock.step(SimpleNamespace(pts=int(s), index=i)) for i, s in enumerate(stamps)]
+        assert found == pytest.approx([0.0, *np.where(np.arange(1, 60) % 3 == 1, 2.0, 1.0)], abs=0.02)
+        slow = module._Advance(2 * stamps, 1e-3, Timing("stamps", 12.5))
+        assert [slow.step(SimpleNamespace(pts=int(2 * s), index=i)) for i, s in enumerate(stamps)] == found
+
+    def test_steps_are_relative_to_the_median_step(self, monkeypatch):
+        times = SimpleNamespace(place=0, places=np.array([0.0, 3.0, 6.0, 12.0, 15.0]))
+        stamps = np.array([5, 7, 9, 13, 15])
+        asked = []
+        timing = SimpleNamespace(of=lambda seconds, tick: asked.append((seconds.tolist(), tick)) or times)
+        clock = module._Advance(stamps, 0.5, timing)
+        found = [clock.step(SimpleNamespace(pts=int(s), index=i)) for i, s in enumerate(stamps)]
+        assert found == [0.0, 1.0, 1.0, 2.0, 1.0]
+        assert asked == [([2.5, 3.5, 4.5, 6.5, 7.5], 0.5)]
 
 
 class TestTurns:
@@ -302,6 +321,182 @@ class TestWorkers:
         assert found == {0: "a by a process", 1: "b by 1", 2: "c by 1"}
         found, _ = self.ran(self.workers("abc", others=0, refused="abc"), [0, 1, 2])
         assert found[0] == "a by 4"
+
+
+class TestPart:
+    """A film of 1000 frames; a part of it from frame 100, whose beginning up to the key frame 400 may be stored."""
+
+    def tracked(self, monkeypatch, *, learnt, stored=True):
+        read, counted = [], []
+
+        class Reader:
+            stamps, bad_packets, corrupt = np.array([7, 8, 9]), 5, 3
+
+            def __init__(self, path, threads, part, info):
+                read.append((path, threads, part.first, part.start, part.stop))
+
+            def __enter__(self):
+                return self
+
+            def __exit__(self, *_):
+                pass
+
+        class Map:
+            common = None
+
+            def replace(self, common):
+                self.common = common
+
+        def work_of(size):
+            batches = iter([{"again": np.full(size, True)}, {"again": np.full(1, False)}])
+            return SimpleNamespace(maps=[Map(), Map()], measure_batch=lambda: next(batches))
+
+        new, begun = work_of(2), work_of(4)
+        beginning = module._Beginning(begun, np.array([5, 6]), 20, 30)
+        monkeypatch.setattr(module, "Reader", Reader)
+        monkeypatch.setattr(module.pickle, "loads", lambda _: new)
+        monkeypatch.setattr(module, "_stored", lambda *_: beginning if stored else None)
+        monkeypatch.setattr(module, "_begin", lambda *_: beginning)
+        monkeypatch.setattr(
+            module, "_taken", lambda work, film, reader, first: iter([None] * (2 if first == 100 else 9))
+        )
+        film = SimpleNamespace(
+            packets=packets(1000, [0, 100, 400]),
+            info=SimpleNamespace(path="film"),
+            tracker=b"",
+            learnt=learnt,
+            maps=("one", "two"),
+        )
+        part = Part(first=100, start=1100, stop=5100)
+        found = module.track_part(film, part, 3, counted.append)
+        used = begun if 100 in learnt else new
+        assert [m.common for m in used.maps] == ["one", "two"]
+        return found, read, counted
+
+    @pytest.mark.parametrize("stored", [True, False])
+    def test_a_part_goes_on_after_its_beginning(self, monkeypatch, stored):
+        found, read, counted = self.tracked(monkeypatch, learnt=(0, 100), stored=stored)
+        assert read == [("film", 3, 400, 4100, 5100)]
+        assert counted == [4, 1]
+        assert found.rows["again"].tolist() == [True] * 4 + [False]
+        assert found.stamps.tolist() == [5, 6, 7, 8, 9]
+        assert (found.bad_packets, found.corrupt) == (25, 33)
+
+    def test_a_part_without_a_beginning_is_tracked_as_a_whole(self, monkeypatch):
+        found, read, counted = self.tracked(monkeypatch, learnt=(0,))
+        assert read == [("film", 3, 100, 1100, 5100)]
+        assert counted == [2, 1]
+        assert found.stamps.tolist() == [7, 8, 9]
+        assert (found.bad_packets, found.corrupt) == (5, 3)
+
+    def test_a_stored_beginning_is_read_once(self, tmp_path):
+        film = SimpleNamespace(folder=tmp_path)
+        with (tmp_path / "100").open("wb") as file:
+            module.pickle.dump("begun", file)
+        assert module._stored(film, Part(first=100)) == "begun"
+        assert module._stored(film, Part(first=100)) is None
+        (tmp_path / "7").write_bytes(b"")
+        assert module._stored(film, Part(first=7)) is None
+
+    def test_a_beginning_is_stored_under_its_first_frame(self, monkeypatch, tmp_path):
+        begun = module._Beginning(SimpleNamespace(maps=["map"]), np.array([5]), 1, 2)
+        monkeypatch.setattr(module, "_begin", lambda *_: begun)
+        film = SimpleNamespace(folder=tmp_path)
+        assert module.learn_part(film, Part(first=100), 1, None) == ["map"]
+        again = module._stored(film, Part(first=100))
+        assert (again.stamps.tolist(), again.bad_packets, again.corrupt) == ([5], 1, 2)
+        assert module.learn_part(SimpleNamespace(folder=tmp_path / "absent"), Part(), 1, None) == ["map"]
+
+    @pytest.mark.parametrize(("full", "filled", "held", "yields", "taken"), [
+        ((2, 4), (), 1, 1, 3),  # three times of two, two and one frames; the last batch is not full
+        ((2, 4), (4,), 0, 1, 2),  # a full batch, and none after it
+        ((), (), 0, 0, 0),
+    ])  # fmt: skip
+    def test_a_tracker_takes_frames_and_stops_after_a_batch(
+        self, monkeypatch, full, filled, held, yields, taken
+    ):
+        done = []
+        work = SimpleNamespace(filled=0, full=False, held=[])
+
+        def keep(frame, step, *, stamped):
+            assert (step, stamped) == (float(frame.index > 0), False)
+            work.held.append(frame)
+            work.full = frame.index + 1 in full
+
+        def take(_, part):
+            done.append((part, len(work.held)))
+            work.filled = module._film_tracker.BATCH if sum(n for _, n in done) in filled else 1
+            work.held.clear()
+
+        work.keep = keep
+        monkeypatch.setattr(module, "_take", take)
+        count = sum((max(full, default=0), held))
+        reader = [SimpleNamespace(index=k, pts=100 + 10 * k) for k in range(count)]
+        film = SimpleNamespace(
+            packets=packets(count, [0]) if count else packets(5, [0]), timing=Timing("frames", 25.0)
+        )
+
+        class Frames(list):
+            info = SimpleNamespace(time_base=1e-3)
+
+        steps = 0
+        for _ in module._taken(work, film, Frames(reader), 90):
+            steps += 1
+            work.filled = 0
+        assert (steps, len(done)) == (yields, taken)
+        assert all(part == 90 for part, _ in done)
+        assert sum(n for _, n in done) == count
+
+
+class TestProcesses:
+    @pytest.mark.parametrize(
+        ("workers", "parts", "cores", "count"),
+        [(3, 4, 9, 3), (3, 2, 9, 2), (None, 8, 5, 5), (None, 4, 9, 4), (1, 4, 9, 1), (9, 1, 9, 1)],
+    )
+    def test_processes_are_as_many_as_wanted_and_as_parts(self, monkeypatch, workers, parts, cores, count):
+        """The caller is one of them."""
+        made = []
+        monkeypatch.setattr(module, "read_packets", lambda path: f"packets of {path}")
+        monkeypatch.setattr(module, "split", lambda found: ("part",) * parts)
+        monkeypatch.setattr(module, "available_cores", lambda: cores)
+        monkeypatch.setattr(
+            module, "get_context", lambda way: SimpleNamespace(Value=lambda kind, at: (way, kind, at))
+        )
+        monkeypatch.setattr(module, "WorkerPool", lambda *given: made.append(given) or "pool")
+        found = PartWorkers("film", workers)
+        assert (found.count, len(found.parts), found.packets) == (count, parts, "packets of film")
+        value = ("spawn", "q", 0)
+        pool = [(count - 1, module._start_worker, (value, None))] if count > 1 else []
+        assert made == [(0,), *pool]
+        assert found._done == (value if pool else None)
+
+    def test_without_semaphores_the_caller_alone_tracks(self, monkeypatch):
+        def refuse(_):
+            raise OSError
+
+        monkeypatch.setattr(module, "read_packets", lambda _: None)
+        monkeypatch.setattr(module, "split", lambda _: ("part",) * 4)
+        monkeypatch.setattr(module, "get_context", refuse)
+        found = PartWorkers("film", 3)
+        assert (found._done, found._pool.processes) == (None, 0)
+
+    @pytest.mark.parametrize(("processes", "begun"), [(0, 0), (1, 0), (3, 2)])
+    def test_all_processes_but_the_first_are_started_at_once(self, processes, begun):
+        asked = []
+        made = PartWorkers.__new__(PartWorkers)
+
+        class Pool:
+            begin = staticmethod(asked.append)
+
+            def __init__(self):
+                self.processes = processes
+
+            def __enter__(self):
+                return self
+
+        made._pool = Pool()
+        assert made.__enter__() is made
+        assert len(asked) == begun
 
 
 def test_the_angles_of_the_frames_that_were_stored_are_reported(monkeypatch):
