@@ -313,6 +313,20 @@ class TestTranslation:
         angle = np.array([0.0, 0.2, 0.5])
         assert translation.translates(pictures, moving, (32.0, 22.0), 20.0, angle) == told
 
+    def test_a_single_picture_does_not_translate(self, monkeypatch):
+        monkeypatch.setattr(translation, "residual", lambda *_: pytest.fail("compared"))
+        moving = np.ones((60, 80), dtype=bool)
+        picture = [np.zeros((60, 80), dtype=np.uint8)]
+        assert not translation.translates(picture, moving, (32.0, 22.0), 20.0, np.zeros(1))
+        assert not translation.translates([], moving, (32.0, 22.0), 20.0, np.zeros(0))
+
+    def test_two_pictures_are_compared(self, monkeypatch):
+        asked = iter([0.1, 1.0])
+        monkeypatch.setattr(translation, "residual", lambda *_: next(asked))
+        moving = np.ones((60, 80), dtype=bool)
+        pictures = [np.full((60, 80), 10 * k, dtype=np.uint8) for k in range(2)]
+        assert translation.translates(pictures, moving, (32.0, 22.0), 20.0, np.array([0.0, 0.2]))
+
     def test_the_rough_translation_is_that_of_the_middle_of_the_body(self, monkeypatch):
         """The reference is the picture in the middle of the range of angles."""
         asked = []
