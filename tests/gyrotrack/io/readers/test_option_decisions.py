@@ -3,7 +3,7 @@
 import io
 import math
 import zipfile
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -126,7 +126,7 @@ class TestInputs:
 
 class TestWorkbooks:
     def test_the_first_sheet_with_numbers_is_read(self):
-        day = datetime(2020, 1, 1)
+        day = datetime(2020, 1, 1, tzinfo=UTC)
         found = sheets._first_sheet(
             PATH,
             [
@@ -332,6 +332,38 @@ class TestCases:
         assert found[0].basis[:, 0].tolist() == [10.0, 20.0, 0.0, 0.0, 0.0]
         assert found[1].basis[:, 0].tolist() == [0.0, 0.0, 30.0, 40.0, 0.0]
 
+    @pytest.mark.parametrize(
+        ("casing", "rotor", "sense", "count"),
+        [
+            ([(5.0, 6.0)], [(-9.0, -7.0)], 1, 0),
+            ([(6.0, 5.0)], [(9.0, 7.0)], -1, 1),
+            ([(-6.0, -5.0)], [(9.0, 7.0)], 1, 1),
+            ([(6.0, 5.0)], [(7.0, 9.0)], 1, 1),
+            ([(5.0, 5.0)], [(9.0, 7.0)], -1, 1),
+            ([(6.0, 5.0)], [(7.0, 7.0)], 1, 0),
+            ([(5.0, 6.0), (6.0, 4.0)], [(9.0, 7.0), (1.0, 1.5)], -1, 2),
+        ],
+    )
+    def test_the_sense_is_that_in_which_the_angles_increase(self, casing, rotor, sense, count):
+        pieces = [
+            [SimpleNamespace(angle=np.array([a, 99.0, b])) for a, b in group] for group in (casing, rotor)
+        ]
+        found, warnings = cases._sense(*pieces)
+        assert (found, len(warnings)) == (sense, count)
+
+    def test_only_a_piece_without_any_speed_is_reported(self):
+        time = np.concatenate([np.arange(200) / 50, 30.0 + np.arange(5) / 50])
+        value = 3.0 * time + 1e-3 * np.where(np.arange(205) % 2, 1.0, -1.0)
+        made = MotionTable(PATH, "", "angle", time, value, np.full(205, 1e-3), np.arange(205), ())
+        notes = []
+        first, second = cases.pieces_of(made, value, notes)
+        assert (len(first.time), len(second.time)) == (200, 5)
+        assert 0 < np.isfinite(first.omega).sum() < 200
+        assert not np.isfinite(second.omega).any()
+        assert [n for n in notes if "too short" in n] == [
+            "a.csv: the piece at 30.000 s is too short for a smoothed speed (5 samples)"
+        ]
+
 
 class TestOutliers:
     TIME = np.cumsum(np.r_[0.0, np.tile([0.1, 0.15], 15)])
@@ -426,3 +458,26 @@ class TestPoints:
         place = np.stack([50.0 * np.cos(0.1 * k) + offset, 50.0 * np.sin(0.1 * k)], axis=1)
         some = points.Points(PATH, k, {"dot": place}, {}, False, False)
         assert len(points.angle_of(some, ReadOptions(centre="0,0")).doubts) == doubted
+
+    def test_the_doubt_states_the_uncertainty_of_the_fitted_centre(self):
+        """Of a circle about (8, 0) seen over a turn: radial noise, and a frame with half of a position."""
+        k = np.arange(120)
+        angle = 0.15 * k
+        noise = np.random.default_rng(0).normal(0.0, 0.3, 120)
+        place = np.stack([8.0 + (50.0 + noise) * np.cos(angle), (50.0 + noise) * np.sin(angle)], axis=1)
+        place[30, 0] = np.nan
+        some = points.Points(PATH, k.astype(float), {"dot": place}, {}, False, False)
+        (text,) = points.angle_of(some, ReadOptions(centre="0,0")).doubts
+        known = np.delete(place, 30, axis=0)
+        centre = points.circle_centre(known)
+        radius = np.hypot(*(known - centre).T)
+        rest = radius - radius.mean()
+        ray = (known - centre) / radius[:, None]
+        ray -= ray.mean(axis=0)
+        q = np.clip(np.corrcoef(rest[1:], rest[:-1])[0, 1], 0.0, 0.99)
+        u = math.sqrt((1 + q) / (1 - q) * np.mean(rest**2) * np.trace(np.linalg.inv(ray.T @ ray)))
+        assert f"{np.hypot(*centre):.2g} +- {u:.2g} away" in text
+        length = np.hypot(*known.T)
+        assert f"varies from {length.min():.3g} to {length.max():.3g}" in text
+        own, fitted = (np.ptp(np.unwrap(np.arctan2(v[:, 1], v[:, 0]))) for v in (known, known - centre))
+        assert f"over {own:.3g} rad about (0, 0) and {fitted:.3g} rad" in text
