@@ -737,3 +737,50 @@ def test_doubts_about_a_followed_point_are_told_in_order(monkeypatch, start, sea
     assert len(rest) == len(words)
     assert all(w in r for w, r in zip(words, rest, strict=True))
     assert found.ambiguous == (start is None)
+
+
+@pytest.mark.parametrize(("first", "shift"), [(0, 3.0), (1, 0.0)])
+@pytest.mark.parametrize("beside", [True, False])
+def test_links_are_followed_from_their_joint(monkeypatch, first, shift, beside):
+    """The point on the second link turns about the joint; the joint's patch may be beside the clicked place."""
+    joint = _point(_on(np.linspace(0.0, 1.0, 9)), frame=np.arange(first, first + 9))
+    start = tuple(joint.place[0] + [3.0, 0.0])
+    film = SimpleNamespace(path=SimpleNamespace(name="name"))
+    told = SimpleNamespace(turns=[], links=[], errors=[], paths=[])
+    moved, shared = _path(joint.place + 1.0, frame=joint.frame), np.tile(9.0 * np.eye(2), (9, 1, 1))
+
+    def track_point(given, start_, turn_of, progress):
+        place = np.stack([np.interp(joint.frame, joint.frame, joint.place[:, i]) for i in (0, 1)], axis=1)
+        away = 20.0 * np.stack([np.cos(2.0 + 0.3 * joint.frame), np.sin(2.0 + 0.3 * joint.frame)], axis=1)
+        told.turns.append((start_, turn_of(joint.frame, place + away)))
+        return "path"
+
+    def second_link(one, path, name, off):
+        told.links.append((one, path, name, off))
+        return "second"
+
+    def of_path(given, path, start_, hub):
+        told.paths.append((path, start_, hub))
+        return replace(joint, frame=joint.frame[2:])
+
+    monkeypatch.setattr(module, "follow_point", lambda given, start_, hub, progress: joint)
+    monkeypatch.setattr(module, "track_point", track_point)
+    monkeypatch.setattr(module, "fresh_frames", lambda given: np.arange(20))
+    monkeypatch.setattr(module, "second_link", second_link)
+    monkeypatch.setattr(module, "_on_second_link", lambda *_: (moved, shared) if beside else None)
+    monkeypatch.setattr(module, "_of_path", of_path)
+    monkeypatch.setattr(module, "_with_error", lambda one, error: told.errors.append(error) or one)
+    found, second = module.follow_links(film, (start, (7.0, 8.0)), (1.0, 2.0))
+    assert second == "second"
+    ((given, turn),) = told.turns
+    assert given == (7.0, 8.0)
+    np.testing.assert_allclose(turn, 0.3 * np.arange(9))
+    off = math.hypot(1.0, shift)
+    assert [link[1:] for link in told.links] == [("path", "name", pytest.approx(off))] * (1 + beside)
+    assert told.links[0][0] is joint
+    if beside:
+        assert told.paths == [(moved, start, (1.0, 2.0))]
+        np.testing.assert_array_equal(told.errors[0], shared[2:])
+        assert len(found.frame) == 7
+    np.testing.assert_allclose(told.errors[-1], np.tile(0.05**2 * np.eye(2), (len(found.frame), 1, 1)))
+    assert len(told.errors) == 1 + beside
