@@ -572,3 +572,17 @@ def test_the_gain_is_measured_in_a_coarser_grid_of_a_large_picture(monkeypatch):
     )
     Film("film")
     assert added == [(50, 50)]
+
+
+@pytest.mark.parametrize("azimuth", [math.pi / 2, 0.3])
+def test_a_picture_is_corrected_for_the_tilt(azimuth):
+    """A small spot is displaced like its place."""
+    film = object.__new__(Film)
+    film.tilt, film.info = Tilt(0.9, azimuth), SimpleNamespace(width=101, height=71)
+    y, x = np.mgrid[0:71, 0:101]
+    plane = np.rint(200.0 * np.exp(-((x - 70.0) ** 2 + (y - 50.0) ** 2) / 18.0)).astype(np.uint8)
+    shown = film._level(plane).astype(float)
+    assert shown.shape == (71, 101)
+    middle = [float((v * shown).sum() / shown.sum()) for v in (x, y)]
+    assert middle == pytest.approx(film.levelled((70.0, 50.0)), abs=0.1)
+    assert abs(middle[0] - 70.0) + abs(middle[1] - 50.0) > 2.0

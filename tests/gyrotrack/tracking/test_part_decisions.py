@@ -2,12 +2,15 @@
 
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fitting._workers import WorkerPool
+from gyrotrack import VideoError
 from gyrotrack.tracking import _film_parts as module
 from gyrotrack.tracking._film_parts import (
     LEARNT,
@@ -17,6 +20,8 @@ from gyrotrack.tracking._film_parts import (
     turns_between,
     zero_between,
 )
+from gyrotrack.tracking._live_angles import angles_sent_to
+from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.video._container import Packets
 from gyrotrack.video._decoder import Part
 from gyrotrack.video._time_base import Timing
@@ -512,3 +517,117 @@ def test_the_angles_of_the_frames_that_were_stored_are_reported(monkeypatch):
     module._take(work, 90)
     ((name, part, frames, found),) = told
     assert (name, part, frames.tolist(), found) == ("casing", 90, [100, 101, 102], [7.0, 8.0, 9.0])
+
+
+class TestFilm:
+    """Ten parts of 20 frames without overlap; one marker."""
+
+    PARTS = tuple(
+        Part(first=20 * k, start=100 + 200 * k if k else None, stop=300 + 200 * k if k < 9 else None)
+        for k in range(10)
+    )
+
+    def tracked(self, monkeypatch, *, parts=10, declared=0, empty=False):
+        told = SimpleNamespace(added=[], runs=[], progress=[])
+        film = packets(20 * parts, range(0, 20 * parts, 20))
+        angle = 0.3 * np.arange(200.0)
+
+        def rows(k):
+            here = angle[20 * k : 20 * k + 20]
+            found = {"rotor/coarse": here, "again": np.arange(20) == k, "disc": np.full((20, 2), float(k))}
+            for f in fields(MarkerObservations):
+                shape = (20, 2) if f.name in {"corner_angle", "corner_radius", "centre"} else (20,)
+                found[f"rotor/red/{f.name}"] = np.full(shape, 1.0 + k)
+            found["rotor/red/angle"] = here + 0.5
+            return found
+
+        def run(task, given, todo, threads, progress=None, done=0, total=None):
+            told.runs.append((task, given, list(todo), threads, done, total))
+            for k in reversed(todo):
+                if task is module.learn_part:
+                    yield k, [f"one {k}", f"two {k}"]
+                elif not empty:
+                    yield k, PartRows(rows(k), film.stamps[20 * k : 20 * k + 20], 1, k)
+                else:
+                    yield k, PartRows({}, np.zeros(0, dtype=np.int64), 0, 0)
+
+        maps = [SimpleNamespace(add=lambda other, k=k: told.added.append((k, other))) for k in range(2)]
+        work = SimpleNamespace(maps=maps, size=(64, 48), repeats=None)
+        workers = SimpleNamespace(
+            packets=film,
+            parts=self.PARTS[: parts - 1] + (replace(self.PARTS[parts - 1], stop=None),),
+            run=run,
+        )
+        scene = SimpleNamespace(bodies=("rotor",), of=lambda name: (SimpleNamespace(name="red"),))
+        info = SimpleNamespace(frames_declared=declared, time_base=0.01)
+        monkeypatch.setattr(module, "probe", lambda path: info)
+        monkeypatch.setattr(module, "_columns", lambda *_: {})
+        monkeypatch.setattr(module.pickle, "dumps", lambda *_, **__: b"tracker")
+        monkeypatch.setattr(module, "film_warnings", lambda *given: (f"damage {given[2:]}",))
+        found = module.track_film(
+            workers,
+            "film",
+            scene,
+            work,
+            3,
+            lambda *given: told.progress.append(given),
+            Timing("frames", 10.0),
+        )
+        return found, told, maps
+
+    def test_maps_are_learnt_from_eight_parts_and_added_in_their_order(self, monkeypatch):
+        found, told, maps = self.tracked(monkeypatch)
+        some = [0, 1, 2, 3, 5, 6, 7, 9]
+        learn, track = told.runs
+        assert (learn[0], learn[2], learn[3]) == (module.learn_part, some, 3)
+        assert told.added == [(k, f"{word} {i}") for i in some for k, word in enumerate(("one", "two"))]
+        assert (track[0], track[2:]) == (module.track_part, (list(range(10)), 3, 0, 200))
+        assert track[1].learnt == tuple(20 * k for k in some)
+        assert track[1].maps == tuple(maps)
+        assert track[1].tracker == b"tracker"
+        assert learn[1].learnt == ()
+        assert told.progress == [(200, 200)]
+        assert found.bodies["rotor"].coarse == pytest.approx(0.3 * np.arange(200))
+        red = found.bodies["rotor"].markers["red"]
+        assert red.angle == pytest.approx(0.5 + 0.3 * np.arange(200))
+        assert red.gain.tolist() == np.repeat(1.0 + np.arange(10), 20).tolist()
+        assert red.centre.shape == (200, 2)
+        assert np.flatnonzero(found.again).tolist() == [21 * k for k in range(10)]
+        assert found.pts_time == pytest.approx(0.01 * (100 + 10 * np.arange(200)))
+        assert found.warnings == (f"damage {(10, 45)}",)
+        assert found.size == (64, 48)
+        assert found.disc[:, 0].tolist() == np.repeat(np.arange(10.0), 20).tolist()
+
+    def test_a_film_of_one_part_learns_in_this_part(self, monkeypatch):
+        _, told, _ = self.tracked(monkeypatch, parts=1, declared=25)
+        ((task, film, todo, *_, total),) = told.runs
+        assert (task, todo, film.learnt, film.maps, total) == (module.track_part, [0], (), (), 25)
+        assert told.added == []
+        assert told.progress == [(20, 25)]
+
+    def test_a_film_without_a_frame_is_refused(self, monkeypatch):
+        with pytest.raises(VideoError, match="No frame"):
+            self.tracked(monkeypatch, parts=1, empty=True)
+
+
+def test_angles_of_finished_parts_are_reported_with_their_frames():
+    store, scene, angle = TestRows().made(turns=0)
+    store.report(scene)  # without a receiver nothing happens
+    said = []
+    with angles_sent_to(lambda *given: said.append(given)):
+        store.report(scene)
+    assert [(name, part) for name, part, *_ in said] == [("rotor", 0), ("rotor", 16)]
+    assert [frames.tolist() for *_, frames, _ in said] == [list(range(20)), list(range(16, 34))]
+    assert said[1][3] == pytest.approx(angle[16:])
+
+
+def test_frames_of_a_process_are_counted_together(monkeypatch):
+    counter = SimpleNamespace(value=3, get_lock=nullcontext)
+    monkeypatch.setattr(module, "_done", None)
+    sinks = []
+    monkeypatch.setattr(module, "set_sink", sinks.append)
+    module._count(5)
+    module._start_worker(counter, "sink")
+    module._count(5)
+    module._count(2)
+    assert (counter.value, sinks) == (10, ["sink"])
