@@ -72,7 +72,8 @@ def test_the_next_run_states_separations_in_standard_uncertainties(squares, sigm
     bounds = Bounds((100.0, 400.0), (-30.0, 30.0), (30.0, 120.0), reversible=False)
     separation, present, repeated = squares
     found = NextRun(
-        run, bounds, (("a",), ("b", "c")), separation, present, repeated, {"a": 0.5}, np.zeros(2), np.ones(2), np.ones(2),
+        run, bounds, (("a",), ("b", "c")), separation, present, repeated, {"a": 0.5},
+        np.zeros(2), np.ones(2), np.ones(2),
         (("a", "d"),), "sentence",
     )  # fmt: skip
     one = planned([], found)["next_run"]

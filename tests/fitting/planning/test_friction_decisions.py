@@ -1,6 +1,7 @@
 """Torques of friction laws along a motion, and their comparison, by small models that can be solved by hand."""
 
 import math
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +26,7 @@ def test_the_strain_of_a_reversing_motion_is_the_solution_of_its_equation():
     omega = 0.3 * np.cos(9.0 * time)
     found = torque_along(find(DAHL), {"k": 2.0, "s": 0.05}, Motion("x", time, omega))
     z, strain, fine = 0.0, [0.0], 40
-    for a, b in zip(omega[:-1], omega[1:], strict=True):
+    for a, b in pairwise(omega):
         for k in range(fine):
             w = a + (b - a) * (k + 0.5) / fine
             z += (w - abs(w) * z) / 0.05 * 2e-3 / fine

@@ -169,8 +169,8 @@ class TestPlan:
     """Four effects, of which one is absorbed and one has no torque; searches and runs are replaced."""
 
     EFFECTS = tuple(
-        SimpleNamespace(effect=SimpleNamespace(name=n), detection_limit=d, torque=t, detection_torque=d * t, absorbed=n == "a",
-                        indistinguishable_from=())
+        SimpleNamespace(effect=SimpleNamespace(name=n), detection_limit=d, torque=t, detection_torque=d * t,
+                        absorbed=n == "a",                        indistinguishable_from=())
         for n, d, t in (("a", math.inf, 1.0), ("b", 2.0, math.nan), ("c", 2.0, 3.0), ("d", 4.0, 1.0))
     )  # fmt: skip
 

@@ -134,7 +134,8 @@ class TestFollow:
 
     @pytest.mark.parametrize(
         ("values", "offset"),
-        [((1.0, 2.0, 1.0), 0.0), ((1.0, 2.0, 1.5), 1 / 6), ((1.5, 2.0, 1.0), -1 / 6), ((0, 2, 2), 0.5), ((3, 2, 0), -0.5), ((2, 2, 2), 0.0), ((3, 2, 4), 0.0)],
+        [((1.0, 2.0, 1.0), 0.0), ((1.0, 2.0, 1.5), 1 / 6), ((1.5, 2.0, 1.0), -1 / 6), ((0, 2, 2), 0.5),
+         ((3, 2, 0), -0.5), ((2, 2, 2), 0.0), ((3, 2, 4), 0.0)],
     )  # fmt: skip
     def test_a_vertex_is_within_half_a_column(self, values, offset):
         assert module._vertex(*values) == pytest.approx(offset)

@@ -555,7 +555,7 @@ class TestFilm:
         work = SimpleNamespace(maps=maps, size=(64, 48), repeats=None)
         workers = SimpleNamespace(
             packets=film,
-            parts=self.PARTS[: parts - 1] + (replace(self.PARTS[parts - 1], stop=None),),
+            parts=(*self.PARTS[: parts - 1], replace(self.PARTS[parts - 1], stop=None)),
             run=run,
         )
         scene = SimpleNamespace(bodies=("rotor",), of=lambda name: (SimpleNamespace(name="red"),))

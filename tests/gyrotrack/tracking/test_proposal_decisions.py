@@ -571,6 +571,9 @@ class TestPropose:
             told.groups.append((candidates, head))
             return [resting, *([moving] if turning else [])], [_candidate(GREEN)]
 
+        def casing(at_rest, others, disc):
+            return resting if (at_rest, others) == ([resting], [moving]) else None
+
         def confirmed(*given):
             told.confirmed.append(given)
             return sound
@@ -582,7 +585,7 @@ class TestPropose:
             ("find_circle", lambda given, about: circle),
             ("find_candidates", find_candidates),
             ("group_bodies", group),
-            ("resting_casing", lambda at_rest, others, disc: resting if at_rest == [resting] and others == [moving] else None),
+            ("resting_casing", casing),
             ("_white", lambda *given: told.white.append(given) or white),
             ("_confirmed", confirmed),
         ):  # fmt: skip
@@ -627,7 +630,7 @@ class TestPropose:
         assert told.candidates[0][3] is None
 
     def test_about_a_given_hub_no_disc_is_searched(self, monkeypatch):
-        found, told, _ = self.proposed(monkeypatch, hub=(30.0, 40.0))
+        found, _, _ = self.proposed(monkeypatch, hub=(30.0, 40.0))
         assert (found.profile.hub, found.disc) == ((30.0, 40.0), None)
         with pytest.raises(TrackingError, match=r"about \(30, 40\) px"):
             self.proposed(monkeypatch, hub=(30.0, 40.0), orbit=None)

@@ -33,9 +33,11 @@ class TestInputs:
         ("unit", "si", "value"),
         [
             ("mA", "A", 4e-3), ("kV", "V", 4e3), ("uN", "N", 4e-6), ("µs", "s", 4e-6), ("mNm", "N m", 4e-3),
-            ("N m", "N m", 4.0), ("kPa", "kg m-1 s-2", 4e3), ("%", "1", 0.04), ("percent", "1", 0.04), ("Ncm", "N m", 0.04),
+            ("N m", "N m", 4.0), ("kPa", "kg m-1 s-2", 4e3), ("%", "1", 0.04), ("percent", "1", 0.04),
+            ("Ncm", "N m", 0.04),
             ("degC", "K", 277.15), ("°C", "K", 277.15), ("C", "K", 277.15), ("K", "K", 4.0), ("mrad", "rad", 4e-3),
-            ("rpm", "s-1", 4 * TURN / 60), ("rad/s", "s-1", 4.0), ("counts", "1", 4.0), ("volts", "V", 4.0), ("", "1", 4.0),
+            ("rpm", "s-1", 4 * TURN / 60), ("rad/s", "s-1", 4.0), ("counts", "1", 4.0), ("volts", "V", 4.0),
+            ("", "1", 4.0),
         ],
     )  # fmt: skip
     def test_values_are_in_si_units(self, unit, si, value):
@@ -415,7 +417,8 @@ class TestPoints:
         sign = -1.0 if y_down else 1.0
         place = np.stack([300.0 + radius * np.cos(angle), 200.0 + sign * radius * np.sin(angle)], axis=1)
         found = points.Points(
-            PATH, k if counted else 0.1 * k, {"dot": place, "Hub": np.tile([300.0, 200.0], (40, 1))}, {"dot": 0.02 * k}, y_down, counted,
+            PATH, k if counted else 0.1 * k, {"dot": place, "Hub": np.tile([300.0, 200.0], (40, 1))}, {"dot": 0.02 * k},
+            y_down, counted,
             errors={"dot": np.full(40, 0.5)},
         )  # fmt: skip
         return points.angle_of(found, ReadOptions(likelihood=0.0, **options)), angle
