@@ -108,7 +108,7 @@ class TestFollow:
             (24, 20, False),
         ],
     )
-    def test_a_body_is_searched_within_the_reach(self, off, missed, seen):
+    def test_a_body_is_searched_for_near_its_predicted_angle(self, off, missed, seen):
         """0.35 rad are 15 columns, of which the outermost does not count; each missed frame adds 0.01 rad."""
         motion = Motion(100 * STEP, 0.0, missed)
         angle, found, after = follow(score_of([100 + off]), motion, 0.5)
@@ -305,6 +305,8 @@ class TestRepeatedFrames:
             ({"a": 0.0}, True, True),
             ({"a": 1.0}, False, False),
             ({"a": 0.0, "after": 2.0}, True, False),
+            ({"a": 0.0, "after": 1.45}, True, True),
+            ({"a": 0.0, "after": 1.55}, True, False),
             ({"a": None}, True, False),
             ({"a": None, "b": 1.0}, False, False),
             ({"a": 0.0, "b": 1.0}, True, False),

@@ -190,7 +190,9 @@ class TestSecondRotation:
             ({"ring": False}, None),
         ],
     )
-    def test_the_rotation_that_explains_most_is_told_if_it_explains_enough(self, monkeypatch, given, of_rest):
+    def test_the_rotation_that_explains_most_is_returned_if_it_explains_enough(
+        self, monkeypatch, given, of_rest
+    ):
         found = self.found(monkeypatch, **given)
         assert (found and found.of_rest) == of_rest
 

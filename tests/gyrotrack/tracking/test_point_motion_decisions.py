@@ -714,7 +714,7 @@ def test_another_rotation_about_the_pivot_is_searched_for_in_300_frames(monkeypa
         (None, 60, False, 1.0, ["followed as a point", "second body"]),
     ],
 )
-def test_doubts_about_a_followed_point_are_told_in_order(monkeypatch, start, searched, keeps, reach, words):
+def test_doubts_about_a_followed_point_are_stated_in_order(monkeypatch, start, searched, keeps, reach, words):
     path = replace(_path(_on(np.linspace(0.0, reach, 60)), searched=searched), keeps=keeps)
     point = _point(path.place, path=path, warnings=("own",))
     asked = []

@@ -291,7 +291,7 @@ class TestUnits:
             ((("time [s]", 0.01 * K), ("heading [rad]", SWING)), False),
         ],
     )
-    def test_a_unit_is_asked_for_unless_the_symbol_implies_it(self, columns, refused):
+    def test_a_unit_is_requested_unless_the_symbol_implies_it(self, columns, refused):
         raw = named(*columns)
         found = module.find_columns(raw, ReadOptions())
         if refused:
