@@ -181,16 +181,21 @@ def test_motions_have_the_times_of_the_recording(monkeypatch):
         torque_unit="N m",
     )
     effects = {n: find(n) for n in module.FRICTION}
-    parameters = [SimpleNamespace(symbol="s", role="shape", start=0.02)]
+    contacts = [n for n, e in effects.items() if e.contact]
+    assert len(contacts) > 1
 
     def scaled(name):
-        return SimpleNamespace(name=name, contact=effects[name].contact, parameters_at=lambda *_: parameters)
+        # the largest pre-sliding angle of a contact is 0.02 rad
+        start = 0.02 / (1 + contacts.index(name)) if name in contacts else 0.5
+        parameters = [SimpleNamespace(symbol="s", role="shape", start=start)]
+        return SimpleNamespace(name=name, contact=name in contacts, parameters_at=lambda *_: parameters)
 
     monkeypatch.setattr(module, "find", scaled)
     monkeypatch.setattr(
         module, "replace", lambda e, parameters: SimpleNamespace(**{**vars(e), "parameters": parameters})
     )
-    plan = module.friction_plan(fit)
+    plan = module.friction_plan(fit, criteria=SimpleNamespace(equivalence_width=7.5))
+    assert (plan.width, plan.strength, plan.unit) == (7.5, 0.3, "N m")
     time = seen["recording"].time
     assert len(time) == 48
     assert time[:2] == pytest.approx([2.0 + 1 / 32, 2.0 + 3 / 32])

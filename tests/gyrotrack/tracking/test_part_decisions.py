@@ -243,6 +243,8 @@ class TestRows:
         [
             ({}, True),
             ({"part": 2}, False),
+            ({"part": 2, "frames": 18}, False),
+            ({"part": 0, "frames": 18}, True),
             ({"parts": 3}, False),
             ({"frames": 13}, False),
             ({"corrupt": -1}, False),
@@ -262,6 +264,37 @@ class TestRows:
             short = arrays | {"again": arrays["again"][1:]}
             assert not store._belongs(SimpleNamespace(facts=facts, arrays=short))
             assert not store._belongs(SimpleNamespace(facts=facts, arrays={module._STAMPS: found.stamps}))
+
+    def test_a_part_is_stored_in_its_journal(self):
+        """A part without a frame of its own is not stored."""
+        store, scene, angle = self.made(turns=0)
+        records = []
+
+        class Journal:
+            def __len__(self):
+                return len(records)
+
+            def records(self):
+                return iter(())
+
+            def append(self, facts, arrays):
+                records.append(SimpleNamespace(facts=facts, arrays=arrays))
+
+            def record(self, index):
+                return records[index]
+
+        kept = module._PartResults(store._parts, store._packets, Journal(), {})
+        for index in (1, 0):
+            found = store._memory[index]
+            kept.add(index, found)
+            assert set(records[-1].arrays) == {*found.rows, module._STAMPS}
+            assert records[-1].facts == {
+                "part": index, "parts": 2, "frames": 14 if index else 20,
+                "bad_packets": found.bad_packets, "corrupt": found.corrupt,
+            }  # fmt: skip
+        assert kept.rows(scene)["rotor/coarse"] == pytest.approx(angle)
+        kept.add(1, PartRows({}, np.zeros(0, dtype=np.int64), 0, 0))
+        assert len(records) == 2
 
     def test_parts_that_are_not_done(self):
         store, _, _ = self.made()

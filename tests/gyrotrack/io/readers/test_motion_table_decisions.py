@@ -93,6 +93,11 @@ class TestResolution:
         assert module.resolution(0.1 * np.arange(50)) == 0.0  # even samples of a steady motion
         assert module.resolution(np.tile(0.1 * np.arange(10), 5)) == pytest.approx(0.1)
         assert module.resolution(np.full(9, np.nan)) == 0.0
+        assert module.resolution(np.tile([1.0, 2.0], 9)) == 0.0
+        assert module.resolution(np.tile([1.0, 2.0, 3.0], 9)) == pytest.approx(1.0)
+
+    def test_the_step_is_the_smallest_difference(self):
+        assert module.resolution(np.repeat([0.0, 1, 3, 5, 7, 9, 11, 13, 15], 3)) == pytest.approx(1.0)
 
     @pytest.mark.parametrize(("odd", "known"), [(1, True), (3, False)])
     def test_nineteen_values_of_twenty_are_multiples(self, odd, known):
@@ -276,6 +281,18 @@ class TestColumns:
         else:
             assert module.only_one(PATH, names, "points", ReadOptions(marker=marker)) == found
         assert module.only_one(PATH, ["a"], "points", ReadOptions(marker=marker)) == "a"
+
+
+def test_columns_without_a_header_are_proposed_by_number():
+    for columns, words in (
+        ([0.1 * K], ["only column"]),
+        ([0.1 * K, SWING], ["t=1", "angle=2 [deg]"]),
+        ([K, 0.1 * K, SWING], ["casing-fps", "angle=2 [deg]"]),
+        ([0.1 * K, K, SWING], ["t=1", "angle=3 [deg]"]),
+    ):
+        error = module._without_header(table_of(PATH, [""] * len(columns), columns))
+        text = f"{error} {error.hint}"
+        assert all(w in text for w in words)
 
 
 class TestUnits:
