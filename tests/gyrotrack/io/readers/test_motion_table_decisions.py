@@ -210,7 +210,7 @@ class TestColumns:
             ("angle [px]", None, None),
             ("angle [V]", None, None),
             ("angle [mV]", "angle", "mV"),
-            ("speed [a**b**c]", None, None),
+            ("speed [a^b^c]", None, None),
             ("turns", "angle", "turns"),
         ],
     )
@@ -436,7 +436,7 @@ class TestChecks:
 
 
 class TestScatter:
-    @pytest.mark.parametrize(("order", "degree"), [(0, 3), (3, 3), (5, 5), (7, 7)])
+    @pytest.mark.parametrize(("order", "degree"), [(3, 3), (7, 7)])
     def test_residuals_of_white_noise_are_those_of_the_lowest_sufficient_degree(self, order, degree):
         rng = np.random.default_rng(0)
         time = np.arange(3000) / 100
