@@ -53,6 +53,13 @@ class TestMesh:
 
 
 class TestSampler:
+    @pytest.mark.parametrize("swapped", [(150, 320), (20, 150), (20, 320)])
+    def test_times_in_any_order_have_their_own_values(self, swapped):
+        mesh = Mesh(np.array([0.0, 1.0, 2.5, 4.0]))
+        times = np.linspace(0.0, 4.0, 400)
+        times[list(swapped)] = times[list(swapped[::-1])]
+        assert Sampler(mesh, times).value(mesh.times[..., None])[:, 0] == pytest.approx(times)
+
     @pytest.mark.parametrize("count", [7, 400])
     def test_polynomials_and_their_integrals_are_exact(self, count):
         mesh = Mesh(np.array([0.0, 1.0, 2.5, 4.0]))
@@ -261,6 +268,21 @@ class TestFirstSolution:
         monkeypatch.setattr(module, "truncation_error", lambda p: np.full(len(p.y), 2.0) * module.TOLERANCE)
         with pytest.raises(SimulationError):
             refine(None, {}, made, most=5)
+
+    @pytest.mark.parametrize(("most", "enough"), [(7, True), (6, False)])
+    def test_the_number_of_edges_is_limited(self, monkeypatch, most, enough):
+        """Four edges, and one more in each of three rough intervals."""
+        monkeypatch.setattr(module, "newton", lambda d, n, p, pivot: p)
+        rough = iter((2.0, 0.5))
+        monkeypatch.setattr(
+            module, "truncation_error", lambda p: np.full(len(p.y), next(rough)) * module.TOLERANCE
+        )
+        made = path(Mesh.uniform(0.0, 3.0, 3), lambda t: 1 + t, lambda t: t)
+        if enough:
+            assert len(refine(None, {}, made, most=most).mesh.edges) == 7
+        else:
+            with pytest.raises(SimulationError):
+                refine(None, {}, made, most=most)
 
     def test_a_mesh_is_stretched_to_the_time_of_rest(self):
         """The speed 2.2 - t vanishes 0.2 s after the end; intervals from 1 s on are stretched."""

@@ -127,6 +127,20 @@ class TestRates:
         slip_rate = relaxed[0] - n * relaxed[1]
         assert slip_rate == pytest.approx(-0.1 / values["contact.rolling.T"], rel=1e-3)
 
+    def test_dry_friction_holds_both_of_two_bodies_without_slip(self):
+        model = Model.of(["contact.rolling", "casing.air.linear", "touchpoint.constant"])
+        dynamics = Dynamics(model)
+        values = INERTIAS | model.constants | {"casing.air.linear.b2": 0.7, "touchpoint.constant.b1": 0.2}
+        values |= {"contact.rolling.n": 2.5, "contact.rolling.c": 0.0}
+        y = np.array([[10.0, 4.0], [5.0, 2.0]])
+        moving = np.array([0.0, 1.0])
+        f, a, b = dynamics.linearised(np.zeros(2), y, values, moving)
+        for found in (f, a, b):
+            assert not found[0].any()
+            assert (np.abs(found[1]).reshape(2, -1).max(axis=1) > 0).all()
+        assert dynamics.rates(np.zeros(2), y, values, moving) == pytest.approx(f)
+        assert dynamics.tangent(np.zeros(2), y, values, moving)[1] == pytest.approx(a)
+
     def test_a_spring_follows_the_deflection(self):
         model = Model.of(["casing.spring.linear", "bearing.linear"])
         (strength,) = (k for k in model.free if k.startswith("casing.spring"))

@@ -7,7 +7,7 @@ import pytest
 from fitting import EffectError, ExpressionError, read_effects
 from fitting.effects._effect import parse_unit
 from fitting.effects._library import find
-from fitting.effects._user import formula, resolve
+from fitting.effects._user import edit_distance, formula, resolve
 
 
 def parts(effect):
@@ -292,3 +292,37 @@ def test_a_declared_parameter_may_look_like_a_variable():
         formula("x", "casing", law, {})
     keys = {"omega_0": {"unit": "s-1", "start": 50.0}}
     assert [p.symbol for p in formula("x", "casing", law, keys).parameters] == ["k", "omega_0"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "factors"),
+    [
+        ({}, (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)),
+        ({"start": 2.0}, (0.06, 0.2, 0.6, 2.0, 6.0, 20.0, 60.0, 200.0)),
+        ({"start": 2.0, "lower": 0.2, "upper": 20.0}, (0.2, 0.6, 2.0, 6.0, 20.0)),
+        ({"grid": [5, 7.5, -1], "lower": 0.0}, (5.0, 7.5)),
+        ({"lower": 3.0}, (3.0, 9.0, 30.0, 90.0, 300.0)),
+        ({"upper": -2.0, "lower": -9.0}, (-2.0, -6.0)),
+    ],
+)
+def test_trial_values_of_a_shape_constant_are_two_per_decade(keys, factors):
+    effect = formula("x", "casing", "-k*tanh(omega_c/w)", {"w": {"shape": True, **keys}})
+    k, w = effect.parameters
+    assert sorted(w.grid) == pytest.approx(sorted(factors))
+    assert (k.grid, k.start, k.role, w.role) == ((), 0.0, "amplitude", "shape")
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "distance"),
+    [
+        ("", "abc", 3),
+        ("abc", "", 3),
+        ("abc", "ac", 1),
+        ("ac", "abc", 1),
+        ("abcd", "bcda", 2),
+        ("kitten", "sitting", 3),
+        ("ab", "ba", 2),
+    ],
+)
+def test_edits_are_insertions_deletions_and_substitutions(a, b, distance):
+    assert edit_distance(a, b) == distance

@@ -148,6 +148,119 @@ class TestDescription:
         ]  # fmt: skip
         assert {(m["inertia_rotor"], m["inertia_casing"]) for _, m in seen} == {(5e-5, 2e-5)}
 
+    @pytest.mark.parametrize("runs", [1, 2])
+    def test_a_simulation_is_fitted_from_the_truth_if_it_is_one_run(self, tmp_path, monkeypatch, runs):
+        seen = []
+        monkeypatch.setattr(_plan, "simulate", lambda *_, seed, **__: seed)
+        monkeypatch.setattr(_plan, "fit_model", lambda *given, **more: seen.append((given, more)) or "fit")
+        noise = SimpleNamespace(of=lambda record, criteria: SimpleNamespace(process_noise=(record, criteria)))
+        monkeypatch.setattr(_plan, "CaseData", noise)
+        made = read(tmp_path, *[{}] * runs)
+        assert made.fit(3, "criteria") == "fit"
+        ((model, records), more) = seen[0]
+        assert model is made.model
+        assert records == [3001, 3002][:runs]
+        truth = {"casing.air.linear.b2": 1e-6, "rotor.air.linear.a1": 1e-6}
+        assert more == {"start": truth if runs == 1 else {}, "criteria": "criteria"}
+        assert made.process_noise(5, "criteria") == ((5001, "criteria"), (5002, "criteria"))[:runs]
+
+
+class TestPlan:
+    """Four effects, of which one is absorbed and one has no torque; searches and runs are replaced."""
+
+    EFFECTS = tuple(
+        SimpleNamespace(effect=SimpleNamespace(name=n), detection_limit=d, torque=t, detection_torque=d * t,
+                        absorbed=n == "a",                        indistinguishable_from=())
+        for n, d, t in (("a", math.inf, 1.0), ("b", 2.0, math.nan), ("c", 2.0, 3.0), ("d", 4.0, 1.0))
+    )  # fmt: skip
+
+    def planned(self, monkeypatch, recordings, **options):
+        told = SimpleNamespace(searches=[], limits=[], runs=[], rivals=[], information=[], progress=[])
+
+        class Search:
+            default_size = 0.7
+
+            def __init__(self, fit, extra, criteria, *, truth, process):
+                told.searches.append((fit, extra, criteria, truth, process))
+                self.effects = [e.effect for e in TestPlan.EFFECTS]
+
+            def limits(self, effect, size, *, planned, others):
+                told.limits.append((effect.name, size, planned, len(others)))
+                return next(e for e in TestPlan.EFFECTS if e.effect is effect)
+
+            def scores(self):
+                return {
+                    e.name: SimpleNamespace(shape=f"shape {e.name}", threshold=f"limit {e.name}")
+                    for e in self.effects
+                }
+
+        def next_run(information, alternatives, criteria, bounds, *, evaluations, progress):
+            told.runs.append((alternatives, criteria, bounds, evaluations))
+            progress(20, evaluations)
+            return "next"
+
+        monkeypatch.setattr(_plan, "Search", Search)
+        monkeypatch.setattr(
+            _plan, "Information", lambda fit, some: told.information.append((fit, some)) or "information"
+        )
+        monkeypatch.setattr(_plan, "rivals", lambda *given: told.rivals.append(given) or ["rival"])
+        monkeypatch.setattr(_plan, "next_run", next_run)
+        monkeypatch.setattr(_plan, "_warning", lambda fit, criteria: "warning")
+        found = _plan.plan(recordings, ("extra",), progress=lambda *a: told.progress.append(a), **options)
+        return found, told
+
+    def test_described_recordings_are_simulated_twice_and_their_noise_ten_times(self, monkeypatch):
+        described = SimpleNamespace(
+            fit=lambda i, c: f"fit {i} {c}",
+            process_noise=lambda i, c: (i, c),
+            bounds="bounds",
+            numbers={"x": 1.0},
+        )
+        monkeypatch.setattr(_plan, "read_planned", lambda path: described)
+        found, told = self.planned(monkeypatch, "plan.toml", criteria="c")
+        noise = [(i, "c") for i in range(2, 10)]
+        assert told.searches == [(f"fit {i} c", ("extra",), "c", {"x": 1.0}, noise) for i in (0, 1)]
+        assert told.limits == [(n, None, True, 1) for n in "abcd"]
+        assert [e.effect.name for e in found.effects] == ["d", "c", "b", "a"]
+        assert told.information == [
+            ("fit 0 c", [(e.effect, f"shape {e.effect.name}") for e in self.EFFECTS[1:]])
+        ]
+        assert told.rivals == []
+        assert told.runs == [([], "c", "bounds", 60)]
+        assert told.progress == [*((k, 64) for k in range(4)), (24, 64)]
+        assert (found.planned, found.size, found.next_run, found.warning) == (True, 0.7, "next", "warning")
+        again, told = self.planned(monkeypatch, "plan.toml", criteria="c", size=0.2, bounds="given")
+        assert again.size == 0.2
+        assert told.limits[0] == ("a", 0.2, True, 1)
+        assert told.runs[0][2] == "given"
+
+    @pytest.mark.parametrize("size", [0.0, -1.0, math.inf, math.nan])
+    def test_a_size_is_positive(self, size):
+        with pytest.raises(EstimationError, match="the size of the effect"):
+            _plan.plan("absent.toml", size=size)
+
+    @pytest.mark.parametrize(("reversals", "rigid"), [((), None), ((3.0,), None), ((), "contact")])
+    def test_measured_recordings_are_compared_with_their_rivals(self, monkeypatch, reversals, rigid):
+        class Fit:
+            criteria = "own"
+            model = SimpleNamespace(refuse_chain=lambda *_: None, rigid_contact=rigid)
+            problem = SimpleNamespace(data=[SimpleNamespace(motion=SimpleNamespace(reversals=reversals))])
+
+        fit = Fit()
+        monkeypatch.setattr(_plan, "Fit", Fit)
+        monkeypatch.setattr(_plan, "Bounds", SimpleNamespace(of=lambda f: ("bounds", f)))
+        monkeypatch.setattr(_plan, "measured_with", lambda f, criteria: (f, criteria))
+        if reversals or rigid:
+            with pytest.raises(EstimationError):
+                self.planned(monkeypatch, fit)
+            return
+        found, told = self.planned(monkeypatch, fit)
+        assert told.searches == [((fit, "own"), ("extra",), "own", {}, [])]
+        assert told.limits[0] == ("a", None, False, 0)
+        assert told.rivals == [("information", [f"limit {n}" for n in "abcd"], "own")]
+        assert told.runs == [(["rival"], "own", ("bounds", (fit, "own")), 60)]
+        assert (found.planned, found.fit) == (False, (fit, "own"))
+
 
 class TestClasses:
     def effect(self, name, *others):

@@ -1,6 +1,7 @@
 """The scene of a case, as its films were tracked, and the films rendered from it."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from gyrotrack import DatasetError
 from gyrotrack.apps import _filming
 from gyrotrack.apps._filming import Filming
-from gyrotrack.synthetic._scene import Camera, Motion
+from gyrotrack.synthetic._scene import WHITE, Camera, Motion, Scene
 
 SCALE = 4.7  # px/mm
 PERIOD = 1 / 260
@@ -179,3 +180,98 @@ def test_grey_levels_of_a_colour_return_to_its_chroma():
     luma = 0.299 * red + 0.587 * green + 0.114 * blue
     assert (blue - luma) / 1.772 == pytest.approx(-10.6, abs=0.5)
     assert (red - luma) / 1.402 == pytest.approx(58.6, abs=0.5)
+
+
+@pytest.mark.parametrize("chroma", [(-10.6, 58.6), (44.2, -21.0), (0.0, 5.1), (30.0, -80.0), (-90.0, 90.0)])
+def test_a_colour_has_the_luma_of_a_marker(chroma):
+    """BT.601 at the luma 110, in linear light, within 2 and 95 % of the range."""
+    cb, cr = chroma
+    grey = np.array([110.0 + 1.402 * cr, 110.0 - 0.344 * cb - 0.714 * cr, 110.0 + 1.772 * cb])
+    expected = np.clip(grey / 255.0, 0.02, 0.95) ** Camera().gamma
+    assert _filming._colour(cb, cr) == pytest.approx(tuple(expected))
+
+
+@pytest.mark.parametrize(("cr", "white"), [(4.9, True), (-4.9, True), (5.1, False), (-5.1, False)])
+def test_a_marker_without_red_chroma_is_white(cr, white):
+    assert (_filming._colour(60.0, cr) == WHITE) == white
+
+
+def _smeared(widths, omegas, fps=(250.0, 1000.0)):
+    """The casing's film, and rotor films of given speeds; half widths of two markers in slow and fast film."""
+
+    def made(rate, index, omega):
+        papers = {n: {"half_width": w[index]} for n, w in widths.items()}
+        return SimpleNamespace(
+            capture_fps=rate, extra={"papers": papers},
+            markers={n: SimpleNamespace(body="casing" if n == "red" else "rotor") for n in widths},
+            bodies={} if omega is None else {"rotor": SimpleNamespace(omega=np.array(omega))},
+        )  # fmt: skip
+
+    return made(fps[0], 0, [9.0]), [made(fps[1], 1, o) for o in omegas]
+
+
+def test_the_exposure_is_twice_the_difference_of_the_widths_by_the_slowest_speed():
+    widths = {"red": (9.0, 1.0), "blue": (0.25, 0.1), "white": (0.35, 0.1), "green": (0.3, 0.1)}
+    casing, rotor = _smeared(widths, [[np.nan, -300.0, 400.0], None, [250.0, 260.0]])
+    # the median difference of the markers of the rotor is 0.2 rad; a quarter of the exposure is in both films
+    assert _filming._exposure(casing, rotor) == pytest.approx(2.0 * 0.2 / 250.0 / 0.75)
+    usual = 0.4 / 250.0
+    assert _filming._exposure(casing, [rotor[1]]) == usual  # no speed
+    still = _smeared(widths, [[0.0, 300.0]])
+    assert _filming._exposure(*still) == usual
+    assert _filming._exposure(*_smeared(widths, [[250.0]], (1000.0, 1000.0))) == 0.4 / 1000.0
+    assert _filming._exposure(*_smeared({"red": (0.3, 0.1)}, [[250.0]])) == usual
+
+
+@pytest.mark.parametrize(("share", "known"), [(0.019, False), (0.021, True), (0.949, True), (0.951, False)])
+def test_an_exposure_is_between_2_and_95_percent_of_the_period(share, known):
+    found = _filming._exposure(*_smeared({"blue": (0.1 + share / 250.0 * 250.0 * 0.75 / 2, 0.1)}, [[250.0]]))
+    assert found == pytest.approx((share if known else 0.4) / 250.0)
+
+
+def test_a_camera_without_a_tilt_looks_along_the_axis():
+    one = film(500.0)
+    one.extra = {"tilt": {"casing": None}}
+    found = _filming._camera(one, 3.0, SCALE, 0.25)
+    assert (found.tilt, found.tilt_azimuth) == (0.0, 0.0)
+    assert (found.exposure, found.start) == (pytest.approx(5e-4), pytest.approx(3.002))
+    one.extra = {"tilt": {"casing": {"p": 0.0, "q": -0.1, "angle": 0.3}}}
+    assert _filming._camera(one, 3.0, SCALE, 0.25).tilt_azimuth == pytest.approx(-math.pi / 4)
+
+
+@pytest.mark.parametrize(("centre", "metal"), [("disc", False), ("orbits", True)])
+def test_the_circle_has_a_colour_if_it_was_tracked(centre, metal):
+    some = case()
+    some.recordings["casing"].extra["centre_from"] = centre
+    colour = Filming.of(some).scene.circle_colour
+    usual = Scene()
+    assert colour == ((usual.metal,) * 3 if metal else usual.circle_colour)
+
+
+def test_films_are_rendered_with_their_cameras_frames_and_seeds(monkeypatch, tmp_path):
+    rendered = []
+
+    def render(path, scene, motion, camera, light, *, frames, seed):
+        rendered.append((path.name, camera, frames, seed))
+        path.write_bytes(b"")
+
+    monkeypatch.setattr(_filming, "render_clip", render)
+    monkeypatch.setattr(_filming, "_extracted", lambda *_: SimpleNamespace(bodies={}))
+    found = Filming.of(case())
+    found = replace(found, frames=(498, 2000, 1300))
+    motion = Motion.constant(300.0, 20.0)
+    made = found.with_measured_noise(motion, tmp_path, None, 5)
+    assert [(name, frames, seed) for name, _, frames, seed in rendered] == [
+        ("trial_0.mp4", 498, 5),
+        ("trial_1.mp4", 1200, 5),
+    ]
+    assert [c.fps for _, c, *_ in rendered] == [260.0, 1000.0]
+    assert [c.noise for c in made.cameras] == [2.0] * 3  # unknown bodies: the noise of the trial
+    rendered.clear()
+    assert found.recorded(motion, tmp_path, lambda _: {}, [], 5) is None  # `sync` failed
+    assert [(name, frames, seed) for name, _, frames, seed in rendered] == [
+        ("casing.mp4", 498, 5),
+        ("rotor_1.mp4", 2000, 6),
+        ("rotor_2.mp4", 1300, 7),
+    ]
+    assert [c for _, c, *_ in rendered] == list(found.cameras)

@@ -5,9 +5,10 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack import DatasetError, write_case, write_recording
+from gyrotrack import DatasetError, read_recording, write_case, write_recording
 from gyrotrack.io import _contents
 from gyrotrack.io._contents import describe_case, describe_motion, inspect_file
+from gyrotrack.io._records import Input, PointTrack, no_series
 
 
 def test_recording_in_numbers(tmp_path, recording):
@@ -112,3 +113,77 @@ def test_verify_reads_what_is_not_ours_too(tmp_path, recording):
     inspect_file(path)
     with pytest.raises(DatasetError, match="notes/mine cannot be read"):
         inspect_file(path, verify=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "problems"),
+    [
+        ({}, []),
+        ({"sense": 0}, ["the sense is 0, not +1 or -1"]),
+        ({"sense": 1}, []),
+        ({"frames_decoded": 301}, ["301 frames were decoded but 300 are stored"]),
+        ({"bodies": {}}, ["no body has an angle"]),
+        ({"sense": 2, "bodies": {}}, ["the sense is 2, not +1 or -1"]),
+        ({"time": np.full(300, np.nan)}, ["the frames have times that are not numbers"]),
+        ({"time": -np.arange(300.0)}, ["the times of the frames are not strictly increasing (sample 2)"]),
+    ],
+)
+def test_problems_of_a_recording(recording, change, problems):
+    assert _contents._recording_problems(dataclasses.replace(recording, **change)) == problems
+
+
+def test_a_status_is_one_of_the_defined_ones(recording):
+    status = recording.markers["red"].status.copy()
+    status[7] = 99
+    markers = recording.markers | {"red": dataclasses.replace(recording.markers["red"], status=status)}
+    found = _contents._recording_problems(dataclasses.replace(recording, markers=markers))
+    assert found == ["marker 'red' has a status that is not defined"]
+
+
+@pytest.mark.parametrize(
+    ("time", "value", "problem"),
+    [
+        ([0.0, 1.0], [1.0, 2.0], None),
+        ([], [], "lacks some values"),
+        ([0.0, 1.0], [1.0, np.nan], "lacks some values"),
+        ([1.0, 1.0], [1.0, 2.0], "not strictly increasing"),
+    ],
+)
+def test_inputs_have_values_at_increasing_times(case, time, value, problem):
+    one = Input("current", np.array(time), np.array(value), np.full(len(time), np.nan), "A", delay=0.5)
+    given = dataclasses.replace(case, inputs=(one,))
+    found = _contents._case_problems(given)
+    assert len(found) == (problem is not None)
+    assert problem is None or problem in found[0]
+    shown = describe_case(given)["inputs"]["current"]
+    assert (shown["samples"], shown["unit"], shown["delay"], shown["median_u"]) == (len(time), "A", 0.5, None)
+    assert (shown["t_start"], shown["t_stop"]) == ((time[0], time[-1]) if time else (None, None))
+    assert (shown["min"], shown["max"]) == ((1.0, np.nanmax(value)) if time else (None, None))
+
+
+def test_uncertainties_of_an_input_have_a_median(case):
+    one = Input("current", np.arange(4.0), np.arange(4.0), np.array([0.1, np.nan, 0.5, 0.2]))
+    assert describe_case(dataclasses.replace(case, inputs=(one,)))["inputs"]["current"]["median_u"] == 0.2
+
+
+def test_a_rotor_without_samples_and_clips_with_problems_are_named(case, recording):
+    none = dataclasses.replace(case, rotor=no_series())
+    assert "the rotor has no samples" in _contents._case_problems(none)
+    clips = {"rotor_0": dataclasses.replace(recording, sense=0)}
+    assert _contents._case_problems(dataclasses.replace(case, recordings=clips)) == [
+        "clip 'rotor_0': the sense is 0, not +1 or -1"
+    ]
+
+
+def test_points_of_a_recording_are_stored(tmp_path, recording):
+    k = np.arange(5)
+    point = PointTrack("bob", 0.1 * k, 2 * k, 3.0 * k, 4.0 * k, 0.5 + k, 0.7 + k, 6.0, 0.01)
+    path = write_recording(
+        tmp_path / "r.h5",
+        dataclasses.replace(recording, points={"bob": point}, markers={}, bodies={}),
+        command="",
+        settings={},
+    )
+    read = read_recording(path).points["bob"]
+    for f in dataclasses.fields(PointTrack):
+        assert np.array_equal(getattr(read, f.name), getattr(point, f.name))

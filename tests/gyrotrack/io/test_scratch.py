@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from filelock import FileLock
 
 from gyrotrack.io._scratch import scratch_folder
 
@@ -42,3 +43,35 @@ def test_the_folder_of_a_killed_process_is_removed_by_the_next(root):
         assert one.is_dir()
     assert sorted(p.name for p in root.iterdir()) == ["gyrotrack-work-link", "gyrotrack-work-mine", "other"]
     assert all((folder / "precious").exists() for folder in foreign)
+
+
+def test_a_folder_is_removed_if_it_has_a_free_lock(root):
+    left, used, new = (root / f"gyrotrack-work-{name}" for name in ("left", "used", "new"))
+    for folder in (left, used, new):
+        folder.mkdir()
+        (folder / "window").touch()
+    for folder in (left, used):
+        (folder / "lock").touch()
+    (root / "gyrotrack-work-file").touch()
+    with FileLock(used / "lock", thread_local=False), scratch_folder() as own:
+        assert not left.exists()
+        assert own.parent == root
+        assert own.name.startswith("gyrotrack-work-")
+    assert not own.exists()
+    assert sorted(p.name for p in root.iterdir()) == [
+        "gyrotrack-work-file",
+        "gyrotrack-work-new",
+        "gyrotrack-work-used",
+    ]
+    assert (used / "window").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="users")
+def test_the_folder_of_another_user_is_kept(root, monkeypatch):
+    left = root / "gyrotrack-work-left"
+    left.mkdir()
+    (left / "lock").touch()
+    uid = os.getuid()
+    monkeypatch.setattr("gyrotrack.io._scratch.os.getuid", lambda: uid + 1)
+    with scratch_folder():
+        assert left.exists()

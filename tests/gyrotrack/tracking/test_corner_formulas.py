@@ -258,3 +258,28 @@ class TestPaperAngle:
             np.array([[[1.0, 0.0], [-1.0, 0.0]]]), np.zeros((1, 2)), np.ones(1, dtype=bool)
         )
         assert np.isnan(at_centre.angle).all()  # the middle is the centre
+
+
+def test_without_a_side_there_are_no_corners(monkeypatch):
+    """One side of each window is lost; the near edge is then not searched for."""
+    lost, seen = np.full(3, np.nan), np.zeros(3)
+    for sides in (((lost, lost), (seen, seen)), ((seen, seen), (lost, lost))):
+        monkeypatch.setattr(module, "_side_edges", lambda *_, sides=sides: sides)
+        found = near_corners(None, None, None, 10.0, 20.0)
+        for values in found:
+            assert values.shape == (3, 2)
+            assert np.isnan(values).all()
+
+
+def test_corners_are_where_the_sides_meet_the_near_edge(monkeypatch):
+    """r = 10 + 0.2 phi - 0.5 phi^2, and phi = -+0.3 + 0.01 (r - 10)."""
+    sides = tuple((np.array([base]), np.array([0.01])) for base in (-0.3, 0.3))
+    asked = []
+    near = (np.array([10.0]), np.array([0.2]), np.array([-0.5]))
+    monkeypatch.setattr(module, "_side_edges", lambda *_: sides)
+    monkeypatch.setattr(module, "_near_edge", lambda *given: asked.append(given[3:]) or near)
+    radius, angle = near_corners(None, None, None, 10.0, 20.0)
+    ((half, middle),) = asked
+    assert (half.tolist(), middle.tolist()) == ([0.3], [0.0])
+    assert radius[0] == pytest.approx(10.0 + 0.2 * angle[0] - 0.5 * angle[0] ** 2, abs=1e-5)
+    assert angle[0] == pytest.approx([-0.3, 0.3] + 0.01 * (radius[0] - 10.0))

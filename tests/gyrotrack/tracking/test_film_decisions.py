@@ -188,6 +188,8 @@ def test_a_coloured_film_has_twelve_coloured_pixels_in_its_first_frames(
         frames.append(SimpleNamespace(u=np.full((4, 6), 128, np.uint8), v=v))
     monkeypatch.setattr(module, "Reader", Colours(frames))
     assert module.is_coloured("film") == coloured
+    assert module.is_coloured("film", at + 1) == (chroma == 25 and pixels == 12)
+    assert not module.is_coloured("film", at)
 
 
 def test_a_film_is_interlaced_only_if_all_frames_declare_it(monkeypatch):
@@ -457,3 +459,130 @@ def test_flicker_is_compensated_about_the_black_level():
     assert not film.stabilised
     film.stabilise(SimpleNamespace(stabilised=lambda plane, index: plane + np.uint8(index)))
     assert film._still(plane, 1).tolist() == [[17, 97]]
+
+
+class TestStoredFilm:
+    """Pictures of 4 x 6 px; a file has five of them, and at most twelve are stored."""
+
+    def film(self, monkeypatch, count, *, most=None, fields=None, gain=None, tilt=None):
+        frames = [
+            SimpleNamespace(y=np.full((4, 6), 10 * k, np.uint8), index=k, interlaced=False)
+            for k in range(count)
+        ]
+        added = []
+
+        class Reader(Colours):
+            info = Info(25.0, count, 0.04)
+            warnings = ("own",)
+
+            def __call__(self, *_):
+                return self
+
+            def __enter__(self):
+                return self
+
+            def __iter__(self):
+                return iter(self.frames)
+
+            def pts_seconds(self):
+                return 0.04 * np.arange(count)
+
+        flicker = SimpleNamespace(add=lambda small: added.append(small.shape), gain=gain)
+        monkeypatch.setattr(module, "Reader", Reader(frames))
+        monkeypatch.setattr(module, "_interlacing", lambda _: fields)
+        monkeypatch.setattr(module, "_Flicker", lambda: flicker)
+        monkeypatch.setattr(module, "_FILE", 5 * 24 + 10)
+        monkeypatch.setattr(module, "_HELD", 12 * 24)
+        return Film("film", most=most, tilt=tilt), added
+
+    @pytest.mark.parametrize(
+        ("count", "most", "length", "files"),
+        [
+            (12, None, 12, 3),
+            (13, None, 13, 0),
+            (20, 12, 12, 3),
+            (5, None, 5, 1),
+            (6, None, 6, 2),
+            (0, None, 0, 0),
+        ],
+    )
+    def test_small_films_are_stored_in_files_of_some_pictures(self, monkeypatch, count, most, length, files):
+        film, added = self.film(monkeypatch, count, most=most)
+        assert (len(film), len(film._files)) == (length, files)
+        assert all(f.shape == (5, 4, 6) for f in film._files)
+        if files:
+            assert [int(f[0, 0]) for f in film.frames()] == [10 * k for k in range(length)]
+        assert added == [(1, 2)] * length
+        assert film.selected.tolist() == [True] * length
+        assert film.warnings == ("own",)
+        assert film._gain is None
+        # the first picture changes by the whole range; later ones only in brightness, which is flicker
+        expected = [255.0, *[10.0 * (k == 1) for k in range(1, length)]][:length]
+        assert film.changes.tolist() == pytest.approx(expected, abs=1e-4)
+
+    def test_an_interlaced_film_has_two_pictures_per_frame(self, monkeypatch):
+        film, _ = self.film(monkeypatch, 4, fields=1)
+        assert (len(film), film.interlaced) == (8, True)
+        assert film.stamps == pytest.approx(0.02 * np.arange(8))
+        assert "its 8 fields" in film.warnings[-1]
+
+    def test_flicker_and_tilt_are_stated(self, monkeypatch):
+        gain = (16.0, np.array([1.1, 0.9, 1.1, 0.9]))
+        film, _ = self.film(monkeypatch, 4, gain=gain, tilt=Tilt(0.3))
+        assert film._gain is gain
+        assert "10 % rms" in film.warnings[1]
+        assert "17.2 degrees" in film.warnings[2]
+
+
+@pytest.mark.parametrize("factor", [1, 2, 3])
+def test_a_reduced_picture_has_the_means_of_whole_squares(factor):
+    picture = np.random.default_rng(0).integers(0, 255, (7, 11)).astype(np.uint8)
+    found = module.reduced(picture, factor)
+    height, width = 7 // factor, 11 // factor
+    whole = picture[: height * factor, : width * factor].astype(float)
+    expected = whole.reshape(height, factor, width, factor).mean(axis=(1, 3))
+    assert found.shape == (height, width)
+    assert np.abs(found - expected).max() <= 0.51
+
+
+def test_the_gain_is_measured_in_a_coarser_grid_of_a_large_picture(monkeypatch):
+    """Every second pixel of a picture of more than 8000 pixels."""
+    added = []
+    frame = SimpleNamespace(y=np.zeros((400, 400), np.uint8), index=0, interlaced=False)
+
+    class Reader(Colours):
+        info, warnings = Info(25.0, 1, 0.04), ()
+
+        def __call__(self, *_):
+            return self
+
+        def __enter__(self):
+            return self
+
+        def __iter__(self):
+            return iter(self.frames)
+
+        def pts_seconds(self):
+            return np.zeros(1)
+
+    monkeypatch.setattr(module, "Reader", Reader([frame]))
+    monkeypatch.setattr(module, "_interlacing", lambda _: None)
+    monkeypatch.setattr(
+        module, "_Flicker", lambda: SimpleNamespace(add=lambda s: added.append(s.shape), gain=None)
+    )
+    Film("film")
+    assert added == [(50, 50)]
+
+
+@pytest.mark.parametrize("azimuth", [math.pi / 2, 0.3])
+def test_a_picture_is_corrected_for_the_tilt(azimuth):
+    """A small spot is displaced like its place."""
+    film = object.__new__(Film)
+    film.tilt, film.info = Tilt(0.9, azimuth), SimpleNamespace(width=101, height=71)
+    y, x = np.mgrid[0:71, 0:101]
+    plane = np.rint(200.0 * np.exp(-((x - 70.0) ** 2 + (y - 50.0) ** 2) / 18.0)).astype(np.uint8)
+    shown = film._level(plane).astype(float)
+    assert shown.shape == (71, 101)
+    middle = [float((v * shown).sum() / shown.sum()) for v in (x, y)]
+    assert middle == pytest.approx(film.levelled((70.0, 50.0)), abs=0.1)
+    assert abs(middle[0] - 70.0) + abs(middle[1] - 50.0) > 2.0

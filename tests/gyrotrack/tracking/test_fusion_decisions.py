@@ -379,3 +379,17 @@ class TestPlaces:
         error[::10] = 0.05
         found = changed(found, turning=True, by_place={"m0": error})
         assert place_error(found) == pytest.approx(1.4826 * 3e-3, rel=0.1)
+
+
+def test_markers_are_joined_with_the_times_of_their_frames(monkeypatch):
+    class StoppedError(Exception):
+        pass
+
+    def of(*given):
+        raise StoppedError(*given)
+
+    monkeypatch.setattr(module.Residuals, "of", of)
+    coarse = np.zeros(5)
+    with pytest.raises(StoppedError) as error:
+        join(coarse, {"red": 1}, 50.0, time_base="times")
+    assert error.value.args == (coarse, {"red": 1}, 50.0, "times")

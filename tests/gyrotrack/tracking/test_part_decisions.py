@@ -2,12 +2,15 @@
 
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fitting._workers import WorkerPool
+from gyrotrack import VideoError
 from gyrotrack.tracking import _film_parts as module
 from gyrotrack.tracking._film_parts import (
     LEARNT,
@@ -17,6 +20,8 @@ from gyrotrack.tracking._film_parts import (
     turns_between,
     zero_between,
 )
+from gyrotrack.tracking._live_angles import angles_sent_to
+from gyrotrack.tracking._marker_tracker import MarkerObservations
 from gyrotrack.video._container import Packets
 from gyrotrack.video._decoder import Part
 from gyrotrack.video._time_base import Timing
@@ -49,6 +54,13 @@ class TestSplit:
         first, second = split(packets(1000, [0, 480, 530]))
         assert (first.first, first.start, first.stop) == (0, None, 100 + 10 * (480 + 64))
         assert (second.first, second.start, second.stop) == (480, 100 + 10 * 480, None)
+
+    @pytest.mark.parametrize(("second", "starts"), [(2399, [0, 2000, 3751]), (2400, [0, 2000, 2400, 3751])])
+    def test_each_part_begins_400_frames_after_the_previous_one(self, second, starts):
+        found = split(packets(5001, [0, 2000, second, 3751]))
+        assert [p.first for p in found] == starts
+        assert [p.start for p in found[1:]] == [100 + 10 * k for k in starts[1:]]
+        assert [p.stop for p in found[:-1]] == [100 + 10 * (k + 64) for k in starts[1:]]
 
     def test_the_key_frame_nearest_to_the_division_is_taken(self):
         assert [p.first for p in split(packets(1000, [0, 440, 530]))] == [0, 530]
@@ -126,12 +138,24 @@ class TestAdvance:
         assert step == [0.0, 1.0, 1.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
 
     def test_steps_of_a_varying_rate_are_those_of_the_stamps(self):
-        stamps = np.cumsum(np.where(np.arange(60) % 2, 30, 50))
+        """With a capture rate of 25 frames/s the places are 2 and 1 periods apart, the median is 1."""
+        stamps = np.cumsum(np.where(np.arange(60) % 3 == 1, 80, 40))
         clock = module._Advance(stamps, 1e-3, Timing("stamps", 25.0))
         assert clock.stamped
-        found = [clock.step(SimpleNamespace(pts=int(s), index=i)) for i, s in enumerate(stamps)][1:]
-        ratio = found[0] / found[1]
-        assert ratio == pytest.approx(30 / 50) or ratio == pytest.approx(1.0)
+        found = [clock.step(SimpleNamespace(pts=int(s), index=i)) for i, s in enumerate(stamps)]
+        assert found == pytest.approx([0.0, *np.where(np.arange(1, 60) % 3 == 1, 2.0, 1.0)], abs=0.02)
+        slow = module._Advance(2 * stamps, 1e-3, Timing("stamps", 12.5))
+        assert [slow.step(SimpleNamespace(pts=int(2 * s), index=i)) for i, s in enumerate(stamps)] == found
+
+    def test_steps_are_relative_to_the_median_step(self, monkeypatch):
+        times = SimpleNamespace(place=0, places=np.array([0.0, 3.0, 6.0, 12.0, 15.0]))
+        stamps = np.array([5, 7, 9, 13, 15])
+        asked = []
+        timing = SimpleNamespace(of=lambda seconds, tick: asked.append((seconds.tolist(), tick)) or times)
+        clock = module._Advance(stamps, 0.5, timing)
+        found = [clock.step(SimpleNamespace(pts=int(s), index=i)) for i, s in enumerate(stamps)]
+        assert found == [0.0, 1.0, 1.0, 2.0, 1.0]
+        assert asked == [([2.5, 3.5, 4.5, 6.5, 7.5], 0.5)]
 
 
 class TestTurns:
@@ -219,6 +243,8 @@ class TestRows:
         [
             ({}, True),
             ({"part": 2}, False),
+            ({"part": 2, "frames": 18}, False),
+            ({"part": 0, "frames": 18}, True),
             ({"parts": 3}, False),
             ({"frames": 13}, False),
             ({"corrupt": -1}, False),
@@ -238,6 +264,37 @@ class TestRows:
             short = arrays | {"again": arrays["again"][1:]}
             assert not store._belongs(SimpleNamespace(facts=facts, arrays=short))
             assert not store._belongs(SimpleNamespace(facts=facts, arrays={module._STAMPS: found.stamps}))
+
+    def test_a_part_is_stored_in_its_journal(self):
+        """A part without a frame of its own is not stored."""
+        store, scene, angle = self.made(turns=0)
+        records = []
+
+        class Journal:
+            def __len__(self):
+                return len(records)
+
+            def records(self):
+                return iter(())
+
+            def append(self, facts, arrays):
+                records.append(SimpleNamespace(facts=facts, arrays=arrays))
+
+            def record(self, index):
+                return records[index]
+
+        kept = module._PartResults(store._parts, store._packets, Journal(), {})
+        for index in (1, 0):
+            found = store._memory[index]
+            kept.add(index, found)
+            assert set(records[-1].arrays) == {*found.rows, module._STAMPS}
+            assert records[-1].facts == {
+                "part": index, "parts": 2, "frames": 14 if index else 20,
+                "bad_packets": found.bad_packets, "corrupt": found.corrupt,
+            }  # fmt: skip
+        assert kept.rows(scene)["rotor/coarse"] == pytest.approx(angle)
+        kept.add(1, PartRows({}, np.zeros(0, dtype=np.int64), 0, 0))
+        assert len(records) == 2
 
     def test_parts_that_are_not_done(self):
         store, _, _ = self.made()
@@ -304,6 +361,182 @@ class TestWorkers:
         assert found[0] == "a by 4"
 
 
+class TestPart:
+    """A film of 1000 frames; a part of it from frame 100, whose beginning up to the key frame 400 may be stored."""
+
+    def tracked(self, monkeypatch, *, learnt, stored=True):
+        read, counted = [], []
+
+        class Reader:
+            stamps, bad_packets, corrupt = np.array([7, 8, 9]), 5, 3
+
+            def __init__(self, path, threads, part, info):
+                read.append((path, threads, part.first, part.start, part.stop))
+
+            def __enter__(self):
+                return self
+
+            def __exit__(self, *_):
+                pass
+
+        class Map:
+            common = None
+
+            def replace(self, common):
+                self.common = common
+
+        def work_of(size):
+            batches = iter([{"again": np.full(size, True)}, {"again": np.full(1, False)}])
+            return SimpleNamespace(maps=[Map(), Map()], measure_batch=lambda: next(batches))
+
+        new, begun = work_of(2), work_of(4)
+        beginning = module._Beginning(begun, np.array([5, 6]), 20, 30)
+        monkeypatch.setattr(module, "Reader", Reader)
+        monkeypatch.setattr(module.pickle, "loads", lambda _: new)
+        monkeypatch.setattr(module, "_stored", lambda *_: beginning if stored else None)
+        monkeypatch.setattr(module, "_begin", lambda *_: beginning)
+        monkeypatch.setattr(
+            module, "_taken", lambda work, film, reader, first: iter([None] * (2 if first == 100 else 9))
+        )
+        film = SimpleNamespace(
+            packets=packets(1000, [0, 100, 400]),
+            info=SimpleNamespace(path="film"),
+            tracker=b"",
+            learnt=learnt,
+            maps=("one", "two"),
+        )
+        part = Part(first=100, start=1100, stop=5100)
+        found = module.track_part(film, part, 3, counted.append)
+        used = begun if 100 in learnt else new
+        assert [m.common for m in used.maps] == ["one", "two"]
+        return found, read, counted
+
+    @pytest.mark.parametrize("stored", [True, False])
+    def test_a_part_goes_on_after_its_beginning(self, monkeypatch, stored):
+        found, read, counted = self.tracked(monkeypatch, learnt=(0, 100), stored=stored)
+        assert read == [("film", 3, 400, 4100, 5100)]
+        assert counted == [4, 1]
+        assert found.rows["again"].tolist() == [True] * 4 + [False]
+        assert found.stamps.tolist() == [5, 6, 7, 8, 9]
+        assert (found.bad_packets, found.corrupt) == (25, 33)
+
+    def test_a_part_without_a_beginning_is_tracked_as_a_whole(self, monkeypatch):
+        found, read, counted = self.tracked(monkeypatch, learnt=(0,))
+        assert read == [("film", 3, 100, 1100, 5100)]
+        assert counted == [2, 1]
+        assert found.stamps.tolist() == [7, 8, 9]
+        assert (found.bad_packets, found.corrupt) == (5, 3)
+
+    def test_a_stored_beginning_is_read_once(self, tmp_path):
+        film = SimpleNamespace(folder=tmp_path)
+        with (tmp_path / "100").open("wb") as file:
+            module.pickle.dump("begun", file)
+        assert module._stored(film, Part(first=100)) == "begun"
+        assert module._stored(film, Part(first=100)) is None
+        (tmp_path / "7").write_bytes(b"")
+        assert module._stored(film, Part(first=7)) is None
+
+    def test_a_beginning_is_stored_under_its_first_frame(self, monkeypatch, tmp_path):
+        begun = module._Beginning(SimpleNamespace(maps=["map"]), np.array([5]), 1, 2)
+        monkeypatch.setattr(module, "_begin", lambda *_: begun)
+        film = SimpleNamespace(folder=tmp_path)
+        assert module.learn_part(film, Part(first=100), 1, None) == ["map"]
+        again = module._stored(film, Part(first=100))
+        assert (again.stamps.tolist(), again.bad_packets, again.corrupt) == ([5], 1, 2)
+        assert module.learn_part(SimpleNamespace(folder=tmp_path / "absent"), Part(), 1, None) == ["map"]
+
+    @pytest.mark.parametrize(("full", "filled", "held", "yields", "taken"), [
+        ((2, 4), (), 1, 1, 3),  # three times of two, two and one frames; the last batch is not full
+        ((2, 4), (4,), 0, 1, 2),  # a full batch, and none after it
+        ((), (), 0, 0, 0),
+    ])  # fmt: skip
+    def test_a_tracker_takes_frames_and_stops_after_a_batch(
+        self, monkeypatch, full, filled, held, yields, taken
+    ):
+        done = []
+        work = SimpleNamespace(filled=0, full=False, held=[])
+
+        def keep(frame, step, *, stamped):
+            assert (step, stamped) == (float(frame.index > 0), False)
+            work.held.append(frame)
+            work.full = frame.index + 1 in full
+
+        def take(_, part):
+            done.append((part, len(work.held)))
+            work.filled = module._film_tracker.BATCH if sum(n for _, n in done) in filled else 1
+            work.held.clear()
+
+        work.keep = keep
+        monkeypatch.setattr(module, "_take", take)
+        count = sum((max(full, default=0), held))
+        reader = [SimpleNamespace(index=k, pts=100 + 10 * k) for k in range(count)]
+        film = SimpleNamespace(
+            packets=packets(count, [0]) if count else packets(5, [0]), timing=Timing("frames", 25.0)
+        )
+
+        class Frames(list):
+            info = SimpleNamespace(time_base=1e-3)
+
+        steps = 0
+        for _ in module._taken(work, film, Frames(reader), 90):
+            steps += 1
+            work.filled = 0
+        assert (steps, len(done)) == (yields, taken)
+        assert all(part == 90 for part, _ in done)
+        assert sum(n for _, n in done) == count
+
+
+class TestProcesses:
+    @pytest.mark.parametrize(
+        ("workers", "parts", "cores", "count"),
+        [(3, 4, 9, 3), (3, 2, 9, 2), (None, 8, 5, 5), (None, 4, 9, 4), (1, 4, 9, 1), (9, 1, 9, 1)],
+    )
+    def test_processes_are_as_many_as_wanted_and_as_parts(self, monkeypatch, workers, parts, cores, count):
+        """The caller is one of them."""
+        made = []
+        monkeypatch.setattr(module, "read_packets", lambda path: f"packets of {path}")
+        monkeypatch.setattr(module, "split", lambda found: ("part",) * parts)
+        monkeypatch.setattr(module, "available_cores", lambda: cores)
+        monkeypatch.setattr(
+            module, "get_context", lambda way: SimpleNamespace(Value=lambda kind, at: (way, kind, at))
+        )
+        monkeypatch.setattr(module, "WorkerPool", lambda *given: made.append(given) or "pool")
+        found = PartWorkers("film", workers)
+        assert (found.count, len(found.parts), found.packets) == (count, parts, "packets of film")
+        value = ("spawn", "q", 0)
+        pool = [(count - 1, module._start_worker, (value, None))] if count > 1 else []
+        assert made == [(0,), *pool]
+        assert found._done == (value if pool else None)
+
+    def test_without_semaphores_the_caller_alone_tracks(self, monkeypatch):
+        def refuse(_):
+            raise OSError
+
+        monkeypatch.setattr(module, "read_packets", lambda _: None)
+        monkeypatch.setattr(module, "split", lambda _: ("part",) * 4)
+        monkeypatch.setattr(module, "get_context", refuse)
+        found = PartWorkers("film", 3)
+        assert (found._done, found._pool.processes) == (None, 0)
+
+    @pytest.mark.parametrize(("processes", "begun"), [(0, 0), (1, 0), (3, 2)])
+    def test_all_processes_but_the_first_are_started_at_once(self, processes, begun):
+        asked = []
+        made = PartWorkers.__new__(PartWorkers)
+
+        class Pool:
+            begin = staticmethod(asked.append)
+
+            def __init__(self):
+                self.processes = processes
+
+            def __enter__(self):
+                return self
+
+        made._pool = Pool()
+        assert made.__enter__() is made
+        assert len(asked) == begun
+
+
 def test_the_angles_of_the_frames_that_were_stored_are_reported(monkeypatch):
     """Seven frames were tracked before, three are new."""
     angles = np.arange(20.0)
@@ -317,3 +550,117 @@ def test_the_angles_of_the_frames_that_were_stored_are_reported(monkeypatch):
     module._take(work, 90)
     ((name, part, frames, found),) = told
     assert (name, part, frames.tolist(), found) == ("casing", 90, [100, 101, 102], [7.0, 8.0, 9.0])
+
+
+class TestFilm:
+    """Ten parts of 20 frames without overlap; one marker."""
+
+    PARTS = tuple(
+        Part(first=20 * k, start=100 + 200 * k if k else None, stop=300 + 200 * k if k < 9 else None)
+        for k in range(10)
+    )
+
+    def tracked(self, monkeypatch, *, parts=10, declared=0, empty=False):
+        told = SimpleNamespace(added=[], runs=[], progress=[])
+        film = packets(20 * parts, range(0, 20 * parts, 20))
+        angle = 0.3 * np.arange(200.0)
+
+        def rows(k):
+            here = angle[20 * k : 20 * k + 20]
+            found = {"rotor/coarse": here, "again": np.arange(20) == k, "disc": np.full((20, 2), float(k))}
+            for f in fields(MarkerObservations):
+                shape = (20, 2) if f.name in {"corner_angle", "corner_radius", "centre"} else (20,)
+                found[f"rotor/red/{f.name}"] = np.full(shape, 1.0 + k)
+            found["rotor/red/angle"] = here + 0.5
+            return found
+
+        def run(task, given, todo, threads, progress=None, done=0, total=None):
+            told.runs.append((task, given, list(todo), threads, done, total))
+            for k in reversed(todo):
+                if task is module.learn_part:
+                    yield k, [f"one {k}", f"two {k}"]
+                elif not empty:
+                    yield k, PartRows(rows(k), film.stamps[20 * k : 20 * k + 20], 1, k)
+                else:
+                    yield k, PartRows({}, np.zeros(0, dtype=np.int64), 0, 0)
+
+        maps = [SimpleNamespace(add=lambda other, k=k: told.added.append((k, other))) for k in range(2)]
+        work = SimpleNamespace(maps=maps, size=(64, 48), repeats=None)
+        workers = SimpleNamespace(
+            packets=film,
+            parts=(*self.PARTS[: parts - 1], replace(self.PARTS[parts - 1], stop=None)),
+            run=run,
+        )
+        scene = SimpleNamespace(bodies=("rotor",), of=lambda name: (SimpleNamespace(name="red"),))
+        info = SimpleNamespace(frames_declared=declared, time_base=0.01)
+        monkeypatch.setattr(module, "probe", lambda path: info)
+        monkeypatch.setattr(module, "_columns", lambda *_: {})
+        monkeypatch.setattr(module.pickle, "dumps", lambda *_, **__: b"tracker")
+        monkeypatch.setattr(module, "film_warnings", lambda *given: (f"damage {given[2:]}",))
+        found = module.track_film(
+            workers,
+            "film",
+            scene,
+            work,
+            3,
+            lambda *given: told.progress.append(given),
+            Timing("frames", 10.0),
+        )
+        return found, told, maps
+
+    def test_maps_are_learnt_from_eight_parts_and_added_in_their_order(self, monkeypatch):
+        found, told, maps = self.tracked(monkeypatch)
+        some = [0, 1, 2, 3, 5, 6, 7, 9]
+        learn, track = told.runs
+        assert (learn[0], learn[2], learn[3]) == (module.learn_part, some, 3)
+        assert told.added == [(k, f"{word} {i}") for i in some for k, word in enumerate(("one", "two"))]
+        assert (track[0], track[2:]) == (module.track_part, (list(range(10)), 3, 0, 200))
+        assert track[1].learnt == tuple(20 * k for k in some)
+        assert track[1].maps == tuple(maps)
+        assert track[1].tracker == b"tracker"
+        assert learn[1].learnt == ()
+        assert told.progress == [(200, 200)]
+        assert found.bodies["rotor"].coarse == pytest.approx(0.3 * np.arange(200))
+        red = found.bodies["rotor"].markers["red"]
+        assert red.angle == pytest.approx(0.5 + 0.3 * np.arange(200))
+        assert red.gain.tolist() == np.repeat(1.0 + np.arange(10), 20).tolist()
+        assert red.centre.shape == (200, 2)
+        assert np.flatnonzero(found.again).tolist() == [21 * k for k in range(10)]
+        assert found.pts_time == pytest.approx(0.01 * (100 + 10 * np.arange(200)))
+        assert found.warnings == (f"damage {(10, 45)}",)
+        assert found.size == (64, 48)
+        assert found.disc[:, 0].tolist() == np.repeat(np.arange(10.0), 20).tolist()
+
+    def test_a_film_of_one_part_learns_in_this_part(self, monkeypatch):
+        _, told, _ = self.tracked(monkeypatch, parts=1, declared=25)
+        ((task, film, todo, *_, total),) = told.runs
+        assert (task, todo, film.learnt, film.maps, total) == (module.track_part, [0], (), (), 25)
+        assert told.added == []
+        assert told.progress == [(20, 25)]
+
+    def test_a_film_without_a_frame_is_refused(self, monkeypatch):
+        with pytest.raises(VideoError, match="No frame"):
+            self.tracked(monkeypatch, parts=1, empty=True)
+
+
+def test_angles_of_finished_parts_are_reported_with_their_frames():
+    store, scene, angle = TestRows().made(turns=0)
+    store.report(scene)  # without a receiver nothing happens
+    said = []
+    with angles_sent_to(lambda *given: said.append(given)):
+        store.report(scene)
+    assert [(name, part) for name, part, *_ in said] == [("rotor", 0), ("rotor", 16)]
+    assert [frames.tolist() for *_, frames, _ in said] == [list(range(20)), list(range(16, 34))]
+    assert said[1][3] == pytest.approx(angle[16:])
+
+
+def test_frames_of_a_process_are_counted_together(monkeypatch):
+    counter = SimpleNamespace(value=3, get_lock=nullcontext)
+    monkeypatch.setattr(module, "_done", None)
+    sinks = []
+    monkeypatch.setattr(module, "set_sink", sinks.append)
+    module._count(5)
+    module._start_worker(counter, "sink")
+    module._count(5)
+    module._count(2)
+    assert (counter.value, sinks) == (10, ["sink"])

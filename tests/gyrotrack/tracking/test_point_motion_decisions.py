@@ -636,3 +636,151 @@ def test_the_details_of_a_point_are_plain_numbers():
     assert details["tilt_rad"] == [*orbit.tilt, orbit.tilt_u]
     assert (details["patch_px"], details["patch_turns"]) == (6.0, False)
     assert point_details(replace(found, orbit=None))["tilt_rad"] is None
+
+
+def test_a_jump_of_the_angle_is_not_a_turn():
+    """Of 1.5 turns, 0.4 turns are one step."""
+    smooth = np.linspace(0.0, 1.25 * 2 * np.pi, 120)
+    assert _unselected(smooth)
+    jump = np.where(np.arange(120) < 100, smooth, smooth + 0.4 * 2 * np.pi)
+    assert _unselected(jump)
+    short = np.linspace(0.0, 1.1 * 2 * np.pi, 120)
+    assert not _unselected(np.where(np.arange(120) < 100, short, short + 0.4 * 2 * np.pi))
+
+
+def test_residuals_that_are_all_alike_are_a_fortieth_of_independent_ones():
+    rows = np.stack([np.zeros(4000), np.zeros(4000), np.ones(4000)], axis=1)
+    found, covariance, rest = module._with_prior(rows, np.linspace(4.0, 6.0, 4000), 1.0)
+    assert found[2] == pytest.approx(5.0)
+    assert rest == pytest.approx(1.0 / math.sqrt(3.0), rel=1e-3)
+    assert covariance[2, 2] == pytest.approx(1.0 / 3.0 * 1.95 / 0.05 / 4000, rel=1e-2)
+
+
+@pytest.mark.parametrize("start", [None, (3.0, 4.0)])
+@pytest.mark.parametrize("fits", [True, False])
+def test_a_path_without_a_pivot_is_returned_with_its_noise(monkeypatch, start, fits):
+    path = _path(_on(np.linspace(0.0, 1.0, 9)), 0.1)
+    asked = []
+
+    def of_path(film, given, first, hub):
+        asked.append((film, given, first, hub))
+        if not fits:
+            raise TrackingError("straight", "")
+        return "point"
+
+    monkeypatch.setattr(module, "track_point", lambda film, first, turn, progress: path)
+    monkeypatch.setattr(module, "_of_path", of_path)
+    monkeypatch.setattr(module, "_white_scale", lambda _: 3.0)
+    if start is None and not fits:
+        with pytest.raises(TrackingError):
+            module.follow_path("film", start, (1.0, 2.0))
+        return
+    found = module.follow_path("film", start, (1.0, 2.0))
+    assert asked == [("film", path, start, (1.0, 2.0))]
+    if fits:
+        assert found == "point"
+    else:
+        np.testing.assert_allclose(found.covariance, np.tile(0.09 * np.eye(2), (9, 1, 1)))
+
+
+@pytest.mark.parametrize("second", [True, False])
+def test_another_rotation_about_the_pivot_is_searched_for_in_300_frames(monkeypatch, second):
+    found = _point(_on(np.linspace(0.0, 3.0, 400)), frame=2 * np.arange(400))
+    asked = []
+
+    def second_rotation(frames, motion, hub, angle):
+        asked.append((frames, motion, hub, angle))
+        return SimpleNamespace(warning=lambda first: f"range {np.ptp(first):.6f}") if second else None
+
+    film = SimpleNamespace(some=lambda index: index.tolist())
+    monkeypatch.setattr(module, "second_rotation", second_rotation)
+    monkeypatch.setattr(module.Motion, "of", staticmethod(lambda frames: ("motion", len(frames))))
+    text = module._second_rotation(film, found)
+    assert text == (f"range {np.ptp(found.angle[:300]):.6f}" if second else None)
+    ((frames, motion, hub, angle),) = asked
+    assert frames == (2 * np.arange(300)).tolist()
+    assert (motion, hub) == (("motion", 300), (160.0, 120.0))
+    np.testing.assert_array_equal(angle, -found.angle[:300])
+    assert module._second_rotation(film, replace(found, orbit=Orbit(TILTED, np.eye(5)))) is None
+
+
+@pytest.mark.parametrize(
+    ("start", "searched", "keeps", "reach", "words"),
+    [
+        ((1.0, 2.0), 60, False, 1.0, []),
+        ((1.0, 2.0), 63, False, 1.0, ["in 3 of 63"]),
+        ((1.0, 2.0), 60, True, 3.2, ["keeps its orientation"]),
+        ((1.0, 2.0), 60, True, 3.1, []),
+        (None, 60, False, 1.0, ["followed as a point", "second body"]),
+    ],
+)
+def test_doubts_about_a_followed_point_are_stated_in_order(monkeypatch, start, searched, keeps, reach, words):
+    path = replace(_path(_on(np.linspace(0.0, reach, 60)), searched=searched), keeps=keeps)
+    point = _point(path.place, path=path, warnings=("own",))
+    asked = []
+
+    def about(given, name, hub, tilt):
+        asked.append((given, name, hub, tilt))
+        return point
+
+    monkeypatch.setattr(module, "about_pivot", about)
+    monkeypatch.setattr(module, "_check_unselected", lambda *_: None)
+    monkeypatch.setattr(module, "_second_rotation", lambda *_: "second body")
+    film = SimpleNamespace(
+        path=SimpleNamespace(name="name"), tilt=SimpleNamespace(angle=0.3), warnings=("film",)
+    )
+    found = module._of_path(film, path, start, (5.0, 6.0))
+    assert asked == [(path, "name", (5.0, 6.0), 0.3)]
+    first, *rest = found.warnings
+    assert first == "film"
+    assert rest.pop(-1 if start else -2) == "own"
+    assert len(rest) == len(words)
+    assert all(w in r for w, r in zip(words, rest, strict=True))
+    assert found.ambiguous == (start is None)
+
+
+@pytest.mark.parametrize(("first", "shift"), [(0, 3.0), (1, 0.0)])
+@pytest.mark.parametrize("beside", [True, False])
+def test_links_are_followed_from_their_joint(monkeypatch, first, shift, beside):
+    """The point on the second link turns about the joint; the joint's patch may be beside the clicked place."""
+    joint = _point(_on(np.linspace(0.0, 1.0, 9)), frame=np.arange(first, first + 9))
+    start = tuple(joint.place[0] + [3.0, 0.0])
+    film = SimpleNamespace(path=SimpleNamespace(name="name"))
+    told = SimpleNamespace(turns=[], links=[], errors=[], paths=[])
+    moved, shared = _path(joint.place + 1.0, frame=joint.frame), np.tile(9.0 * np.eye(2), (9, 1, 1))
+
+    def track_point(given, start_, turn_of, progress):
+        place = np.stack([np.interp(joint.frame, joint.frame, joint.place[:, i]) for i in (0, 1)], axis=1)
+        away = 20.0 * np.stack([np.cos(2.0 + 0.3 * joint.frame), np.sin(2.0 + 0.3 * joint.frame)], axis=1)
+        told.turns.append((start_, turn_of(joint.frame, place + away)))
+        return "path"
+
+    def second_link(one, path, name, off):
+        told.links.append((one, path, name, off))
+        return "second"
+
+    def of_path(given, path, start_, hub):
+        told.paths.append((path, start_, hub))
+        return replace(joint, frame=joint.frame[2:])
+
+    monkeypatch.setattr(module, "follow_point", lambda given, start_, hub, progress: joint)
+    monkeypatch.setattr(module, "track_point", track_point)
+    monkeypatch.setattr(module, "fresh_frames", lambda given: np.arange(20))
+    monkeypatch.setattr(module, "second_link", second_link)
+    monkeypatch.setattr(module, "_on_second_link", lambda *_: (moved, shared) if beside else None)
+    monkeypatch.setattr(module, "_of_path", of_path)
+    monkeypatch.setattr(module, "_with_error", lambda one, error: told.errors.append(error) or one)
+    found, second = module.follow_links(film, (start, (7.0, 8.0)), (1.0, 2.0))
+    assert second == "second"
+    ((given, turn),) = told.turns
+    assert given == (7.0, 8.0)
+    np.testing.assert_allclose(turn, 0.3 * np.arange(9))
+    off = math.hypot(1.0, shift)
+    assert [link[1:] for link in told.links] == [("path", "name", pytest.approx(off))] * (1 + beside)
+    assert told.links[0][0] is joint
+    if beside:
+        assert told.paths == [(moved, start, (1.0, 2.0))]
+        np.testing.assert_array_equal(told.errors[0], shared[2:])
+        assert len(found.frame) == 7
+    np.testing.assert_allclose(told.errors[-1], np.tile(0.05**2 * np.eye(2), (len(found.frame), 1, 1)))
+    assert len(told.errors) == 1 + beside

@@ -531,3 +531,125 @@ def test_a_candidate_with_a_rival_is_ambiguous(monkeypatch):
     module.find_candidates(samples, [], ORBIT, Disc((90.0, 70.0), 5.0, (9.0, 0.0)))
     assert centres[0] == ((100.0, 80.0), 60.0)
     assert centres[-1] == ((90.0, 70.0), 60.0)
+
+
+def test_a_candidate_is_a_patch_of_the_size_of_a_marker(monkeypatch):
+    """It has the hue of its own contrast."""
+    sized, asked = [True], []
+    seen = _candidate(BLUE, 30.0).sampled
+    found = [seen]
+    monkeypatch.setattr(
+        module, "find_coloured", lambda rings, wanted: asked.append((rings, wanted)) or found[0]
+    )
+    monkeypatch.setattr(module, "is_marker_sized", lambda marker: sized[0] and marker is seen.marker)
+    one = module._candidate("rings", 325.0)
+    assert one.hue == pytest.approx(BLUE)
+    assert one.sampled is seen
+    ((rings, wanted),) = asked
+    assert (rings, wanted.hue, wanted.colour) == ("rings", 325.0, module.nearest_colour(325.0))
+    sized[0] = False
+    assert module._candidate("rings", 325.0) is None
+    found[0] = None
+    assert module._candidate("rings", 325.0) is None
+
+
+class TestPropose:
+    """A turning group of red, a resting group, and one patch that does not move steadily."""
+
+    def proposed(
+        self, monkeypatch, *, orbit=ORBIT, circle=CIRCLE, turning=True, white=None, hub=None, sound=True
+    ):
+        told = SimpleNamespace(candidates=[], groups=[], confirmed=[], white=[])
+        resting, moving = _group(0.0), _group(0.4, _candidate(RED, angle=np.full(20, 1.0)))
+        samples = SimpleNamespace(head=12)
+
+        def find_candidates(given, hues, about, disc):
+            told.candidates.append((given, hues, about, disc))
+            return "ring", ["candidates"]
+
+        def group(candidates, head):
+            told.groups.append((candidates, head))
+            return [resting, *([moving] if turning else [])], [_candidate(GREEN)]
+
+        def casing(at_rest, others, disc):
+            return resting if (at_rest, others) == ([resting], [moving]) else None
+
+        def confirmed(*given):
+            told.confirmed.append(given)
+            return sound
+
+        for name, what in (
+            ("_samples", lambda video: samples),
+            ("moving_colour", lambda given: SimpleNamespace(hues=(1.0, 2.0))),
+            ("find_orbit", lambda given, colours, about: orbit if about == hub else None),
+            ("find_circle", lambda given, about: circle),
+            ("find_candidates", find_candidates),
+            ("group_bodies", group),
+            ("resting_casing", casing),
+            ("_white", lambda *given: told.white.append(given) or white),
+            ("_confirmed", confirmed),
+        ):  # fmt: skip
+            monkeypatch.setattr(module, name, what)
+        found = module.propose("folder/film.mp4", capture_fps=240.0, hub=hub)
+        return found, told, samples
+
+    def test_the_markers_of_turning_and_resting_groups_are_named(self, monkeypatch):
+        found, told, samples = self.proposed(monkeypatch)
+        assert [(m.profile.body, m.step) for m in found.markers] == [("casing", 0.0), ("rotor", 0.4)]
+        assert told.candidates == [(samples, (1.0, 2.0), ORBIT, CIRCLE.disc)]
+        assert told.groups == [(["candidates"], 12)]
+        profile = found.profile
+        assert (profile.name, profile.centre, profile.capture_fps, profile.hub) == (
+            "film",
+            "circle",
+            240.0,
+            None,
+        )
+        assert (profile.circle_hue, profile.circle_colour) == (
+            round(CIRCLE.hue, 1),
+            module.nearest_colour(CIRCLE.hue),
+        )
+        assert profile.marker == tuple(m.profile for m in found.markers)
+        assert (found.centre, found.disc, found.sound, found.samples) == (
+            CIRCLE.disc.centre,
+            CIRCLE.disc,
+            True,
+            samples,
+        )
+        assert any("does not move steadily" in note for note in found.notes)
+        assert told.confirmed[0][1] is profile
+
+    def test_without_a_disc_the_centre_is_that_of_the_orbits(self, monkeypatch):
+        found, told, _ = self.proposed(monkeypatch, circle=None, sound=False)
+        assert (found.profile.centre, found.profile.circle_hue, found.profile.circle_colour) == (
+            "orbit",
+            None,
+            "red",
+        )
+        assert (found.centre, found.disc, found.sound) == (ORBIT.centre, None, False)
+        assert told.candidates[0][3] is None
+
+    def test_about_a_given_hub_no_disc_is_searched(self, monkeypatch):
+        found, _, _ = self.proposed(monkeypatch, hub=(30.0, 40.0))
+        assert (found.profile.hub, found.disc) == ((30.0, 40.0), None)
+        with pytest.raises(TrackingError, match=r"about \(30, 40\) px"):
+            self.proposed(monkeypatch, hub=(30.0, 40.0), orbit=None)
+
+    def test_without_an_orbit_or_a_turning_group_there_is_no_profile(self, monkeypatch):
+        with pytest.raises(TrackingError, match="rotates about a centre"):
+            self.proposed(monkeypatch, orbit=None)
+        with pytest.raises(TrackingError, match="turns steadily"):
+            self.proposed(monkeypatch, turning=False)
+
+    def test_a_white_marker_is_added_or_reported(self, monkeypatch):
+        marker = Marker("w", "rotor", "white", 30.0, 50.0, 0.1, (4.2, 0.0), 0.2)
+        one = _candidate().sampled
+        profile = MarkerProfile(name="white", colour="white", body="rotor")
+        clear = ProposedMarker(profile, marker, one.angle, one.clear, 0.4)
+        found, _, _ = self.proposed(monkeypatch, white=clear)
+        assert found.markers[-1] is clear
+        assert found.profile.marker[-1] is profile
+        found, told, samples = self.proposed(monkeypatch, white=marker)
+        assert len(found.markers) == 2
+        assert any("radius of 40 px" in note and "4.2 grey levels" in note for note in found.notes)
+        assert told.white[0][:2] == (samples, "ring")

@@ -337,3 +337,78 @@ def test_the_angles_of_a_joint_contain_the_error_by_rods_in_its_patch(monkeypatc
         SimpleNamespace(path=SimpleNamespace(name="film.mp4")), ((0, 0), (9, 9))
     )
     assert found.sigma == pytest.approx(np.full(count, np.hypot(1e-3, 0.05 / 50)))
+
+
+def test_a_patch_that_changes_is_matched_with_its_last_picture(monkeypatch):
+    """A disc of 100 grey levels on a background: the limit of a match is 0.35 of 100^2 = 3500."""
+    frame = np.full((120, 160), 60, np.uint8)
+    v, u = np.mgrid[0:120, 0:160]
+    frame[np.hypot(u - 80, v - 60) <= 13] = 160
+    spot = _spot((80.0, 60.0), 8.0)
+    half = spot.mask.shape[0] // 2
+    wide = cv2.dilate(spot.mask, np.ones((5, 5), np.uint8)) > spot.mask
+    assert wide.any()
+    frame[np.hypot(u - 80, v - 60) > 8.6] = 60
+    # by frame: results of the window with the first and with the last picture, and of the whole frame, in limits
+    results = [
+        [((90.0, 70.0), 0.6)],
+        [((91.0, 71.0), 0.6), ((92.0, 72.0), 0.4)],
+        [((93.0, 73.0), 0.6), ((94.0, 74.0), 0.7)],
+        [((0.0, 0.0), 1.3), ((0.0, 0.0), 1.2), ((95.0, 75.0), 0.9)],
+        [((0.0, 0.0), 1.3), ((0.0, 0.0), 1.2), ((0.0, 0.0), 1.1)],
+        [((96.0, 76.0), 0.2)],
+    ]
+    asked, aligned = [], []
+
+    limit = []
+
+    def in_window(picture, changed, place, reach, template, mask, change):
+        k = next(i for i, r in enumerate(results) if r)
+        asked.append((k, "window", np.array(place) - half, reach, template))
+        best, share = results[k].pop(0)
+        return best, share * 3500.0
+
+    def in_whole(picture, changed, shrink, template, mask, change, most):
+        k = next(i for i, r in enumerate(results) if r)
+        asked.append((k, "whole", None, None, template))
+        limit.append((most, change, shrink))
+        best, share = results[k].pop(0)
+        return best, share * 3500.0
+
+    def best_turn(picture, place, turn, template, mask, usual):
+        aligned.append((place.tolist(), template, turn, usual))
+
+    monkeypatch.setattr(_point_tracker, "_in_window", in_window)
+    monkeypatch.setattr(_point_tracker, "_in_whole", in_whole)
+    monkeypatch.setattr(_point_tracker, "_best_turn", best_turn)
+    film = SimpleNamespace(frames=lambda: iter([frame] * 9))
+    place, turns, found = _point_tracker._follow(
+        film, np.array([0, 1, 2, 3, 5, 6, 8]), spot, np.full_like(frame, 60)
+    )
+    assert found.tolist() == [True, True, True, True, True, False, True]
+    assert place[found] + half == pytest.approx(
+        np.array([(80.0 + half, 60.0 + half), (90, 70), (92, 72), (93, 73), (95, 75), (96, 76)])
+    )
+    assert np.isnan(place[5]).all()
+    assert not turns.any()
+    assert [(k, kind) for k, kind, *_ in asked] == [
+        (0, "window"), (1, "window"), (1, "window"), (2, "window"), (2, "window"),
+        (3, "window"), (3, "window"), (3, "whole"), (4, "window"), (4, "window"), (4, "whole"), (5, "window"),
+    ]  # fmt: skip
+    anchor = asked[0][4]
+    second, third = asked[2][4], asked[4][4]
+    assert all(entry[4] is anchor for entry in (asked[1], asked[3], asked[5], asked[8], asked[11]))
+    assert second is not anchor
+    # a match of 0.4 of the limit renews nothing; the later ones of 0.6 and 0.9 do
+    assert third is second
+    assert asked[6][4] is not second
+    assert asked[7][4] is asked[6][4]
+    templates = [entry[1] for entry in aligned]
+    assert [t is anchor for t in templates] == [True, False, True, False, True]
+    assert templates[1] is second
+    assert limit == [(pytest.approx(3500.0), pytest.approx(4000.0), pytest.approx(1.6))] * 2
+    # 1.2 radii and twice the radius, or the last step; after a loss the last place without a step
+    assert asked[0][3] == pytest.approx(1.2 * 8.0 + 2.0 * 8.0)
+    assert asked[1][3] == pytest.approx(1.2 * 8.0 + np.hypot(10.0 - half, 10.0 - half))
+    assert asked[11][2] + half == pytest.approx([95.0, 75.0])
+    assert asked[11][3] == pytest.approx(1.2 * 8.0 + 2.0 * 8.0)

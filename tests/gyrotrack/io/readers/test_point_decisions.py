@@ -442,3 +442,19 @@ def test_a_body_of_a_case_is_found_by_its_own_name(monkeypatch):
     with pytest.raises(DatasetError) as caught:
         _point_files._case_body("a.h5", "rotor")
     assert caught.value.hint == "Its series: casing, motor, drum."
+
+
+def test_an_unknown_uncertainty_of_a_particle_is_its_median():
+    rows = "y,x,frame,particle,ep\n" + "".join(
+        f"{k},{k},{k},1,{e}\n" for k, e in enumerate(("0.1", "", "0.3", "-1", "0.5"))
+    )
+    rows += "".join(f"{k},{k},{k},2,\n" for k in range(5))
+    points = particles_of(read_text(PATH, *content_lines(PATH, rows.encode())))
+    np.testing.assert_allclose(points.errors["1"], [0.1, 0.2, 0.3, 0.2, 0.5])
+    assert "2" not in points.errors
+
+
+def test_a_table_of_one_row_has_no_truncated_row():
+    assert len(table("t,x,y\n0,1,2\n0.3,4").time) == 2
+    assert len(table("t,x,y\n0,1,2\n0.1,2,3\n0.3,4").time) == 2
+    assert len(table("t,x,y\n0,1,2\n0.1,2,3\n0.3,4,5").time) == 3

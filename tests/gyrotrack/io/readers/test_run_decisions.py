@@ -361,3 +361,10 @@ def test_two_percent_of_outliers_are_excluded():
     assert notes == []
     enough = replace(given, sigma=np.full(200, 1e-3)).only(np.arange(15) + 10)
     assert len(without_outliers(enough, enough.value, notes)[1]) == 14
+
+
+@pytest.mark.parametrize(("period", "coasts"), [(20, True), (40, False)])
+def test_speeds_are_compared_over_a_twentieth_of_the_record(period, coasts):
+    """A ripple cancels if the twentieth, 20 of 400 blocks, is its period."""
+    k = np.arange(400)
+    assert _run._coasts(900.0 - k + 12.0 * np.sin(2 * np.pi * k / period)) is coasts
