@@ -143,9 +143,8 @@ class TestRing:
     def test_a_hub_outside_the_picture_has_an_arc(self, hub, full):
         away = distance_from(hub, (60, 80))
         y, x = np.mgrid[0:60, 0:80]
-        inwards = np.abs(
-            np.angle(np.exp(1j * (np.arctan2(y - hub[1], x - hub[0]) - np.arctan2(30 - hub[1], 40 - hub[0]))))
-        )
+        direction, towards = np.arctan2(y - hub[1], x - hub[0]), np.arctan2(30 - hub[1], 40 - hub[0])
+        inwards = np.abs(np.angle(np.exp(1j * (direction - towards))))
         found = ring_for(hub, motion_of((away > 20) & (away < 36) & (inwards < 0.5)), 48.0)
         assert (found.span == TURN) is full
         if not full:
