@@ -1,0 +1,413 @@
+"""The measurement of a body through a whole film: on a small drawn film, and its decisions with replaced steps."""
+
+import math
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from gyrotrack import TrackingError
+from gyrotrack._column_store import StoredPictures
+from gyrotrack.tracking import _any_body as module
+from gyrotrack.tracking._diagnosis import RefusedFilmError
+from gyrotrack.tracking._hub_search import Motion
+from gyrotrack.tracking._registration import Pose, Ring, rolled
+
+HUB = (31.5, 28.25)
+
+
+class Drawn:
+    """Pictures in memory with the interface of a film; some of them repeat the previous one."""
+
+    warnings = ()
+    path = SimpleNamespace(name="drawn")
+
+    def __init__(self, frames):
+        self._frames = frames
+        self.selected = np.ones(len(frames), bool)
+
+    def __len__(self):
+        return len(self._frames)
+
+    def frames(self):
+        return iter(self._frames)
+
+    def some(self, index):
+        return StoredPictures.of(len(index), (self._frames[i] for i in index))
+
+
+def turning(angles, noise=1.0):
+    """Draw a disc with a soft texture that turns about `HUB`, clockwise as seen for increasing angles."""
+    rng = np.random.default_rng(3)
+    grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (58, 64)), (0, 0), 2.5)
+    grain = 120.0 + 45.0 * grain / grain.std()
+    y, x = np.mgrid[0:58, 0:64]
+    cover = np.clip(25.0 - np.hypot(x - HUB[0], y - HUB[1]), 0.0, 1.0)
+    frames = []
+    for a in angles:
+        move = cv2.getRotationMatrix2D(HUB, -math.degrees(a), 1.0)
+        body = cv2.warpAffine(grain, move, (64, 58), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        frames.append(
+            np.clip(90.0 + cover * (body - 90.0) + rng.normal(0, noise, cover.shape), 0, 255).astype(np.uint8)
+        )
+    return frames
+
+
+@pytest.mark.parametrize(("first", "off"), [(0, 0.0), (9, 1.0)])
+def test_the_angles_of_a_small_film_are_those_drawn(first, off):
+    """The candidate was found in the frames from `first` on; a hub that is off by a pixel is refined."""
+    angles = 0.25 * np.arange(16) + 0.1 * np.sin(np.arange(16) / 4.0)
+    film = Drawn(turning(angles))
+    usable = np.delete(np.arange(16), 7)
+    motion = Motion.of(list(film.frames()))
+    ring = Ring.about((HUB[0] + off, HUB[1] - off), 3.0, 24.0, finest=24.0)
+    best = module._Trial(ring, "edges", "low", True, angles, 0.9, False)
+    told = []
+    found = module._measure(film, usable, first, best, motion, lambda *given: told.append(given))
+    np.testing.assert_array_equal(found.frame, usable)
+    error = found.angle + angles[usable]  # counter-clockwise as seen
+    assert np.std(error) < 4e-3
+    assert np.abs(found.halves + angles[usable] - error.mean()).max() < 0.03
+    assert found.ring.hub == pytest.approx(HUB, abs=0.15)
+    assert found.explained > 0.85
+    assert (found.way, found.ambiguous, found.distance_error) == ("edges", False, 0.0)
+    assert told == [(k + 1, 15) for k in range(15)]
+    assert found.warnings[0] == "1 of 16 frames repeat the previous frame and are omitted."
+
+
+RING = Ring.about((30.0, 25.0), 4.0, 20.0, finest=12.0)
+ARC = Ring.about((30.0, -25.0), 30.0, 70.0, finest=12.0, start=1.0, span=0.8)
+USABLE = np.arange(5, 45)
+RATES = {"low": 0.01, "middle": 0.02, "high": 0.03}
+
+
+@dataclass
+class Learnt:
+    hub_sigma: float = 0.0
+
+    def halves(self):
+        return ("inner", "outer")
+
+
+@dataclass
+class Finished:
+    given: tuple
+    warnings: tuple = ("own",)
+    ambiguous: bool = False
+    asked: dict = field(default_factory=dict)
+
+
+def measure(monkeypatch, *, first=0, ring=RING, way="edges", score=0.6, band="low", static=True, shares=None,
+            share=0.7, alias=None, fell=False, moved=0.0, distance=0.0, progress=None):  # fmt: skip
+    """Measure a film of blank pictures; each step is replaced and recorded. `shares`: explained by each band."""
+    shares = {"low": 0.55, "middle": 0.5, "high": 0.45} if shares is None else shares
+    asked = {"bands": [], "register": [], "learn": [], "steps": 0}
+
+    def follow(polars, weight, fixed, ring, *, band):
+        asked["bands"].append((band, bool(np.any(fixed)), len(polars), bool(weight.all())))
+        return RATES[band] * np.arange(len(polars))
+
+    def scored(polars, angle, allowed, ring, *, separate):
+        if "settled" in asked:
+            return share, None
+        rate = abs(angle[-1] - angle[first]) / (len(angle) - 1 - first)
+        return shares[min(RATES, key=lambda b: abs(RATES[b] - rate))], None
+
+    def settle(polars, angle, allowed, ring, *, separate):
+        asked["settled"] = angle.copy()
+        return angle
+
+    def register(polar, template, start):
+        part = template if isinstance(template, str) else "whole"
+        asked["register"].append(part)
+        about = start + {"inner": 0.2, "outer": -0.3, "whole": 0.0}[part]
+        return Pose(about, 1e-3, (0.0, 0.0), math.inf, 0.0, 1.0)
+
+    def step(ring, pictures, angle, free, area, *, separate):
+        asked["steps"] += 1
+        return np.array([0.5, -0.25, 0.0, 0.0])[list(free)]
+
+    def at_distance(ring, pictures, angle, area, *, separate):
+        asked["distance"] = len(pictures)
+        return ring, 1.5 * np.asarray(angle) + 0.1, distance
+
+    def learned(polars, angle, allowed, ring, *, separate, plain=False, counted=None):
+        asked["learn"].append((len(polars), plain, counted))
+        return Learnt()
+
+    def refuse(name):
+        def refused(*given):
+            raise RefusedFilmError(name, "", kind=name, evidence={})
+
+        return refused
+
+    fakes = {
+        "follow": follow, "_score": scored, "_settle": settle, "register": register, "ring_step": step,
+        "_at_distance_of_path": at_distance, "learn": learned,
+        "unaliased": lambda angle, *_: SimpleNamespace(angle=angle, warning=alias),
+        "without_slips": lambda polars, angle, *_: np.array(angle),
+        "fallen": lambda before, now: asked.update(fallen=(before, now)) or fell,
+        "drift": lambda *_, **__: asked.update(drift=1) or (moved, 1.0),
+        "_refuse_fallen": refuse("fallen"), "_refuse_loose": refuse("loose"), "_refuse_translation": lambda *_: None,
+        "_hub_motion": lambda *_: 0.37,
+        "_finish": lambda *given: Finished(given),
+    }  # fmt: skip
+    for name, fake in fakes.items():
+        monkeypatch.setattr(module, name, fake)
+    frames = [np.full((50, 60), 100, np.uint8) for _ in range(50)]
+    for k, frame in enumerate(frames):
+        frame[:, :30] += np.uint8(k)  # one half changes
+    film = Drawn(frames)
+    blank = np.zeros((50, 60), np.float32)
+    motion = Motion(blank, blank, 1.0, blank > 1, (0, 0, 60, 50))
+    best = module._Trial(ring, way, band, static, np.zeros(9), score, False)
+    found = module._measure(film, USABLE, first, best, motion, progress)
+    names = ("film", "usable", "ring", "template", "parts", "poses", "halves", "best", "angle", "distance")
+    return SimpleNamespace(**dict(zip(names, found.given, strict=True)), result=found, asked=asked)
+
+
+def test_a_body_is_followed_forwards_and_backwards_from_the_first_frame_of_its_block(monkeypatch):
+    found = measure(monkeypatch, first=12)
+    np.testing.assert_allclose(found.asked["settled"], 0.01 * np.abs(np.arange(40) - 12))
+    assert found.asked["bands"] == [("low", True, 28, True), ("low", True, 13, True)]
+    assert len(measure(monkeypatch).asked["bands"]) == 1
+
+
+def test_other_bands_are_tried_until_one_explains_nearly_as_much_as_the_candidate(monkeypatch):
+    """By 85 % of 0.6, which is 0.51; the best one is used."""
+    found = measure(monkeypatch, shares={"low": 0.50, "middle": 0.52, "high": 0.4})
+    assert [b for b, *_ in found.asked["bands"]] == ["low", "high", "middle"]
+    np.testing.assert_allclose(found.asked["settled"], 0.02 * np.arange(40))
+    found = measure(
+        monkeypatch, shares={"low": 0.45, "middle": 0.44, "high": 0.5}, band="middle", static=False
+    )
+    # the own band without the fixed picture; then all others
+    order = [(b, fixed) for b, fixed, *_ in found.asked["bands"]]
+    assert order == [
+        ("middle", False),
+        ("high", True),
+        ("middle", True),
+        ("low", True),
+        ("high", False),
+        ("low", False),
+    ]
+    np.testing.assert_allclose(found.asked["settled"], 0.03 * np.arange(40))
+    # without the fixed picture, only samples that change have a weight
+    assert [whole for *_, whole in found.asked["bands"]] == [False, True, True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("share", "way", "tracked"), [(0.39, "edges", 0), (0.41, "edges", 1), (0.39, "given", 0)]
+)
+def test_a_motion_explains_two_fifths_of_the_film(monkeypatch, share, way, tracked):
+    if tracked:
+        assert measure(monkeypatch, share=share, way=way).best.score == share
+        return
+    with pytest.raises(
+        TrackingError, match="through a part of the film only: tracking quality 39 %; 40 %"
+    ) as error:
+        measure(monkeypatch, share=share, way=way)
+    assert ("Check --hub" in error.value.hint) == (way == "given")
+
+
+def test_a_hub_that_explains_less_of_the_whole_film_is_refused_unless_it_is_given(monkeypatch):
+    with pytest.raises(RefusedFilmError, match="fallen"):
+        measure(monkeypatch, fell=True)
+    assert measure(monkeypatch).asked["fallen"] == (0.6, 0.7)
+    assert "fallen" not in measure(monkeypatch, fell=True, way="given").asked
+
+
+@pytest.mark.parametrize(
+    ("moved", "way", "alias", "doubts", "refused"),
+    [
+        (0.9, "edges", None, 0, False),
+        (1.1, "edges", None, 1, False),
+        (module.REFUSED - 0.1, "edges", None, 1, False),
+        (module.REFUSED + 0.1, "edges", None, 0, True),
+        (module.REFUSED + 0.1, "given", None, 0, False),
+        (0.9, "edges", "alias", 1, False),
+        (1.1, "edges", "alias", 2, False),
+    ],
+)
+def test_a_hub_that_moves_or_another_rotation_is_a_doubt(monkeypatch, moved, way, alias, doubts, refused):
+    if refused:
+        with pytest.raises(RefusedFilmError, match="loose"):
+            measure(monkeypatch, moved=moved, way=way, alias=alias)
+        return
+    found = measure(monkeypatch, moved=moved, way=way, alias=alias).result
+    assert found.ambiguous == (doubts > 0)
+    assert len(found.warnings) == 1 + (doubts > 0)
+    assert found.warnings[0] == "own"
+    assert ("alias" in found.warnings[-1]) == (alias is not None)
+    if doubts == 2:
+        assert len(found.warnings[-1]) > len("alias ")
+
+
+def test_hub_and_angles_are_refined_twice_on_a_fine_ring(monkeypatch):
+    found = measure(monkeypatch)
+    assert found.asked["steps"] == 2
+    assert found.ring.hub == pytest.approx((31.0, 24.5))
+    assert found.ring.rows == Ring.about((30.0, 25.0), 4.0, 20.0, finest=200.0).rows
+    assert found.template.hub_sigma == 0.37
+    assert found.parts == ("inner", "outer")
+    given = measure(monkeypatch, way="given")
+    assert given.asked["steps"] == 0
+    assert "drift" not in given.asked
+    assert given.template.hub_sigma == 0.0
+
+
+def test_all_frames_are_registered_in_both_halves(monkeypatch):
+    told = []
+    found = measure(monkeypatch, progress=lambda *given: told.append(given))
+    assert told == [(k + 1, 40) for k in range(40)]
+    np.testing.assert_array_equal(found.usable, USABLE)
+    np.testing.assert_allclose([p.angle for p in found.poses], 0.01 * np.arange(40))
+    # counter-clockwise as seen
+    np.testing.assert_allclose(found.halves, -0.01 * np.arange(40) + np.array([[-0.2], [0.3]]))
+    assert found.asked["register"].count("inner") == found.asked["register"].count("outer") == 40
+    *_, last = found.asked["learn"]
+    assert last[1] is False
+    np.testing.assert_array_equal(last[2], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("ring", "way", "moves"), [(ARC, "edges", True), (ARC, "given", False), (RING, "edges", False)]
+)
+def test_the_distance_of_a_hub_outside_the_picture_is_that_of_its_path(monkeypatch, ring, way, moves):
+    found = measure(monkeypatch, ring=ring, way=way, distance=0.03)
+    assert ("distance" in found.asked) == moves
+    assert found.distance == (0.03 if moves else 0.0)
+    expected = 0.01 * np.arange(40)
+    np.testing.assert_allclose([p.angle for p in found.poses], 1.5 * expected + 0.1 if moves else expected)
+    if moves:
+        with pytest.raises(TrackingError, match="moves along a straight line"):
+            measure(monkeypatch, ring=ring, distance=math.inf)
+
+
+@pytest.mark.parametrize(("translated", "refused"), [(True, True), (False, False)])
+def test_a_body_that_only_translates_is_refused(monkeypatch, translated, refused):
+    asked = []
+    monkeypatch.setattr(module, "translates", lambda *given: asked.append(given) or translated)
+    block = StoredPictures.of(90, (np.full((4, 5), k, np.uint8) for k in range(90)))
+    motion = SimpleNamespace(moving="moving")
+    best = module._Trial(RING, "edges", "low", True, np.arange(90.0), 0.6, False)
+    if refused:
+        with pytest.raises(RefusedFilmError, match="does not turn") as error:
+            module._refuse_translation("film", block, motion, best)
+        assert [int(f[0, 0]) for f in error.value.frames] == [0, 29, 59, 89]
+        assert (error.value.hub, error.value.evidence) == ((30.0, 25.0), {"explained": 0.6})
+        assert error.value.kind == "no rotation"
+    else:
+        module._refuse_translation("film", block, motion, best)
+    ((pictures, moving, hub, outer, angle),) = asked
+    assert (moving, hub, outer, len(pictures), len(angle)) == ("moving", (30.0, 25.0), 20.0, 60, 60)
+    assert [int(p[0, 0]) for p in pictures] == angle.tolist()
+
+
+def test_rough_angles_settle_on_the_template_of_the_film():
+    ring = Ring.about((20.0, 20.0), 4.0, 16.0, finest=48.0)
+    rng = np.random.default_rng(0)
+    body = cv2.GaussianBlur(rng.normal(0.0, 1.0, (ring.rows, 3 * ring.columns)), (0, 0), 2.0)
+    body = (40.0 * body[:, ring.columns : 2 * ring.columns] / body.std()).astype(np.float32)
+    true = 0.2 * np.arange(24)
+    polars = StoredPictures.of(24, (100 + rolled(body, a / ring.step) for a in true))
+    allowed = np.ones(body.shape, bool)
+    rough = true + 0.06 * rng.standard_normal(24)
+    found = module._settle(polars, rough, allowed, ring, separate=False)
+    error = found - true
+    assert error.std() < 0.3 * np.std(rough - true)
+
+
+def test_a_candidate_is_refined_quickly_on_twelve_frames(monkeypatch):
+    asked = {}
+
+    def search(ring, angle, few, area, **options):
+        asked.update(options, angle=angle.tolist(), frames=[int(f[0, 0]) for f in few], area=area)
+        return ARC, angle + 9.0, 0.83
+
+    monkeypatch.setattr(module, "_search", search)
+    block = StoredPictures.of(45, (np.full((4, 5), k, np.uint8) for k in range(45)))
+    trial = module._Trial(RING, "edges", "low", True, np.arange(45.0), 0.6, True)
+    found = module._quickly_refined(trial, block, (0, 0, 5, 4), keep=True)
+    assert (found.ring, found.score, found.way) == (ARC, 0.83, "edges")
+    np.testing.assert_array_equal(found.angle, np.arange(45.0))  # the angles are not changed
+    assert asked["frames"] == [4 * k for k in range(12)] == asked["angle"]
+    assert (asked["separate"], asked["keep"], asked["steps"], asked["area"]) == (True, True, 3, (0, 0, 5, 4))
+
+
+class TestCamera:
+    SHAKE = SimpleNamespace(rms=2.0, roll=np.array([0.001, -0.001]), margin=lambda _: 3)
+
+    def track(self, monkeypatch, *, shake=True, calmer=True, stabilised=None, hub=None):
+        """Return the result and what was done; `stabilised` is raised if the film is compensated."""
+        done = []
+        shake = self.SHAKE if shake else None
+        film = SimpleNamespace(
+            some=lambda index: done.append(len(index)) or [np.zeros((4, 5), np.uint8)], frames=list,
+            stabilise=lambda given: done.append(given), path=SimpleNamespace(name="film"),
+        )  # fmt: skip
+
+        def tracked(film, usable, sample, hub, progress, margin=0):
+            done.append(("track", margin))
+            if margin and stabilised is not None:
+                raise stabilised
+            return "tracked"
+
+        monkeypatch.setattr(module, "frames_of_one_shot", lambda _: np.arange(200))
+        monkeypatch.setattr(module, "camera_shake", lambda *_: shake)
+        monkeypatch.setattr(module, "calmer", lambda *_: calmer)
+        monkeypatch.setattr(module, "_track", tracked)
+        monkeypatch.setattr(module, "_with_shake", lambda found, shake: (found, shake))
+        return module.track_body(film, hub), done
+
+    def test_a_camera_at_rest_is_not_compensated(self, monkeypatch):
+        assert self.track(monkeypatch, shake=False) == ("tracked", [120, ("track", 0)])
+
+    def test_a_moving_camera_is_compensated_if_the_picture_is_calmer(self, monkeypatch):
+        found, done = self.track(monkeypatch)
+        assert found == ("tracked", self.SHAKE)
+        assert done == [120, self.SHAKE, 120, ("track", 3)]
+        found, done = self.track(monkeypatch, calmer=False)
+        assert found == "tracked"
+        assert done == [120, self.SHAKE, 120, None, ("track", 0)]
+
+    def test_a_body_that_was_mistaken_for_the_background_is_tracked(self, monkeypatch):
+        nothing = module.NothingMovesError("", "", kind="no motion", evidence={})
+        found, done = self.track(monkeypatch, stabilised=nothing)
+        assert found == "tracked"
+        assert done[-3:] == [("track", 3), None, ("track", 0)]
+
+    @pytest.mark.parametrize(
+        ("kind", "hub", "named"),
+        [
+            ("no rotation", None, "moving camera"),
+            ("no rotation", (1.0, 2.0), "no rotation"),
+            ("cut", None, "cut"),
+        ],
+    )
+    def test_without_a_body_the_camera_is_named(self, monkeypatch, kind, hub, named):
+        error = RefusedFilmError("what", "", kind=kind, evidence={"explained": 0.1}, hub=(7.0, 8.0))
+        with pytest.raises(RefusedFilmError) as raised:
+            self.track(monkeypatch, stabilised=error, hub=hub)
+        assert raised.value.kind == named
+        assert raised.value.hub == (7.0, 8.0)
+        expected = {"explained": 0.1} | ({"shake_px": 2.0} if named == "moving camera" else {})
+        assert raised.value.evidence == expected
+
+    @pytest.mark.parametrize(("first", "second", "found"), [(1, 1, "body"), (0, 1, "free"), (0, 0, None)])
+    def test_an_excerpt_shows_a_body_about_a_hub_or_a_free_one(self, monkeypatch, first, second, found):
+        def tracker(name, works):
+            def track(film, hub, progress):
+                if not works:
+                    raise TrackingError("what", "hint")
+                return name, hub
+
+            return track
+
+        monkeypatch.setattr(module, "track_body", tracker("body", first))
+        monkeypatch.setattr(module, "track_free_body", tracker("free", second))
+        monkeypatch.setattr(module, "Film", lambda path, most: (path, most))
+        result = module.read_excerpt("film.mp4", (1.0, 2.0))
+        assert result == (None if found is None else (("film.mp4", 300), (found, (1.0, 2.0))))
