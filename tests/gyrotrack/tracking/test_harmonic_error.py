@@ -259,3 +259,21 @@ class TestLimits:
         wave = np.sqrt(9.0 * (1.0 + mean)) * np.stack([beside, beside]) + 30.0 * laws[:, 2]
         found = self.error(monkeypatch, {1: wave})
         assert found == pytest.approx(np.sqrt(mean) if stated else 0.0, rel=1e-3)
+
+
+def test_batches_with_an_unknown_angle_do_not_count():
+    angle = turning(1e-3, count=6 * 512)
+    angle[3 * 512 + 100] = np.nan
+    found = _harmonics._amplitudes(angle)
+    assert all(len(each) == 5 for each in found.values())
+    assert np.isfinite(np.concatenate(list(found.values()))).all()
+    # whole batches only
+    assert len(_harmonics._amplitudes(turning(count=3 * 512)[:-1])[3]) == 2
+
+
+def test_amplitudes_are_those_of_cosine_and_sine_with_the_turn_of_the_batch():
+    psi = 0.37 * np.arange(512)
+    found = _harmonics._amplitudes(psi + 2e-3 * np.cos(5 * psi) - 1e-3 * np.sin(5 * psi))[5]
+    np.testing.assert_allclose(found[0, :2], [2e-3, -1e-3], rtol=0.02)
+    assert found[0, 3] == pytest.approx(0.37 * 511, rel=1e-3)
+    assert _harmonics._amplitudes(-psi)[5][0, 3] == pytest.approx(0.37 * 511)
