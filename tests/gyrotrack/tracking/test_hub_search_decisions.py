@@ -371,3 +371,31 @@ class TestFollowing:
         assert search.follow_features([*frames, np.full((110, 130), 90, np.uint8)], self.disc(), 2.0) is None
         assert search.follow_features([np.full((110, 130), 90, np.uint8)] * 2, self.disc(), 2.0) is None
         assert search.follow_features(frames, self.disc(5), 2.0) is None
+
+
+@pytest.mark.parametrize("shape", [(600, 1000), (1000, 600)])
+@pytest.mark.parametrize("along", [0, 1])
+@pytest.mark.parametrize(
+    ("first", "second", "kept"),
+    [
+        (0.0, 3.9, 1),  # 0.4 % of 1000 px
+        (0.0, 4.1, 2),
+        (0.0, -3.9, 1),
+        (0.0, -4.1, 2),
+        (0.0, 5990.0, 2),  # six times 1000 px from the middle of the picture
+        (0.0, 6010.0, 1),
+        (0.0, -6010.0, 1),
+        (6010.0, 5990.0, 1),
+    ],
+)
+def test_new_hubs_near_the_picture_are_proposed(monkeypatch, shape, along, first, second, kept):
+    middle = np.array([shape[1] / 2, shape[0] / 2])
+    step = np.eye(2)[along]
+    monkeypatch.setattr(search, "similarity_hubs", lambda *_: (tuple(middle + first * step), None))
+    monkeypatch.setattr(search, "edge_hub", lambda *_: tuple(middle + second * step))
+    monkeypatch.setattr(search, "orbit_hub", lambda *_: None)
+    monkeypatch.setattr(search, "_middle", lambda *_: None)
+    found = search.propose_hubs([], motion_of(np.zeros(shape, bool)))
+    assert len(found) == kept
+    assert {p.way for p in found} <= {"features", "edges"}
+    assert {p.stretch for p in found} == {(0.0, 0.0)}

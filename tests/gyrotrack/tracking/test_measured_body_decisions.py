@@ -1,7 +1,7 @@
 """The measurement of a body through a whole film: on a small drawn film, and its decisions with replaced steps."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import cv2
@@ -13,7 +13,7 @@ from gyrotrack._column_store import StoredPictures
 from gyrotrack.tracking import _any_body as module
 from gyrotrack.tracking._diagnosis import RefusedFilmError
 from gyrotrack.tracking._hub_search import Motion
-from gyrotrack.tracking._registration import Pose, Ring, rolled
+from gyrotrack.tracking._registration import TURN, Pose, Ring, rolled
 
 HUB = (31.5, 28.25)
 
@@ -55,9 +55,9 @@ def turning(angles, noise=1.0):
     return frames
 
 
-@pytest.mark.parametrize(("first", "off"), [(0, 0.0), (9, 1.0)])
-def test_the_angles_of_a_small_film_are_those_drawn(first, off):
-    """The candidate was found in the frames from `first` on; a hub that is off by a pixel is refined."""
+def test_the_angles_of_a_small_film_are_those_drawn():
+    """The candidate was found in the frames from the tenth on; a hub that is off by a pixel is refined."""
+    first, off = 9, 1.0
     angles = 0.25 * np.arange(16) + 0.1 * np.sin(np.arange(16) / 4.0)
     film = Drawn(turning(angles))
     usable = np.delete(np.arange(16), 7)
@@ -411,3 +411,278 @@ class TestCamera:
         monkeypatch.setattr(module, "Film", lambda path, most: (path, most))
         result = module.read_excerpt("film.mp4", (1.0, 2.0))
         assert result == (None if found is None else (("film.mp4", 300), (found, (1.0, 2.0))))
+
+
+BLANK = np.zeros((50, 60), np.float32)
+MOTION = Motion(BLANK, BLANK, 1.0, BLANK < 1, (0, 0, 60, 50))
+
+
+def _trial(score=0.6, hub=(30.0, 25.0), **change):
+    given = {
+        "way": "edges",
+        "band": "low",
+        "static": True,
+        "angle": np.arange(9.0),
+        "separate": False,
+    } | change
+    return module._Trial(ring=Ring.about(hub, 4.0, 20.0, finest=12.0), score=score, **given)
+
+
+class TestSearch:
+    """The order of a search, with replaced steps: which frames and candidates are used."""
+
+    def track(self, monkeypatch, count=40, *, hub=None, margin=0, small=None, loose=True, candidates=None, refined=None,
+              share=0.0, second=None, moved=0.0, steadiness=None, body=None):  # fmt: skip
+        asked = {"camera": [], "candidates": [], "refined": []}
+        chosen = [_trial()] if candidates is None else candidates
+        steadiness = {} if steadiness is None else steadiness
+        found = SimpleNamespace(
+            warnings=("own",), ambiguous=False, explained=0.9, ring=RING, correlated=0.0, sigma=np.ones(9),
+            angle=np.arange(9.0),
+        )  # fmt: skip
+
+        def searched(block, motion, hub, share=1.0):
+            asked["candidates"].append((len(block), int(block[0][0, 0]), hub, share))
+            return module._Candidates(chosen, chosen[0] if chosen else None, 0.4)
+
+        def refine(trial, block, area, *, keep):
+            asked["refined"].append(keep)
+            return trial if refined is None else replace(trial, score=refined[trial.way])
+
+        def refuse(film, pairs, block, motion, best, where, hint, needed):
+            asked["refused"] = (best and best.way, needed, where)
+            raise TrackingError("refused")
+
+        fakes = {
+            "pairs_of": lambda *_: [],
+            "refuse_moving_camera": lambda film, usable, pairs, shape, *least: asked["camera"].append(least),
+            "may_be_loose": lambda *_: loose, "track_by_features": lambda *_: asked.update(features=1) or body,
+            "_candidates": searched, "_refined_trial": refine, "_refuse": refuse,
+            "_steadiness": lambda t: steadiness.get(t.way, 1.0),
+            "_refuse_translation": lambda *_: None, "refuse_link": lambda *given: asked.update(link=given[-1]),
+            "_second_body": lambda *_: None,
+            "second_rotation": lambda *_, **__: second,
+            "drift": lambda *_, **__: (moved, 1.0),
+            "_refuse_loose": refuse_loose,
+            "elsewhere": lambda *_: share,
+            "_measure": lambda film, usable, first, best, *_: asked.update(measured=(first, best.way)) or found,
+            "hub_doubt": lambda *_: None, "halves_differ": lambda *_: None, "rival_hub": lambda *_: None,
+            "_doubt_of_hub": lambda *_: None,
+        }  # fmt: skip
+        for name, fake in fakes.items():
+            monkeypatch.setattr(module, name, fake)
+        monkeypatch.setattr(module, "replace", lambda old, **new: type(old)(**{**vars(old), **new}))
+        monkeypatch.setattr(module.Motion, "of", lambda sample, margin: asked.update(margin=margin) or MOTION)
+        monkeypatch.setattr(module._Reduced, "of", lambda *_: small)
+        film = Drawn([np.full((2, 2), k % 256, np.uint8) for k in range(count)])
+        return module._track(film, np.arange(count), [BLANK], hub, None, margin), asked
+
+    @pytest.mark.parametrize(("count", "first"), [(60, 0), (61, 0), (310, 10), (340, 34), (700, 70)])
+    def test_the_search_begins_after_a_tenth_of_a_film(self, monkeypatch, count, first):
+        """Later frames are not searched, but the block has 300 frames if the film has."""
+        _, asked = self.track(monkeypatch, count)
+        assert asked["candidates"] == [(min(count, 300), first, None, 1.0)]
+        assert asked["measured"] == (first, "edges")
+
+    @pytest.mark.parametrize(("hub", "margin", "checks"), [(None, 0, 2), ((3.0, 4.0), 0, 0), (None, 5, 0)])
+    def test_a_moving_camera_is_refused_unless_it_is_compensated_or_a_hub_is_given(
+        self, monkeypatch, hub, margin, checks
+    ):
+        _, asked = self.track(monkeypatch, hub=hub, margin=margin)
+        assert asked["camera"] == [(module.MOSTLY_TRANSLATES,), ()][:checks]
+        assert asked["margin"] == margin
+        assert asked["candidates"][0][2] == hub
+        assert asked["refined"] == [hub is not None]
+        assert ("link" in asked) == (hub is None)
+
+    def test_features_are_followed_if_reduced_frames_suggest_it(self, monkeypatch):
+        small = SimpleNamespace(
+            frames=[np.full((2, 2), k, np.uint8) for k in range(40)], motion="small",
+            reduced=lambda hub: ("r", *hub), seen=lambda t: t,
+        )  # fmt: skip
+        assert "features" in self.track(monkeypatch)[1]
+        assert "features" in self.track(monkeypatch, small=small)[1]
+        _, asked = self.track(monkeypatch, small=small, loose=False, hub=(3.0, 4.0))
+        assert "features" not in asked
+        # reduced frames are searched first, with a smaller share
+        assert [given[2:] for given in asked["candidates"]] == [(("r", 3.0, 4.0), 0.75), ((3.0, 4.0), 1.0)]
+        with pytest.raises(TrackingError, match="refused"):
+            self.track(monkeypatch, small=small, candidates=[])
+
+    def test_the_best_candidate_is_steady(self, monkeypatch):
+        """0.6 x 1.0 is more than 0.9 x 0.5."""
+        two = [_trial(way="jumps"), _trial(way="steady")]
+        _, asked = self.track(
+            monkeypatch, candidates=two, refined={"jumps": 0.9, "steady": 0.6}, steadiness={"jumps": 0.5}
+        )
+        assert asked["measured"][1] == "steady"
+        _, asked = self.track(
+            monkeypatch, candidates=two, refined={"jumps": 0.9, "steady": 0.44}, steadiness={"jumps": 0.5}
+        )
+        assert asked["measured"][1] == "jumps"
+
+    @pytest.mark.parametrize(("score", "tracked"), [(0.39, False), (0.41, True)])
+    def test_a_refined_candidate_explains_two_fifths(self, monkeypatch, score, tracked):
+        if tracked:
+            assert "measured" in self.track(monkeypatch, refined={"edges": score})[1]
+        else:
+            with pytest.raises(TrackingError, match="refused"):
+                self.track(monkeypatch, refined={"edges": score})
+
+    @pytest.mark.parametrize(
+        ("share", "hub", "warnings", "doubt"),
+        [
+            (0.19, None, 1, False),
+            (0.21, None, 2, False),
+            (0.54, None, 2, False),
+            (0.56, None, 2, True),
+            (0.56, (3.0, 4.0), 2, False),
+        ],
+    )
+    def test_other_parts_that_move_are_stated_or_doubted(self, monkeypatch, share, hub, warnings, doubt):
+        found, _ = self.track(monkeypatch, share=share, hub=hub)
+        assert (len(found.warnings), found.ambiguous) == (warnings, doubt)
+        if warnings == 2:
+            assert f"{100 * share:.0f} % as many pixels" in found.warnings[-1 if doubt else 0]
+
+    def test_a_second_rotation_about_the_hub_is_a_doubt(self, monkeypatch):
+        second = SimpleNamespace(warning=lambda angle: f"second {len(angle)}")
+        found, _ = self.track(monkeypatch, second=second)
+        assert (found.warnings, found.ambiguous) == (("own", "second 9"), True)
+
+    @pytest.mark.parametrize(
+        ("moved", "hub", "outcome"),
+        [
+            (0.9, None, "sure"),
+            (1.1, None, "doubt"),
+            (module.REFUSED + 0.1, None, "refused"),
+            (9.0, (3.0, 4.0), "sure"),
+        ],
+    )
+    def test_a_hub_that_moves_far_is_refused(self, monkeypatch, moved, hub, outcome):
+        if outcome == "refused":
+            with pytest.raises(RefusedFilmError, match="loose"):
+                self.track(monkeypatch, moved=moved, hub=hub)
+        else:
+            assert self.track(monkeypatch, moved=moved, hub=hub)[0].ambiguous == (outcome == "doubt")
+
+
+def refuse_loose(*given):
+    raise RefusedFilmError("loose", "", kind="no rotation", evidence={})
+
+
+class TestRefusals:
+    BLOCK = StoredPictures.of(61, (np.full((4, 5), k, np.uint8) for k in range(61)))
+
+    @pytest.mark.parametrize(
+        ("best", "blurred"), [(_trial(0.3), True), (replace(_trial(0.3), ring=ARC), False), (None, False)]
+    )
+    def test_a_film_without_a_rotation_is_examined_for_two_bodies_and_blur(self, monkeypatch, best, blurred):
+        asked = []
+        monkeypatch.setattr(module, "refuse_two_motions", lambda *given: asked.append(("two", len(given[2]))))
+        monkeypatch.setattr(
+            module, "refuse_blurred", lambda *given: asked.append(("blurred", len(given[1]), given[3]))
+        )
+        with pytest.raises(RefusedFilmError) as error:
+            module._refuse(Drawn([]), [], self.BLOCK, MOTION, best, "about a hub", "hint", 0.4)
+        assert asked == [("two", 4)] + ([("blurred", 31, 1.0)] if blurred else [])
+        assert error.value.evidence == {"explained": 0.3 if best else 0.0, "needed": 0.4}
+        assert [int(f[0, 0]) for f in error.value.frames] == [0, 20, 40, 60]
+        assert error.value.hub == (best.ring.hub if best else None)
+        assert ("explains 30 %" in error.value.message) == (best is not None)
+
+    def test_a_loose_and_a_fallen_body_are_refused_with_their_numbers(self):
+        with pytest.raises(RefusedFilmError, match=r"moves by 7\.2 px; at most 2\.4 px") as error:
+            module._refuse_loose("film", self.BLOCK, _trial(0.7), 7.2, 2.4)
+        assert error.value.evidence == {"explained": 0.7, "hub_moves_px": 7.2}
+        film = Drawn([np.full((4, 5), k, np.uint8) for k in range(70)])
+        with pytest.raises(RefusedFilmError, match=r"explains 70 % .*, and 20 % in the whole film") as error:
+            module._refuse_fallen(film, np.arange(61) + 5, _trial(0.7), 0.2)
+        assert error.value.evidence == {"explained": 0.7, "in_film": 0.2}
+        assert [int(f[0, 0]) for f in error.value.frames] == [5, 25, 45, 65]
+
+    @pytest.mark.parametrize(
+        ("given", "near", "found", "away", "doubted"),
+        [
+            # the unexplained share must be halved, at a twentieth of the outer radius of 20 px and beyond
+            (0.85, None, 0.93, 2.0, True),
+            (0.85, None, 0.92, 2.0, False),
+            (0.85, None, 0.93, 1.1, True),
+            (0.85, None, 0.93, 0.9, False),
+            # a candidate of the film is refined as well if the given hub explains little
+            (0.79, 9.0, 0.95, 9.0, True),
+            (0.81, 9.0, 0.95, 9.0, False),
+            (0.79, 11.0, 0.95, 11.0, False),
+        ],
+    )
+    def test_a_given_hub_is_doubted_if_another_explains_much_more(
+        self, monkeypatch, given, near, found, away, doubted
+    ):
+        def refined(trial, block, area, *, keep):
+            assert not keep
+            better = near is None or trial.way == "near"
+            ring = Ring.about((30.0 + away if better else 30.0, 25.0), 4.0, 20.0, finest=12.0)
+            return replace(trial, ring=ring, score=found if better else given)
+
+        proposals = [] if near is None else [SimpleNamespace(hub=(30.0 + near, 25.0))]
+        monkeypatch.setattr(module, "propose_hubs", lambda *_: proposals)
+        monkeypatch.setattr(
+            module, "_trials", lambda p, *_: [_trial(0.3, way="weak"), _trial(0.5, p.hub, way="near")]
+        )
+        monkeypatch.setattr(module, "_refined_trial", refined)
+        text = module._doubt_of_hub(_trial(given, way="given"), _trial(given, way="given"), None, MOTION)
+        assert (text is not None) is doubted
+        if doubted:
+            assert f"({30 + away:.0f}, 25) px, {away:.0f} px from" in text
+            assert f"{100 * found:.0f} %" in text
+
+    def test_pixels_elsewhere_are_counted_relative_to_those_in_the_ring(self):
+        ring = Ring.about((30.0, 25.0), 4.0, 10.0)
+        y, x = np.mgrid[0:50, 0:60]
+        away = np.hypot(x - 30.0, y - 25.0)
+        inside, outside = away <= 11.0, away > 11.0  # 1.1 radii
+        moving = inside | (outside & (x > 50))
+        np.testing.assert_array_equal(module._outside(moving, ring), outside & (x > 50))
+        assert module.elsewhere(moving, ring) == pytest.approx((outside & (x > 50)).sum() / inside.sum())
+        assert module.elsewhere(outside & (x > 50), ring) == (outside & (x > 50)).sum()
+
+
+class TestReduced:
+    @pytest.mark.parametrize(
+        ("width", "moving", "factor"),
+        [
+            (639, 10**6, None),
+            (640, 4000, 2),
+            (640, 3999, None),
+            (959, 4000, 2),
+            (960, 9000, 3),
+            (960, 8999, None),
+        ],
+    )
+    def test_large_pictures_with_a_large_moving_area_are_reduced(self, monkeypatch, width, moving, factor):
+        asked = []
+        blank = np.zeros((8, width), np.float32)
+        motion = SimpleNamespace(mean=blank, moving=np.ones(moving, bool))
+        monkeypatch.setattr(
+            module, "reduced", lambda f, n: asked.append(n) or np.full((2, 2), f[0, 0], np.uint8)
+        )
+        monkeypatch.setattr(module.Motion, "of", lambda few, margin: (len(few), margin))
+        film = Drawn([np.full((2, 2), k, np.uint8) for k in range(12)])
+        found = module._Reduced.of(film, np.array([2, 3, 7]), list(film.frames())[:4], motion, 5)
+        if factor is None:
+            assert found is None
+            return
+        assert (found.factor, set(asked)) == (factor, {factor})
+        assert [int(f[0, 0]) for f in found.frames] == [2, 3, 7]
+        assert found.motion == (4, -(-5 // factor))
+
+    def test_places_and_rings_are_those_of_the_full_frames(self):
+        """The pixel 0 of reduced frames is the mean of the pixels 0, 1 and 2: its middle is at 1."""
+        small = module._Reduced(3, None, None)
+        assert small.reduced((1.0, 4.0)) == pytest.approx((0.0, 1.0))
+        seen = small.seen(_trial(hub=(0.0, 1.0)))
+        assert seen.ring.hub == pytest.approx((1.0, 4.0))
+        assert (seen.ring.inner, seen.ring.outer, seen.ring.span) == (12.0, 60.0, TURN)
+        assert small.seen(None) is None
+        arc = small.seen(replace(_trial(), ring=ARC)).ring
+        assert (arc.start, arc.span, arc.stretch) == (ARC.start, ARC.span, ARC.stretch)
