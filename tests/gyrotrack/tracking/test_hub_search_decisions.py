@@ -399,3 +399,15 @@ def test_new_hubs_near_the_picture_are_proposed(monkeypatch, shape, along, first
     assert len(found) == kept
     assert {p.way for p in found} <= {"features", "edges"}
     assert {p.stretch for p in found} == {(0.0, 0.0)}
+
+
+@pytest.mark.parametrize(("half_range", "whole"), [(1.35, False), (1.5, True)])
+def test_an_arc_is_a_turn_at_most(half_range, whole):
+    """0.6 of the range are added on either side: 2.2 times 2.86 rad is a turn."""
+    hub = (-1.0, 30.0)
+    away = distance_from(hub, (60, 80))
+    y, x = np.mgrid[0:60, 0:80]
+    direction = np.arctan2(y - hub[1], x - hub[0])
+    found = ring_for(hub, motion_of((away > 8) & (away < 28) & (np.abs(direction) < half_range)), 48.0)
+    assert (found.span == TURN) is whole
+    assert found.span == pytest.approx(min(4.4 * half_range, TURN), rel=0.06)

@@ -1,0 +1,251 @@
+"""Formulas of the texture of a body: means of frames and zones, errors of zones, the motion in a batch, the view."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gyrotrack.tracking import _texture as texture
+from gyrotrack.tracking._texture import COLUMNS, MARGIN, ROWS, TURN, ZONES, TextureObservations
+
+EMPTY = {name: np.zeros((ZONES, ROWS * COLUMNS), np.float32) for name in ("picture", "variance", "weight")}
+
+
+def zones(**change):
+    given = {
+        **EMPTY,
+        "basis": np.zeros((ZONES, ROWS * COLUMNS, 3), np.float32),
+        "usual": np.ones(ZONES),
+        "first": np.zeros(ZONES, complex),
+        "second": np.zeros(ZONES, complex),
+        "share": np.full(ZONES, 1 / ZONES),
+    }
+    return texture._Zones(**{**given, **change})
+
+
+class TestMeans:
+    @pytest.mark.parametrize(("unknown", "known"), [(7, True), (8, False)])
+    def test_a_mean_of_sixteen_frames_is_known_from_nine(self, unknown, known):
+        turned = np.tile(np.arange(40.0), (2, 1))
+        turned[1, :unknown] = np.nan
+        found = texture._means(turned)
+        assert found.shape == (2, 2)  # 32 of 40 frames
+        assert found[0].tolist() == [7.5, 23.5]
+        assert found[1, 0] == (pytest.approx((7 + 15) / 2) if known else pytest.approx(np.nan, nan_ok=True))
+        assert found[1, 1] == 23.5
+
+    @pytest.mark.parametrize(("lost", "known"), [(0.45, True), (0.55, False)])
+    def test_a_mean_of_zones_needs_half_of_the_weight(self, lost, known):
+        share = np.zeros(ZONES)
+        share[[1, 4]] = lost, 1.0 - lost
+        turned = np.full((ZONES, 2), 9.0)
+        turned[1], turned[4] = 3.0, [5.0, 7.0]
+        turned[1, 1] = np.nan
+        mean, total = zones(share=share).mean(turned)
+        assert mean[0] == pytest.approx(3.0 * lost + 5.0 * (1.0 - lost))
+        assert mean[1] == pytest.approx(7.0 if known else np.nan, nan_ok=True)
+        assert total == pytest.approx([1.0, 1.0 - lost if known else np.nan], nan_ok=True)
+
+    def test_observations_are_the_weighted_means_of_the_zones(self):
+        share = np.zeros(ZONES)
+        share[[2, 5]] = 0.25, 0.75
+        first, second = np.zeros((2, ZONES), complex)
+        first[[2, 5]], second[[2, 5]] = [4.0 + 2.0j, 8.0j], [1.0 - 4.0j, 2.0]
+        own = zones(share=share, first=first, second=second, sigma=0.01, slow=0.004)
+        turned, misfit = np.zeros((ZONES, 3)), np.ones((ZONES, 3))
+        turned[2], turned[5] = [0.1, 0.1, np.nan], 0.2
+        misfit[2], misfit[5] = 3.0, 5.0
+        seen = TextureObservations.unknown(np.zeros((6, 2)))
+        seen.set(np.array([0, 2, 5]), own, np.array([1.0, 2.0, 3.0]), turned, misfit)
+        np.testing.assert_allclose(seen.angle, [1.175, np.nan, 2.175, np.nan, np.nan, 3.2])
+        np.testing.assert_allclose(seen.sigma[[0, 2, 5]], [0.01, 0.01, 0.01 / 0.75])
+        np.testing.assert_allclose(seen.slow[[0, 2, 5]], [0.004, 0.004, 0.004 / 0.75])
+        np.testing.assert_allclose(seen.misfit[[0, 2, 5]], [4.5, 4.5, 5.0])
+        np.testing.assert_allclose(seen.first, np.tile([1.0, 6.5], (6, 1)))
+        np.testing.assert_allclose(seen.second, np.tile([1.75, -1.0], (6, 1)))
+        assert not seen.own_view.any()
+
+
+class TestZones:
+    def test_the_errors_of_zones_follow_from_their_differences(self):
+        """Orthogonal patterns are uncorrelated exactly; zones 0 and 1 are adjacent and not compared."""
+        rng = np.random.default_rng(0)
+        size = np.array([1.0, 2.0, 0.5, 3.0, 1.5]) * 1e-3
+        turned = size[:, None] * rng.standard_normal((5, 4000)) + np.arange(5)[:, None]
+        turned[1] = turned[0] + 1.0  # an error that both share
+        expected = size.copy()
+        expected[1] = size[0]
+        np.testing.assert_allclose(np.sqrt(texture._zone_variances(turned)), expected, rtol=0.25)
+
+    @pytest.mark.parametrize(("share", "known"), [(0.45, False), (0.55, True)])
+    def test_a_zone_that_is_rarely_known_has_no_error(self, share, known):
+        rng = np.random.default_rng(0)
+        turned = 1e-3 * rng.standard_normal((5, 1000))
+        turned[4, round(share * 1000) :] = np.nan
+        found = texture._zone_variances(turned)
+        assert np.isfinite(found[4]) == known
+        assert np.isfinite(found[:4]).all()
+
+    def test_a_variance_is_a_tenth_of_that_of_the_least_difference_at_least(self):
+        rng = np.random.default_rng(1)
+        common = rng.standard_normal(4000)
+        # the errors of 0 and 4 are opposite: without a limit, that of zone 2 would be negative
+        turned = 1e-3 * np.stack([common, np.full(4000, np.nan), 0 * common, np.full(4000, np.nan), -common])
+        found = texture._zone_variances(turned)
+        assert found[2] == pytest.approx(0.1 * 1e-6, rel=0.1)
+        assert found[0] == pytest.approx(found[4], rel=0.05)
+        assert found[0] > 0.7e-6
+
+    def test_the_rotation_between_batches_is_that_of_their_pictures(self):
+        theta = np.arange(COLUMNS) * TURN / COLUMNS
+
+        def learnt(turn, share):
+            rows = np.stack([100 + 30 * np.cos(3 * (theta - turn) + k) for k in range(ROWS)]).ravel()
+            every = np.tile(rows, (ZONES, 1)).astype(np.float32)
+            return zones(picture=every, variance=np.ones_like(every), weight=np.ones_like(every), share=share)
+
+        share = np.full(ZONES, 1 / ZONES)
+        assert learnt(0.02, share).ahead_of(learnt(0.0, share)) == pytest.approx(0.02, rel=0.02)
+        assert learnt(-0.01, share).ahead_of(learnt(0.01, share)) == pytest.approx(-0.02, rel=0.02)
+        assert learnt(0.02, share).ahead_of(learnt(0.0, np.zeros(ZONES))) == 0.0
+        # only zones with a weight in both batches count
+        one, two = np.eye(ZONES)[3], np.eye(ZONES)[4]
+        assert learnt(0.02, one).ahead_of(learnt(0.0, two)) == 0.0
+        assert learnt(0.02, 0.5 * one + 0.5 * two).ahead_of(learnt(0.0, two)) == pytest.approx(0.02, rel=0.02)
+
+    def test_the_slow_error_is_that_of_the_weighted_zones(self, monkeypatch):
+        share = np.zeros(ZONES)
+        share[[0, 3]] = 0.6, 0.4
+        variance = np.full(ZONES, np.inf)
+        variance[0], variance[5] = 4e-6, 9e-6
+        monkeypatch.setattr(texture, "zone_weights", lambda angle, first, shift: (share, 0.007))
+        monkeypatch.setattr(texture, "_zone_variances", lambda _: variance)
+        found = zones().weighted(np.zeros((ZONES, 32)), np.zeros((ZONES, 32)), 0.3)
+        assert found.sigma == 0.007
+        # a zone of unknown error has the largest known one
+        assert found.slow == pytest.approx(math.sqrt(0.36 * 4e-6 + 0.16 * 9e-6))
+
+
+class TestMotion:
+    PLACE = np.linspace(-1.0, 1.0, 512)
+
+    @pytest.mark.parametrize(("degree", "columns"), [(2, 4), (3, 4), (5, 7), (6, 7), (9, 13), (20, 13)])
+    def test_a_motion_is_described_by_the_first_sufficient_degree(self, degree, columns):
+        motion = 2.0 * np.polynomial.legendre.legval(self.PLACE, np.eye(degree + 1)[degree])
+        found = texture._smooth_motion(motion, self.PLACE, 1e-3)
+        assert found.shape == (512, columns)
+        assert found[:, 1] == pytest.approx(self.PLACE)
+
+    @pytest.mark.parametrize(("factor", "columns"), [(0.5, 7), (2.0, 4)])
+    def test_a_degree_suffices_if_its_residual_is_below_the_limit(self, factor, columns):
+        rest = 0.01 * np.where(np.arange(512) // 2 % 2, 1.0, -1.0) * (np.abs(self.PLACE) < 2)
+        wave = 0.5 * np.polynomial.legendre.legval(self.PLACE, [0, 0, 0, 0, 0, 1.0])
+        residual = wave + 0.0 * rest
+        scatter = 1.4826 * np.median(np.abs(residual - np.median(residual)))
+        assert texture._smooth_motion(wave, self.PLACE, factor * scatter).shape[1] == columns
+
+    @pytest.mark.parametrize(("turns", "columns"), [(2.9, 4), (3.1, 13 + 4)])
+    def test_harmonics_are_removed_over_three_turns(self, turns, columns):
+        angle = 0.5 * turns * TURN * self.PLACE
+        found = texture._smooth_motion(angle, self.PLACE, 1e-3)
+        assert found.shape[1] == columns
+        if columns > 13:
+            expected = np.stack([np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)], axis=1)
+            np.testing.assert_allclose(found[:, 13:], expected)
+
+    def test_few_frames_have_a_low_degree(self):
+        """One degree for twice sixteen frames."""
+        place = np.linspace(-1.0, 1.0, 70)
+        assert texture._smooth_motion(np.sin(9 * place), place, 1e-9).shape[1] == 3
+        assert texture._smooth_motion(np.sin(9 * place[:20]), place[:20], 1e-9).shape[1] == 2
+
+    def test_residuals_are_orthogonal_to_the_basis(self):
+        basis = np.stack([np.ones(9), np.arange(9.0)], axis=1)
+        values = np.stack([3.0 + 2.0 * np.arange(9.0), np.arange(9.0) ** 2], axis=1)
+        found = texture._residual(values, basis)
+        np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-9)
+        np.testing.assert_allclose(basis.T @ found, 0.0, atol=1e-9)
+        assert found[4, 1] == pytest.approx(-20.0 / 3.0)
+
+
+@pytest.mark.parametrize("ahead", [0.0, 2.0, -3.0, 1.5])
+def test_a_strip_is_turned_by_columns_without_its_margins(ahead):
+    strip = np.tile(np.arange(COLUMNS + 2 * MARGIN, dtype=np.float32) ** 1.0, (3, 1))
+    found = texture._columns_ahead(strip, ahead)
+    assert found.shape == (3, COLUMNS)
+    np.testing.assert_allclose(found[1], np.arange(COLUMNS) + MARGIN + ahead, atol=1e-3)
+
+
+@pytest.mark.parametrize(("known", "measured"), [(3, False), (4, True)])
+def test_four_frames_show_the_derivative_along_the_radius(monkeypatch, known, measured):
+    tracker = texture.TextureTracker((60.0, 50.0), 40.0, (120, 100), 20)
+    slopes = {
+        2 * k: np.full((ZONES * ROWS, COLUMNS + 2 * MARGIN), float(k), np.float32) for k in range(known)
+    }
+    tracker._slopes = slopes
+    picture = np.broadcast_to(7.0 * tracker._radius[:, None], (ZONES * ROWS, COLUMNS))
+    monkeypatch.setattr(tracker, "_turned", lambda use, ahead: np.stack([picture] * len(use)))
+    found = tracker._radial_slope(np.arange(12), np.zeros(12))
+    np.testing.assert_allclose(found, np.mean(range(known)) if measured else 7.0, rtol=1e-5)
+
+
+class TestLevelled:
+    ANGLE = np.array([0.0, 0.5 * np.pi, 2.0])
+
+    def observed(self, own=0.0, centre=(0.0, 0.0)):
+        first, second = np.tile([0.01, 0.02], (3, 1)), np.tile([0.3, -0.1], (3, 1))
+        nothing = np.zeros(3)
+        return TextureObservations(
+            self.ANGLE.copy(), nothing, nothing, nothing, np.tile(centre, (3, 1)), first, second, np.full(3, own)
+        )  # fmt: skip
+
+    def test_a_displaced_centre_and_a_flattening_turn_the_ring(self):
+        """The centre is 3 px to the right and 4 px below, y is upwards in the formula."""
+        found = self.observed(centre=(10.0, 20.0)).levelled(np.tile([13.0, 24.0], (3, 1)), 0.02, -0.05)
+        z, m1, f, m2 = 3.0 - 4.0j, 0.01 + 0.02j, 0.02 - 0.05j, 0.3 - 0.1j
+        expected = (
+            self.ANGLE
+            - np.imag(z * m1 * np.exp(-1j * self.ANGLE))
+            - np.imag(f * m2 * np.exp(-2j * self.ANGLE))
+        )
+        np.testing.assert_allclose(found, expected)
+        # at the angle 0: z m1 = 0.11 + 0.02 i, f m2 = 0.001 - 0.017 i
+        assert found[0] == pytest.approx(-0.02 + 0.017)
+
+    def test_a_ring_about_its_own_view_needs_no_flattening_and_no_constant_displacement(self):
+        seen = self.observed(own=1.0)
+        np.testing.assert_allclose(seen.levelled(np.tile([3.0, 4.0], (3, 1)), 0.02, -0.05), self.ANGLE)
+        moving = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 0.0]])
+        z = np.array([-1.0, 2.0, -1.0])  # relative to the mean
+        expected = self.ANGLE - np.imag(z * (0.01 + 0.02j) * np.exp(-1j * self.ANGLE))
+        np.testing.assert_allclose(seen.levelled(moving, 0.02, -0.05), expected)
+
+    def test_frames_are_placed_and_picked(self):
+        seen = self.observed(centre=(10.0, 20.0))
+        spread = seen.spread_out(np.array([1, 2, 4]), 6)
+        np.testing.assert_allclose(spread.angle, [np.nan, *self.ANGLE[:2], np.nan, self.ANGLE[2], np.nan])
+        again = spread.picked(np.array([1, 2, 4]))
+        for name in ("angle", "centre", "first", "second", "own_view"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(seen, name))
+
+
+@pytest.mark.parametrize(
+    ("x", "outer", "useful", "largest"),
+    [
+        (60.0, 40.0, True, 48.0 - 0.0),
+        (60.0, 20.0, True, 27.0),
+        (31.0, 40.0, True, 29.0),
+        (29.5, 40.0, False, 27.5),
+    ],
+)
+def test_a_ring_is_within_the_picture_and_reaches_seven_tenths(x, outer, useful, largest):
+    """From 0.15 to 1.35 of the outer end of the markers, and 2 px within the picture of 121 x 101 px."""
+    tracker = texture.TextureTracker((x, 50.0), outer, (121, 101), 3)
+    edges = np.linspace(0.15 * outer, largest, ZONES * ROWS + 1)
+    np.testing.assert_allclose(tracker._radius, 0.5 * (edges[1:] + edges[:-1]))
+    assert tracker._useful is np.bool_(useful) or tracker._useful == useful
+    frame = SimpleNamespace(y=np.full((101, 121), 9, np.uint8))
+    tracker.take([frame] * 3, 0, np.array([0.1, np.nan, 0.2]))
+    assert tracker._strips[[0, 2]].all() == useful
+    assert list(tracker._slopes) == ([0] if useful else [])
