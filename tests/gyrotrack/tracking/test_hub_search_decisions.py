@@ -411,3 +411,43 @@ def test_an_arc_is_a_turn_at_most(half_range, whole):
     found = ring_for(hub, motion_of((away > 8) & (away < 28) & (np.abs(direction) < half_range)), 48.0)
     assert (found.span == TURN) is whole
     assert found.span == pytest.approx(min(4.4 * half_range, TURN), rel=0.06)
+
+
+def test_edges_have_the_weights_of_their_robust_fit():
+    """The fixed point of the weights g / (1 + (d / 1.5 px)^2)^2, with gradients g up to 20 grey levels per px."""
+    rng = np.random.default_rng(0)
+    away = distance_from((33.3, 28.6), (64, 80))
+    mean = (6.0 * away + 60.0 * np.sin(0.4 * away) + rng.normal(0.0, 3.0, away.shape)).astype(np.float32)
+    mean[40:, 60:] += np.arange(20, dtype=np.float32) ** 2
+    found = np.array(search.edge_hub(motion_of(away < 99, mean=mean)))
+    across, down = (cv2.Sobel(mean, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
+    size = np.hypot(across, down)
+    y, x = np.nonzero(size > 0.5)
+    across, down, size = across[y, x], down[y, x], size[y, x]
+    # distance of the hub from the line through a pixel along its gradient
+    apart = (across * (y - found[1]) - down * (x - found[0])) / size
+    weight = np.minimum(size, 20.0) / (1.0 + (apart / 1.5) ** 2) ** 2
+    direction = np.stack([-down, across], axis=1) / size[:, None]
+    normal = (direction * weight[:, None]).T @ direction
+    step = np.linalg.solve(normal, (direction * weight[:, None]).T @ apart)
+    assert np.abs(step).max() < 2e-3
+    assert found == pytest.approx((33.3, 28.6), abs=1.5)
+
+
+def test_pairs_have_the_weights_of_their_robust_fit():
+    """The fixed point of the weights 1 / (1 + (r / 2 s)^2), with s = 1.4826 times the median residual."""
+    rng = np.random.default_rng(0)
+    turn = np.exp(1j * rng.uniform(0.1, 0.3, 60))
+    hub = 70.0 + 40.0j
+    noise = rng.normal(0, 1.0, 60) + 1j * rng.normal(0, 1.0, 60)
+    noise[::7] *= 12.0
+    pairs = [(complex(a), complex((1 - a) * hub + e), 75.0 + 44.0j) for a, e in zip(turn, noise, strict=True)]
+    found = search._CommonHub.of(pairs)
+    left, moved = 1.0 - turn, (1.0 - turn) * hub + noise
+    miss = np.abs(moved - left * found.hub)
+    weight = 1.0 / (1.0 + (miss / (2.0 * 1.4826 * np.median(miss))) ** 2)
+    weight[np.abs(left) <= 0.5 * np.median(np.abs(left))] = 0.0
+    expected = np.sum(weight * left.conj() * moved) / np.sum(weight * np.abs(left) ** 2)
+    assert found.hub == pytest.approx(expected, abs=1e-4)
+    shift = moved - left * (75.0 + 44.0j)
+    assert found.unexplained == pytest.approx(np.median(miss) / np.median(np.abs(shift)), rel=1e-6)
