@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking import _marker_window as windows
+from gyrotrack.tracking._film_tracker import BodyTracker
 from gyrotrack.tracking._scene import Marker
 
 TURN = 2 * np.pi
@@ -123,3 +124,45 @@ def test_a_copy_has_the_windows_if_there_are_frames(strip):
     copy = pickle.loads(text)  # noqa: S301 - own data
     assert copy.windows.shape == unused.windows.shape
     assert not copy.windows.any()
+
+
+ANGLE = 0.3 + 0.17 * np.arange(36) + 0.2 * np.sin(np.arange(36) / 9.0)
+
+
+@pytest.fixture(scope="module")
+def tracked():
+    """A body with one marker: the tracker, its step after 20 of 36 frames, and what is observed."""
+    frames = [drawn(a, ground=3) for a in ANGLE]
+    samples = SimpleNamespace(frames=frames[::4], spread=tuple(range(9)))
+    body = BodyTracker("rotor", (MARKER,), samples, CENTRE, 5.0, 40)
+    body.take(frames[:20], 0, np.ones(20))
+    first = body.step
+    body.take(frames[20:], 20, np.ones(16))
+    return body, first, body.measure_batch(36, None, again=False)
+
+
+def test_a_body_is_followed_from_frame_to_frame(tracked):
+    body, first, (coarse, _) = tracked
+    turns = np.round((coarse[0] - ANGLE[0]) / TURN)
+    np.testing.assert_allclose(coarse - turns * TURN, ANGLE, atol=0.02)
+    assert first == pytest.approx(np.diff(ANGLE[:20]).mean(), rel=0.05)
+    assert body.step == pytest.approx(np.diff(ANGLE[20:]).mean(), rel=0.05)
+    np.testing.assert_array_equal(body.coarse(20, 16), coarse[20:])
+
+
+def test_angle_radius_and_corners_of_a_marker_are_those_drawn(tracked):
+    seen = tracked[2][1]["blue"]
+    off = np.angle(np.exp(1j * (seen.angle - ANGLE)))
+    assert np.abs(off).max() < 8e-3
+    assert seen.open.all()
+    np.testing.assert_allclose(seen.radius, 50.0, atol=1.0)
+    np.testing.assert_allclose(seen.gain, 1.0, atol=0.15)
+    assert np.median(seen.misfit) < 0.05
+    np.testing.assert_array_equal(seen.centre, np.tile(CENTRE, (36, 1)))
+    known = np.isfinite(seen.corner_angle).all(axis=1)
+    assert known.mean() > 0.8
+    # the corners of the near edge, at 0.12 rad on either side and 40 px
+    corner = np.angle(np.exp(1j * (seen.corner_angle - ANGLE[:, None])))[known]
+    np.testing.assert_allclose(np.median(corner, axis=0), [-0.12, 0.12], atol=0.02)
+    assert np.median(seen.corner_radius[known]) == pytest.approx(40.0, abs=1.5)
+    assert np.median(seen.weakness) == pytest.approx(1.0, abs=0.15)
