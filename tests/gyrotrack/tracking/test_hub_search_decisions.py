@@ -112,7 +112,7 @@ class TestRing:
         found = ring_for((100.0, 80.0), self.with_share(share, 40, 61, also=(20, 40)), 48.0)
         assert found.outer == pytest.approx(outer, abs=1.1)
 
-    @pytest.mark.parametrize(("share", "known"), [(0.007, False), (0.014, True)])
+    @pytest.mark.parametrize(("share", "known"), [(0.0085, False), (0.0115, True)])
     def test_a_hundredth_of_a_circle_moves(self, share, known):
         assert (ring_for((100.0, 80.0), self.with_share(share, 40, 60), 48.0) is not None) is known
 
@@ -371,6 +371,9 @@ class TestFollowing:
         assert search.follow_features([*frames, np.full((110, 130), 90, np.uint8)], self.disc(), 2.0) is None
         assert search.follow_features([np.full((110, 130), 90, np.uint8)] * 2, self.disc(), 2.0) is None
         assert search.follow_features(frames, self.disc(5), 2.0) is None
+        assert search.follow_features(frames[:1], self.disc(5), 2.0) is None
+        a, b, since = search.follow_features(frames[:1], self.disc(), 2.0)
+        assert (a.tolist(), b.tolist(), since.tolist()) == ([1.0], [0.0], [0])
 
 
 @pytest.mark.parametrize("shape", [(600, 1000), (1000, 600)])
