@@ -321,8 +321,9 @@ def test_a_silhouette_is_brighter_than_half_of_the_body(level, used):
 
 
 def test_twenty_pixels_show_a_long_body():
-    assert LongBody("light", GREY, 5.0).axis(_bar(5.0, 1.0, 0.0, 120.0)) is None
-    assert LongBody("light", GREY, 5.0).axis(_bar(30.0, 2.0, 0.0, 120.0)) is not None
+    # after blurring, 15, 21 and 27 pixels differ, and 9, 15 and 21 belong to the body
+    for length, seen in ((3.0, False), (5.0, False), (6.0, True)):
+        assert (LongBody("light", GREY, 5.0).axis(_bar(length, 1.0, 0.0, 120.0)) is not None) == seen
 
 
 def _tilted(monkeypatch, *, tilt=0.8, scatter=0.0, range_=3.0, seen=1.0, side="dark"):
@@ -395,3 +396,22 @@ def test_thin_lines_are_not_spots():
     region = _drawn(lines=[((20, 40), (90, 40), 1), ((20, 60), (90, 60), 1)])
     assert spots_in(region, 0.7, 3) == []
     assert spots_in(np.zeros((80, 160), np.uint8), 0.7, 3) == []
+
+
+def test_axes_meet_with_the_weights_of_their_robust_fit(monkeypatch):
+    """The fixed point of the weights 1 / (1 + (d / m)^2)^2, with m = 3 % of the median length."""
+    rng = np.random.default_rng(0)
+    angle = np.linspace(-0.6, 0.7, 24)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    off = rng.normal(0.0, 0.8, 24)
+    off[::6] += 4.0
+    centre = np.array([70.0, 50.0]) + 30.0 * along + off[:, None] * normal
+    frames = list(zip(centre, 30.0 * along, strict=True))
+    monkeypatch.setattr(LongBody, "axis", lambda self, frame: None if self.side == "light" else (*frame, 3.0))
+    hub = np.array(module.axes_meet(frames, SimpleNamespace(mean=GREY, noise=1.0)))
+    apart = np.sum(normal * (centre - hub), axis=1)
+    weight = 1.0 / (1.0 + (apart / (0.03 * 60.0)) ** 2) ** 2
+    step = np.linalg.solve((normal * weight[:, None]).T @ normal, (normal * weight[:, None]).T @ apart)
+    assert np.abs(step).max() < 2e-3
+    assert hub == pytest.approx((70.0, 50.0), abs=0.8)
