@@ -686,3 +686,87 @@ class TestReduced:
         assert small.seen(None) is None
         arc = small.seen(replace(_trial(), ring=ARC)).ring
         assert (arc.start, arc.span, arc.stretch) == (ARC.start, ARC.span, ARC.stretch)
+
+
+class Explained:
+    """A ring that explains less with the square of its distance from (33, 25), and leaves the picture beyond `edge`."""
+
+    span, step, area = TURN, 0.1, np.ones((2, 50))
+
+    def __init__(self, place=(30.0, 25.0, 0.0, 0.0), edge=math.inf):
+        self.place, self.edge = np.asarray(place, dtype=float), edge
+        self.hub, self.stretch = tuple(self.place[:2]), tuple(self.place[2:])
+
+    def inside(self, area):
+        found = np.ones((2, 50), bool)
+        if self.hub[0] > self.edge:
+            found[:, :16] = False  # 68 % are left
+        return found
+
+    def unwrap(self, frame):
+        # of frames of +-1 and the mean m, 1 - sum p^2 / sum (p - mean)^2 is -m^2
+        return np.float32(frame) + np.float32(np.hypot(self.hub[0] - 33.0, self.hub[1] - 25.0)) * np.ones(
+            (2, 50), np.float32
+        )
+
+
+def _searched(monkeypatch, steps, *, edge=math.inf, keep=False, rounds=1, turned=2.0):
+    asked = []
+    given = iter(steps)
+
+    def step(ring, few, angles, free, area, *, separate):
+        asked.append(list(free))
+        return np.array(next(given))[: len(free)]
+
+    monkeypatch.setattr(module, "_placed", lambda ring, place: Explained(place, edge))
+    monkeypatch.setattr(module, "learn", lambda *_, **__: SimpleNamespace(fixed=0.0, body=None))
+    monkeypatch.setattr(module, "rolled", lambda *_: np.zeros((2, 50), np.float32))
+    monkeypatch.setattr(module, "register", lambda polar, template, start: SimpleNamespace(angle=start + 0.1))
+    monkeypatch.setattr(module, "ring_step", step)
+    frames = [np.ones((2, 50), np.float32), -np.ones((2, 50), np.float32)]
+    found = module._search(
+        Explained(edge=edge),
+        np.array([0.0, turned]),
+        frames,
+        (0, 0, 9, 9),
+        separate=False,
+        keep=keep,
+        steps=rounds,
+    )
+    return found, asked
+
+
+@pytest.mark.parametrize(
+    ("steps", "rounds", "edge", "x"),
+    [
+        ([(1.0, 0.0)], 1, math.inf, 32.89),  # lengthened twice, by 1.7
+        ([(1.0, 0.0)] * 2, 2, math.inf, 32.98),  # then shortened twice, by 0.3
+        ([(1.0, 0.0)], 1, 32.0, 31.7),  # a longer step leaves the picture
+        ([(-1.0, 0.0)], 1, math.inf, 30.0),  # no step of a fifth or more improves the fit
+        ([(7.0, 0.0)], 1, math.inf, 33.57),  # 7 px are too far, 2.1 px and then 3.57 px are not
+    ],
+)
+def test_steps_of_a_search_are_lengthened_while_the_fit_improves(monkeypatch, steps, rounds, edge, x):
+    (ring, angles, share), asked = _searched(monkeypatch, steps, edge=edge, rounds=rounds)
+    assert ring.hub == pytest.approx((x, 25.0))
+    assert share == pytest.approx(-((x - 33.0) ** 2), abs=1e-5)
+    assert asked == [[0, 1]] * rounds
+    # each accepted trial registers the frames twice
+    assert angles[0] == pytest.approx(0.2 * round(angles[0] / 0.2))
+
+
+@pytest.mark.parametrize(("gain", "rounds"), [(0.9e-4, 1), (1.1e-4, 2)])
+def test_a_search_ends_when_a_step_improves_little(monkeypatch, gain, rounds):
+    """A step of x improves the fit by 6 x, from a distance of 3 px; longer ones are beyond the edge."""
+    step = gain / 6.0
+    _, asked = _searched(monkeypatch, [(step, 0.0)] * 2, edge=30.0 + 1.5 * step, rounds=2)
+    assert len(asked) == rounds
+
+
+def test_a_given_hub_and_a_short_motion_leave_nothing_to_search(monkeypatch):
+    (ring, angles, _), asked = _searched(monkeypatch, [], keep=True, rounds=3)
+    assert (ring.hub, asked) == ((30.0, 25.0), [])
+    assert angles == pytest.approx([0.2, 2.2])
+    # over a longer motion, the stretch is searched
+    _, asked = _searched(monkeypatch, [(0.0, 0.0)], keep=True, rounds=1, turned=3.1)
+    assert asked == [[2, 3]]
