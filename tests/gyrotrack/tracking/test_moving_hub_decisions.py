@@ -270,3 +270,51 @@ class TestPaths:
         for rest in (0, 9):  # it ends with the film, or before
             x = np.concatenate([30.0 + 2 * np.arange(seen), np.full(rest, np.nan)])
             assert len(self.outlined(monkeypatch, x, np.full(len(x), 100.0))) == paths
+
+
+@pytest.mark.parametrize("side", ["left", "top", "right", "bottom"])
+@pytest.mark.parametrize(("apart", "found"), [(0, 0), (1, 0), (2, 1), (3, 1)])
+def test_an_outline_at_the_border_is_not_complete(side, apart, found):
+    """A gap of one pixel is closed."""
+    region = np.zeros((40, 60), bool)
+    x, y = {"left": (apart, 17), "top": (25, apart), "right": (54 - apart, 17), "bottom": (25, 34 - apart)}[
+        side
+    ]
+    region[y : y + 6, x : x + 6] = True
+    outlines = moving._outlines(region)
+    assert len(outlines) == found
+    for one in outlines:
+        np.testing.assert_allclose(one.place, [x + 2.5, y + 2.5])
+        assert one.area == 25.0  # within the middles of the pixels at the edge
+
+
+@pytest.mark.parametrize(("size", "found"), [((5, 6), 0), ((5, 7), 1), ((6, 5), 0), ((7, 5), 1)])
+def test_an_outline_has_24_square_pixels(size, found):
+    region = np.zeros((40, 60), bool)
+    region[10 : 10 + size[0], 20 : 20 + size[1]] = True  # (5 - 1) x (7 - 1) = 24
+    assert len(moving._outlines(region)) == found
+
+
+def test_the_largest_fifty_outlines_are_used():
+    region = np.zeros((200, 400), bool)
+    for k in range(60):
+        region[
+            5 + 15 * (k // 20) : 11 + 15 * (k // 20), 5 + 18 * (k % 20) : 11 + 18 * (k % 20) + (k >= 10)
+        ] = True
+    found = moving._outlines(region)
+    assert len(found) == 50
+    assert {one.area for one in found} == {30.0}
+
+
+def test_a_body_is_expected_with_the_velocity_of_its_last_two_steps():
+    link = moving._Link()
+    for frame, x, area in ((3, 10.0, 5.0), (4, 12.0, 9.0), (7, 22.0, 6.0), (8, 24.0, 7.0)):
+        link.frame.append(frame)
+        link.outline.append(moving._Outline(np.array([x, 2 * x]), area))
+        if len(link.frame) == 2:
+            np.testing.assert_allclose(link.expected(9), [12.0, 24.0])
+    # 12 px in 4 frames from the third-last outline
+    np.testing.assert_allclose(link.expected(10), [30.0, 60.0])
+    assert link.area() == 6.5
+    link.outline += [moving._Outline(np.zeros(2), 50.0)] * 10
+    assert link.area() == 50.0
