@@ -85,9 +85,9 @@ class Motion:
         deviation /= len(frames)
         noise = max(min(float(np.quantile(deviation, 0.3)), spatial_noise(frames)), 0.5)
         smooth = cv2.blur(deviation, (3, 3))
-        pixels = np.ones((2, 2), np.uint8)
-        core = cv2.erode((smooth > 4.0 * noise).astype(np.uint8), pixels)
-        moving = np.asarray(cv2.dilate(core, pixels, anchor=(0, 0)), dtype=np.bool_)  # not displaced by 1 px
+        moving = cv2.morphologyEx(
+            (smooth > 4.0 * noise).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)
+        ).astype(bool)
         left, right = _without_bars(mean, deviation)
         top, bottom = _without_bars(mean.T, deviation.T)
         left, top, right, bottom = left + margin, top + margin, right - margin, bottom - margin
