@@ -186,3 +186,12 @@ class TestParts:
         _, _, covariance = pivot._covariance(np.ones((24, 1)), rest, sigma, np.repeat([0, 1, 2], 8), 0.0)
         chi2 = 0.01 * 24 / 21 / np.mean(sigma**2)
         assert covariance[0, 0] == pytest.approx(chi2 / (12 / 0.01 + 12 / 0.09))
+
+
+@pytest.mark.parametrize(("reach", "share", "error"), [(1.0, 2, 0.01), (6.0, 3, 0.15)])
+def test_many_wrong_positions_do_not_move_the_hub(reach, share, error):
+    """Two or three of ten are displaced by 30 standard deviations; without weights the hub moves by 0.6 to 0.9 px."""
+    angle = np.linspace(0.0, reach, 240)
+    place = CENTRE + (50.0 + scatter(240, 0.1))[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    place[np.arange(240) % 10 < share, 0] += 3.0
+    assert np.hypot(*(fit_arc(place, np.full(240, 0.1)).hub - CENTRE)) < error
