@@ -249,3 +249,124 @@ def test_a_ring_is_within_the_picture_and_reaches_seven_tenths(x, outer, useful,
     tracker.take([frame] * 3, 0, np.array([0.1, np.nan, 0.2]))
     assert tracker._strips[[0, 2]].all() == useful
     assert list(tracker._slopes) == ([0] if useful else [])
+
+
+class TestBatches:
+    """Which batches learn templates, and what their angles are relative to; pictures and fits are replaced."""
+
+    class Zones:
+        share, first, second = np.full(ZONES, 1 / ZONES), np.zeros(ZONES, complex), np.zeros(ZONES, complex)
+        sigma, slow = 0.01, 0.004
+
+        def fit_blocks(self, blocks):
+            count = sum(len(b) for b in blocks)
+            return np.full((ZONES, count), 0.002), np.ones((ZONES, count))
+
+        def weighted(self, angle, turned, shift):
+            return self
+
+        def ahead_of(self, other):
+            return 0.1
+
+        def mean(self, turned):
+            return turned.mean(axis=0), np.ones(turned.shape[1])
+
+    def measure(self, monkeypatch, *counts, turns=0.5, known=True):
+        """Measure batches of some frames each; return their observations, and the numbers of frames learnt from."""
+        tracker = texture.TextureTracker((60.0, 50.0), 40.0, (120, 100), 600)
+        learnt, lights = [], []
+        own = SimpleNamespace(zones=self.Zones(), known=known, error=0.003)
+
+        def templates(strips, radius):
+            learnt.append(len(strips))
+            return self.Zones()
+
+        monkeypatch.setattr(texture, "_templates", templates)
+        monkeypatch.setattr(
+            texture, "static_light", lambda lit, angle, lowest: lights.append((len(lit), lowest)) or 1.0
+        )
+        monkeypatch.setattr(tracker, "_turned", lambda use, ahead, light=None: np.zeros((len(use), 1, 1)))
+        monkeypatch.setattr(
+            tracker,
+            "_align",
+            lambda use, rough, view: (
+                own,
+                rough,
+                np.full((ZONES, len(use)), 0.005),
+                np.ones((ZONES, len(use))),
+            ),
+        )
+        found = []
+        for count in counts:
+            angle = np.linspace(0.0, turns * TURN, count)
+            tracker._angle[:count] = angle
+            found.append(tracker.measure(count, angle))
+        return found, learnt, lights
+
+    @pytest.mark.parametrize(
+        ("counts", "learnt"),
+        [
+            ((47,), []),
+            ((48,), [48]),
+            ((48, 255), [48]),
+            ((48, 256), [48, 256]),
+            ((512, 30), [256]),
+            ((600,), [200]),
+        ],
+    )
+    def test_templates_are_learnt_first_from_48_frames_and_again_from_256(self, monkeypatch, counts, learnt):
+        """From 256 frames of a batch at most, equally spaced."""
+        assert self.measure(monkeypatch, *counts)[1] == learnt
+
+    def test_angles_continue_from_the_zero_of_the_first_templates(self, monkeypatch):
+        found, *_ = self.measure(monkeypatch, 300, 100, 300, 300)
+        for (seen, aligned), zero in zip(found, (0.0, 0.0, 0.1, 0.2), strict=True):
+            angle = np.linspace(0.0, 0.5 * TURN, len(seen.angle))
+            np.testing.assert_allclose(seen.angle, angle + zero + 0.002, atol=1e-9)
+            np.testing.assert_allclose(aligned.angle, angle + zero + 0.005, atol=1e-9)
+            np.testing.assert_allclose(aligned.slow, np.hypot(0.004, 0.003))
+            np.testing.assert_allclose(seen.slow, 0.004)
+        assert [set(aligned.own_view.tolist()) for _, aligned in found] == [{1.0}, {2.0}, {3.0}, {4.0}]
+
+    def test_an_unknown_view_is_that_of_the_markers(self, monkeypatch):
+        ((_, aligned),), *_ = self.measure(monkeypatch, 300, known=False)
+        assert not aligned.own_view.any()
+
+    @pytest.mark.parametrize(
+        ("turns", "slow", "lit"),
+        [(2.9, True, False), (3.1, False, False), (9.9, False, False), (10.1, False, True)],
+    )
+    def test_slow_batches_have_their_own_view_and_fast_ones_no_static_light(
+        self, monkeypatch, turns, slow, lit
+    ):
+        ((_, aligned),), _, lights = self.measure(monkeypatch, 300, turns=turns)
+        assert np.isfinite(aligned.angle).all() == slow
+        assert lights == ([(150, 3)] if lit else [])  # every second of 300 frames, from the order 3 on
+
+    @pytest.mark.parametrize(("off", "known"), [(4.9, True), (5.1, False), (-4.9, True), (-5.1, False)])
+    def test_frames_far_from_their_coarse_angle_are_not_measured(self, monkeypatch, off, known):
+        tracker = texture.TextureTracker((60.0, 50.0), 40.0, (120, 100), 100)
+        monkeypatch.setattr(texture, "_templates", lambda *_: self.Zones())
+        monkeypatch.setattr(tracker, "_turned", lambda use, ahead, light=None: np.zeros((len(use), 1, 1)))
+        angle = np.linspace(0.0, 4 * TURN, 100)
+        tracker._angle[:100] = angle
+        tracker._angle[7] += off * texture.STEP
+        seen, _ = tracker.measure(100, angle)
+        assert np.isfinite(seen.angle[7]) == known
+        assert np.isfinite(np.delete(seen.angle, 7)).all()
+        if known:  # the pictures are turned back by steps of 1/32 of a column
+            assert seen.angle[7] == pytest.approx(angle[7] + 0.002, abs=0.5 / 32 * texture.STEP + 1e-9)
+
+
+def test_the_derivative_along_the_radius_is_measured_in_each_eighth_frame():
+    tracker = texture.TextureTracker((60.0, 50.0), 40.0, (120, 100), 40)
+    frame = SimpleNamespace(y=np.tile(2 * np.arange(120), (100, 1)).astype(np.uint8))
+    angle = 0.1 * np.arange(20)
+    angle[10] = np.nan
+    tracker.take([frame] * 20, 6, angle)
+    assert sorted(tracker._slopes) == [8, 24]  # the body is lost in the frame 16
+    for k, slopes in tracker._slopes.items():
+        direction = angle[k - 6] + (np.arange(COLUMNS + 2 * MARGIN) - MARGIN) * TURN / COLUMNS
+        # of 2 grey levels per px to the right; rounding of both samples
+        assert np.abs(slopes.mean(axis=0) - 2.0 * np.cos(direction)).mean() < 0.25
+        assert np.corrcoef(slopes.mean(axis=0), np.cos(direction))[0, 1] > 0.97
