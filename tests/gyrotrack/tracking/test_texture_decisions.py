@@ -370,3 +370,85 @@ def test_the_derivative_along_the_radius_is_measured_in_each_eighth_frame():
         # of 2 grey levels per px to the right; rounding of both samples
         assert np.abs(slopes.mean(axis=0) - 2.0 * np.cos(direction)).mean() < 0.25
         assert np.corrcoef(slopes.mean(axis=0), np.cos(direction))[0, 1] > 0.97
+
+
+def test_a_single_zone_has_no_error():
+    turned = np.full((ZONES, 40), np.nan)
+    turned[3] = np.random.default_rng(0).standard_normal(40)
+    assert np.isinf(texture._zone_variances(turned)).all()
+    assert np.isinf(texture._zone_variances(np.full((ZONES, 40), np.nan))).all()
+
+
+class TestFits:
+    """The fit of a zone and the template, computed a second time with NumPy."""
+
+    THETA = np.arange(COLUMNS) * TURN / COLUMNS
+
+    def given(self, seed=0, count=7):
+        rng = np.random.default_rng(seed)
+        strips = rng.normal(100.0, 20.0, (count, ZONES * ROWS, COLUMNS)).astype(np.float32)
+        picture = rng.normal(100.0, 20.0, ROWS * COLUMNS).astype(np.float32)
+        basis = rng.normal(0.0, 9.0, (ROWS * COLUMNS, 3)).astype(np.float32)
+        weight = rng.uniform(0.5, 2.0, ROWS * COLUMNS).astype(np.float32)
+        return strips, picture, basis, weight
+
+    def test_changes_are_those_of_a_weighted_fit(self):
+        strips, picture, basis, weight = self.given()
+        parts, square = texture._fitted(strips, 3, picture, basis, weight)
+        root = np.sqrt(weight.astype(float))
+        for strip, found, left in zip(strips, parts, square, strict=True):
+            off = strip[3 * ROWS : 4 * ROWS].ravel().astype(float) - picture
+            expected = np.linalg.lstsq(basis * root[:, None], off * root, rcond=None)[0]
+            np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4)
+            assert left == pytest.approx(weight @ (off - basis @ expected) ** 2, rel=1e-4)
+
+    def test_residuals_are_averaged_over_the_used_frames(self):
+        strips, picture, basis, _ = self.given()
+        parts = np.random.default_rng(1).normal(0.0, 1.0, (7, 3))
+        used = np.array([True, False, True, True, False, True, True])
+        mean, square = texture._mean_residual(strips, 5, picture, basis, parts, used)
+        rest = strips[:, 5 * ROWS : 6 * ROWS].reshape(7, -1) - picture - parts @ basis.T
+        np.testing.assert_allclose(mean, rest[used].mean(axis=0), atol=1e-2)
+        np.testing.assert_allclose(square, (rest[used] ** 2).mean(axis=0), rtol=1e-3, atol=0.1)
+
+    def test_the_changes_of_a_picture_are_rotation_offset_and_gain(self):
+        picture = np.tile(50.0 + 30.0 * np.cos(2 * self.THETA), (ROWS, 1)).astype(np.float32)
+        weight = np.tile(1.0 + 0.5 * np.cos(2 * self.THETA), ROWS).astype(np.float32)
+        found = texture._basis(picture.ravel(), weight)
+        np.testing.assert_allclose(found[:, 0], np.tile(60.0 * np.sin(2 * self.THETA), ROWS), atol=1e-3)
+        np.testing.assert_array_equal(found[:, 1], 1.0)
+        # the weighted mean is 50 + 30 / 4
+        np.testing.assert_allclose(found[:, 2], picture.ravel() - 57.5, atol=1e-3)
+
+    def test_templates_have_the_mean_the_variance_and_the_moments_of_the_pictures(self):
+        rng = np.random.default_rng(2)
+        radius = np.linspace(20.0, 90.0, ZONES * ROWS)
+        base = (
+            100.0
+            + 30.0 * np.cos(3 * self.THETA)
+            + 12.0 * np.cos(2 * self.THETA + 0.4)
+            + 9.0 * np.sin(self.THETA)
+        )
+        across = (
+            -90.0 * np.sin(3 * self.THETA) - 24.0 * np.sin(2 * self.THETA + 0.4) + 9.0 * np.cos(self.THETA)
+        )
+        strips = (base + rng.normal(0.0, 2.0, (60, len(radius), COLUMNS))).astype(np.float32)
+        strips[3:6] += 60.0 * (self.THETA < 1.0)  # a hand
+        found = texture._templates(strips, radius)
+        for z in (0, 4, 7):
+            r = radius[ROWS * z : ROWS * (z + 1), None]
+            np.testing.assert_allclose(found.picture[z].reshape(ROWS, -1).mean(axis=0), base, atol=0.6)
+            assert found.variance[z].mean() == pytest.approx(4.0, rel=0.08)
+            # a weight is the area divided by the variance
+            size = np.repeat(r[:, 0] / radius.mean(), COLUMNS)
+            assert np.median(found.weight[z] * found.variance[z] / size) == pytest.approx(1.0, rel=0.1)
+            # of the weighted squares of the slope, which contains the noise of the template
+            information = (found.weight[z] * found.basis[z, :, 0] ** 2).reshape(ROWS, COLUMNS).astype(float)
+            total = information.sum()
+            first = np.sum(information / r * np.exp(-1j * self.THETA)) / total
+            second = np.sum(information * np.exp(-2j * self.THETA)) / total
+            assert found.first[z] == pytest.approx(first, rel=1e-4)
+            assert found.second[z] == pytest.approx(second, rel=1e-4)
+            # the typical weighted sum of squares is the number of samples, times their area
+            assert found.usual[z] == pytest.approx(size.sum(), rel=0.1)
+        assert not found.share.any()
