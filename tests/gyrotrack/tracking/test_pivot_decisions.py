@@ -110,12 +110,12 @@ class TestArc:
 
     @pytest.mark.parametrize(("off", "kept"), [(4.5, True), (5.6, False), (-4.5, True), (-5.6, False)])
     def test_an_outlier_is_beyond_five_robust_standard_deviations(self, off, kept):
-        angle = np.linspace(0.0, 6.0, 480)
-        radius = 50.0 + scatter(480, 0.1)
-        radius[200] = 50.0 + off * 1.4826 * 0.1
+        angle = np.linspace(0.0, 6.0, 240)
+        radius = 50.0 + scatter(240, 0.1)
+        radius[100] = 50.0 + off * 1.4826 * 0.1
         place = CENTRE + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         found, without = (
-            fit_arc(p, np.full(len(p), 0.1)).hub for p in (place, np.delete(place, 200, axis=0))
+            fit_arc(p, np.full(len(p), 0.1)).hub for p in (place, np.delete(place, 100, axis=0))
         )
         assert (np.hypot(*(found - without)) > 1e-4) is np.bool_(kept)
 
