@@ -449,3 +449,11 @@ class TestFits:
             # the typical weighted sum of squares is the number of samples, times their area
             assert found.usual[z] == pytest.approx(size.sum(), rel=0.2)
         assert not found.share.any()
+
+
+def test_the_least_variance_is_relative_to_the_least_difference():
+    common = 1e-3 * np.random.default_rng(1).standard_normal(4000)
+    nothing = np.full(4000, np.nan)
+    # the differences of zone 2 have the standard deviations 1 and 2 mrad, and its own error is 0
+    found = texture._zone_variances(np.stack([common, nothing, 0 * common, nothing, -2.0 * common]))
+    assert found[2] == pytest.approx(0.1 * 1e-6, rel=0.1)
