@@ -703,3 +703,32 @@ def test_the_markers_of_each_body_are_found_with_their_offsets(monkeypatch):
     assert doubts == ()
     assert markers["red"].contrast == pytest.approx((-15.0, 47.0))
     assert markers["blue"].contrast == pytest.approx((40.0, -20.0))
+
+
+@pytest.mark.parametrize(
+    ("noise", "outlier", "kept"),
+    [
+        (0.4, 2.8, True),
+        (0.4, 3.2, False),
+        (0.4, -2.8, True),
+        (0.4, -3.2, False),
+        (0.0, 2.8, True),  # of the least scatter, 0.2 px
+        (0.0, 3.2, False),
+    ],
+)
+def test_outliers_of_radii_are_beyond_three_standard_deviations(monkeypatch, noise, outlier, kept):
+    """The residuals of 80 radii have the median absolute value of the noise; one is displaced."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    errors = noise * np.where(np.arange(40) // 2 % 2, 1.0, -1.0)
+    scatter = max(1.4826 * noise, 0.2)
+    radii = [r + 3.0 * np.cos(angle) + 2.0 * np.sin(angle) + errors for r in (40.0, 47.0)]
+    radii[0][7] = 40.0 + 3.0 * np.cos(angle[7]) + 2.0 * np.sin(angle[7]) + 1.07 * outlier * scatter
+    markers = [_seen(angle.copy()), _seen(angle.copy())]
+    monkeypatch.setattr(module, "_radii", lambda _, seen: radii[0] if seen is markers[0] else radii[1])
+    rows = np.zeros((80, 4))
+    rows[:, 0], rows[:, 1] = np.tile(np.cos(angle), 2), np.tile(np.sin(angle), 2)
+    rows[:40, 2] = rows[40:, 3] = 1.0
+    use = np.ones(80, bool)
+    use[7] = kept
+    x, y, *_ = np.linalg.lstsq(rows[use], np.concatenate(radii)[use], rcond=None)[0]
+    assert orbit_offset(None, markers) == pytest.approx((x, -y), abs=1e-9)

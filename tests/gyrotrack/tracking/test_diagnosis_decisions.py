@@ -639,3 +639,137 @@ def test_a_body_without_an_axle_is_explained_by_the_rotation_about_its_path(chan
         assert result.way == "features"
         assert len(result.warnings) == 1
     assert len(_featured(monkeypatch, selected=33).warnings) == 2
+
+
+def _film_of(count):
+    return SimpleNamespace(
+        some=lambda index: [int(i) for i in index],
+        path=SimpleNamespace(name="film"),
+        __len__=lambda self: count,
+    )
+
+
+@pytest.mark.parametrize(
+    ("off", "least", "refused"), [(0.5, 0.49, True), (0.5, 0.5, True), (0.5, 0.51, False), (None, 0.1, False)]
+)
+def test_a_camera_that_moves_is_refused_from_a_residual_on(off, least, refused, monkeypatch):
+    monkeypatch.setattr(module, "camera_motion", lambda *_: off and (3.0, 0.8, off))
+    usable = 10 * np.arange(31)
+    if not refused:
+        module.refuse_moving_camera(_film_of(400), usable, [], SHAPE, least)
+        return
+    with pytest.raises(RefusedFilmError, match=r"80 % of the features move together by 3\.0 px") as error:
+        module.refuse_moving_camera(_film_of(400), usable, [], SHAPE, least)
+    assert error.value.evidence == {"step_px": 3.0, "share": 0.8, "no_hub": 0.5}
+    assert error.value.frames == (0, 100, 200, 300)
+    assert error.value.kind == "moving camera"
+
+
+@pytest.mark.parametrize(
+    ("change", "kind"),
+    [
+        ({}, "two bodies"),
+        ({"hubs": (0j, 5 + 0j), "places": (40 + 0j, 65 + 0j)}, None),  # coaxial
+        ({"spread": (1.0, 20.0)}, None),  # a hub moves
+        ({"spread": (1.0, 20.0), "joined": True}, "two links"),
+        ({"spread": (20.0, 20.0), "joined": True}, None),
+        ({"joined": True}, "two bodies"),
+    ],
+)
+def test_two_bodies_are_refused_unless_they_share_a_hub_or_one_hub_moves(change, kind, monkeypatch):
+    monkeypatch.setattr(module, "two_motions", lambda _: _two(**change))
+    if kind is None:
+        module.refuse_two_motions("film", [], [1, 2])
+        return
+    with pytest.raises(RefusedFilmError) as error:
+        module.refuse_two_motions("film", [], [1, 2])
+    assert (error.value.kind, error.value.hub, error.value.frames) == (kind, (0.0, 0.0), (1, 2))
+    assert error.value.evidence == {"share": 0.6, "other_share": 0.4, "ratio": 2.0}
+    assert ("--hub 0,0 or --hub 0,100" in error.value.hint) == (kind == "two bodies")
+    monkeypatch.setattr(module, "two_motions", lambda _: None)
+    module.refuse_two_motions("film", [], [])
+
+
+def test_a_hint_is_added_to_the_message():
+    error = RefusedFilmError("What.", "First.", kind="cut", evidence={})
+    error.add_hint("Second.")
+    assert error.hint == "First. Second."
+    assert str(error) == "What. First. Second."
+    assert (error.frames, error.hub) == ((), None)
+
+
+def test_a_film_has_enough_different_frames_of_one_shot(monkeypatch):
+    refused = []
+    monkeypatch.setattr(module, "refuse_cut", lambda *given: refused.append(given[1]))
+    for count in (module.FEWEST_FRAMES - 1, module.FEWEST_FRAMES):
+        usable = np.arange(count)
+        monkeypatch.setattr(module, "fresh_frames", lambda _, usable=usable: usable)
+        if count < module.FEWEST_FRAMES:
+            with pytest.raises(TrackingError, match=f"only {count} different frames"):
+                module.frames_of_one_shot(_film_of(count))
+        else:
+            assert module.frames_of_one_shot(_film_of(count)) is usable
+    assert len(refused) == 1
+
+
+FAR = 20.0 * np.exp(1j * np.arange(80.0)) * (1.0 + np.arange(80) / 80.0)
+
+
+def _shares(first, second, strays=0):
+    """Features of two bodies, 20 to 40 px from their hubs, and others that move on their own."""
+    one, two = 60 + 60j + FAR[:first], 200 + 60j + FAR[:second]
+    own = [(np.array([300.0 + 9 * k + 0j]), 0j, 0.0, (5.0 + 9.0 * k) * 1j) for k in range(strays)]
+    return [_pair((one, 60 + 60j, 0.2, 0.0), (two, 200 + 60j, -0.15, 0.0), *own)] * 4
+
+
+@pytest.mark.parametrize(
+    ("pairs", "found"),
+    [
+        (_shares(48, 15), False),  # 24 % of the features
+        (_shares(48, 17), True),
+        (_shares(40, 15, 17), False),  # less than half of the others
+        (_shares(40, 17, 15), True),
+    ],
+)
+def test_a_second_body_has_a_quarter_of_the_features_and_half_of_the_others(pairs, found):
+    result = two_motions(pairs)
+    assert (result is not None) == found
+    if found:
+        assert result.hubs == (pytest.approx(60 + 60j, abs=0.1), pytest.approx(200 + 60j, abs=0.1))
+        moves = len(pairs[0].place)
+        assert result.shares == pytest.approx(
+            (len([z for z in pairs[0].place if z.real < 110]) / moves, 17 / moves)
+        )
+
+
+@pytest.mark.parametrize(("turn", "found"), [(0.0018, False), (0.0022, True), (-0.0022, True)])
+def test_each_of_two_bodies_turns_by_two_milliradians(turn, found):
+    far = 60.0 * FAR[:30]  # 1200 px and more
+    pairs = [_pair((far, 0j, 0.1, 0.0), (5000 + far, 5000 + 0j, turn, 0.0))] * 3
+    assert (two_motions(pairs) is not None) == found
+
+
+def test_a_joint_is_searched_from_the_hub_that_moves_less(monkeypatch):
+    asked = []
+    monkeypatch.setattr(module, "share_a_joint", lambda *given: asked.append(given) or True)
+    pairs = []
+    for k in range(4):
+        moved = 200 + 60j + 9.0 * k
+        pairs.append(_pair((60 + 60j + FAR[:40], 60 + 60j, 0.2, 0.0), (moved + FAR[:30], moved, -0.15, 0.0)))
+    for _ in range(2):
+        assert two_motions(pairs).joined
+        hub, first, second = asked.pop()
+        assert hub == pytest.approx(60 + 60j, abs=0.1)
+        np.testing.assert_allclose(np.angle(first[:, 0]), 0.2, atol=1e-3)
+        np.testing.assert_allclose(np.angle(second[:, 0]), -0.15, atol=1e-3)
+        np.testing.assert_allclose(
+            second[:, 1] / (1 - second[:, 0]), 200 + 60j + 9.0 * np.arange(4), atol=0.1
+        )
+        # the moving body may have most of the features
+        pairs = [
+            _pair(
+                (200 + 60j + 9.0 * k + FAR[:40], 200 + 60j + 9.0 * k, -0.15, 0.0),
+                (60 + 60j + FAR[:30], 60 + 60j, 0.2, 0.0),
+            )
+            for k in range(4)
+        ]

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gyrotrack import TrackingError
 from gyrotrack.tracking import _first_look, _silhouettes
 from gyrotrack.tracking._first_look import FirstLook, follow_long_body, hub_of
 from gyrotrack.tracking._hub_search import Motion
@@ -288,3 +289,73 @@ def test_three_parts_from_a_third_of_the_radius_of_the_largest_may_be_the_body(m
     frames = _discs(_arc((80.0, -120.0), 180.0, 0.3, 5))
     assert compact_body(frames, np.full(SHAPE, 150.0, np.float32), 1.0) is not None
     assert asked == [(pytest.approx(0.35), 3)] * 5
+
+
+@pytest.mark.parametrize(("missing", "looked"), [(1, False), (0, True)])
+def test_a_film_of_enough_frames_is_looked_at(monkeypatch, missing, looked):
+    asked = []
+    seen = SimpleNamespace(background=np.zeros((30, 40)), few="few", noise=1.5, body="body")
+    usable = np.arange(_first_look.FEWEST_FRAMES - missing)
+    monkeypatch.setattr(_first_look, "fresh_frames", lambda _: usable)
+    monkeypatch.setattr(_first_look.Foreground, "of", lambda film, index: asked.append((film, index)) or seen)
+    monkeypatch.setattr(_first_look, "long_tilted_body", lambda *given: given)
+    found = _first_look.first_look("film")
+    if looked:
+        ((film, index),) = asked
+        assert (film, len(index)) == ("film", len(usable))
+        assert (found.shape, found.compact, found.seen) == ((30, 40), "body", seen)
+        assert (found.long[0], found.long[2]) == ("few", 1.5)
+        assert found.long[1] is seen.background
+    else:
+        assert found == FirstLook((0, 0))
+        assert asked == []
+
+
+def _followed(monkeypatch, *, shown=1.0, orbit=True):
+    """Follow a long body whose axis changes its sense from frame to frame; return what is fitted and the result."""
+    count = 50
+    angle = 0.1 * np.arange(count)
+    half = 30.0 * np.stack([np.cos(angle), 0.6 * np.sin(angle)], axis=1)
+    sense = np.where(np.arange(count) % 3 == 1, -1.0, 1.0)
+    centroid = np.array([70.0, 50.0]) + 0.2 * half
+    asked = []
+
+    def axis(k):
+        return (centroid[k], sense[k] * half[k], 6.0 + (k % 3)) if k < shown * count else None
+
+    def about_pivot(path, name):
+        asked.append(path)
+        return found
+
+    found = SimpleNamespace(orbit="orbit" if orbit else None, warnings=("own",), way="")
+    monkeypatch.setattr(_first_look, "fresh_frames", lambda _: np.arange(count) + 5)
+    monkeypatch.setattr(_first_look, "about_pivot", about_pivot)
+    monkeypatch.setattr(_first_look, "replace", lambda old, **new: SimpleNamespace(**{**vars(old), **new}))
+    film = SimpleNamespace(
+        frames=lambda: iter(range(-5, count)), path=SimpleNamespace(name="rod.mp4"), warnings=("film",)
+    )
+    return follow_long_body(film, SimpleNamespace(axis=axis)), asked[0], half
+
+
+def test_the_end_of_a_long_body_is_followed_although_its_axis_has_no_sense(monkeypatch):
+    found, path, half = _followed(monkeypatch)
+    np.testing.assert_allclose(path.place, np.array([70.0, 50.0]) + half, atol=1e-9)
+    np.testing.assert_array_equal(path.frame, 5 + np.arange(50))
+    np.testing.assert_allclose(path.covariance, np.tile(0.09 * np.eye(2), (50, 1, 1)))
+    assert (path.radius, path.searched, path.turns) == (3.5, 50, True)
+    assert found.warnings[:2] == ("film", "own")
+    assert len(found.warnings) == 3
+
+
+@pytest.mark.parametrize(("shown", "refused"), [(0.78, True), (0.8, False)])
+def test_a_long_body_is_seen_in_four_fifths_of_the_frames(monkeypatch, shown, refused):
+    if refused:
+        with pytest.raises(TrackingError, match="seen in 39 of 50 frames only"):
+            _followed(monkeypatch, shown=shown)
+    else:
+        assert len(_followed(monkeypatch, shown=shown)[1].frame) == 40
+
+
+def test_the_ends_of_a_long_body_must_be_on_an_ellipse(monkeypatch):
+    with pytest.raises(TrackingError, match="not on one ellipse"):
+        _followed(monkeypatch, orbit=False)

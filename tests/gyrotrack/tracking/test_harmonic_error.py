@@ -213,3 +213,67 @@ class TestChangeWithSpeed:
     def test_higher_orders_do_not_count(self, order):
         angle, speed, _ = self.seen(3e-3, order=order)
         assert np.abs(change_with_speed(angle, FPS, speed > FAST).angle).max() < 0.3e-3
+
+
+class TestLimits:
+    """Amplitudes are given; their noise has a variance of 1."""
+
+    def error(self, monkeypatch, amplitudes, *, variance=1.0):
+        """Return the error for amplitudes (2, batches) of each order."""
+        found = {}
+        for order, each in amplitudes.items():
+            count = each.shape[1]
+            rows = [*each, np.full(count, variance), np.linspace(40.0, 100.0, count)]
+            found[order] = np.stack(rows, axis=1)
+        monkeypatch.setattr(_harmonics, "_amplitudes", lambda _: found)
+        return harmonic_error(np.zeros(1))
+
+    def with_mean(self, mean, count):
+        """Return amplitudes whose halved squared length exceeds the noise by a mean per batch."""
+        size = np.sqrt(2.0 * (1.0 + mean) / 1.25)
+        return size * np.stack([np.ones(count), 0.5 * np.ones(count)])
+
+    @pytest.mark.parametrize(("mean", "stated"), [(0.95, False), (1.05, True)])
+    def test_an_error_exceeds_three_standard_deviations_of_the_noise(self, monkeypatch, mean, stated):
+        """In nine batches, three times 1 / sqrt(9)."""
+        found = self.error(monkeypatch, {3: self.with_mean(mean, 9)})
+        assert found == pytest.approx(np.sqrt(mean) if stated else 0.0)
+
+    def test_the_largest_error_of_all_orders_is_stated(self, monkeypatch):
+        amplitudes = {5: self.with_mean(2.0, 9), 3: self.with_mean(4.0, 9), 7: self.with_mean(0.1, 9)}
+        assert self.error(monkeypatch, amplitudes) == pytest.approx(2.0)
+
+    @pytest.mark.parametrize(
+        ("order", "batches", "known"), [(3, 2, 0), (3, 3, 1), (2, 6, 0), (2, 7, 1), (1, 6, 0)]
+    )
+    def test_three_batches_beyond_the_laws_of_the_speed_are_needed(self, monkeypatch, order, batches, known):
+        wave = 90.0 * np.stack([np.tile([1.0, -1.0], 4)[:batches]] * 2)
+        assert (self.error(monkeypatch, {order: wave}) > 0.0) == bool(known)
+
+    @pytest.mark.parametrize(("mean", "stated"), [(1.15, False), (1.25, True)])
+    def test_the_residuals_of_four_laws_have_four_degrees_of_freedom_less(self, monkeypatch, mean, stated):
+        """In 13 batches, the limit is 3 sqrt(13) / 9 = 1.20."""
+        speed = np.linspace(0.4, 1.0, 13)
+        laws = np.stack([speed**power for power in (0.0, 1.0, 2.0, -2.0)], axis=1)
+        beside = np.linalg.qr(np.column_stack([laws, speed**5.0]))[0][:, 4]
+        wave = np.sqrt(9.0 * (1.0 + mean)) * np.stack([beside, beside]) + 30.0 * laws[:, 2]
+        found = self.error(monkeypatch, {1: wave})
+        assert found == pytest.approx(np.sqrt(mean) if stated else 0.0, rel=1e-3)
+
+
+def test_batches_with_an_unknown_angle_do_not_count():
+    angle = turning(1e-3, count=6 * 512)
+    angle[3 * 512 + 100] = np.nan
+    found = _harmonics._amplitudes(angle)
+    assert all(len(each) == 5 for each in found.values())
+    assert np.isfinite(np.concatenate(list(found.values()))).all()
+    # whole batches only
+    assert len(_harmonics._amplitudes(turning(count=3 * 512)[:-1])[3]) == 2
+
+
+def test_amplitudes_are_those_of_cosine_and_sine_with_the_turn_of_the_batch():
+    psi = 0.37 * np.arange(512)
+    found = _harmonics._amplitudes(psi + 2e-3 * np.cos(5 * psi) - 1e-3 * np.sin(5 * psi))[5]
+    np.testing.assert_allclose(found[0, :2], [2e-3, -1e-3], rtol=0.02)
+    assert found[0, 3] == pytest.approx(0.37 * 511, rel=1e-3)
+    assert _harmonics._amplitudes(-psi)[5][0, 3] == pytest.approx(0.37 * 511)

@@ -476,3 +476,54 @@ def test_an_ellipse_of_the_moving_area_shows_a_tilt(ratio, proposed):
         # the long axis has the direction (0.8, 0.6): twice its angle has (0.28, 0.96)
         assert found.stretch == pytest.approx((0.28 * size, 0.96 * size), abs=0.01)
         assert found.hub == pytest.approx((160.0, 120.0), abs=0.5)
+
+
+def test_a_correction_is_the_fit_of_the_radii_in_a_window_about_each_frame():
+    """Computed frame by frame: weights 1 - (k / 19)^2, outliers limited to four standard deviations, and the prior."""
+    rng = np.random.default_rng(0)
+    count = 70
+    frame = np.arange(count)
+    markers = []
+    for noise, first in ((0.3, 0.0), (0.6, 2.0)):
+        excess = noise * rng.standard_normal(count)
+        excess[11] += 5.0
+        excess[40:43] = np.nan
+        markers.append(Radii(first + 0.2 * frame, excess))
+    before = CentrePath(np.tile([100.0, 50.0], (count, 1)) + 0.1 * frame[:, None], np.full(count, 0.09), 7)
+    before.sigma[5], before.sigma[60] = np.nan, 0.03
+    found = refine_centre(before, markers)
+    centre, sigma = np.empty((count, 2)), np.empty(count)
+    for t in frame:
+        normal, right = np.eye(2) / 0.1**2, np.zeros(2)
+        for one in markers:
+            known = np.isfinite(one.excess)
+            scatter = 1.4826 * np.median(np.abs(one.excess[known]))
+            for k in frame[known & (np.abs(frame - t) <= 18)]:
+                outwards = np.array([np.cos(one.direction[k]), -np.sin(one.direction[k])])
+                weight = (1.0 - ((k - t) / 19.0) ** 2) / scatter**2
+                normal += weight * np.outer(outwards, outwards)
+                right -= weight * np.clip(one.excess[k], -4 * scatter, 4 * scatter) * outwards
+        centre[t] = before.centre[t] - np.linalg.solve(normal, right)
+        sigma[t] = min(np.hypot(np.sqrt(0.5 * np.trace(np.linalg.inv(normal))), 0.4 * 0.05), before.sigma[t])
+    np.testing.assert_allclose(found.centre, centre, atol=1e-6)
+    np.testing.assert_allclose(np.delete(found.sigma, 5), np.delete(sigma, 5), rtol=1e-6)
+    assert np.isnan(found.sigma[5])
+    assert found.reach == 7
+
+
+def test_a_wandering_centre_has_the_knots_of_its_linear_model():
+    """Displacements that are linear between knots a turn apart, and a flattening, are found again."""
+    count, turns = 400, 8.5
+    theta = np.linspace(0.0, turns * TURN, count)
+    knots = np.random.default_rng(2).normal(0.0, 0.4, (8, 2))
+    at = np.linspace(0, count - 1, 8)
+    path = np.stack([np.interp(np.arange(count), at, k) for k in knots.T], axis=1) + np.array([100.0, 80.0])
+    radius = 50.0 * (1.0 + 0.004 * np.cos(2 * theta) - 0.003 * np.sin(2 * theta))
+    place = path + radius[:, None] * np.stack([np.cos(theta), -np.sin(theta)], axis=1)
+    found = wandering_centre(place, np.ones(count, bool), np.array([100.5, 79.5]))
+    assert np.abs(found.centre - path).max() < 0.02
+    assert found.reach == 400 // 7
+    still = wandering_centre(place, np.ones(count, bool), np.array([100.5, 79.5]), still=True)
+    assert np.ptp(still.centre, axis=0).max() == 0.0
+    assert still.sigma[0] > 10 * found.sigma[0]
+    assert still.reach == 400

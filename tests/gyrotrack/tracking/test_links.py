@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from gyrotrack.tracking import _links
 from gyrotrack.tracking._links import carries_a_link, move_as_links, one_rests, paths_of, share_a_joint
 from gyrotrack.tracking._registration import Ring
-from gyrotrack.tracking._silhouettes import Foreground, differs, median_picture, spots_in
+from gyrotrack.tracking._silhouettes import Foreground, Spot, differs, median_picture, spots_in
 
 TIME = np.arange(60) / 30
 FIRST = 0.7 * np.cos(4.0 * TIME)
@@ -146,3 +147,50 @@ def test_parts_that_appear_and_stay_are_not_moving_bodies(count, extent, rests):
     paths[:, 0, 0] = np.linspace(0.0, 20.0, count)
     paths[:, 1, 1] = np.linspace(0.0, extent, count)
     assert one_rests(paths) == rests
+
+
+def _followed(monkeypatch, places, radii=(5.0, 5.0)):
+    """Return the paths of two bodies; `places` are those of the parts of each frame (x of the row 10)."""
+    shown = iter(places[1:])
+    monkeypatch.setattr(_links, "differs", lambda *_: None)
+    monkeypatch.setattr(
+        _links,
+        "spots_in",
+        lambda *_: [Spot((float(x), 10.0), 5.0, np.ones((3, 3), np.uint8)) for x in next(shown)],
+    )
+    spots = tuple(
+        Spot((float(x), 10.0), r, np.ones((3, 3), np.uint8)) for x, r in zip(places[0], radii, strict=True)
+    )
+    return _links.paths_of(places, Foreground([], None, 1.0), spots)[..., 0]
+
+
+@pytest.mark.parametrize(
+    ("places", "found"),
+    [
+        # within two radii of the extrapolation of the last step
+        ([(0, 100), (9.9, 100), (29.7, 100)], [(0, 100), (9.9, 100), (29.7, 100)]),
+        ([(0, 100), (10.1, 100)], [(0, 100)]),
+        ([(0, 100), (9.9, 100), (9.7, 100)], [(0, 100), (9.9, 100)]),
+        ([(0, 100), (100, 9.0)], [(0, 100), (9, 100)]),
+        ([(0, 100), (4, 92), (8, 84)], [(0, 100), (4, 92), (8, 84)]),
+        # the reach grows by two radii with each frame; after a gap, the step is that of one frame
+        ([(0, 100), (4, 100), (), (31.9, 100)], [(0, 100), (4, 100), (31.9, 100)]),
+        ([(0, 100), (4, 100), (50,), (32.1, 100)], [(0, 100), (4, 100)]),
+        ([(0, 100), (4, 100), (), (12, 100), (25.9, 100)], [(0, 100), (4, 100), (12, 100), (25.9, 100)]),
+        ([(0, 100), (4, 100), (), (12, 100), (26.1, 100)], [(0, 100), (4, 100), (12, 100)]),
+        ([(0, 100), (4, 100), (), (), (16, 100)], [(0, 100), (4, 100), (16, 100)]),
+        ([(0, 100), (4, 100), (), (), (), (4, 100)], [(0, 100), (4, 100)]),
+    ],
+)
+def test_bodies_are_near_the_extrapolation_of_their_last_step(places, found, monkeypatch):
+    np.testing.assert_allclose(_followed(monkeypatch, places), found)
+
+
+def test_each_body_has_its_own_reach(monkeypatch):
+    assert len(_followed(monkeypatch, [(0, 100), (9, 100)], (4.0, 9.0))) == 1
+    assert len(_followed(monkeypatch, [(0, 100), (0, 109)], (4.0, 5.0))) == 2
+
+
+def test_equal_parts_are_one_part(monkeypatch):
+    """Both bodies nearest to one of two parts."""
+    assert len(_followed(monkeypatch, [(0, 8), (4, 100)])) == 1

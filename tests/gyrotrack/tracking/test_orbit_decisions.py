@@ -305,3 +305,100 @@ def test_an_arc_selects_between_two_expected_offsets():
     found = flattening_of_arc(NO_FLATTENING, {"x": v[:5]}, np.array([[1.0, 0.5], [-3.0, 0.5]]), 0.3, 0.1)
     assert found.offset["x"] == pytest.approx((-1.0, 0.5))
     np.testing.assert_allclose(found.offset_covariance["x"], [[4.09, 0.0], [0.0, 0.09]], atol=1e-12)
+
+
+def _spiked(off):
+    """Return 240 angles, and residuals of +-0.1 px of which one is `off` times their robust standard deviation."""
+    theta = np.linspace(0.0, 2.0 * np.pi, 240, endpoint=False)
+    noise = np.where(np.arange(240) // 2 % 2, 0.1, -0.1)
+    noise[70] = off * 1.4826 * 0.1
+    return theta, noise
+
+
+@pytest.mark.parametrize(("off", "kept"), [(3.7, True), (4.3, False), (-3.7, True), (-4.3, False)])
+def test_outliers_of_orbits_are_beyond_four_robust_standard_deviations(off, kept):
+    theta, noise = _spiked(off)
+    use = np.ones(240, dtype=bool)
+    use[70] = kept
+    design = np.stack(
+        [np.ones(240), np.cos(theta), np.sin(theta), 50 * np.cos(2 * theta), 50 * np.sin(2 * theta)]
+    )
+    # the size of the offset itself does not matter
+    value = noise + np.array([3.0, 2.0, -9.0, 0.01, 0.02]) @ design
+    expected = np.linalg.lstsq(design[:, use].T, value[use], rcond=None)[0]
+    found = _orbit._robust([(design, value)])
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    both = _orbit._robust([(design, value), (design, value + 1.0)], common=True)
+    np.testing.assert_allclose(both, [expected[0], expected[0] + 1.0, *expected[1:]], rtol=1e-7)
+
+
+@pytest.mark.parametrize(("off", "kept"), [(3.7, True), (4.3, False), (-3.7, True), (-4.3, False)])
+def test_outliers_of_radii_are_beyond_four_robust_standard_deviations(off, kept):
+    theta, noise = _spiked(off)
+    use = np.ones(240, dtype=bool)
+    use[70] = kept
+    waves = [f(k * theta) for k in range(1, 7) for f in (np.cos, np.sin)]
+    design = np.stack([np.ones(240), *waves], axis=1)
+    radius = 70.0 + noise + 0.5 * np.cos(3 * theta)
+    value = radius - np.median(radius)
+    normal = design[use].T @ design[use] + 0.04 * np.eye(13)
+    expected = np.linalg.solve(normal, design[use].T @ value[use])[5:]
+    np.testing.assert_allclose(higher_harmonics(theta, radius), expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("off", "kept"), [(3.8, True), (4.2, False)])
+def test_outliers_of_an_arc_are_beyond_four_standard_deviations(off, kept):
+    """Of the errors of its independent places, here of the usual error alone."""
+    theta = np.linspace(0.0, 2.0 * np.pi, 1200, endpoint=False)
+    rho = np.full(1200, 100.0)
+    scatter = np.sqrt(4.0 * 0.5**2 / (4.0 + 12.0 - 3.0))
+    rho[0] += off * scatter
+    offset, covariance, evidence = _orbit._arc(
+        rho[:, None] * np.stack([np.cos(theta), np.sin(theta)], axis=1), 0.6, 0.5
+    )
+    weight = 1.0 / (100.0 * scatter**2)
+    pull = weight * off * scatter if kept else 0.0
+    assert offset[0] == pytest.approx(pull / (600.0 * weight + 0.6**-2), rel=0.02, abs=1e-9)
+    assert covariance[1, 1] == pytest.approx(1.0 / (600.0 * weight + 0.6**-2), rel=0.01)
+    # the residual of an outlier is limited
+    assert evidence == pytest.approx(-0.5 * weight * (min(off, 4.0) * scatter) ** 2, rel=0.02)
+
+
+def test_long_series_are_thinned_before_a_fit():
+    theta = np.linspace(0.0, 2.0 * np.pi, 6000, endpoint=False)
+    seen = _ellipse(theta, 60.0, (2.0, -1.0), 0.0, 0.0)
+    spoilt = seen.copy()
+    spoilt[1::3] += 5.0  # every third position is used
+    for fit in (fit_flattening, fit_common_offset):
+        np.testing.assert_allclose(fit({"a": spoilt}).offset["a"], (2.0, -1.0), atol=1e-3)
+    short = _ellipse(theta[::2], 60.0, (2.0, -1.0), 0.0, 0.0)
+    short[1::3] += 5.0  # all of 3000 positions are used
+    assert np.abs(np.array(fit_flattening({"a": short}).offset["a"]) - (2.0, -1.0)).max() > 0.05
+
+
+@pytest.mark.parametrize(("cover", "found"), [(0.47, False), (0.53, True)])
+def test_the_orbit_about_a_hub_has_the_radius_of_each_group(cover, found):
+    points = np.concatenate(
+        [_at(50.0, np.linspace(1.0, 1.0 + cover, 9)), _at(70.0, np.linspace(1.0, 1.0 + cover, 7))]
+    )
+    orbit = orbits_about(points, np.repeat([0, 3], [9, 7]), (100.0, 80.0))
+    assert (orbit is not None) == found
+    if found:
+        assert orbit.radii == pytest.approx({0: 50.0, 3: 70.0})
+        assert (orbit.inliers, orbit.centre) == (16, (100.0, 80.0))
+
+
+def test_groups_of_two_points_do_not_determine_a_centre():
+    angle = 0.1 + np.arange(5) * 1.2
+    points = np.concatenate([_at(50.0, angle), [[3.0, 4.0], [9.0, 150.0]]])
+    found = common_centre(points, np.array([1, 1, 1, 1, 1, 0, 0]), trials=60)
+    np.testing.assert_allclose(found.centre, CENTRE, atol=1e-6)
+    assert list(found.radii) == [1]
+    assert found.inliers == 5
+
+
+def test_concentric_circles_may_be_fitted_with_gaps_in_their_labels():
+    points = np.concatenate([_at(50.0, np.linspace(0, 2, 8)), _at(30.0, np.linspace(3, 5, 6))])
+    centre, radii = _orbit.fit_common_centre(points, np.repeat([4, 1], [8, 6]))
+    np.testing.assert_allclose(centre, CENTRE)
+    assert radii == pytest.approx({1: 30.0, 4: 50.0})

@@ -46,6 +46,56 @@ def test_a_profile_survives_toml(tmp_path):
     assert load(path) == profile
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"circle_colour": "blue"},
+        {"circle_hue": 12.5},
+        {"hub": (320.5, 239.25)},
+        {"capture_fps": 959.5},
+        {"sense": -1},
+        {"sense": 1},
+        {"wander": True},
+        {"wander": False},
+        {"tilt_correction": False},
+        {"centre": "orbit"},
+        {"name": "back\\slash"},
+    ],
+)
+def test_each_setting_is_written_and_read(given):
+    markers = [
+        {"name": "one", "colour": "cyan", "body": "rotor", "hue": 281.5, "mount_angle": -0.25},
+        {"name": "two", "colour": "red", "body": "casing"},
+    ]
+    profile = Profile.model_validate({"marker": markers} | given)
+    text = to_toml(profile)
+    assert parse(tomllib.loads(text), "text") == profile
+    # settings with their default values are not written
+    settings = set(tomllib.loads(text)) - {"name", "centre", "marker"}
+    assert settings == set(given) - {"name", "centre"}
+    assert [m.name for m in profile.of("casing")] == ["two"]
+    assert [m.name for m in profile.of("rotor")] == ["one"]
+
+
+@pytest.mark.parametrize(
+    ("colours", "accepted"),
+    [
+        ((("red", "casing"), ("red", "rotor")), True),
+        ((("red", "casing"), ("red", "casing")), False),
+        ((("white", "casing"), ("red", "rotor")), False),
+        ((("red", "casing"), ("white", "rotor")), False),
+        ((("white", "rotor"), ("blue", "rotor")), True),
+    ],
+)
+def test_markers_of_a_body_have_different_colours_and_one_that_is_not_white(colours, accepted):
+    markers = [{"name": f"m{k}", "colour": c, "body": b} for k, (c, b) in enumerate(colours)]
+    if accepted:
+        assert len(parse({"marker": markers}, "text").marker) == 2
+    else:
+        with pytest.raises(ProfileError):
+            parse({"marker": markers}, "text")
+
+
 def test_a_mount_angle_and_a_hue_of_zero_are_not_unknown():
     marker = {"name": "one", "colour": "red", "body": "rotor", "mount_angle": 0.0, "hue": 0.0}
     profile = Profile.model_validate({"name": "a", "centre": "orbit", "circle_hue": 0.0, "marker": [marker]})

@@ -280,3 +280,138 @@ def test_a_hub_is_a_fixed_fraction_of_the_axis_from_the_centroid():
     half = 20.0 * np.stack([np.cos(angle), 0.6 * np.sin(angle)], axis=1)
     np.testing.assert_allclose(hub_of(np.array([50.0, 40.0]) - 0.3 * half, half), [50.0, 40.0])
     assert not FirstLook((9, 9)).pendulum
+
+
+def _pieces(*parts, level=100.0):
+    """Draw horizontal bars of 9 px about the row 60, each from and to a column, with a level."""
+    frame = np.full((120, 160), 120.0)
+    for first, last, *own in parts:
+        frame[56:65, first:last] = 120.0 + (own[0] if own else level)
+    return np.rint(frame).astype(np.uint8)
+
+
+def _axis(*parts):
+    return LongBody("light", GREY, 5.0).axis(_pieces(*parts))
+
+
+@pytest.mark.parametrize(("gap", "long"), [(14, True), (22, False)])
+def test_the_parts_of_a_long_body_fill_most_of_its_ellipse(gap, long):
+    """A bar of 100 x 9 px without 15 px in the middle has a ratio of 1.34, without 20 px a ratio of 1.46."""
+    found = _axis((30, 80 - gap // 2), (80 + gap // 2, 130))
+    assert (found is not None) == long
+    if long:
+        assert found[0] == pytest.approx((79.5, 60.0), abs=0.5)
+        assert np.abs(found[1]) == pytest.approx((math.sqrt((100**3 - 14**3) / (4 * 86)), 0.0), abs=0.6)
+
+
+@pytest.mark.parametrize(("length", "used"), [(10, False), (17, True)])
+def test_a_piece_has_a_fifth_of_the_area_of_the_largest(length, used):
+    centre, half, _ = _axis((20, 85), (90, 90 + length))
+    assert centre[0] == pytest.approx(52.0 + 0.5 * (5 + length) * used, abs=4.0)
+    assert (np.abs(half[0]) > 38.0) == used
+
+
+@pytest.mark.parametrize(("level", "used"), [(45.0, False), (55.0, True)])
+def test_a_silhouette_is_brighter_than_half_of_the_body(level, used):
+    centre, half, width = _axis((30, 90), (90, 110, level))
+    # the blurred edge of the fainter part is below the limit
+    assert np.abs(half[0]) == pytest.approx(38.5 if used else 30.0, abs=1.0)
+    assert centre[0] == pytest.approx(68.0 if used else 59.5, abs=1.0)
+    assert width == pytest.approx(9.0, abs=0.9)
+
+
+def test_twenty_pixels_show_a_long_body():
+    # after blurring, 15, 21 and 27 pixels differ, and 9, 15 and 21 belong to the body
+    for length, seen in ((3.0, False), (5.0, False), (6.0, True)):
+        assert (LongBody("light", GREY, 5.0).axis(_bar(length, 1.0, 0.0, 120.0)) is not None) == seen
+
+
+def _tilted(monkeypatch, *, tilt=0.8, scatter=0.0, range_=3.0, seen=1.0, side="dark"):
+    """Return the long body of 20 frames whose half axes are on an ellipse; one side shows nothing."""
+    angle = np.linspace(0.0, range_, 20)
+    away = 30.0 * (1.0 + scatter * np.tile([1.0, -1.0, -1.0, 1.0], 5))
+    half = away[:, None] * np.stack([np.cos(angle), math.cos(tilt) * np.sin(angle)], axis=1)
+    shown = range(round(20 * seen))
+    monkeypatch.setattr(
+        LongBody,
+        "axis",
+        lambda self, k: (np.zeros(2), half[k], 3.0) if self.side == side and k in shown else None,
+    )
+    return module.long_tilted_body(range(20), GREY, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({}, True),
+        ({"side": "light"}, True),
+        ({"tilt": 0.42}, True),
+        ({"tilt": 0.38}, False),
+        ({"scatter": 0.057}, True),
+        ({"scatter": 0.063}, False),
+        ({"seen": 0.8, "range_": 3.7}, True),
+        ({"seen": 0.75, "range_": 3.9}, False),
+        # a range of the ends of 1.65 rad leaves a gap of 1.49 rad, one of 1.5 rad leaves 1.64 rad
+        ({"range_": 1.65, "tilt": 0.45}, True),
+        ({"range_": 1.45, "tilt": 0.45}, False),
+    ],
+)
+def test_the_ends_of_a_tilted_body_are_on_an_ellipse(change, found, monkeypatch):
+    body = _tilted(monkeypatch, **change)
+    assert (body is not None) == found
+    if found:
+        assert (body.side, body.limit) == (change.get("side", "dark"), 3.0)  # twice the noise
+
+
+@pytest.mark.parametrize(("half_width", "removed"), [(9, True), (14, False)])
+def test_a_rod_thinner_than_three_fifths_of_a_bob_is_removed(half_width, removed):
+    region = np.zeros((120, 160), np.uint8)
+    cv2.circle(region, (60, 60), 20, 1, -1)
+    region[60 - half_width : 61 + half_width, 60:140] = 1
+    spot = spot_of(parts_of(region), (60, 60))
+    assert (spot.radius < 23.0) == removed
+
+
+@pytest.mark.parametrize("place", [(33, 27), (8, 9), (60, 41)])
+def test_the_mask_of_a_spot_shows_its_pixels_about_its_centre(place):
+    x, y = place
+    region = _drawn((x, y, 9), (140, 20, 5))
+    spot = spot_of(parts_of(region), (x, y))
+    half = spot.mask.shape[0] // 2
+    assert 9 < half < 13
+    around = np.pad(region, 20)[y + 20 - half : y + 21 + half, x + 20 - half : x + 21 + half]
+    assert np.abs(spot.mask.astype(int) - around).sum() <= 8  # an opening removes single pixels
+    assert spot.place == pytest.approx(place, abs=0.1)
+
+
+def test_spots_joined_by_a_rod_are_separated():
+    region = _drawn((30, 40, 12), (110, 40, 10), lines=[((30, 40), (110, 40), 5)])
+    found = spots_in(region, 0.7, 3)
+    assert [s.place for s in found] == [pytest.approx((30, 40), abs=0.7), pytest.approx((110, 40), abs=0.7)]
+    # a rod as wide as the bodies is one body with them
+    assert len(spots_in(_drawn((30, 40, 12), (110, 40, 10), lines=[((30, 40), (110, 40), 21)]), 0.7, 3)) == 1
+
+
+def test_thin_lines_are_not_spots():
+    region = _drawn(lines=[((20, 40), (90, 40), 1), ((20, 60), (90, 60), 1)])
+    assert spots_in(region, 0.7, 3) == []
+    assert spots_in(np.zeros((80, 160), np.uint8), 0.7, 3) == []
+
+
+def test_axes_meet_with_the_weights_of_their_robust_fit(monkeypatch):
+    """The fixed point of the weights 1 / (1 + (d / m)^2)^2, with m = 3 % of the median length."""
+    rng = np.random.default_rng(0)
+    angle = np.linspace(-0.6, 0.7, 24)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    off = rng.normal(0.0, 0.8, 24)
+    off[::6] += 4.0
+    centre = np.array([70.0, 50.0]) + 30.0 * along + off[:, None] * normal
+    frames = list(zip(centre, 30.0 * along, strict=True))
+    monkeypatch.setattr(LongBody, "axis", lambda self, frame: None if self.side == "light" else (*frame, 3.0))
+    hub = np.array(module.axes_meet(frames, SimpleNamespace(mean=GREY, noise=1.0)))
+    apart = np.sum(normal * (centre - hub), axis=1)
+    weight = 1.0 / (1.0 + (apart / (0.03 * 60.0)) ** 2) ** 2
+    step = np.linalg.solve((normal * weight[:, None]).T @ normal, (normal * weight[:, None]).T @ apart)
+    assert np.abs(step).max() < 2e-3
+    assert hub == pytest.approx((70.0, 50.0), abs=0.8)
