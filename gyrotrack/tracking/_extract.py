@@ -390,7 +390,7 @@ larger value doubts films of a blurred rotor, a smaller one accepts coloured pat
 
 
 def has_corners(markers: Iterable[MarkerTrack]) -> bool:
-    """Return whether the near corners of any marker are found in some frames, as those of a rectangle of paper are."""
+    """Return whether the near corners of a marker, which is a rectangle of paper, are found in some frames."""
     return any(np.isfinite(m.rho).mean() >= _FEWEST_CORNERS for m in markers if len(m.rho))
 
 

@@ -83,6 +83,9 @@ _AS_WELL = 1.2
 """Largest ratio of the misfit at the angle extrapolated from the last frames to that at the rough angle for which the
 first one is used [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one
 removes true jumps."""
+_RECENT = 6
+"""Number of the last frames that predict the next angle [frames]. Chosen: fewer follow a single wrong angle, more lag
+behind a change of the speed."""
 _LARGEST_STEP = 2.0
 """Largest correction of the path by a registration [px]. Chosen: a smaller value needs more iterations, a larger one
 follows wrong fits."""
@@ -294,7 +297,7 @@ def track_free_body(
         for other, *_ in starts[n + 1 :]:
             x, y = other.place[0]
             notes.append(f"Another body moves as well; --hub {x:.0f},{y:.0f} selects it.")
-        if np.ptp(path.scale) > 0:
+        if path.scale is not None:
             notes.append(
                 f"The distance of the body from the camera changes: its size in the picture changes by a factor of "
                 f"{path.scale.max() / path.scale.min():.2g}, which is compensated."
@@ -323,8 +326,8 @@ class Path:
     radius: float  # radius of a circle of the same area [px]
     # changed area of the picture in these frames, divided by the changed area in all frames
     share: float = 1.0
-    # size of the body relative to `radius`, (m,); 1 if its distance from the camera is constant
-    scale: Floats = field(default_factory=lambda: np.ones(1))
+    # size of the body relative to `radius`, (m,); None if its distance from the camera is constant
+    scale: Floats | None = None
 
 
 @dataclass
@@ -333,7 +336,7 @@ class _Outline:
 
     place: Floats
     area: float
-    moment: float
+    moment: float = 1 / TURN  # of a disc
 
 
 @dataclass
@@ -343,9 +346,8 @@ class _Link:
     frame: list[int] = field(default_factory=list)
     outline: list[_Outline] = field(default_factory=list)
 
-    def areas(self) -> tuple[float, float]:
-        """Return the median area of the last frames, and the last area [px2]."""
-        return median(o.area for o in self.outline[-10:]), self.outline[-1].area
+    def area(self) -> float:
+        return median(o.area for o in self.outline[-10:])
 
     def expected(self, frame: int) -> Floats:
         """Extrapolate the position with the velocity of the last steps."""
@@ -387,7 +389,7 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
         if len(place) >= _FEWEST and np.hypot(*np.ptp(place, axis=0)) > _TRAVEL * 2 * radius:
             frames = np.array(link.frame, dtype=np.int64)[whole]
             share = float(changed[np.isin(usable, frames)].sum()) / max(float(moved[-1]), 1.0)
-            found.append(Path(frames, place, radius, share, scale[whole]))
+            found.append(Path(frames, place, radius, share, None if scale is None else scale[whole]))
     return sorted(found, key=lambda p: -p.radius * float(np.hypot(*np.diff(p.place, axis=0).T).sum()))
 
 
@@ -406,8 +408,10 @@ def _uncovered(background: Picture, sample: Sequence[Plane], limit: float) -> Pi
     return np.where(sign * (background - other) > limit, other, background)
 
 
-def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats]:
+def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats | None]:
     """Return in which frames of a path the outline is complete, and the size of the body relative to its median size.
+
+    The size is None if it does not change.
 
     `area` [px2] and `moment` (the polar moment divided by the squared area) are those of the outlines. The moment of a
     body that touches another one, or is occluded, changes with its area. If only the area changes, and slowly, the
@@ -418,7 +422,7 @@ def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats]:
     trend, shape = (running_quantile(v, n, n // 2) for v, n in zip((ratio, moment), _TREND, strict=True))
     similar = (np.abs(ratio / trend - 1.0) < _AREA) & (np.abs(moment / shape - 1.0) < _SIMILAR)
     if np.mean(similar & ~usual) < _RESCALED:
-        return usual, np.ones(len(area))
+        return usual, None
     return similar, np.sqrt(trend)
 
 
@@ -459,11 +463,11 @@ def _link(links: list[_Link], index: int, outlines: Sequence[_Outline]) -> None:
     places = np.array([o.place for o in outlines]).reshape(-1, 2)
     areas = np.array([o.area for o in outlines])
     for link in links:
-        usual, last = link.areas()
-        gate = _GATE * 2 * math.sqrt(usual / math.pi) + 2.0
+        area = link.area()
+        gate = _GATE * 2 * math.sqrt(area / math.pi) + 2.0
         misses = [np.hypot(*(places - at).T) for at in (link.expected(index), link.outline[-1].place)]
         miss = np.minimum(*misses)
-        unlike = np.minimum(np.abs(areas / usual - 1.0), np.abs(areas / last - 1.0))
+        unlike = np.minimum(*(np.abs(areas / a - 1.0) for a in (area, link.outline[-1].area)))
         near = np.flatnonzero((miss < gate) & (unlike < _AREA))
         pairs += [(float(miss[n]), n, link) for n in near.tolist()]
     joined: set[int] = set()
@@ -485,8 +489,9 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     )
     shift = path.place - hub
     where = {int(frame): k for k, frame in enumerate(path.frame)}
+    size = np.ones(len(path.frame)) if path.scale is None else path.scale
     shown = ((where[i], f) for i, f in enumerate(film.frames()) if i in where)
-    pictures = (ring.scaled(path.scale[k]).unwrap(f, tuple(shift[k])) for k, f in shown)
+    pictures = (ring.scaled(size[k]).unwrap(f, tuple(shift[k])) for k, f in shown)
     polars = StoredPictures.of(len(where), pictures)
     # exclude frames of a body at rest: they contain no information, and a codec copies them without noise
     turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
@@ -497,7 +502,8 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
     if len(moves) < _FEWEST - _LAG:
         return None
     kept = slice(moves[0], moves[-1] + _LAG + 1)
-    path = replace(path, frame=path.frame[kept], place=path.place[kept], scale=path.scale[kept])
+    scale = None if path.scale is None else path.scale[kept]
+    path = replace(path, frame=path.frame[kept], place=path.place[kept], scale=scale)
     polars, shift = polars[kept], shift[kept]
     allowed = np.ones((ring.rows, ring.columns), dtype=bool)
     nothing = np.zeros((ring.rows, ring.columns), dtype=np.float32)
@@ -565,11 +571,12 @@ def _along_path(
     for k, frame in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
         polar = polar_of(frame, k)
         pose = register(polar, template, theta[k], move=True)
-        if k > 1:
-            # the rough angle may be that of an equal part of the body, or be lost
-            last, before = every[-1].angle, every[-2].angle
-            step = (last - before) * (frames[k] - frames[k - 1]) / (frames[k - 1] - frames[k - 2])
-            steady = register(polar, template, last + step, move=True)
+        if area is None and k > 1:
+            # the rough angle of a free body may be that of an equal part, or be lost
+            recent = np.array([p.angle for p in every[-_RECENT:]])
+            rate = median(np.diff(recent) / np.diff(frames[k - len(recent) : k]))
+            step = rate * (frames[k] - frames[k - 1])
+            steady = register(polar, template, recent[-1] + step, move=True)
             pose = steady if steady.misfit < _AS_WELL * pose.misfit else pose
         shift[k] += np.clip(size[k] * np.array(pose.shift), -_LARGEST_STEP, _LARGEST_STEP)
         polar = polar_of(frame, k)

@@ -164,7 +164,7 @@ def test_a_body_that_turns_in_one_place_for_most_of_the_film_is_not_a_background
     (found,) = _moving_hub.find_paths(shown, np.arange(count), 2.0)
     assert len(found.frame) > 80
     assert np.abs(found.place - path[found.frame]).max() < 1.0
-    assert (found.scale == 1.0).all()
+    assert found.scale is None
 
 
 class TestSizes:
@@ -184,7 +184,7 @@ class TestSizes:
         area[30:33] *= ratio
         whole, scale = self.sizes(area)
         assert whole.tolist() == [complete or not 30 <= k < 33 for k in range(60)]
-        assert (scale == 1.0).all()
+        assert scale is None
 
     def test_the_size_is_the_root_of_the_area(self):
         size = np.geomspace(3.0, 1.0, 101)
@@ -209,7 +209,7 @@ class TestSizes:
         area[:count] = 500.0 * np.linspace(2.0, 1.5, count)
         whole, scale = self.sizes(area)
         assert whole.all() == followed
-        assert (scale.max() > 1.2) == followed
+        assert (scale is not None) == followed
 
 
 @pytest.mark.parametrize("sign", [1, -1])

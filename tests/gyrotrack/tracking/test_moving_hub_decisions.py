@@ -72,8 +72,9 @@ class TestRegistration:
         np.testing.assert_array_equal(found.frame, self.FRAMES)
         assert (found.explained, found.correlated, found.warnings, found.scale) == (0.77, 0.0, (), 1.0)
         np.testing.assert_allclose(found.sigma, 1e-3)
-        # two iterations, of which the second one changes nothing; then twice for each frame, and once for each half
-        assert asked["register"] == (2 + 2 + 2) * 20
+        # two iterations, of which the second one changes nothing; then twice for each frame, once from the last frames,
+        # and once for each half
+        assert asked["register"] == (2 + 2 + 2) * 20 + 18
         assert [n for n, *_ in asked["learn"]] == [20] * 3
         assert asked["learn"][0][1].all()
         assert asked["learn"][0][2].rows == Ring.about((100.0, 50.0), 5.0, 30.0, finest=100.0).rows
@@ -82,9 +83,64 @@ class TestRegistration:
     def test_ten_iterations_are_enough(self, monkeypatch):
         _, asked = self.along(monkeypatch, never=True)
         # a common change of all angles is no change of the motion, so only the first one counts
-        assert asked["register"] == (1 + 4) * 20
+        assert asked["register"] == (1 + 4) * 20 + 18
         monkeypatch.setattr(moving, "_SETTLED", -1.0)
-        assert self.along(monkeypatch, never=True)[1]["register"] == (10 + 4) * 20
+        assert self.along(monkeypatch, never=True)[1]["register"] == (10 + 4) * 20 + 18
+
+    @pytest.mark.parametrize(("worse", "kept"), [(1.19, True), (1.21, False)])
+    def test_equal_parts_of_a_body_are_not_confused(self, monkeypatch, worse, kept):
+        """The rough angle of a body with two equal parts jumps by half a turn, and fits better there or not."""
+        true = 0.4 * np.arange(20)
+
+        def register(polar, template, start, *, move):
+            turn = np.rint((start - true[polar]) / np.pi)
+            return SimpleNamespace(
+                angle=true[polar] + np.pi * turn,
+                shift=(0.0, 0.0),
+                misfit=worse if turn == 0 else 1.0,
+                formal=1e-3,
+            )
+
+        template = SimpleNamespace(halves=lambda: ("one", "two"))
+        monkeypatch.setattr(Ring, "unwrap", lambda self, frame, shift: frame)
+        monkeypatch.setattr(moving, "StoredPictures", SimpleNamespace(of=lambda n, given: list(given)))
+        monkeypatch.setattr(moving, "register", register)
+        monkeypatch.setattr(moving, "learn", lambda *_, **__: template)
+        monkeypatch.setattr(moving, "explained", lambda *_: (0.9, None))
+        monkeypatch.setattr(moving, "white_noise", lambda *_: 1e-3)
+        ring = Ring.about((100.0, 50.0), 5.0, 30.0)
+        rough = true + np.pi * (np.arange(20) >= 12)
+        found = moving._along_path(
+            film_of(list(range(20))), np.arange(20), ring, rough, np.zeros((20, 2)), None, None
+        )
+        assert -found.angle == pytest.approx(true if kept else rough)
+
+    def test_a_body_that_is_larger_has_a_larger_ring_and_moves_further(self, monkeypatch):
+        size, sizes = np.linspace(2.0, 1.0, 20), {}
+
+        def unwrap(ring, frame, shift):
+            sizes[frame] = (ring.inner, ring.outer, ring.rows)
+            return frame, np.array(shift)
+
+        def register(polar, template, start, *, move):
+            frame, shift = polar
+            return SimpleNamespace(
+                angle=0.1 * frame, shift=(0.5 if shift[0] == 0 else 0.0, 0.0), misfit=1.0, formal=1e-3
+            )
+
+        template = SimpleNamespace(halves=lambda: ("one", "two"))
+        monkeypatch.setattr(Ring, "unwrap", unwrap)
+        monkeypatch.setattr(moving, "StoredPictures", SimpleNamespace(of=lambda n, given: list(given)))
+        monkeypatch.setattr(moving, "register", register)
+        monkeypatch.setattr(moving, "learn", lambda *_, **__: template)
+        monkeypatch.setattr(moving, "explained", lambda *_: (0.9, None))
+        monkeypatch.setattr(moving, "white_noise", lambda *_: 1e-3)
+        ring = Ring.about((100.0, 50.0), 5.0, 30.0)
+        given = 0.1 * np.arange(20), np.zeros((20, 2))
+        found = moving._along_path(film_of(list(range(20))), np.arange(20), ring, *given, None, None, size)
+        assert found.hub_path[:, 0] == pytest.approx(0.5 * size)
+        assert sizes[0] == (10.0, 60.0, ring.rows)
+        assert sizes[19] == (5.0, 30.0, ring.rows)
 
     def test_a_path_is_corrected_by_two_pixels_at_most_each_time(self, monkeypatch):
         off = np.zeros((20, 2))

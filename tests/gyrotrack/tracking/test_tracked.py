@@ -130,8 +130,11 @@ class TestRecording:
 
     @pytest.fixture(autouse=True)
     def _parts(self, monkeypatch):
-        for name in ("_rest_warning", "_doubts", "_unseen", "_first_frame_warning", "speed_warnings"):
+        for name in (
+            "_rest_warning", "_doubts", "_unseen", "_first_frame_warning", "speed_warnings",
+        ):  # fmt: skip
             monkeypatch.setattr(module, name, lambda *_, _name=name, **__: (_name.strip("_"),))
+        monkeypatch.setattr(module, "_without_corners", lambda *_: ())
         monkeypatch.setattr(module, "marker_track", lambda *given: given)
         monkeypatch.setattr(module, "body_track", lambda *given: given)
         monkeypatch.setattr(module, "_extra", lambda *_: {"tilt": {}})
