@@ -93,6 +93,7 @@ def test_a_motion_beyond_any_number_is_not_a_perfect_fit():
         found.problem.residuals([replace(p, rows=p.rows * 1e160) for p in found.predictions])
 
 
+@pytest.mark.slow
 def test_response_to_a_harmonic_torque_agrees_with_the_oracle():
     """Difference of two simulated casings, one with gravity on an unbalance, against the column of the model."""
 

@@ -170,6 +170,7 @@ class TestWindows:
         for window, column in zip(record.rotor, columns, strict=True):
             assert column[:, 0] == pytest.approx(0.02 * window.time)
 
+    @pytest.mark.slow
     def test_negligible_errors_leave_the_noise_of_the_windows_as_it_is(self):
         rng = np.random.default_rng(0)
         casing = (T, 5 * T + 1e-3 * rng.standard_normal(len(T)), np.full(len(T), 1e-3))

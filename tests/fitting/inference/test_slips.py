@@ -54,6 +54,7 @@ def test_noise_of_a_tenth_of_a_turn_hides_a_slip():
     assert slipped_turns(turning(sigma=0.3)) == []
 
 
+@pytest.mark.slow
 def test_the_corrected_record_is_the_one_without_slip():
     motion = twobody.simulate(span=40.0)
     cameras = twobody.Cameras(span=40.0, windows=(5.0, 18.0, 34.0), casing_rate=50.0, rotor_rate=400.0)

@@ -57,6 +57,7 @@ def test_parquet_has_the_same_numbers_with_units(file, tmp_path):
     assert table.schema.field("omega").metadata == {b"units": b"rad s-1"}
 
 
+@pytest.mark.slow
 def test_netcdf_is_the_whole_tree(file, tmp_path):
     export_file(file, tmp_path / "a.nc")
     with (

@@ -71,7 +71,7 @@ def test_an_end_of_the_reader_without_an_answer_is_one_sentence(monkeypatch, tmp
 @pytest.mark.parametrize(
     ("work", "ends_well"),
     [
-        ("while True: pass", False),
+        pytest.param("while True: pass", False, marks=pytest.mark.slow),
         ("import numpy; numpy.empty(2**25)", True),  # a quarter of the memory
         ("import numpy; numpy.empty(2**28)", False),  # twice the memory
     ],
