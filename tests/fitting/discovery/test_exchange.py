@@ -186,6 +186,7 @@ def test_a_random_torque_is_an_alternative_without_a_lack_of_fit(monkeypatch, u,
         assert (module._exchanged(steps, (), DEFAULT) is not None) is taken
 
 
+@pytest.mark.slow
 def test_a_law_per_recording_counts_for_each():
     both = [CaseData.of(slowed(u=1.0, seed=s, label=str(s)).record) for s in (1, 2)]
     old, new = (fit(Model.of([QUADRATIC, LINEAR, law]), both) for law in (COOLING, CONSTANT))

@@ -241,7 +241,8 @@ class TestDifference:
         assert separate_values(base, [candidate(kept.penalised_bic + 1.0)], [], DEFAULT) is not None
         assert separate_values(fitted("nothing", "nothing"), [], [], DEFAULT) is None
 
-    @pytest.mark.parametrize("more", [(), pytest.param(("casing.air.quadratic",), marks=pytest.mark.slow)])
+    @pytest.mark.slow
+    @pytest.mark.parametrize("more", [(), ("casing.air.quadratic",)])
     def test_of_several_that_differ_each_is_named(self, more):
         """Friction and linear drag of the second wheel are others; a third law is common to both."""
         base = fitted("nothing", "another wheel", more=more)

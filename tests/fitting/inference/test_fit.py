@@ -72,7 +72,10 @@ def test_fitted_paths_agree_with_the_true_motion():
 # from some of them the way leads through casings that stop and turn back: seconds instead of tenths
 @pytest.mark.parametrize(
     "seed",
-    [pytest.param(s, marks=pytest.mark.slow) if s in {0, 1, 2, 3, 4, 5, 6, 7, 9, 11} else s for s in range(12)],
+    [
+        pytest.param(s, marks=pytest.mark.slow) if s in {0, 1, 2, 3, 4, 5, 6, 7, 9, 11} else s
+        for s in range(12)
+    ],
 )
 def test_initial_values_wrong_by_a_factor_of_two_end_in_the_same_minimum(seed):
     base = fitted(seed=0, few=True)

@@ -116,7 +116,8 @@ def test_quadratic_drag_of_a_pendulum_released_at_rest_is_the_second_effect():
     assert {c.effect.name for c in history[0].candidates} <= {n for n, e in LIBRARY.items() if e.restoring}
 
 
-@pytest.mark.parametrize("amplitude", [0.3, pytest.param(0.03, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("amplitude", [0.3, 0.03])
 def test_the_view_of_a_camera_does_not_explain_an_oscillation_on_film(amplitude):
     """Over a part of a turn a displaced hub is a change of scale: one of minus one would explain any motion."""
     t, angle, _ = oscillators.motion(lambda t, a, w: -25.6 * a - 0.02 * w, (amplitude, 0.0), 10.0, 30.0)

@@ -281,6 +281,7 @@ class TestInformation:
         )
         assert planned == pytest.approx(made, rel=0.2)
 
+    @pytest.mark.slow
     def test_twice_the_inertia_halves_the_acceleration_of_the_casing(self):
         run = Run(800.0, 5.0, 60.0, (1.0, 20.0, 50.0), 3.0)
         gained = []

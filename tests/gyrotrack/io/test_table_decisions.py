@@ -10,14 +10,13 @@ import h5py
 import numpy as np
 import pytest
 
-from fitting import _case_format as layout
-from fitting._case_format import Attribute, Field, Table
+from fitting._case_format import INDICES, Attribute, Field, Table
 from gyrotrack import UsageError, write_case
 from gyrotrack.io import _bodies as bodies
-from gyrotrack.io import _hdf5 as hdf5
-from gyrotrack.io import _tables as tables
-from gyrotrack.io import _tracker_project as project
+from gyrotrack.io._hdf5 import WriteBuffer
 from gyrotrack.io._records import ErrorMode, no_series
+from gyrotrack.io._tables import create_dataset, to_json, valid, write_attributes, write_table
+from gyrotrack.io._tracker_project import write_project
 
 
 @pytest.fixture
@@ -39,7 +38,7 @@ def file():
     ],
 )
 def test_datasets_have_chunks_of_at_most_8192_rows(file, shape, chunks):
-    found = tables.create_dataset(file, "x", np.arange(np.prod(shape), dtype=float).reshape(shape))
+    found = create_dataset(file, "x", np.arange(np.prod(shape), dtype=float).reshape(shape))
     assert found.chunks == chunks
     assert found.maxshape == (shape if np.prod(shape) else (None, *shape[1:]))
     assert (found.compression, found.shuffle, found.fletcher32) == ("gzip", True, True)
@@ -57,7 +56,7 @@ def test_a_table_has_scales_units_and_the_axes_of_its_signal(file):
     )
     group = file.create_group("g")
     record = SimpleNamespace(time=np.arange(4.0), value=np.ones(4))
-    tables.write_table(group, table, record, u=np.full(4, 2.0))
+    write_table(group, table, record, u=np.full(4, 2.0))
     assert group["u"][:].tolist() == [2.0] * 4
     assert [group[n].attrs["units"] for n in ("time", "value")] == ["s", "m"]
     assert group["value"].attrs["long_name"] == "long value"
@@ -71,16 +70,16 @@ def test_a_table_has_scales_units_and_the_axes_of_its_signal(file):
 
 
 def test_a_dimension_without_a_column_has_an_index(file):
-    index = next(iter(layout.INDICES))
+    index = next(iter(INDICES))
     table = Table((field_of("x", (index, f"other_{index}")), field_of("y", ("time", index))))
     group, clock = file.create_group("g"), file.create_group("clock")
-    time = tables.create_dataset(clock, "time", np.arange(3.0))
+    time = create_dataset(clock, "time", np.arange(3.0))
     time.make_scale("time")
-    tables.write_table(group, table, SimpleNamespace(x=np.zeros((2, 2)), y=np.zeros((3, 2))), {"time": time})
+    write_table(group, table, SimpleNamespace(x=np.zeros((2, 2)), y=np.zeros((3, 2))), {"time": time})
     assert group[index][:].tolist() == [0, 1]
     assert group[f"other_{index}"][:].tolist() == [0, 1]
     assert group[index].attrs["units"] == "1"
-    assert group[f"other_{index}"].attrs["long_name"] == layout.INDICES[index]
+    assert group[f"other_{index}"].attrs["long_name"] == INDICES[index]
     assert group[index].is_scale
     assert group["y"].dims[0][0] == time
     assert group["y"].dims[1][0] == group[index]
@@ -98,17 +97,17 @@ def test_attributes_are_finite_unless_they_may_be_unknown(file, value, default, 
     record = SimpleNamespace(mass=value)
     if written is None:
         with pytest.raises(UsageError, match="not a finite number"):
-            tables.write_attributes(file, (one,), record)
+            write_attributes(file, (one,), record)
         return
-    tables.write_attributes(file, (one,), record)
+    write_attributes(file, (one,), record)
     assert ("mass" in file.attrs) == written
     assert (file.attrs.get("mass_units") == "kg") == written
 
 
 def test_a_text_that_hdf5_cannot_store_is_changed():
-    assert tables.valid("a\0b") == "a?b"
-    assert tables.valid("é\ud800") == "é?"
-    assert tables.to_json({"a": np.arange(2), "b": np.float64(0.5)}) == '{"a": [0, 1], "b": 0.5}'
+    assert valid("a\0b") == "a?b"
+    assert valid("é\ud800") == "é?"
+    assert to_json({"a": np.arange(2), "b": np.float64(0.5)}) == '{"a": [0, 1], "b": 0.5}'
 
 
 class Disk(io.BytesIO):
@@ -126,7 +125,7 @@ class Disk(io.BytesIO):
 
 @pytest.mark.parametrize(("size", "at_once"), [(100, 100), (100, 2), (8, 100), (8, 2), (0, 1)])
 def test_a_write_is_complete_on_a_disk_and_in_memory(size, at_once):
-    buffer = hdf5.WriteBuffer(Disk(b"01234", size, at_once))
+    buffer = WriteBuffer(Disk(b"01234", size, at_once))
     assert buffer.seek(2) == 2
     assert buffer.write(b"abcdef") == 6
     assert buffer.write(b"gh") == 2
@@ -209,7 +208,7 @@ def replace_of(stored, **changes):
 class TestProject:
     def text(self, *motions):
         stream = io.BytesIO()
-        project.write_project(stream, motions)
+        write_project(stream, motions)
         return stream.getvalue().decode()
 
     def values(self, text, name):

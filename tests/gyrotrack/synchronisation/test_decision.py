@@ -21,6 +21,7 @@ def pulls(matches, starts):
     return [(m.start.offset - t) / m.offset_sigma for m, t in zip(matches, starts, strict=True)]
 
 
+@pytest.mark.slow
 def test_three_clips_of_one_camera(motion, make_run):
     run = make_run(motion, np.random.default_rng(1))
     matches = match(run.casing(), run.clips(STARTS))

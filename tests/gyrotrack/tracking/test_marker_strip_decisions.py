@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack.tracking import _marker_window as windows
 from gyrotrack.tracking._film_tracker import BodyTracker
+from gyrotrack.tracking._marker_window import MarkerStrip, common_columns
 from gyrotrack.tracking._scene import Marker
 
 TURN = 2 * np.pi
@@ -37,17 +37,15 @@ def strip():
     """A strip with the background of eight frames; it has room for six frames."""
     frames = [drawn(0.8 * k, ground=3) for k in range(8)]
     samples = SimpleNamespace(frames=frames, spread=tuple(range(8)))
-    columns = windows.common_columns((MARKER,), CENTRE)
-    return windows.MarkerStrip(MARKER, samples, CENTRE, 5.0, columns, 0.1, 6)
+    columns = common_columns((MARKER,), CENTRE)
+    return MarkerStrip(MARKER, samples, CENTRE, 5.0, columns, 0.1, 6)
 
 
 def test_the_columns_of_a_body_are_those_of_its_largest_marker():
     larger = SimpleNamespace(outer=90.0)
     # 1.4 pi (0.7 r + r) / 2 px, rounded up
-    assert windows.common_columns((MARKER, larger, MARKER), CENTRE) == int(
-        np.ceil(1.4 * np.pi * 1.7 * 90 / 2)
-    )
-    assert windows.common_columns((MARKER,), CENTRE) == int(np.ceil(1.4 * np.pi * 1.7 * 60 / 2))
+    assert common_columns((MARKER, larger, MARKER), CENTRE) == int(np.ceil(1.4 * np.pi * 1.7 * 90 / 2))
+    assert common_columns((MARKER,), CENTRE) == int(np.ceil(1.4 * np.pi * 1.7 * 60 / 2))
 
 
 @pytest.mark.parametrize("off", [0.0, 0.03, -0.06, 0.09])
@@ -110,7 +108,7 @@ def test_a_copy_has_the_windows_if_there_are_frames(strip):
     strip.take([frame], 3, np.array([0.5]))
     again = pickle.loads(pickle.dumps(strip))  # noqa: S301 - own data
     np.testing.assert_array_equal(again.windows, strip.windows)
-    unused = windows.MarkerStrip(
+    unused = MarkerStrip(
         MARKER,
         SimpleNamespace(frames=[frame] * 8, spread=(0, 1, 2)),
         CENTRE,

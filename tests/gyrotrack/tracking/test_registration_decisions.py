@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking import _fixed_hub as fixed
-from gyrotrack.tracking import _live_angles as live
 from gyrotrack.tracking import _registration as module
 from gyrotrack.tracking import _tracked as tracked
+from gyrotrack.tracking._live_angles import FrameAngles, angles_sent_to, current_sink, report_angles
 from gyrotrack.tracking._registration import TURN, Ring, Template, explained, follow, learn, register, rolled
 
 RING = Ring((60.0, 50.0), 10.0, 26.0, 8, 64)
@@ -450,14 +450,14 @@ def test_the_drift_of_a_hub_is_that_of_four_frames_of_five(outer, limit, monkeyp
 
 def test_angles_are_reported_sixteen_at_a_time():
     found = []
-    with live.angles_sent_to(lambda *given: found.append(given)):
-        angles = live.FrameAngles("rotor")
+    with angles_sent_to(lambda *given: found.append(given)):
+        angles = FrameAngles("rotor")
         for k in range(33):
             angles.add(k, 0.1 * k if k != 3 else math.nan)
-        live.report_angles("casing", 2, np.array([5]), np.array([math.nan]))
+        report_angles("casing", 2, np.array([5]), np.array([math.nan]))
     assert [(name, part, len(frames)) for name, part, frames, _ in found] == [
         ("rotor", 0, 15),
         ("rotor", 0, 16),
     ]
     assert found[1][2].tolist() == list(range(16, 32))
-    assert live.current_sink() is None
+    assert current_sink() is None

@@ -161,6 +161,7 @@ class TestBackgroundRoll:
 
     BODY = (159.7, 120.3, 75.0)
 
+    @pytest.mark.slow
     def test_the_roll_is_that_of_the_camera_within_its_uncertainty(self):
         rng = np.random.default_rng(4)
         shift, roll = rng.normal(0, 1.5, (96, 2)), rng.normal(0, 5e-3, 96)

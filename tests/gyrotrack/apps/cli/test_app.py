@@ -14,9 +14,9 @@ import pytest
 
 import gyrotrack
 from gyrotrack import DatasetError
-from gyrotrack.apps.cli import _settings as lazy
 from gyrotrack.apps.cli._app import COMMANDS, run
 from gyrotrack.apps.cli._output import Output, running
+from gyrotrack.apps.cli._settings import Entry, function_of, lazy_group, load
 
 
 @pytest.fixture
@@ -58,9 +58,7 @@ def test_help_lists_every_command_and_imports_nothing_heavy():
 
 @pytest.mark.parametrize("entry", COMMANDS, ids=lambda entry: entry.name)
 def test_every_command_exists_and_explains_itself(entry, capsys):
-    assert entry.help.split()[0].rstrip(".,:") == inspect.getdoc(lazy.function_of(entry)).split()[0].rstrip(
-        ".,:"
-    )
+    assert entry.help.split()[0].rstrip(".,:") == inspect.getdoc(function_of(entry)).split()[0].rstrip(".,:")
     assert run([entry.name, "--help"]) == 0
     said = capsys.readouterr()
     assert "--json" in said.out
@@ -174,10 +172,10 @@ def test_a_command_can_say_not_to_be_trusted(monkeypatch):
 
 
 def test_adding_a_command_is_one_line():
-    entry = lazy.Entry("info", "_data", "Section", "Line.")
-    group = lazy.lazy_group((entry,))
+    entry = Entry("info", "_data", "Section", "Line.")
+    group = lazy_group((entry,))
     assert group.__mro__[1].__name__ == "TyperGroup"
-    assert lazy.load(entry).name == "info"
+    assert load(entry).name == "info"
 
 
 class TestOutput:

@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from gyrotrack.apps.cli import _settings as settings
 from gyrotrack.apps.cli._app import COMMANDS
+from gyrotrack.apps.cli._settings import FOUND, REFUSED, VARIABLE, options_of
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def here(tmp_path, monkeypatch):
     folder.mkdir()
     monkeypatch.chdir(folder)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
-    monkeypatch.delenv(settings.VARIABLE, raising=False)
+    monkeypatch.delenv(VARIABLE, raising=False)
     return folder
 
 
@@ -37,9 +37,9 @@ def program(*words, **options):
 
 def test_every_option_is_judged():
     """A new option must be put on the list of what a found file may set, or on the other."""
-    keys = {key for entry in COMMANDS for key in settings.options_of(entry).values()}
-    assert keys <= settings.FOUND | settings.REFUSED
-    assert not settings.FOUND & settings.REFUSED
+    keys = {key for entry in COMMANDS for key in options_of(entry).values()}
+    assert keys <= FOUND | REFUSED
+    assert not FOUND & REFUSED
 
 
 @pytest.mark.parametrize(

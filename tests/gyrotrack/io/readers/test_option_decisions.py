@@ -14,14 +14,14 @@ from scipy.io import wavfile
 from gyrotrack import DatasetError, UsageError
 from gyrotrack.io._records import ErrorMode, Inertia
 from gyrotrack.io.readers import _import_case as cases
-from gyrotrack.io.readers import _import_chain as chains
-from gyrotrack.io.readers import _inputs as inputs
 from gyrotrack.io.readers import _outliers as outliers
-from gyrotrack.io.readers import _points as points
-from gyrotrack.io.readers import _reading as reading
 from gyrotrack.io.readers import _spreadsheets as sheets
+from gyrotrack.io.readers._import_chain import import_chain, read_bodies, read_inertias, read_joints
+from gyrotrack.io.readers._inputs import InputOption, read_input_options
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
+from gyrotrack.io.readers._points import Points, angle_of, circle_centre
 from gyrotrack.io.readers._raw_table import RawTable, table_of
+from gyrotrack.io.readers._reading import Reading, Taken, reading_of, units_of_file
 from gyrotrack.io.readers._sound import read_wav
 
 PATH = Path("a.csv")
@@ -41,7 +41,7 @@ class TestInputs:
         ],
     )  # fmt: skip
     def test_values_are_in_si_units(self, unit, si, value):
-        option = inputs.InputOption("x", "c", unit, 0.5)
+        option = InputOption("x", "c", unit, 0.5)
         made = option.made(table_of(PATH, ["c"], [[4.0, 5.0]]), 0, np.array([0.0, 1.0]))
         assert made.unit == si
         assert made.value[0] == pytest.approx(value)
@@ -50,13 +50,13 @@ class TestInputs:
 
     def test_a_unit_of_the_header_may_be_unknown(self):
         raw = table_of(PATH, ["c [furlong]"], [[4.0, 5.0]])
-        assert inputs.InputOption("x", "c").made(raw, 0, np.arange(2.0)).unit == "1"
+        assert InputOption("x", "c").made(raw, 0, np.arange(2.0)).unit == "1"
         with pytest.raises(UsageError, match="unknown unit"):
-            inputs.InputOption("x", "c", "furlong").made(raw, 0, np.arange(2.0))
+            InputOption("x", "c", "furlong").made(raw, 0, np.arange(2.0))
         raw = table_of(PATH, ["c [mA]"], [[4.0, 5.0]])
-        assert inputs.InputOption("x", "c").made(raw, 0, np.arange(2.0)).value[0] == pytest.approx(4e-3)
+        assert InputOption("x", "c").made(raw, 0, np.arange(2.0)).value[0] == pytest.approx(4e-3)
         below = RawTable(PATH, ("c",), ("mV",), raw.columns, raw.line)
-        assert inputs.InputOption("x", "c").made(below, 0, np.arange(2.0)).unit == "V"
+        assert InputOption("x", "c").made(below, 0, np.arange(2.0)).unit == "V"
 
     @pytest.mark.parametrize(
         ("values", "given", "kind"),
@@ -68,18 +68,18 @@ class TestInputs:
         ],
     )
     def test_a_command_holds_if_most_neighbours_are_equal(self, values, given, kind):
-        option = inputs.InputOption("x", "c", interpolation=given)
+        option = InputOption("x", "c", interpolation=given)
         assert option.made(table_of(PATH, ["c"], [values]), 0, np.arange(5.0)).interpolation == kind
 
     def test_missing_values_and_repeated_times_are_omitted(self):
         raw = table_of(PATH, ["c"], [[1.0, np.nan, 3.0, 4.0, 5.0]])
-        made = inputs.InputOption("x", "c").made(raw, 0, np.array([3.0, 1.0, 0.0, np.nan, 3.0]))
+        made = InputOption("x", "c").made(raw, 0, np.array([3.0, 1.0, 0.0, np.nan, 3.0]))
         assert made.time.tolist() == [0.0, 3.0]
         assert made.value.tolist() == [3.0, 1.0]
         single = table_of(PATH, ["c"], [[np.nan, 2.0]])
-        assert inputs.InputOption("x", "c").made(single, 0, np.arange(2.0)).interpolation == "hold"
+        assert InputOption("x", "c").made(single, 0, np.arange(2.0)).interpolation == "hold"
         with pytest.raises(DatasetError, match="has no value"):
-            inputs.InputOption("x", "c").made(table_of(PATH, ["c"], [[np.nan]]), 0, np.zeros(1))
+            InputOption("x", "c").made(table_of(PATH, ["c"], [[np.nan]]), 0, np.zeros(1))
 
     @pytest.mark.parametrize(
         ("column", "place"),
@@ -87,7 +87,7 @@ class TestInputs:
     )
     def test_a_column_is_named_or_numbered(self, column, place):
         raw = table_of(PATH, ["t", "torque [N m]"], [[1.0], [2.0]])
-        assert inputs.InputOption("x", column).place(raw) == place
+        assert InputOption("x", column).place(raw) == place
 
     @pytest.mark.parametrize(
         ("text", "expected"),
@@ -100,7 +100,7 @@ class TestInputs:
         ],
     )
     def test_options_are_read(self, text, expected):
-        (found,) = inputs.read_input_options([text])
+        (found,) = read_input_options([text])
         u = None if math.isnan(found.u) else found.u
         assert (
             found.name,
@@ -118,12 +118,12 @@ class TestInputs:
     )
     def test_options_that_are_not_understood_are_refused(self, text):
         with pytest.raises(UsageError):
-            inputs.read_input_options([text])
+            read_input_options([text])
 
     def test_an_input_is_given_once(self):
         with pytest.raises(UsageError, match="given twice"):
-            inputs.read_input_options(["a=1", "a=2"])
-        assert len(inputs.read_input_options(["a=1", "b=2"])) == 2
+            read_input_options(["a=1", "a=2"])
+        assert len(read_input_options(["a=1", "b=2"])) == 2
 
 
 class TestWorkbooks:
@@ -186,32 +186,32 @@ def test_the_channels_of_a_sound_have_the_times_of_its_rate():
 
 class TestChains:
     def test_bodies_have_files(self, tmp_path):
-        assert chains.read_bodies(["a.csv"]) == {"": [Path("a.csv")]}
-        assert chains.read_bodies(["wheel = a.csv"]) == {"wheel": [Path("a.csv")]}
-        assert chains.read_bodies(["w=a", "d=b", "w=c"]) == {"w": [Path("a"), Path("c")], "d": [Path("b")]}
+        assert read_bodies(["a.csv"]) == {"": [Path("a.csv")]}
+        assert read_bodies(["wheel = a.csv"]) == {"wheel": [Path("a.csv")]}
+        assert read_bodies(["w=a", "d=b", "w=c"]) == {"w": [Path("a"), Path("c")], "d": [Path("b")]}
         odd = tmp_path / "x=y.csv"
         odd.write_text("")
-        assert chains.read_bodies([str(odd)]) == {"": [odd]}
+        assert read_bodies([str(odd)]) == {"": [odd]}
         for given in (["a", "b"], ["w=a", "b"], ["w=a", "w=b"]):
             with pytest.raises(UsageError):
-                chains.read_bodies(given)
+                read_bodies(given)
 
     def test_joints_have_two_bodies(self):
-        assert chains.read_joints(["belt = motor , drum", "b=drum,wheel"]) == {
+        assert read_joints(["belt = motor , drum", "b=drum,wheel"]) == {
             "belt": ("motor", "drum"),
             "b": ("drum", "wheel"),
         }
         for given in (["belt=motor"], ["belt=a,b,c"], ["belt=a,"], ["b=a,c", "b=c,d"]):
             with pytest.raises(UsageError):
-                chains.read_joints(given)
+                read_joints(given)
 
     def test_inertias_are_those_of_bodies(self):
-        assert chains.read_inertias(["5e-5"], ["wheel"])["wheel"].value == 5e-5
-        found = chains.read_inertias(["wheel=5e-5 +- 1e-6", "drum = 2e-4"], ["drum", "wheel"])
+        assert read_inertias(["5e-5"], ["wheel"])["wheel"].value == 5e-5
+        found = read_inertias(["wheel=5e-5 +- 1e-6", "drum = 2e-4"], ["drum", "wheel"])
         assert (found["wheel"].value, found["wheel"].u, found["drum"].value) == (5e-5, 1e-6, 2e-4)
         for given in (["5e-5"], ["belt=5e-5"], ["wheel=1e-5", "wheel=2e-5"]):
             with pytest.raises(UsageError):
-                chains.read_inertias(given, ["drum", "wheel"])
+                read_inertias(given, ["drum", "wheel"])
 
     def write(self, folder, name, start, rate, count=80):
         time = start + np.arange(count) / 50
@@ -229,7 +229,7 @@ class TestChains:
     def test_signs_are_reversed_if_all_bodies_turn_negatively(self, tmp_path, rates, sense):
         first, later = self.write(tmp_path, "a", 0.0, rates[0], 300), self.write(tmp_path, "c", 4.0, rates[1])
         early = self.write(tmp_path, "b", 1.0, rates[1])
-        case = chains.import_chain(
+        case = import_chain(
             {"wheel": [first], "drum": [later, early]},
             {"belt": ("wheel", "drum")},
             {"wheel": 5e-5, "drum": Inertia(2e-4, 1e-5)},
@@ -275,7 +275,7 @@ class TestReadings:
     )
     def test_units_of_a_file_that_are_not_si(self, columns, expected):
         document = {"columns": [{"quantity": q, "unit": u} for q, u in columns]}
-        found = reading.units_of_file(document)
+        found = units_of_file(document)
         assert found.keys() == expected.keys()
         for key, (unit, scale) in expected.items():
             assert found[key] == (unit, pytest.approx(scale))
@@ -284,12 +284,12 @@ class TestReadings:
         ("count", "end"), [(0, "none."), (12, "n11."), (13, "n11, 1 more."), (15, "n11, 3 more.")]
     )
     def test_twelve_unused_columns_are_named(self, count, end):
-        taken = (reading.Taken("'t'", "time", "ms", "why"), reading.Taken("'a'", "angle", "", "why"))
-        made = reading.Reading("f", "CSV", 7, taken, tuple(f"n{k}" for k in range(count)))
+        taken = (Taken("'t'", "time", "ms", "why"), Taken("'a'", "angle", "", "why"))
+        made = Reading("f", "CSV", 7, taken, tuple(f"n{k}" for k in range(count)))
         first, second = made.lines()
         assert "time from 't' [ms] (why); angle from 'a' (why)" in first
         assert second.endswith(end)
-        assert reading.reading_of(made.document()) == made
+        assert reading_of(made.document()) == made
 
 
 class TestCases:
@@ -416,12 +416,12 @@ class TestPoints:
         angle = 0.2 * k
         sign = -1.0 if y_down else 1.0
         place = np.stack([300.0 + radius * np.cos(angle), 200.0 + sign * radius * np.sin(angle)], axis=1)
-        found = points.Points(
+        found = Points(
             PATH, k if counted else 0.1 * k, {"dot": place, "Hub": np.tile([300.0, 200.0], (40, 1))}, {"dot": 0.02 * k},
             y_down, counted,
             errors={"dot": np.full(40, 0.5)},
         )  # fmt: skip
-        return points.angle_of(found, ReadOptions(likelihood=0.0, **options)), angle
+        return angle_of(found, ReadOptions(likelihood=0.0, **options)), angle
 
     @pytest.mark.parametrize("y_down", [True, False])
     @pytest.mark.parametrize("centre", [None, "300,200", "orbit", "Hub"])
@@ -437,8 +437,8 @@ class TestPoints:
         assert found.time[:3] == pytest.approx([3.0, 3.05, 3.1])
         k = np.arange(40.0)
         place = np.stack([50.0 * np.cos(k), 50.0 * np.sin(k)], axis=1)
-        some = points.Points(PATH, k, {"dot": place}, {"dot": 0.02 * k}, False, False)
-        made = points.angle_of(some, ReadOptions(likelihood=0.4, centre="0,0"))
+        some = Points(PATH, k, {"dot": place}, {"dot": 0.02 * k}, False, False)
+        made = angle_of(some, ReadOptions(likelihood=0.4, centre="0,0"))
         assert np.flatnonzero(np.isfinite(made.angle)).tolist() == list(range(20, 40))
 
     @pytest.mark.parametrize(("near", "refused"), [(9.0, True), (11.0, False)])
@@ -446,12 +446,12 @@ class TestPoints:
         k = np.arange(40.0)
         radius = np.where(k == 7, near, 50.0)
         place = np.stack([radius * np.cos(k), radius * np.sin(k)], axis=1)
-        some = points.Points(PATH, k, {"dot": place}, {}, False, False)
+        some = Points(PATH, k, {"dot": place}, {}, False, False)
         if refused:
             with pytest.raises(DatasetError, match="too close to"):
-                points.angle_of(some, ReadOptions(centre="0,0"))
+                angle_of(some, ReadOptions(centre="0,0"))
         else:
-            assert len(points.angle_of(some, ReadOptions(centre="0,0")).angle) == 40
+            assert len(angle_of(some, ReadOptions(centre="0,0")).angle) == 40
 
     @pytest.mark.parametrize(("offset", "doubted"), [(2.4, False), (2.6, True)])
     def test_a_centre_beside_that_of_the_path_is_doubted_from_a_twentieth_of_the_radius(
@@ -459,8 +459,8 @@ class TestPoints:
     ):
         k = np.arange(200.0)
         place = np.stack([50.0 * np.cos(0.1 * k) + offset, 50.0 * np.sin(0.1 * k)], axis=1)
-        some = points.Points(PATH, k, {"dot": place}, {}, False, False)
-        assert len(points.angle_of(some, ReadOptions(centre="0,0")).doubts) == doubted
+        some = Points(PATH, k, {"dot": place}, {}, False, False)
+        assert len(angle_of(some, ReadOptions(centre="0,0")).doubts) == doubted
 
     def test_the_doubt_states_the_uncertainty_of_the_fitted_centre(self):
         """Of a circle about (8, 0) seen over a turn: radial noise, and a frame with half of a position."""
@@ -469,10 +469,10 @@ class TestPoints:
         noise = np.random.default_rng(0).normal(0.0, 0.3, 120)
         place = np.stack([8.0 + (50.0 + noise) * np.cos(angle), (50.0 + noise) * np.sin(angle)], axis=1)
         place[30, 0] = np.nan
-        some = points.Points(PATH, k.astype(float), {"dot": place}, {}, False, False)
-        (text,) = points.angle_of(some, ReadOptions(centre="0,0")).doubts
+        some = Points(PATH, k.astype(float), {"dot": place}, {}, False, False)
+        (text,) = angle_of(some, ReadOptions(centre="0,0")).doubts
         known = np.delete(place, 30, axis=0)
-        centre = points.circle_centre(known)
+        centre = circle_centre(known)
         radius = np.hypot(*(known - centre).T)
         rest = radius - radius.mean()
         ray = (known - centre) / radius[:, None]
