@@ -288,3 +288,15 @@ def test_an_interval_contains_the_simulated_value(monkeypatch, value, stderr, to
     truth.estimates["only there"] = None
     assert module._inside(fit(value, stderr), truth) == {"k": inside}
     assert module._inside(fit(value, stderr, converged=False), truth) == {}
+
+
+@pytest.mark.parametrize(("criteria", "used"), [("strict", "strict"), (None, "of the fit")])
+def test_a_part_of_a_test_has_the_seed_effects_and_criteria_of_the_whole(monkeypatch, criteria, used):
+    asked = []
+    work = SimpleNamespace(hypotheses={("null", ""): "h"})
+    monkeypatch.setattr(module._Work, "of", lambda *given: asked.append(given) or work)
+    monkeypatch.setattr(module, "_outcome", lambda given, item: (given is work, item))
+    answer = SimpleNamespace(fit=SimpleNamespace(criteria="of the fit"))
+    found = module.outcomes_of(answer, [("null", "", 4)], seed=7, extra=("own",), criteria=criteria)
+    assert found == [(True, ("null", "", 4))]
+    assert asked == [(answer, ("own",), used, 7)]

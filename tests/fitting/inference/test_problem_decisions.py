@@ -235,3 +235,42 @@ class TestCaseFile:
         first, second = _case_file._modes(series, "rotor", windows)
         assert (first.window, first.time.tolist(), first.basis[:, 0].tolist()) == (0, [0.0, 2.0], [0.0, 2.0])
         assert (second.window, second.time.tolist(), second.origin) == (3, [4.0], "axis")
+
+
+class TestFirstNoise:
+    """A body of inertia 3 with accelerations of 2, 4 and 6 rad/s2, from 100 s to 140 s; the main body has 1 rad/s2."""
+
+    @pytest.fixture
+    def problem(self, monkeypatch):
+        made = []
+
+        class Response:
+            def __init__(self, data, motion):
+                made.append((data, motion))
+
+            def whitener(self, noise):
+                return ("whitener", noise.rms, noise.time)
+
+        monkeypatch.setattr(_problem, "TorqueResponse", Response)
+        rates = np.stack([[2.0, -4.0, 6.0], [1.0, 1.0, 1.0]], axis=1)
+        record = SimpleNamespace(span=(100.0, 140.0), inertias=(3.0, 7.0))
+        data = SimpleNamespace(record=record, casing=SimpleNamespace(scale=1.4), process_noise="process")
+        dynamics = SimpleNamespace(rates=lambda times, y, numbers: rates)
+        path = SimpleNamespace(mesh=SimpleNamespace(times=None), y=None)
+        return SimpleNamespace(
+            cases=[SimpleNamespace(data=data, dynamics=dynamics, case=0)],
+            predict=lambda theta: [SimpleNamespace(path=path, motion="motion")],
+            layout=SimpleNamespace(numbers=lambda theta, case: {}),
+        )
+
+    def test_it_is_a_hundredth_of_the_median_torque_for_a_two_hundredth_of_the_record(self, problem):
+        (noise,) = _problem.first_noise(problem, np.zeros(1))
+        level, time = 0.01 * 3.0 * 4.0, 40.0 / 200
+        assert noise.level == pytest.approx(level)
+        assert noise.whitener == ("whitener", pytest.approx(level), pytest.approx(time))
+        assert (noise.time, noise.scale, noise.process) == (pytest.approx(time), 1.4, "process")
+
+    @pytest.mark.parametrize(("level", "raised"), [(0.1, 0.12), (0.2, 0.2)])
+    def test_a_known_noise_is_raised_to_it(self, problem, level, raised):
+        known = SimpleNamespace(level=level, at=lambda x: x)
+        assert _problem.raised_noise(problem, np.zeros(1), [known]) == (pytest.approx(raised),)

@@ -155,6 +155,8 @@ def test_the_orbit_of_a_coloured_blob_is_found_with_and_without_a_hub(hub, monke
     np.testing.assert_allclose(orbit.centre, (80.5, 60.5), atol=0.5)
     assert orbit.radii[0] == pytest.approx(40.0, abs=0.6)
     assert find_orbit(_samples(change), MovingColour(0.0 * change, (0.0,)), hub) is None
+    # about another hub the blob does not move on a circle
+    assert find_orbit(_samples(change), MovingColour(change, (0.0,)), (5.0, 5.0)) is None
 
 
 ORBIT = Orbit((100.0, 80.0), {0: 60.0, 1: 40.0}, 20, 6.0)

@@ -233,6 +233,11 @@ def test_names_with_blanks():
     assert read("t angle\n\n" + rows).names == ("t", "angle")
 
 
+def test_a_short_row_before_the_last_one_is_an_error():
+    with pytest.raises(DatasetError, match="1 cells where the header has 2"):
+        read("t,angle\n" + ROWS + "8\n9,90\n")
+
+
 def test_rows_of_unequal_length():
     raw = read("t,angle\n" + ROWS + "8")
     assert values(raw)[1] == ANGLES
