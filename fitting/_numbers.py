@@ -145,6 +145,12 @@ def probability(p: float) -> str:
     return short(p, 2)
 
 
+def stated_probability(p: float) -> str:
+    """Return a p-value with its sign of relation: p = 0.34, p = 2 × 10⁻⁷, or p < 10⁻³⁰."""
+    text = probability(p)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
+
+
 def scaled(largest: float, prefixes: Iterable[tuple[float, str]] = _PREFIXES) -> tuple[float, str]:
     """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500; no prefix if there is none."""
     return next((p for p in prefixes if largest * p[0] >= 0.5), _PREFIXES[0])

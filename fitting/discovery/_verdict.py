@@ -29,7 +29,17 @@ from fitting._display import (
     printable,
     table,
 )
-from fitting._numbers import format_torque, percentage, plain, probability, rounded, short, typeset, unit_text
+from fitting._numbers import (
+    format_torque,
+    percentage,
+    plain,
+    probability,
+    rounded,
+    short,
+    stated_probability,
+    typeset,
+    unit_text,
+)
 from fitting._workers import Task, WorkerPool, single_blas_thread
 from fitting.discovery._difference import DifferentParameter
 from fitting.discovery._lack_of_fit import (
@@ -509,8 +519,9 @@ class _Search(NamedTuple):
     def suggests_two(self, found: _Graded) -> bool:
         """Return whether a second effect is worth a search: none was tried, and one effect does not suffice.
 
-        This is so if a smooth law of a speed describes the data better than the effect, or if the score of a second
-        effect about the fit with the first one already exceeds what `_are_two_effects` needs.
+        This is so if a smooth law of a speed describes the data better than the effect, or if a test of lack of fit is
+        significant and the score of a second effect about the fit with the first one exceeds what `_are_two_effects`
+        needs. Without a lack of fit, a second effect may be a tracking error.
         """
         selection = found.selection
         end = selection.final
@@ -518,7 +529,8 @@ class _Search(NamedTuple):
             return False
         if found.size.unknown:
             return True
-        if found.misfit or not are_smooth(d.motion for d in end.problem.data):
+        is_smooth = are_smooth(d.motion for d in end.problem.data)
+        if found.misfit or not is_smooth or not self.fit.has_lack_of_fit(self.criteria):
             return False
         log_rows = math.log(end.rows)
         return any(
@@ -752,7 +764,7 @@ def _opening(
     """Return whether the tests of the fit find a lack of fit, and the p-value of the best effect if they do not."""
     if fit.has_lack_of_fit(criteria):
         return f"Significant lack of fit{f': {failures[0]}' if failures else ''}."
-    but = "" if added is None else f", but an added effect is (p = {probability(added.p_value)})"
+    but = "" if added is None else f", but an added effect is ({stated_probability(added.p_value)})"
     return f"No test of lack of fit is significant{but}."
 
 
@@ -886,7 +898,7 @@ def _untested(test: FormTest, criteria: Criteria) -> list[str]:
         return []  # stated with the rivals
     if test.bounds_p <= criteria.doubt_named:
         pulled = f"the fit prefers {', '.join(test.bounds)} outside its bounds"
-        return [f"The form is not established: {pulled} (p = {probability(test.bounds_p)})."]
+        return [f"The form is not established: {pulled} ({stated_probability(test.bounds_p)})."]
     if not math.isfinite(test.limit):
         return ["The form is not established: the other parameters absorb every deviation from it."]
     if test.limit >= 1:

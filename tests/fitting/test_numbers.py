@@ -2,7 +2,16 @@ import math
 
 import pytest
 
-from fitting._numbers import per_inertia, probability, scaled, short, typeset, unit_text, with_uncertainty
+from fitting._numbers import (
+    per_inertia,
+    probability,
+    scaled,
+    short,
+    stated_probability,
+    typeset,
+    unit_text,
+    with_uncertainty,
+)
 
 
 @pytest.mark.parametrize(
@@ -66,6 +75,8 @@ def test_missing_numbers_are_a_dash():
 def test_tiny_probabilities_are_bounded():
     assert probability(1e-186) == "< 10⁻³⁰"
     assert probability(0.0) == "< 10⁻³⁰"
+    assert stated_probability(1e-186) == "p < 10⁻³⁰"
+    assert stated_probability(0.34) == "p = 0.34"
 
 
 def test_scale_keeps_the_size_readable():

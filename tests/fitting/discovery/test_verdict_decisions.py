@@ -349,6 +349,9 @@ class TestVerdict(Answer):
         found = self.answer(rank=[next_one])
         assert asked == ([False, True] if tried else [False])
         assert (found.remainder is LEFT) is tried
+        asked.clear()
+        self.answer(Found(wrong=True, lack_of_fit=False), rank=[next_one])
+        assert asked == [False]
 
     @pytest.mark.parametrize("bic", [88.5, 88.7])
     def test_a_second_effect_has_to_lower_bic_clearly(self, monkeypatch, bic):
