@@ -1,9 +1,9 @@
 """The layout of a case file: names, types, dimensions, units and meanings of its datasets and attributes.
 
-Writing (`gyrotrack.io`), reading (`fitting._stored_case`), validation (`fitting._dataset`) and the page of the format
-use the tables in this module; `gyrotrack.io._schema` adds those of a recording. A `Field` is one HDF5 dataset, an
-`Attribute` one attribute of its group. Dimensions become dimension scales: those that are also fields (time, frame)
-are coordinates, the others (side, xy) are indices.
+The tables in this module serve the writer (`gyrotrack.io`), the reader (`fitting._stored_case`), the validation
+(`fitting._dataset`) and the format page; `gyrotrack.io._schema` adds those of a recording. A `Field` is one HDF5
+dataset, an `Attribute` one attribute of its group. Dimensions become dimension scales: those that are also fields
+(time, frame) are coordinates, the others (side, xy) are indices.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 FORMAT = "gyrotrack"
 MAJOR = 2
-"""Major version of the layout of HDF5 files that is written and read [1]. Derived: the present layout."""
+"""Major version of the HDF5 layout that the program writes and reads [1]. Derived: the present layout."""
 FORMAT_VERSION = f"{MAJOR}.0"
 RECORDING = "recording"
 CASE = "case"
@@ -76,7 +76,7 @@ class Table:
 
 
 def stated_attributes(record: Any, attributes: Iterable[Attribute]) -> dict[str, Any]:
-    """Return the attributes of `record` that are written, by their names in a file; NaN and () are not written."""
+    """Return the attributes of `record` to write, keyed by their names in a file; NaN and () are not written."""
     found = ((a, a.kind(getattr(record, a.key))) for a in attributes)
     return {
         a.name: value
@@ -251,15 +251,16 @@ PLACEMENT_ATTRIBUTES = (
 MEASURED = {"angle": ("angle", "sigma"), "omega": ("omega", "omega_sigma")}
 # the same quantities in `/body`
 QUANTITIES = {"angle": "angle", "speed": "omega"}
-# series of a body that is fitted
+# the series that the fit uses
 FITTED_SERIES = "fused"
 
-# `/body/<name>` of a case: the same numbers under names that depend neither on the body nor on the quantity
+# `/body/<name>` of a case: the numbers of `/casing` or `/rotor`, if present, under names independent of body and
+# quantity
 FUSED = Table(
     (
         Field("time", _T, "s", "time on the clock of the case"),
         Field("value", _T, "rad or rad s-1", "angle, or angular velocity"),
-        Field("u", _T, "rad or rad s-1", "standard uncertainty of the value from white noise"),
+        Field("u", _T, "rad or rad s-1", "white-noise part of the standard uncertainty of the value"),
         Field(
             "segment", _T, "1", "clip or window of the sample; absent for the first body", "i8", optional=True
         ),
@@ -329,12 +330,12 @@ GROUPS = (
     ("`/rotor` of a case: all windows", WINDOWED),
     ("`/rotor_generated` of a case, only if one was requested", GENERATED),
     ("`/input/<name>` of a case: a recorded input of the motion", INPUT),
-    ("`/body/<name>/series/fused` of a case: the series of a body that is fitted", FUSED),
+    ("`/body/<name>/series/fused` of a case: the series that the fit uses", FUSED),
     ("`/body/<name>/series/fused/error/<mode>`: an error that its samples share", ERROR_MODE),
     ("`/clock/<name>` of a case: the clock of a clip", CLOCK),
 )
 
-# all attributes of groups of a case that are not tables, for docs/reference/format.md
+# all attributes of those groups of a case that are not tables, for docs/reference/format.md
 ATTRIBUTES = (
     ("Attributes of a case", CASE_ATTRIBUTES),
     ("Further attributes of `/recording/<name>` in a case", PLACEMENT_ATTRIBUTES),

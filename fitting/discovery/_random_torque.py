@@ -25,13 +25,13 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _CERTAIN = 3.0
-"""Inflation of the deviance above which the inflation need not be simulated [1]. Measured: the inflation in all
+"""Assumed inflation; an effect that is significant with it needs no simulation [1]. Measured: the inflation in all
 simulated recordings is 1.0 to 1.8."""
 _SEED = 11
 """Seed of the simulated recordings [1]. Chosen: any value makes the verdict reproducible; another one changes the
 inflation within its error."""
 _DRAWS = 200
-"""Simulated recordings of one inflation [1]. Chosen: fewer make the inflation uncertain, more cost time."""
+"""Number of simulated recordings for one inflation [1]. Chosen: fewer make the inflation uncertain, more cost time."""
 _RANGE = 4.0
 """Largest ratio of trial times and levels to the true values, and of the true to the trial values [1]. Chosen: a
 smaller value understates the inflation, a larger one spreads the trials too far."""
@@ -43,7 +43,7 @@ _NEAR_LEVELS = 11
 
 @dataclass(frozen=True)
 class RandomTorque:
-    """A fit with the most likely random torque of any level and correlation time, one for each case."""
+    """A fit with the most likely random torque of each case, at any level and correlation time."""
 
     fit: Fit
     deviance: float
@@ -67,7 +67,7 @@ class RandomTorque:
 
     @property
     def likely(self) -> LikelyNoise:
-        """Noise and deviance without the fit."""
+        """Noise, deviance and mean torque only."""
         return LikelyNoise(self.fit.noise, self.deviance, self.mean_torque)
 
     @property
@@ -111,11 +111,11 @@ def is_established(
 def inflation(without: RandomTorque, named: Fit, criteria: Criteria) -> float:
     """Return the Bartlett factor of the fall of the deviance due to an effect, at least 1.
 
-    Level and correlation time of the random torque are optimised without and with the effect. The fall under the null
-    hypothesis is therefore larger than a chi-square with the same number of columns. Its mean is simulated to first
-    order from the most likely random torque of the fit without the effect. The factor is this mean divided by the
-    number of columns; the fall is divided by the factor (M. S. Bartlett, Proc. R. Soc. A 160, 268 (1937)). With several
-    cases, the largest factor counts.
+    Level and correlation time of the random torque are optimised without and with the effect. Under the null hypothesis
+    the fall therefore exceeds a chi-square variable with one degree of freedom per added column. The mean fall is
+    simulated to first order from the most likely random torque of the fit without the effect. The factor is this mean
+    divided by the number of columns; the fall is divided by the factor (M. S. Bartlett, Proc. R. Soc. A 160, 268
+    (1937)). With several cases, the largest factor counts.
     """
     old = set(without.fit.problem.layout.names)
     added = np.array([n not in old for n in named.problem.layout.names])

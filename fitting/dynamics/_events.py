@@ -8,13 +8,14 @@ the state before the jump becomes
 
     dy+ = dy- - (f- - f+) dy-_c / f-_c        (the saltation matrix).
 
-A known solution for similar numbers is the initial solution: each stretch is solved on its mesh, with the time of the
-stop as an additional unknown. If the sequence of events has changed, meshes and events are determined anew.
+A known solution for similar numbers is the initial solution: each stretch between events is solved on the mesh of that
+solution; the time at which the casing stops is an additional unknown. If the sequence of events has changed, meshes and
+events are determined anew.
 
-An oscillation has hundreds of events. In this case Newton's method treats all stretches simultaneously. With the state
-y, the speed w of the casing and the rates f- and f+ at an edge where the casing reverses, the edge moves by -(w + dw) /
-f-_c. The deviation of the next stretch, continued to the old time, is the saltation matrix times dy minus (f- - f+) w /
-f-_c.
+An oscillation has hundreds of events. In this case Newton's method treats all stretches simultaneously. At an edge
+where the casing reverses, let y be the state, w the speed of the casing, f- and f+ the rates. The edge moves by -(w +
+dw) / f-_c. Continued to the old time, the deviation of the next stretch is S dy - (f- - f+) w / f-_c, with the
+saltation matrix S.
 """
 
 from __future__ import annotations
@@ -128,7 +129,8 @@ class Segments:
     ) -> Path | None:
         """Return the path between two events from a known solution; None if the sequence of events differs.
 
-        `known` is this stretch of the known solution; with `stops` it ended at a stop of the casing, not of the record.
+        `known` is this stretch of the known solution; with `stops` it ends where the casing stops, not where the record
+        ends.
         """
         edges = known.mesh.edges
         within = [b for b in self.breaks if time < b < (edges[-1] if stops else end)]
@@ -160,7 +162,7 @@ class Segments:
         return bool(stop < end and not between and braked and abs(y[MAIN]) <= _STOPPED * largest)
 
     def oscillating(self, start: Array, sense: float, known: Path) -> list[Path]:
-        """Return the stretches of a motion with many reversals, while its events are those of a known solution.
+        """Return the first stretches of a motion with many reversals: those whose events agree with a known solution.
 
         `known` is a solution for similar numbers, or the measured motion: its jumps are at edges where the casing
         reverses.
@@ -189,7 +191,7 @@ class Segments:
         return []
 
     def _with_beginning(self, start: Array, sense: float, known: Path) -> Path | None:
-        """Return a known motion with the first reversal according to the initial speed.
+        """Return a known motion with its first reversal adapted to the initial speed.
 
         A body that is released nearly at rest may reverse immediately, depending on the sign of its small initial
         speed; all later reversals are the same.
@@ -476,16 +478,17 @@ _MANY = 3
 """Smallest number of reversals for which all stretches are solved simultaneously [1]. Chosen: with a smaller value the
 number of events may still change, a larger one costs time."""
 _MOST_STEPS = 25
-"""Largest number of Newton steps for the times of all reversals [1]. Chosen: fewer stop early, more delay failures."""
+"""Largest number of Newton steps for the times of all reversals [1]. Chosen: a smaller number stops early, a
+larger one delays failures."""
 _HORIZON = 2.0
 """Time within which the next event is first searched for, relative to the largest time between two reversals [1].
 Chosen: a smaller value overlooks the next reversal, a larger one integrates needlessly."""
 _NEARBY = (1.0, 0.97)
-"""Shares of the reversals that are solved simultaneously near a known solution [1]. Chosen: the second share omits
-reversals at the end that may not exist; a smaller one costs time."""
+"""Shares of the reversals to solve simultaneously if a known solution is the initial value [1]. Chosen: the second
+share omits reversals at the end that may not exist; a smaller one costs time."""
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
-"""Shares of the reversals that are solved simultaneously near the measured motion [1]. Chosen: smaller shares allow
-larger errors of the frequency; with fewer shares the solution may fail, more cost time."""
+"""Shares of the reversals to solve simultaneously if the measured motion is the initial value [1]. Chosen: smaller
+shares allow larger errors of the frequency; with fewer shares the solution may fail, more cost time."""
 _BRIEF = 0.1
 """Longest first stretch that is determined again, relative to the second stretch [1]. Chosen: a smaller value keeps a
 first stretch that may not exist, a larger one discards a valid one."""
@@ -499,8 +502,8 @@ _EXACT = 1e-13
 """Relative change of the times that is rounding error [1]. Derived: several hundred times the relative precision of a
 number, for sums over many reversals."""
 _SLOW = 1e-3
-"""Speed of an oscillating casing, relative to its largest speed, below which errors are not relative to the speed [1].
-Chosen: a smaller value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""
+"""Smallest scale of the errors of an oscillating casing's speed, relative to its largest speed [1]. Chosen: a smaller
+value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""
 _LONGEST_DELAY = 0.45
 """Largest change of the time of a reversal in a step, as a share of the time to its neighbours [1]. Derived: below one
 half, so that two reversals do not change their order."""

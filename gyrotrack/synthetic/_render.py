@@ -64,7 +64,10 @@ class PolarPicture:
         return PolarPicture(np.ascontiguousarray(self.pixels[:, :, index : index + 1]), self.per_mm)
 
     def blurred(self, angle: float) -> Paint:
-        """Return two turns of the picture, blurred by a rotation by ``angle`` [rad]; cached (it changes little)."""
+        """Return two turns of the picture, blurred by a rotation by ``angle`` [rad].
+
+        The result is cached, because ``angle`` changes little.
+        """
         width = round(abs(angle) * self.per_rad / WIDTH_STEP) * WIDTH_STEP
         width = max(1.0, min(width, float(self.columns)))
         if width not in self._blurred:
@@ -84,7 +87,7 @@ class PolarPicture:
         )
 
     def seen_columns(self, angle: Picture, psi: Array) -> Picture:
-        """Return the columns for `sample` at angles (in columns, within half a turn) for a body at the angle psi."""
+        """Convert angles (in columns, within half a turn) to columns for `sample`, for a body at the angle psi."""
         n = self.columns
         shift = np.mod(-np.asarray(psi) * self.per_rad, n) + 0.5 * n
         return angle + shift.astype(np.float32)
@@ -205,7 +208,7 @@ TABLES: dict[str, Colour] = {
 
 
 class _Canvas:
-    """Polar grid with colour (times cover) and cover, painted from bottom to top."""
+    """Polar grid of cover and of colour times cover, painted from bottom to top."""
 
     def __init__(self, scene: Scene, camera: Camera, reach: float) -> None:
         self.sigma = max(camera.psf, 0.2) / camera.scale
@@ -218,7 +221,7 @@ class _Canvas:
         self.cover = np.zeros(self.x.shape)
 
     def over(self, cover: Array, colour: Colour | Array) -> None:
-        """Paint a colour over the canvas, weighted by its cover."""
+        """Paint a colour over the canvas with the weight ``cover``."""
         paint = np.asarray(colour, dtype=np.float64)
         self.colour *= 1.0 - cover[..., None]
         self.colour += cover[..., None] * paint
@@ -237,7 +240,10 @@ class _Canvas:
 
 
 def paint_rotor(scene: Scene, camera: Camera) -> PolarPicture:
-    """Paint the rotor, opaque to a radius hidden by the casing ring: red, green, blue, and fraction of bare metal."""
+    """Paint the rotor, opaque out to a radius under the casing ring.
+
+    The channels are red, green, blue and the fraction of bare metal.
+    """
     canvas = _Canvas(scene, camera, scene.ring_outer + 4.0)
     lathe = 1.0 + scene.structure * (np.sin(3.1 * canvas.r) + 0.6 * np.sin(7.7 * canvas.r + 1.0))
     uneven = scene.structure * (
@@ -317,7 +323,7 @@ Frame = NDArray[np.uint8]
 
 SUB_STEP_PX = 1.2  # largest motion of the edges of the casing in a sub-exposure [px]
 MAX_SUB = 24
-FOLD = 256  # rows of lists of points for cv2.remap, which is limited to 32767 columns
+FOLD = 256  # rows into which a list of points is folded; cv2.remap is limited to 32767 columns
 SOFT_SHADOW = 0.05  # blur of the shadow of the bar [rad]
 
 BANKS = 4

@@ -62,7 +62,7 @@ class DiscWindow:
         self._corner = (x, y)
 
     def take(self, frames: list[Frame], place: int) -> None:
-        """Store the windows of some frames at the index `place` of the batch and after it."""
+        """Store the windows of some frames in the batch from index `place` on."""
         self._used = True
         x, y = self._corner
         side = 2 * self.half + 1
@@ -86,11 +86,11 @@ HOLE = 8
 """Correlation length of the errors of a compressed film [frames]. Chosen: a smaller value mistakes correlated errors
 for a path, a larger one smooths a fast path."""
 _HALVES = (24, 48, 96, 192)
-"""Half widths of the local parabolas of a path that cross-validation compares [frames]. Chosen: factors of two; a
+"""Half widths that cross-validation compares for the local parabolas of a path [frames]. Chosen: factors of two; a
 shorter one follows noise, a longer one smooths a precession."""
 _SHORT_HALVES = (2, 6, 12, 0)
-"""Half widths for a hub that moves fast, as in a hand-held film; 0 for a hub that moves between neighbouring frames
-[frames]. Chosen: about factors of two; see `marked_paths`."""
+"""Half widths for a hub that moves fast, as in a hand-held film; 0 (no smoothing) if the camera shakes from frame to
+frame [frames]. Chosen: about factors of two; see `marked_paths`."""
 _ALTERNATIVES = 48
 """Smallest number of frames for which the radii of the markers select a path of `_SHORT_HALVES` [frames]. Chosen: with
 fewer the selection is random, with more the path of the hub is smoothed in a short film."""
@@ -109,7 +109,11 @@ smaller value understates the resulting error."""
 
 @dataclass(frozen=True)
 class CentrePath:
-    """The centre in each frame (n, 2) [px], its uncertainty per axis (n,) [px], and the frames of smoothing."""
+    """The path of the centre.
+
+    The arrays are the centre in each frame (n, 2) [px] and its uncertainty per axis (n,) [px]. `reach` is the half
+    width of the smoothing [frames].
+    """
 
     centre: Floats
     sigma: Floats
@@ -177,8 +181,8 @@ def fast_motion(centre: CentrePath, measured: Floats) -> str | None:
     rest = robust_rms((measured - centre.centre)[known])
     if rest > FAST:
         return (
-            f"The disc of the hub is {rest:.2g} px rms away from its smoothed path, suggesting camera shake, and no "
-            "background shows its motion; the uncertainties of the angles include this."
+            f"The disc of the hub is {rest:.2g} px rms away from its smoothed path. This suggests camera shake, which "
+            "no background shows; the uncertainties of the angles include the shake."
         )
     return None
 
@@ -252,7 +256,7 @@ def _fitted(z: Complexes, weight: Floats, half: int, hole: int = -1) -> Complexe
 
 
 _TRIMMED = 0.95
-"""Share of the errors, the smallest ones, that the mean includes [1]. Chosen: a smaller value ignores fast parts of the
+"""Share of the errors that the mean includes, smallest first [1]. Chosen: a smaller value ignores fast parts of the
 path, a larger one is dominated by outliers."""
 
 
@@ -265,8 +269,8 @@ def _prediction_error(z: Complexes, weight: Floats, half: int) -> float:
 
 
 _FEWEST_OF_LINES = 96
-"""Smallest number of frames for a spectrum with lines [frames]. Chosen: fewer give an uncertain floor, more smooth the
-precession of short films."""
+"""Smallest number of frames for a spectrum with lines [frames]. Chosen: with fewer the floor is uncertain; with
+more the precession of short films is smoothed."""
 
 
 def _lines(rest: Complexes) -> Complexes:
@@ -310,7 +314,8 @@ def _floor(power: Floats) -> Floats:
 
 
 _MOST_LAGS = 48
-"""Largest lag of the correlation of the residuals [frames]. Chosen: more sum noise, fewer cut slow correlations."""
+"""Largest lag of the correlation of the residuals [frames]. Chosen: a larger value adds noise to the sum, a smaller one
+cuts slow correlations."""
 _CORRELATED = 0.1
 """Smallest correlation that the sum includes [1]. Chosen: a smaller value sums noise, a larger one understates the
 uncertainty."""
@@ -337,8 +342,8 @@ knots."""
 
 
 _FEWEST_PLACES = 12
-"""Smallest number of places of markers that determine the path of a centre [1]. Chosen: fewer fit noise, more refuse
-short films."""
+"""Smallest number of places of markers that determine the path of a centre [1]. Chosen: a smaller number fits
+noise, a larger one refuses short films."""
 
 
 def wandering_centre(

@@ -59,8 +59,8 @@ def report_command(
         Path | None,
         option(
             "--overlay OUT.mp4",
-            "Also write a film in slow motion of each lack of fit, with the marker at the angle predicted by the "
-            "model; .webp: an animated picture of the whole run.",
+            "Also write a slow-motion film of every lack of fit, with the marker at the angle of the model; .webp: an "
+            "animated picture of the whole run.",
         ),
     ] = None,
     appendix: Annotated[
