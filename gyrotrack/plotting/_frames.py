@@ -419,12 +419,13 @@ def _body_rows(film: TrackedFilm, tracked: Tracked, width: int) -> list[Picture]
     for k, picture in zip(index, film.some(tracked.frame[index]), strict=True):
         tile = np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         hub = np.array(ring.hub) + tracked.hub_path[k]
-        for radius in (ring.inner, ring.outer):
+        shown = tracked.ring_at(int(k))
+        for radius in (shown.inner, shown.outer):
             around = places(hub, radius, np.linspace(ring.start, ring.start + ring.span, 200))
             cv2.polylines(tile, [around], isClosed=False, color=_RING, thickness=1)
         cv2.drawMarker(tile, places(hub, 0.0, 0.0).tolist(), _RING, cv2.MARKER_CROSS, 12, 1)
         theta = -tracked.angle[k] + ring.start
-        hand = places(hub, np.array([ring.inner, ring.outer]), theta)
+        hand = places(hub, np.array([shown.inner, shown.outer]), theta)
         cv2.line(tile, hand[0].tolist(), hand[1].tolist(), _HAND, 2)
         size = (width // 4, round(tile.shape[0] * width / (4 * tile.shape[1])))
         tiles.append(np.asarray(cv2.resize(tile, size, interpolation=cv2.INTER_AREA), dtype=np.uint8))

@@ -608,4 +608,5 @@ def _along_path(
         halves=halves[:, kept],
         correlated=0.0,
         warnings=(text,) if lost else (),
+        size=None if scale is None else scale[kept],
     )

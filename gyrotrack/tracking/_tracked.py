@@ -45,6 +45,12 @@ class Tracked:
     # distance
     distance_error: float = 0.0
     ambiguous: bool = False  # whether another rotation describes the film as well (temporal aliasing)
+    # shape (m,); size of the body in the picture relative to `ring`; None if it is constant
+    size: Floats | None = None
+
+    def ring_at(self, index: int) -> Ring:
+        """Return the ring about the body in a frame, given by its index in `frame`, without the motion of the hub."""
+        return self.ring if self.size is None else self.ring.scaled(float(self.size[index]))
 
     @property
     def hub_leverage(self) -> float:

@@ -151,6 +151,8 @@ def test_a_body_that_moves_away_from_the_camera_is_followed_while_it_becomes_sma
     place = np.array(tracked.ring.hub) + tracked.hub_path
     assert np.abs(place - path[tracked.frame]).max() < 0.5
     assert any("its size in the picture changes by a factor of 2.9" in w for w in tracked.warnings)
+    outer = [tracked.ring_at(k).outer for k in range(len(tracked.frame))]
+    assert outer == pytest.approx(0.9 * 14.0 * size[tracked.frame], rel=0.03)
 
 
 def test_a_body_that_turns_in_one_place_for_most_of_the_film_is_not_a_background():

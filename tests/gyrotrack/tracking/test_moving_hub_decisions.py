@@ -139,6 +139,7 @@ class TestRegistration:
         given = 0.1 * np.arange(20), np.zeros((20, 2))
         found = moving._along_path(film_of(list(range(20))), np.arange(20), ring, *given, None, None, size)
         assert found.hub_path[:, 0] == pytest.approx(0.5 * size)
+        assert [found.ring_at(k).outer for k in (0, 19)] == [60.0, 30.0]
         assert sizes[0] == (10.0, 60.0, ring.rows)
         assert sizes[19] == (5.0, 30.0, ring.rows)
 
