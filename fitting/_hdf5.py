@@ -41,7 +41,7 @@ _HEAP_MARK = b"GCOL\x01\x00\x00\x00"
 _HEAP_HEADER = 16
 """Length of the header of an object in a string heap [bytes]. Source: HDF5 file format, level 1E."""
 _BLOCK = 2**20
-"""Bytes that are read at once [bytes]. Chosen: fewer are slow, more need memory."""
+"""Bytes that are read at once [bytes]. Chosen: with fewer, reading is slow; with more, it needs memory."""
 
 
 @dataclass(frozen=True)

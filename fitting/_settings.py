@@ -3,7 +3,7 @@
 A setting is a constant of a module. The text below it, its attribute docstring, describes it::
 
     FOLDS = 6
-    \"\"\"Folds of the cross-validation [1]. Chosen: fewer leave large gaps in the data, more cost time.\"\"\"
+    \"\"\"Folds of the cross-validation [1]. Chosen: a smaller number leaves large gaps, a larger one costs time.\"\"\"
 
 The meaning ends with the unit in brackets. The origin begins with one of four words: "derived", with the formula or the
 reason; "measured", with the data; "source", with a publication or a standard; "chosen", a convention or a trade-off,

@@ -196,7 +196,7 @@ class Comparison:
 
 
 _LISTED = 12
-"""Names of runs in a sentence [1]. Chosen: fewer hide runs, more make the sentence unreadable."""
+"""Names of runs in a sentence [1]. Chosen: a smaller number hides runs, a larger one makes the sentence unreadable."""
 
 
 def _listed(runs: Sequence[str]) -> str:

@@ -39,11 +39,11 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 FEWEST_RUNS = 8
-"""Smallest number of runs of a population [runs]. Chosen: fewer do not determine a spread, more refuse short
-studies."""
+"""Smallest number of runs of a population [runs]. Chosen: a smaller number does not determine a spread, a larger one
+refuses short studies."""
 FEWEST = 3
-"""Smallest number of runs on each side of a step [runs]. Chosen: fewer take an outlying run for a step, more overlook
-steps near the ends."""
+"""Smallest number of runs on each side of a step [runs]. Chosen: a smaller number takes an outlying run for a step, a
+larger one overlooks steps near the ends."""
 LEVEL = 0.01
 """Probability of any false change in a set of runs [1]. Chosen: a larger value reports more false changes, a smaller
 one overlooks changes."""
@@ -51,17 +51,17 @@ OUTLYING = 0.01
 """Probability of any false outlying run in a set of runs [1]. Chosen: a larger value omits regular runs, a smaller one
 keeps outlying runs."""
 _SETS = 20000
-"""Simulated sets for the null distribution of the largest step [1]. Chosen: fewer make small p-values coarse, more cost
-time."""
+"""Simulated sets for the null distribution of the largest step [1]. Chosen: a smaller number makes small p-values
+coarse, a larger one costs time."""
 _AT_A_TIME = 2**21
 """Random numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
 result."""
 _NEIGHBOURS = 7
-"""Runs on each side over which the first mean is a median [runs]. Chosen: fewer follow outlying runs, more blur a
-drift."""
+"""Runs on each side over which the first mean is a median [runs]. Chosen: a smaller number follows outlying runs, a
+larger one blurs a drift."""
 _ROUNDS = 8
-"""Largest number of rounds that omit outlying runs [1]. Chosen: fewer stop before the set is stable, more delay the
-end."""
+"""Largest number of rounds that omit outlying runs [1]. Chosen: a smaller number stops before the set is stable, a
+larger one delays the end."""
 _MOST_OUT = 0.2
 """Largest share of omitted runs [1]. Chosen: a larger value takes a second population for outlying runs, a smaller one
 keeps outlying runs."""
@@ -75,7 +75,7 @@ _LEAST_SHARE = 0.8
 """Share of the runs that must determine a parameter [1]. Chosen: a smaller value tests parameters of few runs, a larger
 one drops parameters for single runs."""
 _SHOWN = 12
-"""Outlying runs in a sentence [1]. Chosen: fewer hide runs, more make the sentence unreadable."""
+"""Outlying runs in a sentence [1]. Chosen: a smaller number hides runs, a larger one makes the sentence unreadable."""
 
 
 @dataclass(frozen=True)

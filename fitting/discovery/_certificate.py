@@ -48,13 +48,14 @@ if TYPE_CHECKING:
 Kind = Literal["null", "truth", "rival"]
 
 _MOST_RIVALS = 3
-"""Largest number of simulated rivals [1]. Chosen: fewer leave confusions unknown, more cost time."""
+"""Largest number of simulated rivals [1]. Chosen: a smaller number leaves confusions unknown, a larger one costs
+time."""
 _RIVAL_SHARE = 0.25
 """Simulated recordings of each rival per null recording [1]. Chosen: a smaller value widens the intervals of the rates,
 a larger one costs time."""
 _FEWEST = 4
-"""Smallest number of simulated recordings of a rival [recordings]. Chosen: fewer do not show the effect that is usually
-named, more cost time in short certificates."""
+"""Smallest number of simulated recordings of a rival [recordings]. Chosen: a smaller number does not show the effect
+that is usually named, a larger one costs time in short certificates."""
 _INTERVAL = 1.96
 """Half width of an interval that contains the true value in 95 % of the cases [standard uncertainties]. Derived:
 quantile 0.975 of the standard normal distribution."""

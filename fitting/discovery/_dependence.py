@@ -42,32 +42,33 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _COLUMNS = 10
-"""Splines of a torque of one variable in the test [1]. Chosen: fewer overlook narrow laws, more lower the power for
-broad ones."""
+"""Splines of a torque of one variable in the test [1]. Chosen: a smaller number overlooks narrow laws, a larger one
+lowers the power for broad ones."""
 _FINE = 36
-"""Splines of the displayed curve [1]. Chosen: fewer do not resolve a resonance, more cost time; the prior smooths
-them."""
+"""Splines of the displayed curve [1]. Chosen: a smaller number does not resolve a resonance, a larger one costs time;
+the prior smooths the splines."""
 _PAIR = 4
-"""Splines along each of two variables [1]. Chosen: the test has the square of this number; fewer overlook curved laws,
-more lower the power."""
+"""Splines along each of two variables [1]. Chosen: the test has the square of this number; a smaller number overlooks
+curved laws, a larger one lowers the power."""
 _CUBIC = 3
 """Degree of the splines [1]. Chosen: a smaller value gives curves with kinks, a larger one oscillates at the ends."""
 _HARMONICS = (1, 2, 3, 4)
-"""Harmonics of the angle of the casing in the test [1]. Chosen: fewer overlook higher harmonics, more lower the power
-for the first two."""
+"""Harmonics of the angle of the casing in the test [1]. Chosen: a smaller number overlooks higher harmonics, a larger
+one lowers the power for the first two."""
 _ROTOR_HARMONICS = (1, 2)
-"""Harmonics of the angle of the rotor in the test [1]. Chosen: fewer overlook the second harmonic, higher ones are
-aliased at the frame rate of the casing."""
+"""Harmonics of the angle of the rotor in the test [1]. Chosen: a smaller number overlooks the second harmonic; higher
+harmonics are aliased at the frame rate of the casing."""
 _FASTEST = np.pi
 """Angle between two frames of the casing below which a harmonic of the rotor is tested [rad]. Derived: the Nyquist
 limit, half a period per frame."""
 _DRAWS = 1000
-"""Null data sets [1]. Chosen: the smallest p-value is 0.001; fewer make it coarser, more cost time."""
+"""Null data sets [1]. Chosen: the smallest p-value is 0.001; a smaller number makes the p-value coarser, a larger one
+costs time."""
 _RANK = 1e-5
 """Singular values, relative to the largest column, below which a direction is rounding error [1]. Chosen: a smaller
 value counts rounding errors as a degree of freedom, a larger one omits directions that the data determine weakly."""
 _CURVE = 120
-"""Points of a displayed curve [1]. Chosen: fewer show corners, more make larger files."""
+"""Points of a displayed curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 """Trial standard deviations of a torque, divided by the standard deviation that the data suggest [1]. Chosen: four per
 decade from far below the noise to far above it; in a shorter range the optimum may be outside, a coarser grid rounds

@@ -33,8 +33,8 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _LAWS = 2
-"""Largest number of laws in the place of one [1]. Chosen: 1 keeps a law that replaces two, more cost time and fit
-noise."""
+"""Largest number of laws in the place of one [1]. Chosen: 1 keeps a law that replaces two, a larger number costs time
+and fits noise."""
 _EQUAL = 1e-9
 """One minus the cosine of the responses, below which laws are equal in a recording and only the first one takes part
 [1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a larger one omits different ones."""

@@ -1,6 +1,6 @@
 """Torque laws outside the library: a grammar of forms, each with a strength and at most two shape constants.
 
-A law is a form f applied to one or two variables and acts on the rotor, the casing or in the bearing:
+A law applies a form f to one or two variables. It acts on the rotor, on the casing or in the bearing:
 
     torque = k f(x; w, ...),   x one of t, omega_r, omega_c, delta, psi_c.
 
@@ -48,23 +48,23 @@ _SPEEDS: dict[str, tuple[str, ...]] = {
     "bearing": ("delta", "omega_r"),
 }
 _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
-"""Trial exponents of a power law [1]. Chosen: quarters and halves in addition to the integers of the library; fewer
-start far from the optimum, more cost time."""
+"""Trial exponents of a power law [1]. Chosen: quarters and halves in addition to the integers of the library; with
+fewer, a fit starts far from the optimum; with more, the search takes longer."""
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
-"""Trial speeds of a law, divided by the largest speed [1]. Chosen: six per decade; fewer start far from the optimum,
-more cost time."""
+"""Trial speeds of a law, divided by the largest speed [1]. Chosen: six per decade; with fewer, a fit starts far from
+the optimum; with more, the search takes longer."""
 _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
-"""Trial thresholds of a law, divided by the largest speed [1]. Chosen: in steps of 0.05; fewer overlook narrow laws,
-more cost time."""
+"""Trial thresholds of a law, divided by the largest speed [1]. Chosen: in steps of 0.05; with fewer, narrow laws are
+overlooked; with more, the search takes longer."""
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
 """Trial time constants, divided by the length of the record [1]. Chosen: shorter ones affect few rows, longer ones give
 a straight line."""
 _NEAR_ZERO = 0.01
-"""Speed, divided by the largest one, below which a speed is near zero and negative powers are not tried [1]. Chosen: a
-smaller value admits torques that diverge, a larger one excludes laws of slow bodies."""
+"""Smallest speed of a law with a negative power, divided by the largest speed [1]. Chosen: a smaller value admits
+torques that diverge, a larger one excludes laws of slow bodies."""
 _COARSE_MOMENTS = MOMENTS[::3]
 """Trial moments of a law with several shape constants, divided by the length of the record [1]. Chosen: every third of
-`MOMENTS`; fewer start far from the optimum, more cost time."""
+`MOMENTS`; with fewer, a fit starts far from the optimum; with more, the search takes longer."""
 _FEWEST_PERIODS = 0.5
 """Smallest number of periods of an oscillating law within a record [1]. Chosen: with fewer the law is a trend; a larger
 value overlooks slow oscillations."""
@@ -76,8 +76,8 @@ _HIGHEST = 1000.0
 because the periodogram finds faster oscillations; a larger value tests these twice, a smaller one overlooks slow
 oscillations."""
 _MOST_FREQUENCIES = 800
-"""Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; more
-cost time."""
+"""Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; with
+more, the search takes longer."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,9 @@ def description_length(symbols: int) -> float:
 
 @dataclass(frozen=True)
 class _Form:
-    """A form: its formula in {x}, the symbol and the kind of each shape constant, and the number of its symbols.
+    """A form: its formula in {x}, the symbol and the kind of each shape constant, and the length of the formula.
 
-    `phase` states that the formula contains a free phase phi.
+    `phase` states whether the formula contains a free phase phi.
     """
 
     name: str
@@ -198,8 +198,8 @@ _SWITCHED = {
 }
 _DECAYING = _SWITCHED | {"casing": (*_SWITCHED["casing"], "omega_r")}
 _HARMONICS = (3, 4)
-"""Orders of the angle beyond those of the library [1]. Chosen: more orders cost significance, fewer overlook laws of
-three or four periods per turn."""
+"""Orders of the angle beyond those of the library [1]. Chosen: with more orders, each law is less significant; with
+fewer, laws of three or four periods per turn are overlooked."""
 
 
 def grammar(
@@ -208,8 +208,8 @@ def grammar(
     """Return all laws of the grammar, with trial values of their constants.
 
     `ranges` contains the smallest and the largest omega_r, omega_c and delta along the motion [rad/s]; `span` is the
-    length of the longest recording [s]. The laws act on, and depend on, these `bodies` only. Laws of the angle are
-    included if `angles` states that angles were measured.
+    length of the longest recording [s]. The laws act on, and depend on, these `bodies` only. `angles` states whether
+    angles were measured; only then are laws of the angle included.
     """
     found: list[LawForm] = []
     joints: Sequence[Joint] = ("casing", "bearing", "rotor")
@@ -303,13 +303,13 @@ def _law(
 
 
 def _unit(text: str, shapes: Sequence[Parameter]) -> str:
-    """Return the unit of the strength with which the law is a torque; a free exponent n adds a factor ``s^n``."""
+    """Return the unit of the strength that makes the law a torque; a free exponent n adds a factor ``s^n``."""
     expression = parse(text)
     units = {n: parse_unit(u) for n, u in VARIABLES.items()} | {p.symbol: parse_unit(p.unit) for p in shapes}
     units["phi"] = parse_unit("rad")
     exponents = [p.symbol for p in shapes if p.unit == "1"]
     at = [dimension(expression, units, dict.fromkeys(exponents, n)) for n in (1.0, 2.0)]
-    # the exponent of the second in the unit of the law is a + b n
+    # the unit of the law contains s to the power a + b n
     b = at[1][2] - at[0][2]
     kg, m, s, *others = quotient(parse_unit("N m"), at[0])
     unit = format_unit((kg, m, s + b, *others))

@@ -48,11 +48,11 @@ from fitting.inference._simulation import Experiment, simulate_path
 Array = NDArray[np.float64]
 
 _BLOCKS = 24
-"""Blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few; fewer do not resolve the start,
-more cost time."""
+"""Blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few; a smaller number does not resolve
+the start, a larger one costs time."""
 _PER_BLOCK = 64
-"""Samples of a block of a planned recording [samples]. Chosen: fewer do not determine the polynomial of a block, more
-cost time."""
+"""Samples of a block of a planned recording [samples]. Chosen: a smaller number does not determine the polynomial of a
+block, a larger one costs time."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one counts information twice."""
@@ -249,7 +249,8 @@ class Rival:
 
 
 MOST_RIVALS = 6
-"""Largest number of rival explanations that a plan considers [1]. Chosen: fewer omit explanations, more cost time."""
+"""Largest number of rival explanations that a plan considers [1]. Chosen: a smaller number omits explanations, a larger
+one costs time."""
 
 
 def rivals(information: Information, threshold: Sequence[float], criteria: Criteria) -> list[Rival]:

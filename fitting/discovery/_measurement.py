@@ -38,11 +38,11 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _LEVELS = 21
-"""Trial standard deviations of the start times, over two decades [1]. Chosen: fewer make the mean likelihood coarse,
-more cost time."""
+"""Trial standard deviations of the start times, over two decades [1]. Chosen: a smaller number makes the mean
+likelihood coarse, a larger one costs time."""
 _REFITS = 3
 """Largest number of fits with increasingly accurate uncertainties of the starts [1]. Chosen: the second fit corrects
-the bias of the base; fewer leave its size, more cost time."""
+the bias of the base; a smaller number leaves this bias, a larger one costs time."""
 _SAME_SIZE = math.log(2.0)
 """Change of the logarithm of the size of the start errors below which the fit is not repeated [1]. Derived: the size of
 n errors is known to 1 / sqrt(2 n), 40 % of three; a smaller value repeats fits that do not differ."""

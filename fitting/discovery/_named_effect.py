@@ -63,15 +63,17 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _KNOTS = 4
-"""Knots of the relative deviation of a law from the named one [1]. Chosen: fewer describe linear deviations only, more
-raise the detection limit of broad deviations."""
+"""Knots of the relative deviation of a law from the named one [1]. Chosen: a smaller number describes linear deviations
+only, a larger one raises the detection limit of broad deviations."""
 _INNER_KNOTS = 5
-"""Inner knots of the spline in time [1]. Chosen: fewer do not follow a change of the torque, more absorb noise."""
+"""Inner knots of the spline in time [1]. Chosen: a smaller number does not follow a change of the torque, a larger one
+absorbs noise."""
 _POWER = 0.9
 """Probability of detection at the limit, and share of the deviations detected with this probability [1]. Chosen: as
 `fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
 _DRAWS = 4000
-"""Random deviations from which the limit is computed [1]. Chosen: fewer make the limit random, more cost time."""
+"""Random deviations from which the limit is computed [1]. Chosen: a smaller number makes the limit random, a larger one
+costs time."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
 `fitting.inference._smooth_test`; a smaller value tests rounding errors, a larger one omits deviations that are nearly
@@ -235,8 +237,8 @@ def _rise_with_spline(
 
 INERTIA = "setup.inertia"
 _MOST_REFITS = 5
-"""Largest number of effects that are refitted with a free ratio of the moments of inertia [1]. Chosen: fewer may omit
-the effect that a wrong ratio hides, more cost time."""
+"""Largest number of effects that are refitted with a free ratio of the moments of inertia [1]. Chosen: a smaller number
+may omit the effect that a wrong ratio hides, a larger one costs time."""
 _SHARE = f"{INERTIA}.eps"
 
 

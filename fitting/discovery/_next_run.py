@@ -58,8 +58,8 @@ _CAP = 50.0
 without the run is unlimited; a larger value lets this strength decide alone, a smaller one hides differences between
 runs."""
 _RANDOM = 20
-"""Largest number of quasi-random runs before the local search [1]. Chosen: fewer may start the local search at a local
-maximum, more leave fewer runs for it."""
+"""Largest number of quasi-random runs before the local search [1]. Chosen: a smaller number may start the local search
+at a local maximum, a larger one leaves fewer runs for it."""
 _FINEST = 0.02
 """Step, as a share of the range between the bounds, at which the local search ends [1]. Chosen: a run cannot be
 prepared with finer steps; a larger value loses information."""
@@ -201,8 +201,8 @@ def next_run(
 
 
 _FEW = 24
-"""Simulated runs of a search that is part of a diagnosis [1]. Chosen: fewer give a worse proposal, more delay the
-diagnosis."""
+"""Simulated runs of a search that is part of a diagnosis [1]. Chosen: a smaller number gives a worse proposal, a larger
+one delays the diagnosis."""
 
 
 def separating_run(

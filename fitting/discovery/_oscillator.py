@@ -38,7 +38,8 @@ _MOST_CORRELATED = 0.98
 """Upper limit of the correlation of adjacent amplitudes [1]. Chosen: a hundred effective samples of 10,000; a larger
 value makes chi-square vanish, a smaller one understates the errors of slow deviations."""
 _BLOCKS = 12
-"""Parts of the jackknife [1]. Chosen: fewer give uncertain standard errors, more have correlated parts."""
+"""Parts of the jackknife [1]. Chosen: a smaller number gives uncertain standard errors, a larger one gives correlated
+parts."""
 _OF_AVERAGING = 5e-3
 """Relative error of a strength from the averaged equations, which are of first order [1]. Measured: up to 0.5 % for a
 pendulum of 94 degrees and for springs that soften by a tenth; the recordings are not stated."""

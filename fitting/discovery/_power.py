@@ -69,26 +69,26 @@ _POWER_SIGMA = 1.2815516
 """Distance above a threshold at which it is exceeded with 90 % probability [standard errors]. Derived: quantile 0.9 of
 the standard normal distribution, at `POWER`."""
 _DRAWS = 1500
-"""Number of null data sets for thresholds [1]. Chosen: fewer make thresholds of a long list uncertain, more cost
-time."""
+"""Number of null data sets for thresholds [1]. Chosen: a smaller number makes thresholds of a long list uncertain, a
+larger one costs time."""
 _POWER_DRAWS = 600
-"""Simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; fewer enlarge it, more
-cost time."""
+"""Simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; a smaller number enlarges
+this error, a larger one costs time."""
 _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)])
-"""Strengths at which the power is simulated [standard errors]. Chosen: dense where a parameter reaches its bound; fewer
-round the limits, more cost time."""
+"""Strengths at which the power is simulated [standard errors]. Chosen: dense where a parameter reaches its bound; a
+smaller number rounds the limits, a larger one costs time."""
 _SIZE = 0.01
 """Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value requires many
 runs, a larger one makes every plan sufficient."""
 _MOST_RUNS = 10_000
-"""Largest number of runs that are counted [1]. Chosen: more are not practical; a smaller value hides large numbers of
-runs."""
+"""Largest number of runs that are counted [1]. Chosen: a larger number is not practical, a smaller one hides large
+numbers of runs."""
 _LARGEST_SCORE = 2000.0
 """Upper end of the search for thresholds [1]. Chosen: a smaller value is below high thresholds, a larger one costs
 time."""
 _MOST_HIDDEN = 5
-"""Largest number of effects named in the sentence on an adequate fit [1]. Chosen: fewer hide undetected effects, more
-make the sentence unreadable."""
+"""Largest number of effects named in the sentence on an adequate fit [1]. Chosen: a smaller number hides undetected
+effects, a larger one makes the sentence unreadable."""
 _RANK = 1e-6
 """Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value amplifies rounding errors,
 a larger one omits weakly determined strengths."""

@@ -31,14 +31,17 @@ _SEED = 11
 """Seed of the simulated recordings [1]. Chosen: any value makes the verdict reproducible; another one changes the
 inflation within its error."""
 _DRAWS = 200
-"""Number of simulated recordings for one inflation [1]. Chosen: fewer make the inflation uncertain, more cost time."""
+"""Number of simulated recordings for one inflation [1]. Chosen: a smaller number makes the inflation uncertain, a
+larger one costs time."""
 _RANGE = 4.0
 """Largest ratio of trial times and levels to the true values, and of the true to the trial values [1]. Chosen: a
 smaller value understates the inflation, a larger one spreads the trials too far."""
 _NEAR_TIMES = 7
-"""Trial correlation times of a simulated recording [1]. Chosen: fewer understate the inflation, more cost time."""
+"""Trial correlation times of a simulated recording [1]. Chosen: a smaller number understates the inflation, a larger
+one costs time."""
 _NEAR_LEVELS = 11
-"""Trial levels of a simulated recording [1]. Chosen: fewer understate the inflation, more cost time."""
+"""Trial levels of a simulated recording [1]. Chosen: a smaller number understates the inflation, a larger one costs
+time."""
 
 
 @dataclass(frozen=True)

@@ -40,10 +40,11 @@ _NEIGHBOURHOOD = 0.04
 """Neighbourhood of a changepoint that is scanned, as a share of the record [1]. Chosen: a smaller value leaves the
 refit in a local minimum, a larger one leaves the range in which the motion is linear."""
 _STEPS = 48
-"""Trial times in the neighbourhood of a changepoint [1]. Chosen: fewer overlook the minimum, more cost time."""
+"""Trial times in the neighbourhood of a changepoint [1]. Chosen: a smaller number overlooks the minimum, a larger one
+costs time."""
 _SEARCHES = 3
-"""Largest number of searches for changepoints of cases whose process noise remains high [1]. Chosen: fewer leave cases
-with a wrong time, more cost time."""
+"""Largest number of searches for changepoints of cases whose process noise remains high [1]. Chosen: a smaller number
+leaves cases with a wrong time, a larger one costs time."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one ignores some free columns."""
@@ -349,8 +350,8 @@ def initial_values_of(base: Fit, score: Score) -> dict[str, float]:
 
 
 _WIDTHS = (0.02, 0.1, 0.5, 2.0)
-"""Trial widths of a step [s]. Chosen: from a few frames to a slow transition; fewer start far from the optimum, more
-cost time."""
+"""Trial widths of a step [s]. Chosen: from a few frames to a slow transition; with fewer, a fit starts far from the
+optimum; with more, the search takes longer."""
 _POWER = re.compile(r"abs\((\w+)\)\*\*([\d.]+)\*sign\(\1\)|(\w+)\*abs\(\3\)|\b(omega_\w+|delta\w*)\*\*2")
 _JUMP = re.compile(r"heaviside\(t - (\w+)\)")
 

@@ -31,11 +31,11 @@ from fitting.inference._speed_residuals import holds_moving_body, modelled_speed
 Array = NDArray[np.float64]
 
 _LAGS = 12
-"""Largest lag of the test of independence [blocks]. Chosen: fewer overlook slow correlations, more lower the power; the
-lag is also at most a quarter of the number of blocks."""
+"""Largest lag of the test of independence [blocks]. Chosen: a smaller number overlooks slow correlations, a larger one
+lowers the power; the lag is also at most a quarter of the number of blocks."""
 _POWERS = 4
-"""Lowest rows of a block that are tested [1]. Chosen: fewer overlook correlations within a block, more lower the power
-for slow correlations."""
+"""Lowest rows of a block that are tested [1]. Chosen: a smaller number overlooks correlations within a block, a larger
+one lowers the power for slow correlations."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,8 @@ _SHORTEST = 1 / 100
 """Shortest reported interval, as a share of the record [1]. Chosen: a smaller value reports fluctuations, a larger one
 overlooks short events."""
 _MOST = 6
-"""Largest number of reported intervals [1]. Chosen: fewer hide failures, more make the list unreadable."""
+"""Largest number of reported intervals [1]. Chosen: a smaller number hides failures, a larger one makes the list
+unreadable."""
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,8 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _LEVELS = 9
-"""Trial levels of the process noise [1]. Chosen: fewer make the profiled score coarse, more cost time and memory."""
+"""Trial levels of the process noise [1]. Chosen: a smaller number makes the profiled score coarse, a larger one costs
+time and memory."""
 _ABSORBED = 1e-7
 """Share of a column orthogonal to the free columns of the base, before whitening, below which the base absorbs it [1].
 Chosen: a smaller value scores rounding errors, a larger one drops weakly determined effects."""
@@ -186,14 +187,14 @@ _FASTEST = 1.0
 """Highest trial frequency that the cells resolve [rad per cell]. Chosen: a larger value blurs the torque within a cell,
 a smaller one overlooks fast chirps."""
 _MAX_FREQUENCIES = 1500
-"""Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; more
-cost time."""
+"""Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; with
+more, the search takes longer."""
 _FINER = 8
 """Ratio of the declared spacing of changepoints to the trial spacing [1]. Chosen: a smaller value overlooks narrow
 maxima of the score, a larger one costs time."""
 _CHOICES = 128
-"""Choices of shape constants that are evaluated at once [1]. Chosen: fewer make small matrix products, more need
-memory; the result does not depend on this number."""
+"""Choices of shape constants that are evaluated at once [1]. Chosen: a smaller number makes small matrix products, a
+larger one needs memory; the result does not depend on this number."""
 
 
 @dataclass(frozen=True)
@@ -590,10 +591,11 @@ class FamilywiseNull:
 
 
 _ROUNDS = 3
-"""Refinements of a shape constant [1]. Chosen: fewer leave the constant on the coarse grid, more change the score by
-less than the noise."""
+"""Refinements of a shape constant [1]. Chosen: a smaller number leaves the constant on the coarse grid, a larger one
+changes the score by less than the noise."""
 _POINTS = 9
-"""Points of a refinement of a shape constant [1]. Chosen: fewer may overlook the optimum, more cost time."""
+"""Points of a refinement of a shape constant [1]. Chosen: a smaller number may overlook the optimum, a larger one costs
+time."""
 _MOST_SWEPT = 4
 """Largest number of cases whose shapes are optimised in turn [1]. Chosen: a larger value costs time, a smaller one
 scores joint fits with shapes that are not the best ones."""

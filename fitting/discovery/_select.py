@@ -64,7 +64,8 @@ if TYPE_CHECKING:
 
 
 _SHOWN = 4
-"""Number of parameters in the repr of a candidate [1]. Chosen: fewer hide shape constants, more need several lines."""
+"""Number of parameters in the repr of a candidate [1]. Chosen: a smaller number hides shape constants, a larger one
+needs several lines."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -990,8 +991,8 @@ def _without(fitted: Fit, effect: Effect) -> Fit:
 
 
 _EXCHANGES = 3
-"""Largest number of refits of exchanges for one step [1]. Chosen: fewer rely on the ranking by linearised fits, more
-cost time."""
+"""Largest number of refits of exchanges for one step [1]. Chosen: a smaller number relies on the ranking by linearised
+fits, a larger one costs time."""
 
 
 def _exchanged(history: Sequence[Step], extra: Sequence[Effect], criteria: Criteria) -> Step | None:
@@ -1033,8 +1034,8 @@ def _is_friction(effect: Effect) -> bool:
 
 
 _DRAWS = 2
-"""Number of null data sets of a score that is used only for an initial value [1]. Chosen: the p-value is not used; more
-cost time, with one the spread of the scores is undefined."""
+"""Number of null data sets of a score that is used only for an initial value [1]. Chosen: the p-value is not used; a
+larger number costs time; with one, the spread of the scores is undefined."""
 
 
 def needs_search(effect: Effect) -> bool:

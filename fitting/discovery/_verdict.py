@@ -97,10 +97,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_CANDIDATES = 10
-"""Candidates that a notebook shows [1]. Chosen: fewer hide alternatives, more make a long table."""
+"""Candidates that a notebook shows [1]. Chosen: a smaller number hides alternatives, a larger one makes a long
+table."""
 _IN_REPR = 8
-"""Largest number of lines of the sentence, and of candidates, in a repr [1]. Chosen: fewer hide alternatives, more fill
-the console."""
+"""Largest number of lines of the sentence, and of candidates, in a repr [1]. Chosen: a smaller number hides
+alternatives, a larger one fills the console."""
 _WIDTH = 100
 """Columns of a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller one cuts
 sentences."""

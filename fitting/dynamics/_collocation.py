@@ -40,8 +40,8 @@ from fitting.effects._mechanism import MAIN
 Array = NDArray[np.float64]
 
 NODES = 10
-"""Gauss nodes of an interval [1]. Chosen: the method has twice this order; fewer need more intervals, more make larger
-systems."""
+"""Gauss nodes of an interval [1]. Chosen: the method has twice this order; a smaller number needs more intervals, a
+larger one makes larger systems."""
 _MANY_PER_INTERVAL = 12
 """Number of times per interval above which one matrix product per interval is faster than one per time [1]. Chosen:
 another value costs time and does not change the result."""
@@ -49,8 +49,8 @@ TOLERANCE = 1e-10
 """Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value costs
 intervals, a larger one makes derivatives inaccurate."""
 _MAX_NEWTON = 25
-"""Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; fewer stop too early,
-more delay the failure."""
+"""Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; a smaller number
+stops too early, a larger one delays the failure."""
 MAX_INTERVALS = 40_000
 """Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
 the failure of stiff ones."""
@@ -67,8 +67,8 @@ _RESOLVED = 1e-14
 """Truncation error below which an interval of twice the length is resolved as well [1]. Derived: `TOLERANCE` divided by
 the growth of the error, 2^9 and more, with a margin."""
 _FEWEST = 12
-"""Smallest number of intervals of a coarsened mesh [1]. Chosen: fewer overlook changes between the nodes, more cost
-time."""
+"""Smallest number of intervals of a coarsened mesh [1]. Chosen: a smaller number overlooks changes between the nodes, a
+larger one costs time."""
 _CONSTANT_SLIP = 1e12
 """Relaxation time at which a slip is constant [s]. Derived: longer than any record, so that the relaxation has no
 effect."""

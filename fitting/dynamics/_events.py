@@ -488,7 +488,7 @@ _NEARBY = (1.0, 0.97)
 share omits reversals at the end that may not exist; a smaller one costs time."""
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
 """Shares of the reversals to solve simultaneously if the measured motion is the initial value [1]. Chosen: smaller
-shares allow larger errors of the frequency; with fewer shares the solution may fail, more cost time."""
+shares allow larger errors of the frequency; with fewer shares, the solution may fail; with more, it takes longer."""
 _BRIEF = 0.1
 """Longest first stretch that is determined again, relative to the second stretch [1]. Chosen: a smaller value keeps a
 first stretch that may not exist, a larger one discards a valid one."""

@@ -33,14 +33,15 @@ _BASE: dict[str, Dimension] = {
 unit here."""
 _TOKEN = re.compile(r"^([A-Za-z]+|1)(?:\^?(-?[0-9.]+|-?[a-z]))?$")
 _TOLERANCE = 1e-9
-"""Largest difference of exponents of units that is rounding error [1]. Chosen: a smaller value refuses sums of decimal
-exponents, a larger one accepts wrong units."""
+"""Largest difference between exponents of units that counts as a rounding error [1]. Chosen: a smaller value refuses
+sums of decimal exponents, a larger one accepts wrong units."""
 
 
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
     """Return the dimension of a unit like ``N m s2``, ``K-1`` or ``N m s^g``.
 
-    An ExpressionError names a part that is not one of kg, m, s, K, A, V, N, J, rad, px, 1 with an exponent.
+    A part of a unit is one of kg, m, s, K, A, V, N, J, rad, px, 1 and may have an exponent. An ExpressionError names a
+    part that is not of this form.
     """
     result = NONE
     for token in unit.split():
@@ -71,7 +72,7 @@ def format_unit(dimension: Dimension) -> str:
 
 
 def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, float]) -> Dimension:
-    """Return the dimension of an expression from `units` of symbols; `exponents` are values of exponents.
+    """Return the dimension of an expression, given `units` of its symbols and values of symbols in `exponents`.
 
     An ExpressionError is raised if quantities of different units are added, or the argument of a function has a unit.
     """
@@ -137,7 +138,7 @@ Scale = Literal["", "speed", "length", "chirp"]
 # The variables of a law, with their units. `tau` is the whole bearing torque, for states that depend on it;
 # `deflection` is the angle of the casing, or of the single body, from its equilibrium. For a contact with the ratio n,
 # `slip` is omega_r - n omega_c, `inertia_slip` the effective inertia 1 / (1 / I_r + n^2 / I_c), and `torque_held` the
-# torque on the rotor that keeps the slip constant under all other torques.
+# torque of the contact on the rotor with which the slip remains constant under all other torques.
 VARIABLES: dict[str, str] = {
     "t": "s", "omega_r": "s-1", "omega_c": "s-1", "psi_r": "1", "psi_c": "1", "deflection": "1",
     "delta": "s-1", "temperature": "K", "chirp": "1", "strain": "1", "tau": "N m", "lag": "s-1", "psi": "1",
@@ -180,7 +181,7 @@ def is_input_symbol(symbol: str) -> bool:
 
 
 def refuse_input_name(name: str) -> None:
-    """Raise a RecordError for a name that cannot be that of an input in a law."""
+    """Raise a RecordError if a name cannot be the name of an input in a law."""
     what = f"{str(name)[:40]!r} cannot be the name of an input"
     if not isinstance(name, str) or not _INPUT_NAME.fullmatch(name):
         raise RecordError(what, "use letters, digits and underscores, beginning with a letter")
@@ -192,7 +193,8 @@ def refuse_input_name(name: str) -> None:
 
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
 """Trial changepoints, as shares of the length of the recording [1]. Chosen: steps of 0.02, without the ends, where a
-change is equivalent to an initial value; fewer start far from the optimum, more cost time."""
+change is equivalent to an initial value; with fewer, a fit starts far from the optimum; with more, the search takes
+longer."""
 # joints whose law is a torque; laws of other joints are numbers
 TORQUES: tuple[Joint, ...] = ("rotor", "casing", "bearing", "contact")
 # symbol of the ratio omega_r / omega_c of a contact without slip
@@ -201,7 +203,7 @@ _CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", 
 
 
 THE_ROTOR, THE_CASING = frozenset({"rotor"}), frozenset({"casing"})
-# bodies affected by laws whose place is neither a body of a gyroscope nor its bearing
+# bodies affected by laws that act neither on a body of a gyroscope nor in the bearing
 _BODIES: dict[str, frozenset[str]] = {
     "camera.rotor": THE_ROTOR,
     "camera.casing": THE_CASING,
@@ -285,12 +287,17 @@ class State:
 class Effect:
     """A law that acts on a body, between the bodies, or on the angles that a camera measures.
 
-    The law is written once, as a formula. With joint ``rotor`` or ``casing`` it is the torque on that body; with
-    ``bearing`` the torque +tau on the casing and -tau on the rotor; with ``contact`` (rims that touch, gears, a belt)
-    the torque tau on the rotor and -n tau on the casing, n its ratio; with ``factor`` it multiplies the whole bearing
-    torque, with ``inertia`` the casing's acceleration; with ``camera.casing`` or ``camera.rotor`` it is an angle added
-    to those that the camera measures (psi and omega are then those of the filmed body); with ``input`` it is the dead
-    time of a recorded input.
+    The law is written once, as a formula. The joint determines its meaning:
+
+    - ``rotor`` or ``casing``: the torque on this body;
+    - ``bearing``: the torque +tau on the casing and -tau on the rotor;
+    - ``contact`` (rims that touch, gears, a belt): the torque tau on the rotor and -n tau on the casing, where n is the
+      ratio of the contact;
+    - ``factor``: a factor of the whole bearing torque;
+    - ``inertia``: a factor of the acceleration of the casing;
+    - ``camera.casing`` or ``camera.rotor``: an angle added to those that the camera measures; psi and omega are then
+      the angle and the speed of the filmed body;
+    - ``input``: the dead time of a recorded input.
 
     All properties of an effect are fields or properties of this class. No code depends on the name of an effect, so a
     new law is one entry of the library.
@@ -318,7 +325,7 @@ class Effect:
     breakpoint : str
         Symbol of the parameter that is a changepoint: the time at which the law jumps.
     per_case : bool
-        In a fit of several cases each has its own parameters, unless requested otherwise.
+        In a fit of several cases, the effect has separate parameters in each case, unless requested otherwise.
     per_surface : bool
         Whether the parameters depend on the surface under the touch point, which may differ between recordings.
     nuisance : bool
@@ -326,11 +333,11 @@ class Effect:
     equivalent : tuple of str
         Effects that a usual recording does not separate from this one.
     searched : bool
-        Whether the effect is a candidate of every search. Contacts between bodies, which are visible on the apparatus,
-        and laws that can be distinguished from simpler laws only in few motions, are not candidates.
+        Whether the effect is a candidate of every search. A contact between bodies is not a candidate, because it is
+        visible on the apparatus. A law is not a candidate either if only few motions distinguish it from simpler laws.
     contact : bool
-        Whether the effect is friction whose states depend on the angle since the last reversal: a body that turns in
-        one sense slides after a small angle, and the law is then a function of the speed.
+        Whether the effect is friction whose states depend on the angle since the last reversal. A body that turns in
+        one sense slides after a small angle; from then on, the law is a function of the speed.
     rigid : bool
         Whether the effect is a contact without slip: its law contains torque_held, and one initial speed follows from
         the other.
@@ -343,7 +350,7 @@ class Effect:
     place : str
         The body or joint of the mechanism on which the law acts, if `joint` does not name it.
     pattern : str
-        The name in the library of the law that was written for this place; empty for a law of the library.
+        If a law of the library was rewritten for this place, the name that it has in the library; otherwise empty.
     """
 
     name: str
@@ -466,7 +473,7 @@ class Effect:
 
     @property
     def periodic(self) -> bool:
-        """Whether the law is sinusoidal, in an angle or in time with a phase."""
+        """Whether the law is a function of an angle, or a sinusoid with a phase."""
         return self.depends_on_angle or any(p.role == "phase" for p in self.parameters)
 
     def check(self) -> None:

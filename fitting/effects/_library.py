@@ -148,7 +148,8 @@ BEARING = (
 _BRISTLE = "(omega_c - abs(omega_c)*{z}/(1 + r*exp(-(omega_c/w)**2)))/{s}"
 _SLOW = (0.007, 0.013, 0.033, 0.08, 0.2, 0.6)
 """Trial speeds at which the additional friction of slow motion has decreased, relative to the largest speed [1].
-Chosen: 1 to 90 rad/s for the casing of the paper; fewer omit narrow maxima of the score, more cost time."""
+Chosen: 1 to 90 rad/s for the casing of the paper; a smaller number omits narrow maxima of the score, a larger one costs
+time."""
 _STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7),
     meaning="ratio of static to Coulomb friction, minus 1")
 _STRIBECK = Parameter(

@@ -56,8 +56,8 @@ _COARSE = 5
 """Step through the trial changepoints if a law has other shape constants as well [1]. Chosen: a smaller value costs
 time, a larger one starts far from the optimum."""
 _GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-"""Trial values of a shape constant, divided by its initial value [1]. Chosen: two per decade; fewer start far from the
-optimum, more cost time."""
+"""Trial values of a shape constant, divided by its initial value [1]. Chosen: two per decade; with fewer, a fit starts
+far from the optimum; with more, the search takes longer."""
 _EDITS = 2
 """Largest number of edits by which a misspelt name differs from a variable [1]. Chosen: a smaller value suggests
 nothing, a larger one suggests unrelated names."""

@@ -67,19 +67,20 @@ _LEVELS = np.geomspace(0.3, 300.0, 13)
 """Trial levels, in units of the white noise of the rows [1]. Chosen: lower ones change nothing, higher ones do not
 occur; a coarser grid rounds the most likely level."""
 _FIRST_LEVELS = (2, 5, 8)
-"""Indices in `_LEVELS` of a first, coarse search [1]. Chosen: fewer may overlook noise, more cost time."""
+"""Indices in `_LEVELS` of a first, coarse search [1]. Chosen: a smaller number may overlook noise, a larger one costs
+time."""
 _HALF_WIDTH = 0.3
 """Half width of the parabola at the most likely level, in its logarithm [1]. Chosen: a smaller value is sensitive to
 rounding errors, a larger one to the asymmetry of the likelihood."""
 _FEWEST_BLOCKS = 4
-"""Smallest number of blocks of a stretch, in which the motion is a cubic [1]. Chosen: fewer rows do not separate motion
-and noise, more refuse short records."""
+"""Smallest number of blocks of a stretch, in which the motion is a cubic [1]. Chosen: a smaller number gives too few
+rows to separate motion and noise, a larger one refuses short records."""
 _TORQUE_TIMES = (0.1, 0.3, 1.0)
-"""Trial correlation times of the process noise [lengths of a block]. Chosen: fewer take process noise for angle noise,
-more cost time."""
+"""Trial correlation times of the process noise [lengths of a block]. Chosen: a smaller number takes process noise for
+angle noise, a larger one costs time."""
 _FINER = 16
-"""Points of the finer grid per interval of the coarse one [1]. Chosen: fewer make the posterior mean coarse, more cost
-time."""
+"""Points of the finer grid per interval of the coarse one [1]. Chosen: a smaller number makes the posterior mean
+coarse, a larger one costs time."""
 _NEGLIGIBLE = 0.01
 """Variance of a stated error, in units of the white noise of a row, below which it is neglected [1]. Chosen: 1 % of the
 variance; a smaller value costs time, a larger one understates uncertainties."""
@@ -90,20 +91,21 @@ TURNS_PER_BLOCK = 3.0
 """Largest number of turns per block with which noise periodic in the angle affects the rows [1]. Chosen: in longer
 blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
 _PERIODIC_TIMES = 5
-"""Trial correlation times of noise periodic in the angle [1]. Chosen: fewer pass over the maximum of the likelihood,
-more cost time."""
+"""Trial correlation times of noise periodic in the angle [1]. Chosen: a smaller number passes over the maximum of the
+likelihood, a larger one costs time."""
 _FEWEST_BINS = 24
-"""Smallest number of groups of samples in a block for noise periodic in the angle [1]. Chosen: fewer blur a turn, more
-cost time and memory."""
+"""Smallest number of groups of samples in a block for noise periodic in the angle [1]. Chosen: a smaller number blurs a
+turn, a larger one costs time and memory."""
 _ALL_BINS = 1500
-"""Groups of samples of all blocks for noise periodic in the angle [1]. Chosen: fewer blur a turn in few blocks, more
-cost time and memory."""
+"""Groups of samples of all blocks for noise periodic in the angle [1]. Chosen: a smaller number blurs a turn in few
+blocks, a larger one costs time and memory."""
 _LOWER_LEVELS = (0.1, 0.2, 0.4, 0.8)
 """Trial levels of the exponential noise in addition to periodic noise, divided by the most likely one alone [1].
-Chosen: two kinds share the variance, so it is lower; fewer pass over the maximum, more cost time."""
+Chosen: two kinds share the variance, so it is lower; a smaller number passes over the maximum, a larger one costs
+time."""
 _NEAR_LEVELS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Trial levels of the periodic noise in addition to exponential noise, divided by the most likely one alone [1].
-Chosen: fewer pass over the maximum, more cost time."""
+Chosen: a smaller number passes over the maximum, a larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -479,16 +481,16 @@ _WINDOW_DEGREE = 5
 """Degree of the polynomial of a window of one block [1]. Chosen: a smooth torque adds little to higher degrees; a
 smaller value takes motion for noise, a larger one absorbs noise."""
 _GROUPS = 128
-"""Groups of samples per block [1]. Chosen: fewer average short correlations, more cost time."""
+"""Groups of samples per block [1]. Chosen: a smaller number averages short correlations, a larger one costs time."""
 _FEWEST_IN_GROUP = 4
 """Fewest samples in a group [samples]. Chosen: a smaller value makes larger matrices, a larger one averages short
 correlations."""
 _FEWEST_GROUPS = 40
-"""Fewest groups of all windows from which angle noise is estimated [1]. Chosen: fewer do not determine a level, more
-leave short windows without it."""
+"""Fewest groups of all windows from which angle noise is estimated [1]. Chosen: a smaller number does not determine a
+level, a larger one leaves short windows without a level."""
 _WINDOW_TIMES = 15
-"""Number of trial correlation times in the windows [1]. Chosen: fewer make the posterior mean coarse, more cost
-time."""
+"""Number of trial correlation times in the windows [1]. Chosen: a smaller number makes the posterior mean coarse, a
+larger one costs time."""
 _SHORTEST = 64.0
 """Length of a block divided by the shortest correlation time in the windows [1]. Chosen: shorter correlations are white
 for the rows; a larger value costs time, a smaller one overlooks fast noise."""

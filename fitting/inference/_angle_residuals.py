@@ -21,8 +21,8 @@ from fitting.inference._speed_residuals import Fitted, SpeedMap, spread_of_rows
 Array = NDArray[np.float64]
 
 _POINTS_PER_ROW = 2
-"""Number of points in a block, divided by the number of its rows [1]. Chosen: fewer do not show the polynomial, more
-make larger files."""
+"""Number of points in a block, divided by the number of its rows [1]. Chosen: a smaller number does not show the
+polynomial, a larger one makes larger files."""
 
 
 @dataclass(frozen=True)

@@ -29,11 +29,11 @@ Array = NDArray[np.float64]
 Parts = Sequence[tuple[NDArray[np.intp], Array, Array]]
 
 _ANGLES = 2 * np.pi * (np.arange(128) + 0.5) / 128
-"""Phases of a period at which laws are averaged [rad]. Chosen: 128 equal steps; fewer blur the jump of dry friction,
-more cost time."""
+"""Phases of a period at which laws are averaged [rad]. Chosen: 128 equal steps; a smaller number blurs the jump of dry
+friction, a larger one costs time."""
 _STEPS = 3
-"""Passes of the linear fit [1]. Chosen: the equations are linear about the strengths found before; fewer leave the
-second order, more cost time."""
+"""Passes of the linear fit [1]. Chosen: the equations are linear about the strengths found before; a smaller number
+leaves the second order, a larger one costs time."""
 _DEGREE = 5
 """Degree of the polynomial between averaged points [1]. Chosen: a smaller value blurs the decay, a larger one
 oscillates at the ends."""

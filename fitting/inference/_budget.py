@@ -72,7 +72,7 @@ class Contribution:
 
 
 _SHOWN = 3
-"""Contributions in a repr [1]. Chosen: fewer hide the second cause, more make a long line."""
+"""Contributions in a repr [1]. Chosen: a smaller number hides the second cause, a larger one makes a long line."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -137,24 +137,26 @@ Array = NDArray[np.float64]
 # relative error of I_casing/I_rotor, a parameter of the library
 INERTIA_RATIO = "setup.inertia.eps"
 _GENERATED_BLOCKS = 20
-"""Blocks of a generated curve [1]. Chosen: the curve is smooth; fewer do not resolve its start, more cost time."""
+"""Blocks of a generated curve [1]. Chosen: the curve is smooth; a smaller number does not resolve its start, a larger
+one costs time."""
 _SHORT_WINDOW = 0.25
 """Share of the casing's record below which a window of the rotor is one block [1]. Chosen: the rotor hardly slows down
 within such a window; a smaller value divides windows needlessly, a larger one averages changing speeds."""
 _WINDOW_BLOCKS = 20
-"""Number of blocks of a window of the rotor that is as long as the record of the casing [1]. Chosen: fewer do not
-resolve the deceleration, more leave few samples for each."""
+"""Number of blocks of a window of the rotor that is as long as the record of the casing [1]. Chosen: a smaller number
+does not resolve the deceleration, a larger one leaves few samples for each block."""
 _WINDOW_ROWS = 8
-"""Smallest number of rows of a rotor window for estimating correlated noise [rows]. Chosen: fewer do not separate
-motion and noise, more leave short windows without an estimate."""
+"""Smallest number of rows of a rotor window for estimating correlated noise [rows]. Chosen: a smaller number does not
+separate motion and noise, a larger one leaves short windows without an estimate."""
 _PERIOD_SAMPLES = 24
-"""Smallest number of samples of a block of an oscillation [samples]. Chosen: fewer leave none for the noise, more give
-blocks of several periods at low frame rates."""
+"""Smallest number of samples of a block of an oscillation [samples]. Chosen: a smaller number leaves no samples for the
+noise, a larger one gives blocks of several periods at low frame rates."""
 _DRIVEN_POINTS = 1000
-"""Largest number of rough speeds of a driven body [1]. Chosen: fewer blur the response to the input, more are noisy."""
+"""Largest number of rough speeds of a driven body [1]. Chosen: with fewer, the response to the input is blurred; with
+more, each speed is noisy."""
 _DRIVEN_SAMPLES = 6
-"""Smallest number of samples of each rough speed of a driven body [samples]. Chosen: fewer are noisy, more blur the
-response to the input."""
+"""Smallest number of samples of each rough speed of a driven body [samples]. Chosen: with fewer, each speed is noisy;
+with more, the response to the input is blurred."""
 _RISE = 0.1
 """Smallest rise of the speed of a driven body, relative to its largest speed [1]. Chosen: a smaller value mistakes
 noise for a drive, a larger one overlooks weak drives."""
@@ -162,11 +164,11 @@ _INDEPENDENT = 1e-6
 """Smallest relative singular value of independent responses to inputs [1]. Chosen: a smaller value keeps rounding
 errors, a larger one drops weak responses."""
 SPEED_BLOCKS = 30
-"""Number of blocks of a record of smoothed speeds [1]. Chosen: they are long compared with the smoothing; more contain
-correlated noise, fewer do not resolve the motion."""
+"""Number of blocks of a record of smoothed speeds [1]. Chosen: the blocks are long compared with the smoothing; with
+more, they contain correlated noise; with fewer, they do not resolve the motion."""
 SPEED_NOISE_ROWS = 28
 """Number of further polynomials of a block of speeds [1]. Chosen: twice that of angles, so that the rows of a window
-resolve the smoothing; fewer understate the noise, more cost time."""
+resolve the smoothing; a smaller number understates the noise, a larger one costs time."""
 
 
 class Block(NamedTuple):
@@ -941,13 +943,14 @@ CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 """Columns of `camera_columns` that belong to each nuisance effect [1]. Derived: a cosine and a sine of each, in the
 order of the library."""
 _SMOOTHED = 25
-"""Number of samples between the knots of a rough speed [samples]. Chosen: fewer follow noise, more blur the motion."""
+"""Number of samples between the knots of a rough speed [samples]. Chosen: a smaller number follows noise, a larger one
+blurs the motion."""
 _RUN_PARTS = 50
-"""Number of parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: fewer understate
-it, more follow noise."""
+"""Number of parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: a smaller number
+understates it, a larger one follows noise."""
 _PERIOD_PARTS = 16
-"""Parts of a period of an oscillation over which accelerations are averaged for the largest torque [1]. Chosen: fewer
-understate it, more follow noise."""
+"""Parts of a period of an oscillation over which accelerations are averaged for the largest torque [1]. Chosen: a
+smaller number understates it, a larger one follows noise."""
 _CENTRE = 0.15
 """Prior standard deviation of the displacement of a centre, relative to the radius [1]. Chosen: tracked films have
 errors of 0.5 to 5 mrad once per turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""

@@ -31,11 +31,11 @@ from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples, hermite
 
 _GAUSS = 3
-"""Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; fewer lose accuracy in long cells, more cost
-time."""
+"""Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; a smaller number loses accuracy in long cells, a
+larger one costs time."""
 _PASSES = 20
-"""Largest number of iterations for a law of an angle whose response changes the angle [1]. Chosen: fewer stop before
-convergence, more delay the failure."""
+"""Largest number of iterations for a law of an angle whose response changes the angle [1]. Chosen: a smaller number
+stops before convergence, a larger one delays the failure."""
 _NEGLIGIBLE = 0.01
 """Change of the angle at convergence, relative to the uncertainty of a mean of all samples [1]. Chosen: a smaller value
 costs iterations, a larger one biases the angle."""
@@ -43,8 +43,8 @@ _CHANGE = 1e-3
 """Change of the derivative of the angle at convergence, relative to its fast part [1]. Chosen: a smaller value costs
 iterations, a larger one gives inaccurate derivatives."""
 _MEMORY = 6
-"""Number of iterations used to accelerate the convergence [1]. Chosen: fewer converge slowly, more make the
-least-squares problem degenerate."""
+"""Number of iterations used to accelerate the convergence [1]. Chosen: with fewer, the convergence is slow; with more,
+the least-squares problem is degenerate."""
 _ERRORS = 6
 """Number of parts of the error of an integrated angle, a random walk [1]. Derived: its Karhunen-Loeve series; two parts
 contain 90 % of the variance, six contain 97 %."""
@@ -200,8 +200,8 @@ def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
 Array = NDArray[np.float64]
 
 _INTERVALS = 12
-"""Intervals of the first mesh [1]. Chosen: the mesh is refined to the tolerance; fewer need more refinements, more cost
-time."""
+"""Intervals of the first mesh [1]. Chosen: the mesh is refined to the tolerance; a smaller number needs more
+refinements, a larger one costs time."""
 _PER_REVERSAL = 5
 """Intervals of the first mesh between two reversals of an oscillation [1]. Derived: ten nodes resolve a sinusoid over a
 fifth of the half period to 1e-11, the Bessel function J_8 of pi / 10, so few intervals have to be halved."""
@@ -221,8 +221,8 @@ _FEW_SINGLE = 40
 """Largest number of stretches between reversals that are integrated one by one [1]. Chosen: one stretch takes as long
 as all of them simultaneously; a smaller value refuses trials that converge, a larger one costs time."""
 _HALVINGS = 2
-"""Largest number of bisections of the step between two solutions [1]. Chosen: fewer refuse long steps, more delay
-failures."""
+"""Largest number of bisections of the step between two solutions [1]. Chosen: a smaller number refuses long steps, a
+larger one delays failures."""
 
 
 @dataclass(frozen=True)

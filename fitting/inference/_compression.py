@@ -90,8 +90,8 @@ def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
 
 
 _TIME_CONSTANTS = 8
-"""Number of time constants for the responses to an input [1]. Chosen: fewer leave responses to other time constants in
-the noise, more need rows."""
+"""Number of time constants for the responses to an input [1]. Chosen: a smaller number leaves responses to other time
+constants in the noise, a larger one needs more rows."""
 _SHORTEST = 2.0
 """Shortest time constant of a response to an input, relative to the sampling interval [1]. Chosen: a smaller value is
 not resolved, a larger one leaves fast responses in the noise."""
@@ -125,11 +125,11 @@ _ABRUPT = 0.1
 """Smallest size of an abrupt change, relative to the range of the input [1]. Chosen: a smaller value cuts blocks at
 noise, with a larger one a block may contain a kink."""
 _MOST_STEPS = 12
-"""Largest number of abrupt changes of an input that is a sequence of steps [1]. Chosen: more leave blocks without
-enough samples, fewer refuse stepped inputs."""
+"""Largest number of abrupt changes of an input that is a sequence of steps [1]. Chosen: a larger number leaves blocks
+without enough samples, a smaller one refuses stepped inputs."""
 _AFTER_STEP = (20, 40)
 """Number of samples of the first blocks after a step [samples]. Chosen: the response changes fastest there, and later
-blocks have the usual length; fewer leave no samples for the noise, more need a higher degree."""
+blocks have the usual length; a smaller number leaves no samples for the noise, a larger one needs a higher degree."""
 
 
 def cuts_at_steps(time: Array, inputs: Sequence[Input]) -> NDArray[np.int_]:
@@ -182,21 +182,25 @@ ROTOR_DEGREE = 7
 """Degree of the polynomial of a window of the rotor [1]. Chosen: equal to `CASING_DEGREE`; a smaller value does not
 follow the motion, a larger one costs rows."""
 NOISE_ROWS = 14
-"""Number of further polynomials of a block, which measure the white noise [1]. Chosen: fewer are less precise, more
-measure the noise at irrelevant frequencies."""
+"""Number of further polynomials of a block, which measure the white noise [1]. Chosen: with fewer, the noise is known
+less precisely; with more, it is measured at irrelevant frequencies."""
 BLOCKS = 60
-"""Blocks of a record of angles [1]. Chosen: fewer need a higher degree, more leave few samples for the noise."""
+"""Blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree, a larger one leaves few samples for
+the noise."""
 _MIN_SAMPLES = 60
-"""Smallest number of samples of a block [samples]. Chosen: fewer leave none for the noise, more blur fast motion."""
+"""Smallest number of samples of a block [samples]. Chosen: a smaller number leaves no samples for the noise, a larger
+one blurs fast motion."""
 _SPEED_RATIO = 1.6
 """Ratio of the speeds in a block above which it is cut [1]. Chosen: a smaller value makes short blocks, a larger one
 fits one polynomial to a changing angle."""
 _AT_REST = 0.003
 """Speed at rest, as a share of the largest [1]. Source: the casing of the paper, 0.5 rad/s of 160 rad/s."""
 _MOST_CUTS = 12
-"""Largest number of cuts [1]. Chosen: fewer leave fast changes in a block, more leave few samples for the noise."""
+"""Largest number of cuts [1]. Chosen: a smaller number leaves fast changes in a block, a larger one leaves few samples
+for the noise."""
 _BINS = 128
-"""Number of groups of samples of a block [1]. Chosen: fewer blur short correlations, more cost time and memory."""
+"""Number of groups of samples of a block [1]. Chosen: a smaller number blurs short correlations, a larger one costs
+time and memory."""
 _SAME = 1e-7
 """Smallest range of a harmonic that is more than rounding error [1]. Chosen: a smaller value adds rows of rounding
 errors, a larger one drops slowly turning bodies."""

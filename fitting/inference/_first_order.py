@@ -1,8 +1,8 @@
 """First-order constants of a body that an input drives: time constant and gain.
 
 A body with J d(omega)/dt = k u - c omega - b sign(omega) follows its input u with the time constant tau = J / c and the
-gain k / c, the change of its final speed per unit of the input. Both are functions of the parameters alone; their
-standard uncertainties follow from the covariance of the fit to first order.
+gain k / c. The gain is the change of the final speed per unit of the input. Time constant and gain are functions of the
+parameters alone. To first order, their standard uncertainties follow from the covariance of the fit.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class FirstOrder:
     time_constant : Estimate
         tau = J / c [s].
     gains : dict of str to Estimate
-        Change of the final speed per unit of each input [rad/s per its unit].
+        Change of the final speed per unit of each input [rad/s per unit of the input].
     delays : dict of str to Estimate
         Dead time of each input for which one is fitted [s].
     """
@@ -100,7 +100,7 @@ def first_order(fit: Fit) -> tuple[FirstOrder, ...]:
 
 
 def _estimate(fit: Fit, index: int, quantity: Expr, unit: str) -> Estimate | None:
-    """Return a function of the parameters of one case with its standard uncertainty; None where it is not finite."""
+    """Evaluate a function of the parameters of one case, with standard uncertainty; None if it is not finite."""
     layout, dynamics = fit.problem.layout, fit.problem.cases[index].dynamics
     numbers = dynamics.constants | layout.numbers(fit.theta, index)
     tape = Tape([quantity, *(derivative(quantity, key) for key in dynamics.parameters)])

@@ -56,13 +56,13 @@ Array = NDArray[np.float64]
 
 _OTHER_POWERS = (0.7, 1.35)
 """Further initial exponents of a power law, on either side of 1 [1]. Chosen: chi-square has a minimum on each side of
-the exponent of the linear law; fewer may end in the wrong one, more cost time."""
+the exponent of the linear law; with fewer, a fit may end in the wrong minimum; with more, the search takes longer."""
 _AT_REST = 0.01
 """Share of its largest speed below which the casing counts as at rest [1]. Chosen: a smaller value overlooks stops in
 noise, a larger one takes slow bodies for stopped ones."""
 _MOST_STEPS = 60
-"""Iterations of a trial search [1]. Chosen: a fit that needs more is continued; fewer leave trials that cannot be
-compared, more cost time."""
+"""Iterations of a trial search [1]. Chosen: a fit that needs more is continued; a smaller number leaves trials that
+cannot be compared, a larger one costs time."""
 
 
 def search_with_noise(
@@ -535,7 +535,8 @@ for normal noise."""
 _CAUCHY = 2.385
 """Scale of the Cauchy loss [standard deviations]. Derived: 95 % of the efficiency of least squares for normal noise."""
 _ITERATIONS = 12
-"""Largest number of iterations of a robust fit [1]. Chosen: fewer stop before convergence, more delay the failure."""
+"""Largest number of iterations of a robust fit [1]. Chosen: a smaller number stops before convergence, a larger one
+delays the failure."""
 _CONVERGED = 0.01
 """Change of a parameter at convergence of a robust fit [standard errors]. Chosen: a smaller value costs iterations, a
 larger one leaves a bias."""

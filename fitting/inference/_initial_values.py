@@ -61,19 +61,20 @@ _END = 10
 """Number of equal parts of a run, the last of which is the end of the run [1]. Chosen: with more parts, the end
 contains few speeds; with fewer, it includes the middle of the run."""
 _DEAD_TIMES = 40
-"""Dead times of an input that are tried [1]. Chosen: fewer start far from the optimum, more cost time."""
+"""Dead times of an input that are tried [1]. Chosen: with fewer, a fit starts far from the optimum; with more, the
+search takes longer."""
 _LONGEST_DEAD_TIME = 0.1
 """Longest dead time, divided by the length of a record [1]. Chosen: a smaller value overlooks slow drives, a larger one
 loses the start of the record."""
 _FIRST_PERIODS = 2.0
-"""Periods of the first search of an oscillation [1]. Chosen: fewer do not determine the frequency, more may start a
-period off."""
+"""Periods of the first search of an oscillation [1]. Chosen: a smaller number does not determine the frequency, a
+larger one may start with an error of a period."""
 _FEWEST_SAMPLES = 24
-"""Smallest number of samples of the first search of an oscillation [samples]. Chosen: fewer do not determine all laws,
-more may start a period off."""
+"""Smallest number of samples of the first search of an oscillation [samples]. Chosen: a smaller number does not
+determine all laws, a larger one may start with an error of a period."""
 _MOST_STEPS = 60
-"""Largest number of steps of the first search of an oscillation [1]. Chosen: fewer stop before convergence, more cost
-time."""
+"""Largest number of steps of the first search of an oscillation [1]. Chosen: a smaller number stops before convergence,
+a larger one costs time."""
 
 
 def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
@@ -414,16 +415,17 @@ def _longest_motion(omega_c: Array) -> NDArray[np.bool_]:
 
 
 _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
-"""Trial exponents of a power law [1]. Chosen: on both sides of 1, which is the linear law; fewer may start in a wrong
-minimum, more cost time."""
+"""Trial exponents of a power law [1]. Chosen: on both sides of 1, which is the linear law; with fewer, a fit may start
+in a wrong minimum; with more, the search takes longer."""
 _MOST = 80
-"""Largest number of trial shapes of a law [1]. Chosen: fewer may omit the best one, more cost time."""
+"""Largest number of trial shapes of a law [1]. Chosen: a smaller number may omit the best one, a larger one costs
+time."""
 _COLLINEAR = 1e-7
 """Relative singular value below which columns are collinear [1]. Chosen: a smaller value gives large opposite steps, a
 larger one holds well-determined strengths fixed."""
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 """Trial levels, divided by the level of random torque without the law [1]. Chosen: at the level without the law any
-shape is consistent; fewer may choose a wrong shape, more cost time."""
+shape is consistent; a smaller number may choose a wrong shape, a larger one costs time."""
 
 
 def _laws_of_joint(model: Model, site: str) -> int:

@@ -22,8 +22,8 @@ _PRECISION = 0.05
 """Precision of the logarithms of time and level at the maximum of the likelihood [1]. Chosen: a smaller value costs
 time, a larger one leaves deviance."""
 _EVALUATIONS = 8
-"""Largest number of evaluations of a one-dimensional search for the maximum [1]. Chosen: fewer stop before
-`_PRECISION`, more cost time."""
+"""Largest number of evaluations of a one-dimensional search for the maximum [1]. Chosen: a smaller number stops before
+`_PRECISION` is reached, a larger one costs time."""
 
 
 class LevelProfile:

@@ -58,8 +58,8 @@ from fitting.inference._record import Body, Record, Samples, hermite, median_wid
 Array = NDArray[np.float64]
 
 _TERMS = 21
-"""Order of the series of Mehler below which terms are summed [1]. Chosen: fewer understate the correlation of
-gradients, more cost time and change little."""
+"""Order of the series of Mehler below which terms are summed [1]. Chosen: a smaller number understates the correlation
+of gradients, a larger one costs time and changes little."""
 
 
 def as_velocities(record: Record) -> Record:
@@ -125,7 +125,8 @@ def median_noise(cutoff: Array) -> Array:
 
 
 _POINTS = 2000
-"""Largest number of points of an energy balance [1]. Chosen: fewer make the integral coarse, more cost time."""
+"""Largest number of points of an energy balance [1]. Chosen: a smaller number makes the integral coarse, a larger one
+costs time."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -177,8 +178,8 @@ _SLOW_START = 0.1
 """Initial kinetic energy, divided by the largest one, below which a motion begins at a turning point [1]. Chosen: a
 smaller value divides by a small energy, a larger one changes the scale of usual runs."""
 FOLDS = 6
-"""Folds of the cross-validation [1]. Chosen: fewer leave large gaps in the data, more leave neighbours that share slow
-torques."""
+"""Folds of the cross-validation [1]. Chosen: a smaller number leaves large gaps in the data, a larger one leaves
+neighbours that share slow torques."""
 
 
 def held_out(
@@ -387,8 +388,8 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
 
 
 KNOTS = 21
-"""Knots of the slow torques of the lack-of-fit test [1]. Chosen: a twentieth of the record apart; fewer overlook short
-torques, more lower the power for slow ones."""
+"""Knots of the slow torques of the lack-of-fit test [1]. Chosen: a twentieth of the record apart; a smaller number
+overlooks short torques, a larger one lowers the power for slow ones."""
 _RANK = 1e-4
 """Relative singular value below which a tested direction is absorbed by the model [1]. Chosen: a smaller value tests
 rounding errors, a larger one omits torques that are nearly absorbed."""

@@ -217,7 +217,8 @@ _MOST_EXPECTED = 4.0
 """Ratio of the highest unresolved level to the expected level [1]. Chosen: a normal prior has a probability of 6e-5
 beyond it; a smaller value cuts the prior, a larger one makes the grid coarser."""
 _UNRESOLVED_LEVELS = 16
-"""Number of unresolved levels [1]. Chosen: fewer make the posterior mean coarse, more cost time."""
+"""Number of unresolved levels [1]. Chosen: a smaller number makes the posterior mean coarse, a larger one costs
+time."""
 
 
 def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
@@ -298,8 +299,8 @@ def _deviance(rotated: Array, variance: Array) -> float:
 
 
 _CELLS_PER_ROW = 2.5
-"""Cells of the random torque per row [1]. Chosen: equal to that of `fitting.inference._process_noise`; fewer blur the
-response of the highest row, more cost time."""
+"""Cells of the random torque per row [1]. Chosen: equal to that of `fitting.inference._process_noise`; a smaller number
+blurs the response of the highest row, a larger one costs time."""
 _GROUPS = 8
 """Number of groups of cells that skip the rows before their first response [1]. Chosen: another value costs time and
 does not change the result."""

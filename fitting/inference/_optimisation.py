@@ -148,13 +148,14 @@ _FAR = 10.0
 """Chi-square per row above which a search is repeated from further initial values [1]. Chosen: a smaller value repeats
 searches of models with a lack of fit, a larger one accepts a wrong minimum."""
 _STEPS = 60
-"""Largest number of steps of one of several searches [1]. Chosen: fewer stop before the minimum is known, more cost
-time."""
+"""Largest number of steps of one of several searches [1]. Chosen: a smaller number stops before the minimum is known, a
+larger one costs time."""
 _QUICK_STEPS = 40
-"""Largest number of steps of a quick search [1]. Chosen: fewer stop before the minimum is known, more cost time."""
+"""Largest number of steps of a quick search [1]. Chosen: a smaller number stops before the minimum is known, a larger
+one costs time."""
 _EXPONENTS = 241
-"""Trial exponents of a law at a bound [1]. Chosen: fewer may omit the minimum, more cost time; the rows are linear in
-the strengths."""
+"""Trial exponents of a law at a bound [1]. Chosen: a smaller number may omit the minimum, a larger one costs time; the
+rows are linear in the strengths."""
 _SAME = 1e-3
 """Relative difference of chi-square below which two searches have the same minimum [1]. Chosen: a smaller value repeats
 searches, a larger one takes neighbouring minima for one."""

@@ -2,8 +2,8 @@
 
 Turning points are found with hysteresis: an extreme of the angle counts if the angle then returns by more than the
 noise and by more than a hundredth of its range. Three successive turning points e_1, e_2, e_3 of a damped oscillation
-give the equilibrium (e_1 + 2 e_2 + e_3) / 4, in which the decay cancels to first order, and the shift to alternate
-sides by dry friction as well.
+give the equilibrium (e_1 + 2 e_2 + e_3) / 4. In this mean, the decay cancels to first order. The shift by dry friction
+also cancels, because it is to alternate sides.
 """
 
 from __future__ import annotations
@@ -38,22 +38,24 @@ _PHASE_DEGREE = 5
 """Degree of the polynomial of the phase [1]. Chosen: a smaller value does not follow a changing frequency, a larger one
 oscillates at the ends."""
 _HARMONICS = 3
-"""Harmonics of an oscillation [1]. Chosen: fewer leave motion in the noise, more absorb noise."""
+"""Number of harmonics of an oscillation [1]. Chosen: a smaller value leaves motion in the noise, a larger one absorbs
+noise."""
 _MODULATION = 3
 """Highest power of time of the amplitude of each harmonic [1]. Chosen: a smaller value does not follow the decay, a
 larger one absorbs noise."""
 _MOST_WINDOWS = 300
-"""Largest number of windows of a slow motion [1]. Chosen: fewer blur the decay, more cost time."""
+"""Largest number of windows of a slow motion [1]. Chosen: a smaller number blurs the decay, a larger one costs time."""
 _WINDOWS = 20
-"""Number of windows below which they are shorter than three periods [1]. Chosen: fewer do not resolve the decay of
-short records, more have uncertain amplitudes."""
+"""Smallest number of windows of three periods; a shorter record has shorter windows [1]. Chosen: a smaller number does
+not resolve the decay of short records, a larger one gives uncertain amplitudes."""
 _POINTS_PER_PERIOD = 24
-"""Rough speeds in each period of an oscillation [1]. Chosen: fewer cut the turning points, more are noisy."""
+"""Rough speeds in each period of an oscillation [1]. Chosen: with fewer, the turning points are cut off; with more,
+each speed is noisy."""
 _ROUGH_SAMPLES = 3
 """Smallest number of samples of a rough speed of an oscillation [samples]. Derived: a line and its error."""
 _FEWEST_SAMPLES = 10
-"""Smallest number of samples in a window [samples]. Chosen: fewer do not determine amplitude and phase, more refuse
-slow cameras."""
+"""Smallest number of samples in a window [samples]. Chosen: a smaller number does not determine amplitude and phase, a
+larger one refuses slow cameras."""
 
 
 class SlowMotion(NamedTuple):
@@ -65,7 +67,7 @@ class SlowMotion(NamedTuple):
 
 
 class Rotation:
-    """A motion without reversals: the properties of an oscillation are empty, zero or unlimited."""
+    """A motion without reversals: the properties of an oscillation are empty, zero or infinite."""
 
     is_smooth = True
     reversals: Array = np.zeros(0)
@@ -93,7 +95,7 @@ class Rotation:
         return np.zeros((samples, 0))
 
     def offsets(self, samples: int) -> Array:
-        """Return the functions of an unknown zero of measured speeds: none, because a torque has the same functions."""
+        """Return functions that describe an unknown zero of measured speeds: none, since a torque can describe it."""
         return np.zeros((samples, 0))
 
     def beyond_motion(self, columns: Array, _angle: Array) -> Array:
@@ -107,8 +109,8 @@ class Oscillation:
 
     reversals: Array  # shape (n,); times at which the body reverses [s]
     period: float  # median of twice the time between neighbouring reversals [s]
-    # shape (samples,); angle from the equilibrium [rad] at the samples; for measured speeds, their integral without its
-    # drift
+    # shape (samples,); times of the samples [s], and angles from the equilibrium [rad]; measured speeds are integrated
+    # to angles, and the drift is removed
     time: Array
     deflection: Array
 
@@ -135,13 +137,13 @@ class Oscillation:
         return samples / self.periods
 
     def offsets(self, samples: int) -> Array:
-        """Return the functions of an unknown zero of measured speeds: a constant, the zero-rate output of a sensor."""
+        """Return functions that describe an unknown zero of measured speeds: a constant (zero-rate output)."""
         return np.ones((samples, 1))
 
     def beyond_motion(self, columns: Array, angle: Array) -> Array:
-        """Return functions of the angle without their part that is linear in it.
+        """Return functions of the angle without the part that is linear in the angle.
 
-        Over a part of a turn they are nearly linear in the angle, and would absorb any motion.
+        Over a part of a turn, the complete functions are nearly linear in the angle and would absorb any motion.
         """
         linear = np.stack([np.ones_like(angle), angle - angle.mean()], axis=1)
         return np.asarray(columns - linear @ np.linalg.lstsq(linear, columns, rcond=None)[0])
@@ -152,7 +154,7 @@ class Oscillation:
 
     @cached_property
     def slow_motion(self) -> SlowMotion | None:
-        """Amplitude and phase in windows of a period or more; None for a few periods, or few samples in each.
+        """Amplitude and phase in windows of a period or more; None if periods or samples are few.
 
         A least-squares fit in each window contains the first harmonic with linearly varying amplitude and phase, the
         third harmonic, a constant and a drift. The phase from the reversals, whose times are known to a sample, is
@@ -198,7 +200,7 @@ class Oscillation:
 
 
 def _smooth_phase(at: Array, phase: Array, times: Array) -> Array:
-    """Return a phase at other times, from a polynomial in time, continued linearly."""
+    """Return a phase at other times from a polynomial in time; beyond its ends, it is a straight line."""
     middle, half = 0.5 * (at[0] + at[-1]), 0.5 * float(np.ptp(at))
     degree = min(_PHASE_DEGREE, max(1, len(at) - 2))
     c = np.polynomial.chebyshev.chebfit((at - middle) / half, phase, degree)
@@ -274,7 +276,7 @@ def turning_points(angle: Array, least: float) -> NDArray[np.intp]:
 
 
 def _sign_changes(speed: Array, least: float) -> NDArray[np.intp]:
-    """Return the samples at which a speed changes its sign, from more than `least` on one side to the other."""
+    """Return the samples at which a speed changes its sign; before and after, its magnitude is larger than `least`."""
     significant = np.flatnonzero(np.abs(speed) > least)
     change = np.flatnonzero(np.diff(np.sign(speed[significant])) != 0)
     before, after = significant[change], significant[change + 1]

@@ -41,19 +41,20 @@ with two degrees of freedom is larger in 5 % of the cases; a smaller value refus
 accepts wrong ones."""
 
 _MOST_STRETCHES = 6
-"""Largest number of stretches of a record, each with a level [1]. Chosen: with fewer a kink distorts the level, more
-have few rows."""
+"""Largest number of stretches of a record, each with a level [1]. Chosen: with fewer, a kink distorts the level; with
+more, each stretch has few rows."""
 _GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
 """Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower ones change nothing, higher ones do
 not occur; a coarser grid rounds the level."""
 _CELLS_PER_ROW = 2.5
-"""Cells of the random torque per row [1]. Chosen: fewer blur the response of the highest row, more cost time."""
+"""Cells of the random torque per row [1]. Chosen: a smaller number blurs the response of the highest row, a larger one
+costs time."""
 _DEGREE = 11
 """Degree of the polynomial of a stretch [1]. Chosen: a smaller value takes motion for noise, a larger one absorbs slow
 noise."""
 _SHORT_BLOCKS = 4
-"""Number of blocks of a stretch that contains several periods of an oscillation [1]. Chosen: fewer leave no rows for
-the noise, more contain too many periods for a polynomial."""
+"""Number of blocks of a stretch that contains several periods of an oscillation [1]. Chosen: a smaller number leaves no
+rows for the noise, a larger one contains too many periods for a polynomial."""
 _SHORT_DEGREE = 14
 """Degree of the polynomial of a stretch that contains several periods of an oscillation [1]. Chosen: a smaller value
 takes the oscillation for noise, a larger one absorbs noise."""
@@ -73,8 +74,8 @@ _LEVELS = np.geomspace(1e-4, 1e6, 121)
 """Trial levels, in units of the noise of the rows [1]. Chosen: twelve per decade; lower ones change nothing, higher
 ones do not occur, a coarser grid rounds the posterior mean."""
 _FINER = 16
-"""Levels of the finer grid per level of the coarse one [1]. Chosen: fewer make the posterior mean coarse, more cost
-time."""
+"""Levels of the finer grid per level of the coarse one [1]. Chosen: a smaller number makes the posterior mean coarse, a
+larger one costs time."""
 _REFINED_SHARE = 1e-4
 """Smallest probability of a time about which the grid of times is refined, relative to the largest probability [1].
 Chosen: a smaller value costs time, a larger one rounds the posterior."""
@@ -88,8 +89,8 @@ _NEGLIGIBLE = 1e-25
 """Probability below which a level is omitted [1]. Chosen: a smaller value costs time, a larger one changes integrals
 over far tails."""
 _BINS = 60
-"""Bins of the marginal distribution of the level [1]. Chosen: fewer round its quantiles, more have few levels in
-each."""
+"""Bins of the marginal distribution of the level [1]. Chosen: a smaller number rounds the quantiles of the level, a
+larger one leaves few levels in each bin."""
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,10 @@ LEVEL = 0.95
 _NEAR = 0.02
 """Tolerance of an end [standard deviations]. Chosen: a smaller value costs fits, a larger one rounds the end."""
 _FITS = 20
-"""Largest number of fits for each end [1]. Chosen: fewer leave ends open, more cost time."""
+"""Largest number of fits for each end [1]. Chosen: a smaller number leaves ends open, a larger one costs time."""
 _MOST_STEPS = 300
-"""Largest number of steps of each fit [1]. Chosen: fewer stop before convergence, more delay the failure."""
+"""Largest number of steps of each fit [1]. Chosen: a smaller number stops before convergence, a larger one delays the
+failure."""
 _WEAK = 0.3
 """Relative uncertainty above which a parameter is weakly determined [1]. Chosen: a smaller value profiles parameters
 with symmetric intervals, a larger one trusts linear ones."""

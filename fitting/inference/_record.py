@@ -36,20 +36,22 @@ Role = Literal["rotor", "casing", "body"]
 _FEWEST_OF_BODY = 24
 """Smallest number of samples of the first body [samples]. Derived: in a block, 12 for the model and 12 for noise."""
 _PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
-"""Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC chooses one; fewer smooth too much or too little, more
-cost time."""
+"""Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC chooses one; a smaller number smooths too much or too
+little, a larger one costs time."""
 _MIN_PIECE = 12
-"""Smallest number of samples of a piece [samples]. Chosen: fewer follow noise, more blur the motion."""
+"""Smallest number of samples of a piece [samples]. Chosen: a smaller number follows noise, a larger one blurs the
+motion."""
 _CUBIC = 4
 """Number of coefficients of a piece [1]. Derived: a polynomial of degree 3."""
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 """Smallest number of samples of a rotor window, by quantity [samples]. Chosen: a speed follows from several angles, or
-is measured directly; fewer angles give no uncertainty, more refuse short films."""
+is measured directly; with fewer angles, there is no uncertainty; with more, short films are refused."""
 _SHOWN = 6
-"""Number of windows and inputs in a repr [1]. Chosen: fewer hide windows, more fill the console."""
+"""Number of windows and inputs in a repr [1]. Chosen: a smaller number hides windows, a larger one fills the
+console."""
 _SPEED_SAMPLES = 5
-"""Samples of an average speed; the largest average is the unit of speeds in laws [samples]. Chosen: fewer contain more
-noise, more average over a period of an oscillation."""
+"""Samples of an average speed; the largest average is the unit of speeds in laws [samples]. Chosen: a smaller number
+contains more noise, a larger one averages over a period of an oscillation."""
 _LARGEST_SHARE = 0.95
 """Quantile of the speeds that is used as their largest value [1]. Chosen: a higher quantile depends on outliers, a
 lower one is a mean."""
@@ -633,7 +635,8 @@ def running_median(value: Array, width: int) -> Array:
 
 
 _POINTS = 160
-"""Number of points of the rough speeds of a run [1]. Chosen: fewer blur the motion, more are noisy."""
+"""Number of points of the rough speeds of a run [1]. Chosen: with fewer, the motion is blurred; with more, each speed
+is noisy."""
 _LONG_WINDOW = 0.5
 """Smallest share of a run for which a rotor window is divided like the run [1]. Chosen: a smaller value divides windows
 in which the speed is nearly constant, a larger one averages a changing speed."""

@@ -32,13 +32,14 @@ Array = NDArray[np.float64]
 Random = np.random.Generator
 
 _CELLS_PER_TIME = 5
-"""Smallest number of cells of a random torque per correlation time [1]. Chosen: fewer give a series of steps, more cost
-time."""
+"""Smallest number of cells of a random torque per correlation time [1]. Chosen: a smaller number gives a series of
+steps, a larger one costs time."""
 _FEWEST_CELLS = 400
-"""Smallest number of cells of a random torque [1]. Chosen: fewer do not resolve the record, more cost time."""
+"""Smallest number of cells of a random torque [1]. Chosen: a smaller number does not resolve the record, a larger one
+costs time."""
 _MOST_CELLS = 40_000
-"""Largest number of cells of a random torque [1]. Chosen: a limit of memory; fewer blur short correlation times, more
-cost memory."""
+"""Largest number of cells of a random torque [1]. Chosen: a limit of memory; a smaller number blurs short correlation
+times, a larger one costs memory."""
 
 
 def replica(fit: Fit, seed: int | Sequence[int]) -> list[Record]:

@@ -30,7 +30,8 @@ _FIRST_INTERVAL = 1e-6
 """First interval of a mesh for a boundary layer at the start, divided by the duration [1]. Chosen: a larger value does
 not resolve fast transients, a smaller one costs intervals."""
 _GRADED = 60
-"""Intervals of a mesh for a boundary layer at the start [1]. Chosen: fewer grow too fast, more cost time."""
+"""Intervals of a mesh for a boundary layer at the start [1]. Chosen: with fewer, the intervals grow too fast; with
+more, the solution takes longer."""
 _NOISE_STEP = 0.02
 """Step of a simulated random torque [s]. Chosen: short compared with its default correlation time of 1 s; a larger
 value makes it a sequence of steps, a smaller one costs time."""
@@ -56,8 +57,8 @@ class Experiment:
     """Frame rate of the rotor's camera [s-1]. Chosen: a rotor of 900 rad/s turns by a seventh of a turn per frame; a
     smaller value aliases fast bodies, a larger one needs more light."""
     windows: tuple[float, ...] = field(default=(5.0, 70.0, 150.0))
-    """Starts of the rotor clips [s]. Chosen: at the start, in the middle and near the end of the run; fewer determine
-    the rotor's drag poorly, more need more films."""
+    """Starts of the rotor clips [s]. Chosen: at the start, in the middle and near the end of the run; a smaller number
+    determines the rotor's drag poorly, a larger one needs more films."""
     window_length: float = 3.0
     """Length of each rotor clip [s]. Chosen: a shorter one determines the speed less precisely, a longer one makes
     larger films."""

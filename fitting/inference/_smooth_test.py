@@ -33,8 +33,8 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 SPEED_KNOTS = (4, 8)
-"""Knots of the piecewise linear torques of a speed, coarse and fine [1]. Chosen: fewer overlook narrow deviations, more
-lower the power for broad ones."""
+"""Knots of the piecewise linear torques of a speed, coarse and fine [1]. Chosen: a smaller number overlooks narrow
+deviations, a larger one lowers the power for broad ones."""
 
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
@@ -45,8 +45,8 @@ projects out rounding errors, a larger one ignores some free columns."""
 _TINY = 1e-300
 """Smallest norm by which a column is divided [1]. Derived: it avoids a division by zero and is below any other norm."""
 _DRAWS = 2000
-"""Null data sets for the smallest of several p-values [1]. Chosen: fewer make p-values coarser than
-`Criteria.doubt_adequate`, more cost time."""
+"""Null data sets for the smallest of several p-values [1]. Chosen: a smaller number makes p-values coarser than
+`Criteria.doubt_adequate`, a larger one costs time."""
 
 
 @dataclass(frozen=True)

@@ -5,18 +5,19 @@ noise, although a law would describe them with few parameters and no random torq
 each with the free parameters of the fit: a random torque alone, and a random torque together with one of
 
 - a torque that is a parabola in time, on the casing and in the bearing;
-- a torque on the casing that is a sinusoid in time, of a frequency that changes linearly (a precession).
+- a sinusoidal torque on the casing whose frequency changes linearly in time (a precession).
 
-Level s and correlation time T of the random torque are the most likely ones in each description
-(`fitting.inference._level_profile`). The q parameters of a torque describe the data better if the deviance falls by
-more than BIC requires, and by more than is probable for their number,
+In each description, the level s and the correlation time T of the random torque have their most likely values
+(`fitting.inference._level_profile`). A torque with q parameters describes the data better if the deviance falls by more
+than BIC requires, and by more than is probable by chance for this number of parameters,
 
     D0 - D1 > q ln n + `Criteria.random_torque_evidence`,    N P(chi2_c > D0 - D1) < `Criteria.lack_of_fit`,
 
-with n rows, c linear parameters and N independent trials of the others (Bonferroni). In recordings with nothing but a
-random torque the fall is larger than chi-square, because the level is free, and because only one or two modes of a slow
-torque are above the noise: in 60 simulated recordings with correlation times of 1 to 10 s it reaches 33 for parabolas
-and 28 for sinusoids, with q ln n = 27. For the effects that `diagnose` names in films, the fall is 58 to 214.
+where n is the number of rows, c of the q parameters are linear, and N independent trials are made of the other ones
+(Bonferroni). In recordings with nothing but a random torque the fall is larger than chi-square, because the level is
+free, and because only one or two modes of a slow torque are above the noise: in 60 simulated recordings with
+correlation times of 1 to 10 s it reaches 33 for parabolas and 28 for sinusoids, with q ln n = 27. For the effects that
+`diagnose` names in films, the fall is 58 to 214.
 """
 
 from __future__ import annotations
@@ -38,23 +39,23 @@ from fitting.inference._noise import Noise, TorqueNoise, TorqueResponse
 Array = NDArray[np.float64]
 
 _DEGREE = 2
-"""Degree of the smooth torques in time [1]. Chosen: a constant and a trend are nearly parameters of the model; more
-degrees describe more and need more evidence."""
+"""Degree of the smooth torques in time [1]. Chosen: the parameters of the model nearly absorb a constant and a trend; a
+larger value describes more torques and needs more evidence."""
 _TIMES = 5
-"""Trial correlation times of the random torque in addition to that of the recording [1]. Chosen: fewer pass over the
-maximum of the likelihood, more cost time."""
+"""Trial correlation times of the random torque in addition to that of the recording [1]. Chosen: with fewer, the
+maximum of the likelihood is missed; with more, the test takes longer."""
 _FEWEST_TIMES = 6.0
 """Smallest length of a record, in correlation times of the random torque [1]. Chosen: as in
 `fitting.discovery._random_torque`; with fewer the torque is a trend, a larger value leaves slow torques untried."""
 _LEVELS = np.geomspace(0.01, 4.0, 12)
-"""Trial levels of the random torque divided by that of the fit [1]. Chosen: lower levels have no effect, and with more
-free parameters the level is never much larger; more cost time."""
+"""Trial levels of the random torque divided by that of the fit [1]. Chosen: lower levels have no effect, and free
+parameters in addition never make the level much larger; with more trial levels, the test takes longer."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: as in
 `fitting.inference._metrics`; a smaller value projects out rounding errors, a larger one leaves a part of the free
 columns."""
 _RANK = 1e-4
-"""Relative singular value below which a smooth torque is one of the model [1]. Chosen: as in
+"""Relative singular value below which the model already contains a smooth torque [1]. Chosen: as in
 `fitting.inference._metrics`; a smaller value tests rounding errors, a larger one omits torques that are nearly
 absorbed."""
 
@@ -66,13 +67,13 @@ that the parameters do not absorb; with fewer periods a random torque is taken f
 precession is overlooked."""
 _MOST_PERIODS = 12.0
 """Largest number of periods of a periodic torque in a record [1]. Chosen: faster ones are lines of the residuals, which
-the periodogram tests; more periods make more trials."""
+the periodogram tests; a larger number makes more trials."""
 _PERIOD_STEP = 0.25
-"""Step of the trial numbers of periods [1]. Chosen: a sinusoid a quarter period off at the end of the record keeps
-0.95 of its power; a larger step misses some, a smaller one costs time."""
+"""Step of the trial numbers of periods [1]. Chosen: a sinusoid that differs by a quarter of a period at the end of the
+record keeps 0.95 of its power; a larger step misses sinusoids, a smaller one costs time."""
 _CHIRPS = np.linspace(-0.4, 0.4, 9)
 """Trial changes of the frequency over half the record, divided by the mean frequency [1]. Chosen: a precession whose
-rotor loses half of its speed has 0.33; more would be trials of another law."""
+rotor loses half of its speed has 0.33; larger changes would be trials of another law."""
 _CHIRP_TRIALS = 4
 """Independent trials among the changes of the frequency [1]. Chosen: neighbouring ones are correlated at few periods;
 a larger number requires a larger fall."""
@@ -80,7 +81,7 @@ a larger number requires a larger fall."""
 
 @dataclass(frozen=True)
 class SmoothTorque:
-    """Fall of the deviance by torques in addition to a random one, their linear parameters, and the rows of the case.
+    """Fall of the deviance if torques are added to a random one, number of their linear parameters, number of rows.
 
     `searched` is the number of further parameters that are optimised over `trials` independent values.
     """
@@ -112,7 +113,7 @@ def smooth_torques(
     Parameters
     ----------
     data, prediction, noise : CaseData, Prediction, Noise
-        A case, the prediction of the fitted model, and the noise with the random torque that it needs, above zero.
+        A case, the prediction of the fitted model, and the noise; its random torque must have a level above zero.
     free : ndarray, shape (rows, columns)
         Derivatives with respect to the free parameters and nuisance columns.
     criteria : Criteria
@@ -146,13 +147,13 @@ def _beside(alone: Array, columns: Array, noise: Noise) -> Array:
     """Return the combinations of columns that differ from the free ones and from each other."""
     basis = orthonormal(noise.whitener(alone[:, :-1]), _RANK_FREE)
     columns = scaled_columns(columns, alone[:, -1])[:, :-1]
-    # for a single body, both torques are the same, and some of them are already in the model
+    # for a single body, the torques on the casing and in the bearing are the same, or already in the model
     _, value, directions = np.linalg.svd(orthogonal_to(basis, noise.whitener(columns)), full_matrices=False)
     return np.asarray(columns @ directions[value > _RANK * value.max(initial=0.0)].T)
 
 
 def _parabolas(data: CaseData, prediction: Prediction) -> Array:
-    """Return the responses to the torques of `_DEGREE` in time, on the casing and in the bearing."""
+    """Return the responses to polynomial torques in time, up to `_DEGREE`, on the casing and in the bearing."""
     slow = slow_responses(data, prediction)
     shapes = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, KNOTS), _DEGREE)
     each = np.split(slow, slow.shape[1] // KNOTS, axis=1)
@@ -160,9 +161,10 @@ def _parabolas(data: CaseData, prediction: Prediction) -> Array:
 
 
 def _sinusoid(response: TorqueResponse, alone: Array, noise: Noise) -> Array:
-    """Return the responses to cosine and sine of the phase that explains most at the level of tests.
+    """Return the responses to the cosine and sine torques that explain most at the noise level of tests.
 
-    The phase is 2 pi N (x + c x (x - 1)) with x from 0 to 1, N periods, and the change c of the frequency.
+    The phase of both is 2 pi N (x + c x (x - 1)), where x is from 0 to 1, N is the number of periods, and c the change
+    of the frequency.
     """
     whitener = noise.whitener.at(noise.tested)
     white = whitener(alone)

@@ -39,17 +39,17 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; a larger value
 leaves slow lines in the process noise."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: fewer pass over peaks,
-more cost time; the finer search follows."""
+"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller number passes
+over peaks, a larger one costs time; the finer search follows."""
 _FINER = 16
 """Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: with fewer, the height of
-the peak is underestimated; more cost time."""
+the peak is underestimated; with more, the search takes longer."""
 _FASTEST = 2.5
 """Highest frequency [rad per row]. Chosen: below the Nyquist limit, pi; a larger value is not resolved by the rows, a
 smaller one overlooks fast lines."""
 _MOST = 4
-"""Largest number of lines in a record [1]. Chosen: fewer leave lines in the process noise, more take a broad spectrum
-apart."""
+"""Largest number of lines in a record [1]. Chosen: a smaller number leaves lines in the process noise, a larger one
+takes a broad spectrum apart."""
 _RETAINED = 0.05
 """Smallest norm of the rows of a line orthogonal to the polynomials, as a share of the norm of all its rows [1].
 Chosen: a smaller value finds lines in the motion, a larger one overlooks slow lines."""
@@ -60,8 +60,8 @@ _ROUNDING = 1e-7
 """Relative singular value of a direction that is rounding error [1]. Chosen: a smaller value projects out rounding
 errors, a larger one leaves a part of the nuisance columns."""
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
-"""Trial levels, divided by the most likely process noise without a line [1]. Chosen: that noise is an upper bound;
-fewer understate the deviance, more cost time."""
+"""Trial levels, divided by the most likely process noise without a line [1]. Chosen: that noise is an upper bound; a
+smaller number understates the deviance, a larger one costs time."""
 
 
 def false_alarm_probability(chi2: float, band: float, span: float) -> float:

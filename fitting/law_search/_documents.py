@@ -32,8 +32,8 @@ from fitting.study._serialisation import shown_difference
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
 _AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Ratios of the trial values of a shape constant to the fitted value [1]. Chosen: fewer start far from the optimum of
-other data, more cost time."""
+"""Ratios of the trial values of a shape constant to the fitted value [1]. Chosen: with fewer, a fit of other data
+starts far from the optimum; with more, the search takes longer."""
 _UNITS = {"t": "s", "psi_c": "rad"}
 
 

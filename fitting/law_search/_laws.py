@@ -87,20 +87,22 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _DRAWS = 1000
-"""Simulated scores [1]. Chosen: at this number a quantile of 1 % has an error of a third of its tail; fewer have a
-larger one, more cost time."""
+"""Simulated scores [1]. Chosen: at this number a quantile of 1 % has an error of a third of its tail; with fewer, this
+error is larger; with more, the search takes longer."""
 _FIRST = 5
-"""Laws that are refitted after the first search [1]. Chosen: fewer may omit the right form, more cost time; the later
-searches refine the list."""
+"""Laws that are refitted after the first search [1]. Chosen: a smaller number may omit the right form, a larger one
+costs time; the later searches refine the list."""
 _LATER = 9
-"""Laws that are refitted after each later search [1]. Chosen: fewer may omit the best form, more cost time."""
+"""Laws that are refitted after each later search [1]. Chosen: a smaller number may omit the best form, a larger one
+costs time."""
 _KEPT = 48
-"""Laws that take part in the later searches [1]. Chosen: fewer may omit the best form, more cost time."""
+"""Laws that take part in the later searches [1]. Chosen: a smaller number may omit the best form, a larger one costs
+time."""
 _SEARCHES = 3
-"""Searches; each later one scores about the best refit so far [1]. Chosen: fewer leave scores about a wrong motion,
-more cost time and change little."""
+"""Searches; each later one scores about the best refit so far [1]. Chosen: a smaller number leaves scores about a wrong
+motion, a larger one costs time and changes little."""
 _POINTS = 1000
-"""Points of a curve along the motion [1]. Chosen: fewer blur narrow laws, more cost time."""
+"""Points of a curve along the motion [1]. Chosen: a smaller number blurs narrow laws, a larger one costs time."""
 _COMPARABLE_SHARE = 0.8
 """Fall of deviance, divided by that of the best law, above which an effect of the library is fitted at the same noise
 [1]. Chosen: a smaller value costs time, a larger one names a formula although a known effect describes the data as
@@ -109,11 +111,11 @@ _EXPLAINED_TIE = 0.01
 """Difference of explained shares below which two variables count as equal [1]. Chosen: a smaller value prefers one by
 chance, a larger one hides the better one."""
 _ROUNDS = 4
-"""Steps of the refinement of two shape constants [1]. Chosen: each narrows the grid; fewer start the refit far away,
-more cost time."""
+"""Steps of the refinement of two shape constants [1]. Chosen: each narrows the grid; with fewer, the refit starts far
+from the optimum; with more, the refinement takes longer."""
 _GRID = 5
-"""Points of each shape constant in a step of the refinement [1]. Chosen: fewer may overlook the optimum, more cost
-time."""
+"""Points of each shape constant in a step of the refinement [1]. Chosen: a smaller number may overlook the optimum, a
+larger one costs time."""
 _STEPS = 8
 """Steps of the progress bar [1]. Chosen: the usual number of searches and refits; another value makes the bar jump or
 stop before its end."""
@@ -136,7 +138,8 @@ class Difference:
 
 
 _SHOWN = 6
-"""Laws, and lines of the sentence, of a repr [1]. Chosen: fewer hide equivalent laws, more fill the console."""
+"""Laws, and lines of the sentence, of a repr [1]. Chosen: a smaller number hides equivalent laws, a larger one fills
+the console."""
 _WIDTH = 100
 """Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller
 one needs more lines."""

@@ -35,10 +35,11 @@ Array = NDArray[np.float64]
 # laws that are always fitted: Coulomb and viscous friction
 _ALWAYS = FRICTION[:2]
 _FINE = 16
-"""Times at which a law is evaluated in each cell of the recording [1]. Chosen: fewer blur laws that change within a
-cell, more cost time."""
+"""Times at which a law is evaluated in each cell of the recording [1]. Chosen: a smaller number blurs laws that change
+within a cell, a larger one costs time."""
 _REVERSALS = 10
-"""Number of reversals of the second motion [1]. Chosen: fewer show less of the hysteresis, more are not practical."""
+"""Number of reversals of the second motion [1]. Chosen: a smaller number shows less of the hysteresis, a larger one is
+not practical."""
 _AMPLITUDE = 4.0
 """Amplitude of the second motion, relative to the pre-sliding angle of the contact [1]. Chosen: at a smaller value the
 contact does not slide, at a larger one pre-sliding is a small part of the motion."""

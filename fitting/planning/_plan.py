@@ -79,7 +79,7 @@ _EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
 
 
 _SHOWN = 8
-"""Effects in a repr [1]. Chosen: fewer hide detection limits, more fill the console."""
+"""Effects in a repr [1]. Chosen: a smaller number hides detection limits, a larger one fills the console."""
 _WIDTH = 100
 """Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller
 one needs more lines."""
@@ -289,13 +289,15 @@ def _first_error(fault: ValidationError) -> str:
 Progress = Callable[[int, int | None], None]
 
 _EVALUATIONS = 60
-"""Runs that the search for the next run evaluates [1]. Chosen: fewer may omit the best run, more cost time."""
+"""Runs that the search for the next run evaluates [1]. Chosen: a smaller number may omit the best run, a larger one
+costs time."""
 _SIMULATIONS = 2
-"""Simulations of described recordings over which the power is averaged [1]. Chosen: fewer make the limits depend on the
-noise of one, more cost time."""
+"""Simulations of described recordings over which the power is averaged [1]. Chosen: a smaller number makes the limits
+depend on the noise of one simulation, a larger one costs time."""
 _ESTIMATES = 8
 """Further simulations for estimates of the process noise alone [1]. Chosen: the threshold of a step was 66, 18 and 17
-in three simulations of one description; fewer estimates make the limits depend on a single one, more cost time."""
+in three simulations of one description; with fewer estimates, the limits depend on a single one; with more, the plan
+takes longer."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -22,9 +22,11 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _POINTS = 2000
-"""Points of the generated rotor curve [1]. Chosen: a smooth curve needs few; fewer blur its start, more cost time."""
+"""Points of the generated rotor curve [1]. Chosen: a smooth curve needs few; a smaller number blurs its start, a larger
+one costs time."""
 _STEPS = 400
-"""Steps of the integration of the rotor curve [1]. Chosen: fewer are inaccurate, more cost time."""
+"""Steps of the integration of the rotor curve [1]. Chosen: with fewer, the curve is inaccurate; with more, it takes
+longer."""
 _SLOPES = 0.01
 """Weight of the slopes of the windows relative to their speeds [1]. Chosen: a smaller value lets the curve oscillate
 between windows, a larger one follows the noise of the slopes."""

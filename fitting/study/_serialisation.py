@@ -90,10 +90,10 @@ from fitting.study._preparation import CurveBias
 Array = NDArray[np.float64]
 
 _CURVE_POINTS = 200
-"""Number of points of a stored curve [1]. Chosen: fewer show corners, more make larger files."""
+"""Number of points of a stored curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
 _FITS = 4
-"""Number of candidates whose fits are stored, best first [1]. Chosen: a report draws fewer; more make larger files,
-with fewer some curves are missing."""
+"""Number of candidates whose fits are stored, best first [1]. Chosen: a report draws fewer; a larger number makes
+larger files; with fewer, some curves are missing."""
 
 
 def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:

@@ -72,23 +72,23 @@ MIN_DISTANCE = 0.3
 """Smallest time between two candidates [s]. Chosen: a smaller value refines one start twice, a larger one omits a
 start."""
 MAX_CANDIDATES = 5
-"""Largest number of starts of a clip that are refined [1]. Chosen: time; fewer may omit the true start."""
+"""Largest number of starts of a clip that are refined [1]. Chosen: time; a smaller number may omit the true start."""
 THRESHOLD = 100.0
 """Largest excess of chi2 of a candidate [1]. Chosen: a smaller value omits true starts, a larger one costs time."""
 MODEL_ERROR = np.array([0.02, 0.02, 0.05])
 """Standard deviations of speed, acceleration and jerk due to the error of the cubic [rad/s, rad/s2, rad/s3]. Chosen:
 smaller values reject true starts, larger ones accept many."""
 INTERVALS = (2, 4, 8, 16, 32)
-"""Numbers of intervals of the spline that are tried [1]. Chosen: factors of two; more cost time, fewer smooth the
-motion."""
+"""Numbers of intervals of the spline that are tried [1]. Chosen: factors of two; a larger number costs time, a smaller
+one smooths the motion."""
 BIC_BLOCKS = 30
 """Number of blocks whose means are taken as independent [1]. Chosen: with fewer, the number of intervals cannot be
-selected; the means of more blocks are correlated."""
+selected; with more, their means are correlated."""
 PARAMETERS = 16
 """Number of parameters in addition to one per interval [1]. Derived: 5 for the ends of the spline, 8 harmonics, start,
 rate and direction."""
 ROUNDS = 2
-"""Passes of noise and rejection [iterations]. Chosen: fewer keep outliers, more cost time."""
+"""Passes of noise and rejection [iterations]. Chosen: a smaller number keeps outliers, a larger one costs time."""
 MAX_MISFIT = 0.015
 """Largest difference of the cameras beyond noise [rad]. Chosen: a smaller value refuses oblique cameras, a larger one
 accepts clips of another run."""
@@ -115,7 +115,8 @@ RESOLVED = TURN / 10
 """Largest uncertainty of a direction that identifies the turn [rad]. Chosen: a tenth of a turn, so that half a turn is
 five standard deviations; a larger value counts turns wrongly."""
 MAX_COMBINATIONS = 64
-"""Largest number of combinations of starts that are compared [1]. Chosen: time; fewer may omit the true one."""
+"""Largest number of combinations of starts that are compared [1]. Chosen: time; a smaller number may omit the true
+one."""
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,8 @@ class Motion:
 
 
 FEWEST_SAMPLES = 24
-"""Smallest number of samples of a cubic with harmonics [samples]. Chosen: three times its 8 parameters; fewer fit
-noise, more refuse short clips."""
+"""Smallest number of samples of a cubic with harmonics [samples]. Chosen: three times its 8 parameters; a smaller
+number fits noise, a larger one refuses short clips."""
 
 
 def motion(curve: Curve, moment: float) -> Motion | None:

@@ -67,7 +67,8 @@ OUTLIER = 6.0
 """Residual from which a sample is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects good
 samples, a larger one keeps slips."""
 BLOCKS = 60
-"""Blocks of a residual [1]. Chosen: fewer hide correlation, more have few samples each."""
+"""Blocks of a residual [1]. Chosen: a smaller number hides correlation, a larger one leaves few samples in each
+block."""
 
 
 def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
@@ -84,10 +85,11 @@ def block_means(residual: Floats, blocks: int = BLOCKS) -> tuple[Floats, int]:
 
 
 MIN_FRAMES = 60
-"""Smallest number of frames of a clip with the casing [frames]. Chosen: fewer do not determine a start, more refuse
-short clips."""
+"""Smallest number of frames of a clip with the casing [frames]. Chosen: a smaller number does not determine a start, a
+larger one refuses short clips."""
 NEIGHBOURS = 15
-"""Samples of a running median [samples]. Chosen: fewer follow runs of outliers, more smooth the motion."""
+"""Samples of a running median [samples]. Chosen: a smaller number follows runs of outliers, a larger one smooths the
+motion."""
 MIN_DURATION = 0.2
 """Smallest duration of a clip [s]. Chosen: a shorter clip does not determine speed and acceleration, a longer one
 refuses short clips."""
@@ -235,10 +237,10 @@ biases the start, a larger one makes the matrix singular."""
 MAX_STEP = 0.3
 """Largest step of a start [s]. Chosen: a larger step leaves the range of the linear model, a smaller one costs time."""
 MAX_ROUNDS = 40
-"""Largest number of Gauss-Newton steps [iterations]. Chosen: fewer stop early, more cost time."""
+"""Largest number of Gauss-Newton steps [iterations]. Chosen: a smaller number stops early, a larger one costs time."""
 MAX_REDUCTIONS = 6
-"""Largest number of halvings of a step that does not reduce chi2 [1]. Chosen: fewer end the search early, more cost
-time."""
+"""Largest number of halvings of a step that does not reduce chi2 [1]. Chosen: a smaller number ends the search early, a
+larger one costs time."""
 TOLERANCE = 1e-3
 """Expected decrease of chi2 at convergence [1]. Chosen: 0.03 standard deviations; a larger value stops early, a smaller
 one costs time."""

@@ -417,8 +417,8 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
 
 
 LEAST_COVERED = 4.0
-"""Smallest angle covered by the samples of a body's markers for which its centre is measured [rad]. Chosen: with a
-smaller value the radius of an arc is mistaken for an offset, a larger one needs more samples."""
+"""Smallest angle covered by the samples of a body's markers for which its centre is measured [rad]. Chosen: a smaller
+value mistakes the radius of an arc for an offset, a larger one needs more samples."""
 LEAST_TURNED = 0.5
 """Smallest angle covered by the samples of a marker for deciding which markers turn with it [rad]. Chosen: a smaller
 value compares markers at rest, a larger one compares none in slow films."""
@@ -507,8 +507,8 @@ LEAST_TOGETHER = 0.75
 """Smallest share of the samples in which two markers of one body have the same angular distance [1]. Chosen: a smaller
 value joins two bodies, a larger one separates markers that are often occluded."""
 _LEAST_COMMON = 8
-"""Smallest number of samples that show both markers [samples]. Chosen: with a smaller value markers agree by chance,
-with a larger one fewer markers are compared."""
+"""Smallest number of samples that show both markers [samples]. Chosen: with a smaller value, markers agree by chance;
+with a larger one, fewer markers are compared."""
 _NEAR = 0.2
 """Largest difference of equal angular distances [rad]. Chosen: a smaller value separates blurred markers, a larger one
 joins bodies of similar speed."""

@@ -108,7 +108,7 @@ def unaliased(
 
 _FEWEST = 10
 """Number of angles that must be exceeded to determine a change of the speed [frames]. Chosen: with fewer, noise
-decides; more leave short films aliased."""
+decides; with more, short films remain aliased."""
 
 
 def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:

@@ -74,21 +74,23 @@ Bools = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
 _TRIAL = 300
-"""Frames on which a candidate for the hub is evaluated [frames]. Chosen: fewer show little motion, more cost time."""
+"""Frames on which a candidate for the hub is evaluated [frames]. Chosen: a smaller number shows little motion, a larger
+one costs time."""
 _EXCERPT = 300
-"""Frames that `read_excerpt` reads [frames]. Chosen: equal to `_TRIAL`; more cost time, fewer show little motion."""
+"""Frames that `read_excerpt` reads [frames]. Chosen: equal to `_TRIAL`; a larger number costs time, a smaller one shows
+little motion."""
 _LEARNT = 300
-"""Frames from which the template is estimated [frames]. Chosen: fewer give a noisier template, more cost time and
-memory."""
+"""Frames from which the template is estimated [frames]. Chosen: a smaller number gives a noisier template, a larger one
+costs time and memory."""
 _HUB_FRAMES = 100
-"""Frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: fewer give an uncertain hub,
-more cost time."""
+"""Frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: a smaller number gives an
+uncertain hub, a larger one costs time."""
 _PATH_SETTLED = 0.02
 """Step that ends the iterations for the displacement of a body far from its hub, in one frame [px]. Chosen: a larger
 value stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
-"""Number of iterations for the hub of a body far from it [iterations]. Chosen: fewer stop before distance and template
-agree, more cost time."""
+"""Number of iterations for the hub of a body far from it [iterations]. Chosen: a smaller number stops before distance
+and template agree, a larger one costs time."""
 _FEWEST_STEPS = 4.0
 """Effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns [1]. Chosen: a
 smaller value mistakes a cut for a rotation, a larger one refuses short motions."""
@@ -142,28 +144,32 @@ _HOPEFUL = 0.5
 """Fraction of the required share below which no candidate is refined [1]. Chosen: a smaller value costs time for films
 that are refused, a larger one refuses films that a refinement would explain."""
 _CLEAR = 0.6
-"""Smallest explained share for which a candidate is refined immediately [1]. Chosen: with a smaller value more
-candidates are refined, with a larger one all candidates are first refined cheaply."""
+"""Smallest explained share for which a candidate is refined immediately [1]. Chosen: with a smaller value, more
+candidates are refined; with a larger one, all candidates are first refined cheaply."""
 _FEW_FRAMES = 12
-"""Frames of the cheap refinement of a candidate [frames]. Chosen: with fewer, noise decides; more cost time."""
+"""Frames of the cheap refinement of a candidate [frames]. Chosen: with fewer, noise decides; with more, the refinement
+takes longer."""
 _FEW_STEPS = 3
-"""Iterations of the cheap refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
+"""Iterations of the cheap refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger one
+costs time."""
 _PROMISING = 0.85
 """Fraction of the required share that the cheap refinement must reach [1]. Chosen: few frames are explained better than
-many; with a smaller value more candidates are refined, a larger one may omit the true hub."""
+many; a smaller value refines more candidates, a larger one may omit the true hub."""
 _SCREEN_SIZE = 320
 """Smallest length of the longer side of a reduced frame [px]. Chosen: time; a smaller value loses the marks of small
 bodies."""
 _SCREEN_AREA = 1000
 """Smallest moving area of the reduced frames for which they are used for screening [px2]. Chosen: a smaller value
-refuses small bodies, with a larger one fewer films are screened."""
+refuses small bodies, a larger one screens fewer films."""
 _SCREENED = 0.75
 """Factor of the required share in reduced frames [1]. Chosen: reduced frames lose detail; a larger value refuses films
 that the full frames explain, a smaller one costs time."""
 _STEPS = 6
-"""Iterations of the refinement of a candidate [iterations]. Chosen: fewer stop early, more cost time."""
+"""Iterations of the refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger one costs
+time."""
 _FRAMES = 60
-"""Frames for the refinement of a candidate [frames]. Chosen: fewer give an uncertain hub, more cost time."""
+"""Frames for the refinement of a candidate [frames]. Chosen: a smaller number gives an uncertain hub, a larger one
+costs time."""
 _TILTED = 0.35
 """Smallest tilt of the axis that the result states [rad]. Chosen: cos 0.35 = 0.94; a smaller value reports noise, a
 larger one hides a tilt."""

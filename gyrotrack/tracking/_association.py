@@ -19,14 +19,14 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 MEMORY = 128
-"""Number of recent angles in the fit [frames]. Chosen: fewer give a noisy prediction, more include motion that a
-parabola does not describe."""
+"""Number of recent angles in the fit [frames]. Chosen: a smaller number gives a noisy prediction, a larger one includes
+motion that a parabola does not describe."""
 FEWEST = 16
-"""Smallest number of recent angles for a prediction [frames]. Chosen: more than twice the 7 parameters; fewer predict
-badly, more delay the fast search."""
+"""Smallest number of recent angles for a prediction [frames]. Chosen: more than twice the 7 parameters; a smaller
+number predicts badly, a larger one delays the fast search."""
 LONGEST_USE = 130
-"""Frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; more extrapolates too far, less costs
-time."""
+"""Frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; a larger number extrapolates too far, a
+smaller one costs time."""
 LEAST_SCATTER = 1.5e-3
 """Lower limit of the scatter of a coarse angle [rad]. Chosen: a smaller value rejects good angles of quiet films, a
 larger one widens the search."""
@@ -106,11 +106,11 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
 
 
 LOCK_FRAMES = 24
-"""Frames that are scored together until a body is found [frames]. Chosen: fewer lock to other objects, more need an
-even speed for longer."""
+"""Frames that are scored together until a body is found [frames]. Chosen: a smaller number locks to other objects, a
+larger one needs a uniform speed for longer."""
 LONGEST_COAST = 40
-"""Frames without the body after which its prediction is no longer trusted [frames]. Chosen: fewer lose turns behind an
-obstacle, more follow a wrong motion."""
+"""Frames without the body after which its prediction is no longer trusted [frames]. Chosen: a smaller number loses
+turns behind an obstacle, a larger one follows a wrong motion."""
 REACH = 0.35
 """Half width of the search window about a prediction [rad]. Chosen: a smaller value loses bodies that change their
 speed, a larger one finds other objects."""

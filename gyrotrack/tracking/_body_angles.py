@@ -741,8 +741,8 @@ def _followed(
 
 
 MANY_TURNS = 10.0
-"""Smallest number of turns over which errors of the markers that repeat in each turn average out [turns]. Chosen: fewer
-let markers with harmonics set the zero of a template, more ignore the markers."""
+"""Smallest number of turns over which errors of the markers that repeat in each turn average out [turns]. Chosen: a
+smaller number lets markers with harmonics set the zero of a template, a larger one ignores the markers."""
 
 
 def by_texture(
@@ -882,8 +882,8 @@ _AVERAGED = 0.1
 """Time over which angles are averaged before they are compared [s]. Chosen: a torque takes longer to act; a longer time
 leaves few averages, a shorter one compares noise."""
 _FEWEST_AVERAGED = 8
-"""Smallest number of frames of an average [frames]. Chosen: fewer compare noise, more smooth the motion of films at low
-frame rate."""
+"""Smallest number of frames of an average [frames]. Chosen: a smaller number compares noise, a larger one smooths the
+motion of films at low frame rate."""
 _FEWEST_MEANS = 12
 """Smallest number of averages for a comparison [1]. Derived: the variance of 12 means is known within about 40 %,
 sqrt(2 / 11)."""
@@ -961,8 +961,8 @@ _LEAST_SHARE = 0.05
 """Smallest share of frames with an angle of a body that is reported [1]. Chosen: a smaller value reports other objects,
 a larger one omits bodies that are rarely visible."""
 _LEAST_SEEN = 3
-"""Smallest number of frames with an angle of a body that is reported [frames]. Chosen: fewer do not show a motion, more
-omit bodies in short films."""
+"""Smallest number of frames with an angle of a body that is reported [frames]. Chosen: a smaller number does not show a
+motion, a larger one omits bodies in short films."""
 _MOST_SIGMA = 0.2
 """Largest median uncertainty of a body that is reported [rad]. Chosen: a smaller value omits bodies in poor films, a
 larger one reports angles without information."""

@@ -24,9 +24,11 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _MOST = 400
-"""Largest number of features of a frame [features]. Chosen: more cost time, fewer leave few in the background."""
+"""Largest number of features of a frame [features]. Chosen: a larger number costs time, a smaller one leaves few
+features in the background."""
 _FEWEST = 6
-"""Smallest number of inliers [features]. Chosen: fewer may belong to a small body, more refuse plain backgrounds."""
+"""Smallest number of inliers [features]. Chosen: with fewer, they may belong to a small body; with more, plain
+backgrounds are refused."""
 _ALIKE = 0.7
 """Largest residual of a feature of the background from the motion of the picture [px]. Chosen: a smaller value rejects
 features blurred by the codec, a larger one accepts slow bodies."""
@@ -268,7 +270,8 @@ _WIDTH = 640
 """Largest width of a picture whose background is registered as a whole [px]. Chosen: a smaller value loses fine grain,
 a larger one costs time."""
 _ITERATIONS = 50
-"""Largest number of steps of a registration [1]. Chosen: fewer end before convergence, more cost time."""
+"""Largest number of steps of a registration [1]. Chosen: a smaller number ends before convergence, a larger one costs
+time."""
 _CONVERGED = 1e-3
 """Change of the correlation coefficient at which a registration ends [1]. Chosen: a larger value leaves errors of the
 roll, a smaller one costs time."""

@@ -10,14 +10,14 @@ the clip. Ideally delta and rho are constant and beta is a right angle. Then
     sigma_k = sqrt((30 u_r)^2 + (150 u_1k)^2 + (150 u_2k)^2)             for each corner k
 
 with e_base along the base and e_right perpendicular to the radius. The angle is the mean of the angles of the corners.
-The components of its uncertainty are the root mean squares of the components of the corners, and the same formula
-gives the uncertainty. Averaging does not reduce the uncertainty, because the errors of both corners have the same
-causes.
+Each component of the uncertainty of the angle, u_r, u_1 or u_2, is the root mean square of this component of both
+corners. The formula of sigma_k, with these components, gives the uncertainty of the angle. Averaging does not reduce
+the uncertainty, because the errors of both corners have the same causes.
 
-In the unrolled ring a marker has two radial edges and a nearly tangential near edge. At an edge, the score crosses the
-level half way between the marker and the background beyond this edge. The background may differ from edge to edge, for
-example next to a coloured bar under the marker. Lines are fitted through the crossings in several bands of rows and
-columns; the corners are the intersections of the lines.
+In the unrolled ring a marker has two radial edges and a nearly tangential near edge. An edge is the place at which the
+score crosses a level, the mean of the scores of the marker and of the background beyond this edge. The background may
+differ from edge to edge, for example next to a coloured bar under the marker. Lines are fitted through the crossings in
+several bands of rows and columns; the corners are the intersections of the lines.
 """
 
 from __future__ import annotations
@@ -111,11 +111,11 @@ def paper_sigma(u_r: Floats, u_1: Floats, u_2: Floats) -> Floats:
 
 
 SIDE_BANDS = 4
-"""Number of bands into which the rows of a side are averaged [1]. Chosen: fewer leave the line without redundancy, more
-have noisier edges."""
+"""Number of bands into which the rows of a side are averaged [1]. Chosen: with fewer, the line has no redundancy; with
+more, each edge is noisier."""
 NEAR_BANDS = 5
-"""Number of bands into which the columns of the near edge are averaged [1]. Chosen: a parabola has 3 coefficients;
-fewer leave no redundancy, more have noisier edges."""
+"""Number of bands into which the columns of the near edge are averaged [1]. Chosen: a parabola has 3 coefficients; with
+fewer, there is no redundancy; with more, each edge is noisier."""
 _LEAST_FALL = 1e-9
 """Fall of the score below which an edge is flat [1]. Derived: rounding errors of floating-point numbers."""
 
@@ -145,11 +145,11 @@ def near_corners(
 
 
 _SIDE_FROM = 0.12
-"""Start of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
+"""Distance from the near edge of a marker at which the fit of the sides starts [lengths of the marker]. Chosen: a
 smaller value includes the rounded corner, a larger one extrapolates farther."""
 _SIDE_TO = 0.85
-"""End of the part of a marker in which its sides are fitted, from the near edge [lengths of the marker]. Chosen: a
-larger value includes the far corner, a smaller one gives a noisy direction."""
+"""Distance from the near edge of a marker at which the fit of the sides ends [lengths of the marker]. Chosen: a larger
+value includes the far corner, a smaller one gives a noisy direction."""
 
 
 def _side_edges(
@@ -221,15 +221,18 @@ def _bands(chosen: npt.NDArray[np.integer], size: int, most: int) -> Floats:
 
 
 _DARKEST = -0.3
-"""Smallest score of the surroundings beyond an edge, 0 on the background and 1 on the marker [1]. Chosen: a smaller
-value lets a shadow displace the edge, a larger one ignores dark surroundings."""
+"""Smallest score of the surroundings beyond an edge (0 on the background, 1 on the marker) [1]. Chosen: a smaller value
+lets a shadow displace the edge, a larger one ignores dark surroundings."""
 _BRIGHTEST = 0.6
 """Largest score of the surroundings beyond an edge [1]. Chosen: a larger value takes the marker itself for its
 surroundings, a smaller one ignores a coloured bar."""
 
 
 def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
-    """Return edges (n, k), half way to the background, on curves (n, k, size) that start in the marker at `first`."""
+    """Return where curves fall half way to the background; they start at the sample `first`, in the marker.
+
+    The shape of `values` is (n, k, size); the shape of the result is (n, k).
+    """
     outwards = values[:, :, first::step]
     beyond = float(np.clip(median_of(outwards[:, :, -2:]), _DARKEST, _BRIGHTEST))
     level = 0.5 * (1.0 + beyond)

@@ -26,7 +26,7 @@ Frames = npt.NDArray[np.int64]
 Complexes = npt.NDArray[np.complex128]
 
 _PAIRS = 16
-"""Pairs of frames that are compared [1]. Chosen: with fewer, chance decides; more cost time."""
+"""Pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes longer."""
 _LAGS = (1, 2, 4, 8)
 """Lags between the frames of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
 longer ones lose features of fast bodies."""
@@ -36,8 +36,8 @@ longer lags."""
 _AT_REST = 0.3
 """Largest displacement of a feature at rest [px]. Measured: up to 0.1 px in noisy films."""
 _FEWEST = 12
-"""Smallest number of features of a pair, and of one motion [features]. Chosen: fewer agree by chance, more leave bodies
-without texture undiagnosed."""
+"""Smallest number of features of a pair, and of one motion [features]. Chosen: with fewer, features agree by chance;
+with more, bodies without texture are not diagnosed."""
 _NEAR = 0.8
 """Largest distance of a feature from its rigid motion [px]. Chosen: a smaller value rejects blurred features, a larger
 one joins two motions."""

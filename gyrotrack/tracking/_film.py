@@ -246,7 +246,8 @@ def reduced(frame: Plane, factor: int) -> Plane:
 
 
 _EXAMINED = 12
-"""Frames that show whether a film is interlaced [frames]. Chosen: fewer may show no motion, more cost time."""
+"""Frames that show whether a film is interlaced [frames]. Chosen: a smaller number may show no motion, a larger one
+costs time."""
 
 
 def _interlacing(path: Path) -> int | None:
@@ -285,10 +286,11 @@ _BRIGHT = 235
 """Largest grey level at which brightness is proportional to a power of the light [grey levels]. Source: white of
 limited range in ITU-R BT.601; brighter pixels are saturated."""
 _FEWEST_PIXELS = 50
-"""Smallest number of pixels for the gain of a frame [pixels]. Chosen: fewer give a noisy gain, more leave dark films
-uncorrected."""
+"""Smallest number of pixels for the gain of a frame [pixels]. Chosen: a smaller number gives a noisy gain, a larger one
+leaves dark films uncorrected."""
 _SAMPLED = 8000
-"""Typical number of pixels for the gain of a frame [pixels]. Chosen: more cost time, fewer give a noisier gain."""
+"""Typical number of pixels for the gain of a frame [pixels]. Chosen: a larger number costs time, a smaller one gives a
+noisier gain."""
 _FLICKERS = 1.5
 """Smallest factor by which a gain must reduce the standard deviation in time of the typical pixel [1]. Chosen: the
 flicker then exceeds all other changes; a smaller value amplifies noise, a larger one leaves flicker."""
@@ -355,8 +357,8 @@ def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> 
 
 
 _NEIGHBOURS = 9
-"""Frames of the running quantile about a frame [frames]. Chosen: more follow changes of the speed late, fewer are
-dominated by repeats."""
+"""Frames of the running quantile about a frame [frames]. Chosen: a larger number follows changes of the speed late, a
+smaller one is dominated by repeats."""
 _MOVING = 7
 """Rank of the typical change among `_NEIGHBOURS` frames [1]. Chosen: a lower rank is a repeat where few
 frames are new, a higher one is an outlier."""
@@ -367,7 +369,7 @@ encoded again, a larger one drops frames of slow motion."""
 
 FEWEST_FRAMES = 10
 """Smallest number of different frames for the measurement of a motion [frames]. Chosen: a quadratic in time has 3
-parameters; fewer leave few residuals, more refuse short films."""
+parameters; a smaller number leaves few residuals, a larger one refuses short films."""
 
 
 def fresh_frames(film: Film) -> npt.NDArray[np.int64]:

@@ -59,23 +59,23 @@ Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 PART = 2500
-"""Largest number of frames of a part, to within the distance between key frames [frames]. Chosen: more leave few parts
-for processes; with fewer, templates are learnt from less data."""
+"""Largest number of frames of a part, to within the distance between key frames [frames]. Chosen: a larger number
+leaves few parts for processes; a smaller one learns templates from less data."""
 LEAST_PART = 400
-"""Smallest number of frames of a part [frames]. Chosen: enough for illumination and templates; fewer give
-noisy ones, more leave few parts."""
+"""Smallest number of frames of a part [frames]. Chosen: enough for illumination and templates; a smaller number gives
+noisy templates, a larger one leaves few parts."""
 OVERLAP = 64
-"""Frames that two neighbouring parts share [frames]. Chosen: fewer leave the turns between parts uncertain, more are
-tracked twice."""
+"""Frames that two neighbouring parts share [frames]. Chosen: a smaller number leaves the turns between parts uncertain,
+a larger one costs time because these frames are tracked twice."""
 LEARNT = 256
-"""Smallest number of frames at the beginning of a part for the maps of illumination and occlusion [frames]. Chosen:
-fewer give noisy maps, more delay the start."""
+"""Smallest number of frames at the beginning of a part for the maps of illumination and occlusion [frames]. Chosen: a
+smaller number gives noisy maps, a larger one delays the start."""
 MOST_LEARNT = 8
 """Largest number of parts whose beginnings are used for the maps of illumination and occlusion [1]. Chosen: the cost
-does not grow with the film; more cost time, fewer give noisier maps."""
+does not grow with the film; a larger number costs time, a smaller one gives noisier maps."""
 _RATE = 24
-"""Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: fewer give a noisy speed, more
-include a change of the speed."""
+"""Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: a smaller number gives a noisy
+speed, a larger one includes a change of the speed."""
 _STAMPS = "stamps"
 
 

@@ -39,8 +39,8 @@ LEAST_SCORE = 0.4
 """Smallest score of an angle at which the body is visible, relative to the height of one marker [1]. Chosen: a smaller
 value follows noise, a larger one loses shaded markers."""
 MARGIN = 0.05
-"""Largest distance of a marker from its prediction [rad]. Chosen: with a smaller value whole rings are searched more
-often, a larger one needs more samples."""
+"""Largest distance of a marker from its prediction [rad]. Chosen: with a smaller value, whole rings are searched more
+often; with a larger one, more samples are needed."""
 CHECK_EVERY = 2
 """Distance between the frames that are used to check the prediction [frames]. Chosen: a larger value notices a loss
 later, a smaller one costs time."""
@@ -244,11 +244,11 @@ Progress = Callable[[int, int | None], None]
 RINGS = ("texture", "aligned")  # observations of a ring (see `TextureTracker.measure`)
 
 BATCH = 512
-"""Frames that are measured together [frames]. Chosen: fewer give noisy templates, more give outdated ones and take
-memory."""
+"""Frames that are measured together [frames]. Chosen: a smaller number gives noisy templates, a larger one gives
+outdated ones and takes memory."""
 HOLD = 64
 """Frames that are held in memory, in which a body that is not found at its prediction is searched for [frames]. Chosen:
-fewer may not suffice to find it again, more take memory."""
+a smaller number may not suffice to find the body again, a larger one takes memory."""
 HELD_BYTES = 24_000_000
 """Size of the frames that are held [bytes]. Chosen: memory; a smaller value holds fewer frames of large pictures."""
 SLOW = 3.0 * LEAST_SCATTER

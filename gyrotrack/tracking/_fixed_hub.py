@@ -18,13 +18,14 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _FRAMES = 40
-"""Frames in which the displacement is fitted [frames]. Chosen: fewer give an uncertain quantile, more cost time."""
+"""Frames in which the displacement is fitted [frames]. Chosen: a smaller number gives an uncertain quantile, a larger
+one costs time."""
 _STEP = 2.0
 """Largest step of an iteration per axis [px]. Chosen: a smaller value needs more iterations, a larger one leaves the
 range of the linear model."""
 _STEPS = 8
-"""Largest number of iterations [iterations]. Chosen: 8 steps of 2 px reach 16 px, beyond the width of the details;
-fewer stop early, more cost time."""
+"""Largest number of iterations [iterations]. Chosen: 8 steps of 2 px reach 16 px, beyond the width of the details; a
+smaller number stops early, a larger one costs time."""
 _SETTLED = 0.05
 """Step that ends the iterations [px]. Chosen: a larger value stops early, a smaller one costs time."""
 _DRIFT = 2.3

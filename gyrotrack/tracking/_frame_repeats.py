@@ -28,14 +28,14 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 AROUND = 20
-"""Frames to each side from which the typical step of a body is determined [frames]. Chosen: fewer give a noisy step,
-more include a change of the speed."""
+"""Frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number gives a
+noisy step, a larger one includes a change of the speed."""
 CLEAR = 6.0
 """Smallest step of a body for which a repetition can be detected, in standard deviations of its steps [1]. Derived:
 half a step, below which the body counts as unmoved, is then three standard deviations."""
 FEWEST = 4
-"""Smallest number of steps for a scatter, and of runs of repeats for a period [1]. Chosen: fewer give a
-scatter by chance, more leave repeats undetected."""
+"""Smallest number of steps for a scatter, and of runs of repeats for a period [1]. Chosen: a smaller number gives a
+scatter by chance, a larger one leaves repeats undetected."""
 
 
 @dataclass(frozen=True)

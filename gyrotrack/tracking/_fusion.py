@@ -325,7 +325,8 @@ def _weight(sigma: Floats) -> Floats:
 
 
 KNOTS = 72
-"""Number of knots of a closed curve [1]. Chosen: every 5 degrees; fewer smooth the edge of the bar, more are noisy."""
+"""Number of knots of a closed curve [1]. Chosen: every 5 degrees; with fewer, the edge of the bar is smoothed; with
+more, the curve is noisy."""
 _BEND = 4e-3
 """Standard deviation of the second differences of a closed curve [rad]. Chosen: a smaller value smooths the edge of the
 bar, a larger one fits noise."""
@@ -417,7 +418,8 @@ LEAST_TURNING = 0.5
 """Smallest share of frames within whole turns for which position-dependent errors are known [1]. Chosen: a smaller
 value gives errors from few turns, a larger one gives none for short films."""
 MOST_FRAMES = 2000
-"""Number of frames from which errors of the view are estimated [frames]. Chosen: time; fewer are noisier."""
+"""Number of frames from which errors of the view are estimated [frames]. Chosen: time; with fewer, the estimates are
+noisier."""
 LEAST_FAST = 0.2
 """Smallest share of fast frames for which curves are estimated from these alone [1]. Chosen: a smaller value uses few
 frames, a larger one uses slow frames, in which motion resembles errors."""
@@ -598,8 +600,8 @@ def places_passed(state: Residuals) -> float:
 
 
 PLACE_ORDERS = range(1, 7)
-"""Orders of the harmonics of position-dependent errors [periods per turn]. Chosen: all have equal variances; more
-orders shorten the correlation length `CELL`, fewer lengthen it."""
+"""Orders of the harmonics of position-dependent errors [periods per turn]. Chosen: all have equal variances; a larger
+number shortens the correlation length `CELL`, a smaller one lengthens it."""
 
 
 def variance_left(angle: Floats, orders: range, frames: int | None = None) -> float:
@@ -648,7 +650,7 @@ def _curve(
 
 MOST_TURNS = 30.0
 """Number of turns above which the uncertainty of the curves is neglected [turns]. Chosen: the uncertainty decreases
-with this number; fewer understate it, more cost time."""
+with this number; a smaller number understates the uncertainty, a larger one costs time."""
 
 
 def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
@@ -708,7 +710,8 @@ def _without_common(mounts: dict[str, float]) -> Floats:
 
 
 ROUNDS = 5
-"""Passes of the fusion [iterations]. Chosen: fewer stop before curves and motion agree, more cost time."""
+"""Passes of the fusion [iterations]. Chosen: a smaller number stops before curves and motion agree, a larger one costs
+time."""
 
 
 @dataclass(frozen=True)
@@ -809,8 +812,8 @@ WEAKEST_BODY = 10.0
 a frame shows a small part of one marker and has 1/100 of the information; errors at the occluding edge are not normally
 distributed; a larger value admits these, a smaller one omits angles."""
 _NEIGHBOURS = 101
-"""Width of the running median of the uncertainty [frames]. Chosen: fewer follow a hand, more ignore a change of
-light."""
+"""Width of the running median of the uncertainty [frames]. Chosen: a smaller number follows a hand, a larger one
+ignores a change of light."""
 UNCONFIRMED = 0.9
 """Smallest leverage of a frame in the short curve for which no other frame confirms its angle, so that one marker is
 not enough [1]. Chosen: a smaller value omits frames next to gaps, a larger one admits wrong matches."""

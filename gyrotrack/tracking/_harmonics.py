@@ -20,8 +20,8 @@ from gyrotrack.tracking._fusion import LEAST_FAST
 Floats = npt.NDArray[np.float64]
 
 _HARMONICS = range(1, 13)
-"""Orders of the harmonics of the error that are measured [periods per turn]. Chosen: higher orders average out within
-a marker's width; fewer ignore errors of several equal marks."""
+"""Orders of the harmonics of the error that are measured [periods per turn]. Chosen: higher orders average out within a
+marker's width; a smaller number ignores errors of several equal marks."""
 _FIRST_STATED = 3
 """Smallest order of a harmonic that the camera does not cause [periods per turn]. Derived: offset and tilt of the
 camera cause orders 1 and 2, which fits estimate."""
@@ -33,11 +33,11 @@ _DEGREE = 5
 larger one absorbs harmonics of slow bodies."""
 _FEWEST_BATCHES = 3
 """Smallest number of batches, beyond the number of free constants, for a variance of the amplitudes [1]. Chosen: the
-six amplitudes of three batches determine the error to 30 %; fewer give an uncertain variance, more leave the error of
-short films unstated."""
+six amplitudes of three batches determine the error to 30 %; a smaller number gives an uncertain variance, a larger one
+leaves the error of short films unstated."""
 _FEWEST_OF_CHANGE = 5
-"""Smallest number of batches for a change with the speed [1]. Chosen: fewer do not separate it from a torque, more
-leave the error of short films."""
+"""Smallest number of batches for a change with the speed [1]. Chosen: a smaller number does not separate the change
+from a torque, a larger one leaves the error in short films."""
 _RESEMBLES_MOTION = 2.0
 """Variance of an amplitude, divided by the variance for a complete set of angles, above which an order resembles the
 motion [1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""

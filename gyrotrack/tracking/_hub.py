@@ -101,7 +101,7 @@ _LINE_POWER = 7.0
 """Smallest power of a line, relative to the floor of the spectrum [1]. Derived: the power of noise is exponentially
 distributed and exceeds 7 with a probability of exp(-7) = 0.1 %."""
 _PIECES = 64
-"""Number of windows that are transformed together [1]. Chosen: memory; fewer cost time."""
+"""Number of windows that are transformed together [1]. Chosen: memory; a smaller number costs time."""
 LEAST_SIGMA = 0.05
 """Lower limit of the uncertainty of the centre [px]. Chosen: encoders keep a slowly moving disc fixed in the picture; a
 smaller value understates the resulting error."""
@@ -335,7 +335,7 @@ _TURNS_PER_KNOT = 1.0
 """Distance of the knots of a path without a disc [turns]. Derived: half a turn determines both coordinates of the
 centre; one turn has a reserve."""
 _MOST_KNOTS = 400
-"""Largest number of knots [1]. Chosen: time; fewer smooth the path of a long film."""
+"""Largest number of knots [1]. Chosen: time; a smaller number smooths the path of a long film."""
 _RIDGE = 1e-9
 """Ridge of the normal equations [1]. Derived: above rounding errors; the ridge prevents changes of undetermined
 knots."""
@@ -458,8 +458,8 @@ class Radii:
 
 
 _FEWEST_RADII = 20
-"""Smallest number of radii of a marker that determine their scatter [1]. Chosen: fewer give an uncertain scatter, more
-ignore markers in short films."""
+"""Smallest number of radii of a marker that determine their scatter [1]. Chosen: a smaller number gives an uncertain
+scatter, a larger one ignores markers in short films."""
 LEAST_RADIUS_SCATTER = 0.02
 """Lower limit of the scatter of the radii of a marker [px]. Chosen: a smaller value gives drawn films too much weight,
 a larger one ignores precise radii."""

@@ -25,7 +25,8 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _PAIRS = 40
-"""Number of pairs of frames for each lag [1]. Chosen: fewer give an uncertain hub, more cost time."""
+"""Number of pairs of frames for each lag [1]. Chosen: a smaller number gives an uncertain hub, a larger one costs
+time."""
 _LAGS = (1, 4, 16)
 """Distances of the frames of a pair [frames]. Chosen: for fast and slow bodies; over longer distances features are
 lost, shorter ones show no rotation."""
@@ -36,10 +37,11 @@ _NO_COMMON_HUB = 0.8
 """Median residual of the displacements about one hub, relative to their median, beyond which pairs have no common hub
 [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
 _FEWEST_PAIRS = 4
-"""Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: fewer agree by chance, more lose
-hubs."""
+"""Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: with fewer, pairs agree by chance;
+with more, hubs are lost."""
 _FEATURES = 400
-"""Largest number of features of a frame [features]. Chosen: more cost time, fewer leave few on the body."""
+"""Largest number of features of a frame [features]. Chosen: a larger number costs time, a smaller one leaves few
+features on the body."""
 _STRAY = 8.0
 """Largest residual of a feature that is used for the similarity [px]. Chosen: a smaller value discards features of a
 soft body, a larger one keeps features of the background."""
@@ -47,8 +49,8 @@ _NEAR = 640.0
 """Ratio of the width of the picture to the largest residual of an inlier [1]. Chosen: 2 px in 1280 px; a larger value
 rejects blurred features, a smaller one joins two motions."""
 _FEWEST = 12
-"""Smallest number of features that determine a similarity [features]. Chosen: fewer agree by chance, more omit small
-bodies."""
+"""Smallest number of features that determine a similarity [features]. Chosen: with fewer, features agree by chance;
+with more, small bodies are omitted."""
 _UNIFORM = 1.5
 """Largest variation of a bar at the side of a picture [grey levels]. Chosen: a smaller value keeps bars with coding
 noise, a larger one cuts off a blank wall."""

@@ -43,12 +43,13 @@ _REACH = 2.0
 """Largest distance of a body from the extrapolation of its last step [radii]. Chosen: a smaller value loses fast
 bodies, a larger one confuses them."""
 _LOST = 2
-"""Frames in a row in which a body may be occluded by another one [frames]. Chosen: fewer end the paths early, more
-confuse bodies."""
+"""Frames in a row in which a body may be occluded by another one [frames]. Chosen: a smaller number ends the paths
+early, a larger one confuses bodies."""
 _FEWEST = 20
-"""Smallest number of positions of a moving body [1]. Chosen: fewer agree by chance, more refuse short paths."""
+"""Smallest number of positions of a moving body [1]. Chosen: with fewer, positions agree by chance; with more, short
+paths are refused."""
 _PARTS = 6
-"""Largest number of compact parts of a frame that are considered [1]. Chosen: time; fewer lose bodies among
+"""Largest number of compact parts of a frame that are considered [1]. Chosen: time; a smaller number loses bodies among
 shadows."""
 _RIM = (0.8, 1.0)
 """Inner and outer radius between which the body itself is seen [radii]. Chosen: nearer to the hub all directions are
@@ -66,8 +67,8 @@ _TURNS_WITH = 0.75
 """Largest share of the frames with a link in which one direction of the body shows it [1]. Measured: 0.4 to 0.6 for
 links of drawn double pendulums, 1 for a part of the body."""
 _SEEN = 4
-"""Smallest number of positions that show a body at rest [1]. Chosen: fewer take a shadow for a body, more overlook one
-that is occluded."""
+"""Smallest number of positions that show a body at rest [1]. Chosen: a smaller number takes a shadow for a body, a
+larger one overlooks one that is occluded."""
 _LEAVES = 3.0
 """Smallest extent of the path of a moving body [px]. Chosen: a smaller value takes noise for a motion, a larger one
 overlooks small oscillations."""

@@ -106,8 +106,8 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
 LARGEST = 24.0
 """Upper limit of the excess of a squared misfit [1]. Derived: a misfit of 5 times the typical one, 5^2 - 1."""
 FEWEST = 30
-"""Smallest number of frames for a scatter [frames]. Chosen: the scatter of 30 frames is known within 13 %; fewer give
-a share by chance."""
+"""Smallest number of frames for a scatter [frames]. Chosen: the scatter of 30 frames is known within 13 %; a smaller
+number gives a share by chance."""
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
 """Grid of shares of the excess misfit in the variance [1]. Chosen: steps of 26 %; finer ones do not change the
 uncertainty by more than a few percent."""
@@ -193,10 +193,11 @@ def _usual(seen: MarkerObservations, values: Floats) -> float:
 
 
 ROUNDS = 8
-"""Number of iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer; more cost time."""
+"""Number of iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer; a larger number costs
+time."""
 FINENESS = 8
-"""Tabulated displacements of the template per sample [1]. Chosen: linear interpolation between 1/8 of a
-sample; fewer bias the angle, more take memory."""
+"""Tabulated displacements of the template per sample [1]. Chosen: linear interpolation between 1/8 of a sample; a
+smaller number biases the angle, a larger one takes memory."""
 
 
 @dataclass(frozen=True)
@@ -306,8 +307,8 @@ def flat_top(half_width: float, length: int) -> Floats:
 
 
 MOST_SHAPES = 96
-"""Largest number of frames of a batch from which the template is learnt [frames]. Chosen: time; fewer give a noisier
-template."""
+"""Largest number of frames of a batch from which the template is learnt [frames]. Chosen: time; a smaller number gives
+a noisier template."""
 
 
 _OFF_MIDDLE = 0.25
@@ -506,8 +507,8 @@ _MOST_WEAKNESS = 4.0
 """Largest factor on the uncertainty of a profile that enters a template [1]. Chosen: a larger value admits covered
 markers, a smaller one leaves few profiles."""
 _FEWEST_WHOLE = 6
-"""Number of unoccluded profiles that make the use of other profiles unnecessary [frames]. Chosen: fewer give a noisy
-template, more admit covered markers."""
+"""Number of unoccluded profiles that make the use of other profiles unnecessary [frames]. Chosen: a smaller number
+gives a noisy template, a larger one admits covered markers."""
 _OF_TYPICAL = 0.6
 """Smallest height of a profile that enters a template, divided by the median height [1]. Chosen: a smaller value admits
 shaded markers, a larger one leaves few profiles."""

@@ -163,8 +163,8 @@ class MarkerStrip:
 
 
 LAYERS = 3
-"""Parts of the radius for which the occlusion is measured separately [1]. Chosen: fewer take a partly covered marker
-for a dim one, more have noisy heights."""
+"""Parts of the radius for which the occlusion is measured separately [1]. Chosen: a smaller number takes a partly
+covered marker for a dim one, a larger one gives noisy heights."""
 
 
 class MarkerWindow:
@@ -342,8 +342,8 @@ def _blurred(rows: Floats, half: int) -> Floats:
 Mask = npt.NDArray[np.bool_]
 
 _COLUMNS = 360
-"""Columns of the map of the occlusion [columns per turn]. Chosen: one degree; fewer blur the edge of the bar, more are
-seen less often."""
+"""Columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar is
+blurred; with more, each column is seen less often."""
 _SCALE = _COLUMNS / (2.0 * np.pi)
 """Columns of the map per angle [columns per rad]. Derived: `_COLUMNS` divided by a turn."""
 

@@ -69,10 +69,11 @@ _MIDDLE = 100.0
 """Largest resolution for the final angles [samples per radius]. Chosen: a larger value costs time, a smaller one loses
 detail."""
 _LEARNT = 150
-"""Frames from which the template is learnt [frames]. Chosen: fewer give a noisier template, more cost time."""
+"""Frames from which the template is learnt [frames]. Chosen: a smaller number gives a noisier template, a larger one
+costs time."""
 _ROUNDS = 10
-"""Largest number of iterations between template and poses [iterations]. Chosen: fewer stop before path and template
-agree, more cost time."""
+"""Largest number of iterations between template and poses [iterations]. Chosen: a smaller number stops before path and
+template agree, a larger one costs time."""
 _SETTLED = 1e-3
 """Change of the angles, relative to the motion, that ends the iterations [1]. Chosen: a larger value stops early, a
 smaller one costs time."""
@@ -84,15 +85,15 @@ _AS_WELL = 1.2
 first one is used [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one
 removes true jumps."""
 _RECENT = 6
-"""Number of the last frames that predict the next angle [frames]. Chosen: fewer follow a single wrong angle, more lag
-behind a change of the speed."""
+"""Number of the last frames that predict the next angle [frames]. Chosen: a smaller number follows a single wrong
+angle, a larger one lags behind a change of the speed."""
 _LARGEST_STEP = 2.0
 """Largest correction of the path by a registration [px]. Chosen: a smaller value needs more iterations, a larger one
 follows wrong fits."""
 
 _BACKGROUND = 60
-"""Number of frames for the background, which is their median [frames]. Chosen: memory and time; fewer keep a slow body
-in the background."""
+"""Number of frames for the background, which is their median [frames]. Chosen: memory and time; a smaller number keeps
+a slow body in the background."""
 _ONE_SIGN = 3.0
 """Smallest ratio of lighter to darker differences from the background, or the inverse, for which a body has one sign
 [1]. Chosen: a smaller value takes marks of a body for the background, a larger one leaves a body at rest in it."""
@@ -100,8 +101,8 @@ _RARE = 0.15
 """Share of the frames in which the background is visible where a body covers it most of the time [1]. Chosen: a smaller
 value follows noise and shadows, a larger one leaves a body that stays longer in the background."""
 _LAG = 4
-"""Distance between two frames in which the pictures of a moving body differ measurably [frames]. Chosen: fewer show
-less motion than noise, more shift the ends of the motion."""
+"""Distance between two frames in which the pictures of a moving body differ measurably [frames]. Chosen: a smaller
+number shows less motion than noise, a larger one shifts the ends of the motion."""
 _CONTRAST = 6.0
 """Smallest difference of a body from the background in standard deviations of the noise [1]. Chosen: a smaller value
 finds noise, a larger one loses faint bodies."""
@@ -109,15 +110,16 @@ _FAINTEST = 0.1
 """Smallest difference of a body from the background, relative to the strongest contrast [1]. Chosen: a smaller value
 includes shadows, a larger one loses dark parts of the body."""
 _FEWEST = 12
-"""Smallest number of frames of a path [frames]. Chosen: fewer accept short-lived objects, more lose fast bodies."""
+"""Smallest number of frames of a path [frames]. Chosen: a smaller number accepts short-lived objects, a larger one
+loses fast bodies."""
 _SMALLEST = 24.0
 """Smallest area of a body [px2]. Chosen: a smaller value follows noise, a larger one loses small bodies."""
 _REGIONS = 50
-"""Largest number of regions of a frame that are considered, the largest first [1]. Chosen: time; fewer lose bodies in
-noisy films."""
+"""Largest number of regions of a frame that are considered, the largest first [1]. Chosen: time; a smaller number loses
+bodies in noisy films."""
 _LOST = 5
-"""Frames without the body after which a path ends [frames]. Chosen: colliding bodies start new paths; fewer split a
-path at each occlusion, more join different bodies."""
+"""Frames without the body after which a path ends [frames]. Chosen: colliding bodies start new paths; a smaller number
+splits a path at each occlusion, a larger one joins different bodies."""
 _AREA = 0.3
 """Smallest relative change of the area of a body that touches another body or is occluded [1]. Chosen: a smaller value
 discards frames of uneven light, a larger one keeps touching bodies."""
@@ -151,13 +153,14 @@ _TURNED = 0.2
 """Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen:
 changes by the codec at rest exceed the noise; a smaller value includes them, a larger one cuts slow ends."""
 _STEADY = 9
-"""Length of a window in which most frames show the motion [frames]. Chosen: fewer end the motion at a single frame,
-more blur its ends."""
+"""Length of a window in which most frames show the motion [frames]. Chosen: a smaller number ends the motion at a
+single frame, a larger one blurs its ends."""
 _WITHIN = 0.9
 """Share of the radius within which the picture shows the body alone [1]. Chosen: a larger value includes the
 background, a smaller one loses marks near the rim."""
 _BODIES = 4
-"""Largest number of paths for which the rotation is measured [1]. Chosen: time; fewer may omit the body that turns."""
+"""Largest number of paths for which the rotation is measured [1]. Chosen: time; a smaller number may omit the body that
+turns."""
 _FASTEST = 0.25 * TURN
 """Largest rotation per frame [rad per frame]. Derived: beyond a quarter of a turn a disc with two similar sides fits
 either sense."""

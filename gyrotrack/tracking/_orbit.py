@@ -37,8 +37,8 @@ class Orbit:
 
 
 _FEWEST = 5
-"""Smallest number of blobs, of directions with a blob, and of inliers of a common centre [1]. Chosen: fewer agree by
-chance, more refuse films with occlusions."""
+"""Smallest number of blobs, of directions with a blob, and of inliers of a common centre [1]. Chosen: with fewer, they
+agree by chance; with more, films with occlusions are refused."""
 _LEAST_SPREAD = 1.5
 """Smallest angle that the inliers of a common centre cover [rad]. Chosen: a quarter of a turn; a smaller value leaves
 the centre undetermined, a larger one refuses short films."""
@@ -189,11 +189,11 @@ def _mode(values: Floats) -> float:
 
 
 MOST_OBSERVATIONS = 2000
-"""Largest number of observations of an orbit [1]. Chosen: more cost time and do not reduce its position-dependent
-error."""
+"""Largest number of observations of an orbit [1]. Chosen: a larger number costs time and does not reduce the
+position-dependent error."""
 LEAST_OBSERVATIONS = 30
-"""Smallest number of observations of an orbit [1]. Chosen: fewer let a few outliers decide, more leave short films
-without a fit."""
+"""Smallest number of observations of an orbit [1]. Chosen: a smaller number lets a few outliers decide, a larger one
+leaves short films without a fit."""
 CELL = np.pi / 6.0
 """Correlation length of position-dependent errors [rad]. Derived: harmonics of orders 1 to 6 of equal size have 12
 independent values in a turn."""
@@ -201,8 +201,8 @@ LEAST_COVER = 5.0
 """Smallest part of the turn that an orbit covers [rad]. Chosen: a smaller value confuses offset and radius of an arc, a
 larger one fits few orbits."""
 _ROUNDS = 6
-"""Iterations of a fit of offset and flattening [iterations]. Chosen: fewer stop before outliers and shape agree, more
-cost time."""
+"""Iterations of a fit of offset and flattening [iterations]. Chosen: a smaller number stops before outliers and shape
+agree, a larger one costs time."""
 
 
 @dataclass(frozen=True)

@@ -120,8 +120,8 @@ CELLS = 12
 """Parts of an arc, each with one position-dependent error [1]. Derived: a full orbit has 12 independent
 position-dependent errors, see `_orbit.CELL`."""
 _FEWEST_IN_CELL = 3
-"""Smallest number of positions in a part of an arc that determine its error [positions]. Chosen: fewer give an error by
-chance, more leave short arcs without one."""
+"""Smallest number of positions in a part of an arc that determine its error [positions]. Chosen: a smaller number gives
+an error by chance, a larger one leaves short arcs without one."""
 STRAIGHT = 4.0
 """Smallest curvature of a path that determines a hub, in standard uncertainties [1]. Chosen: a smaller value gives
 hubs with an unbounded uncertainty, a larger one refuses short arcs."""

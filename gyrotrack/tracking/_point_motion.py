@@ -52,8 +52,8 @@ _ON = 0.8
 """Smallest share of frames on the arc [1]. Chosen: a smaller value accepts other paths, a larger one refuses films with
 occlusions."""
 _COMPARED = 300
-"""Number of frames in which another rotation about the pivot is searched for [frames]. Chosen: time; fewer show little
-motion."""
+"""Number of frames in which another rotation about the pivot is searched for [frames]. Chosen: time; a smaller number
+shows little motion."""
 _STILL = 1.0
 """Smallest extent of a path [px]. Chosen: a smaller value measures a body at rest, a larger one refuses small
 oscillations."""
@@ -255,7 +255,7 @@ to the link [px]. Measured: 0.07 px at the joint and 0.03 px at the end, for 15 
 to 10 px."""
 _LINEAR_STEPS = 3
 """Number of linear fits of the displacement of a point from the joint [iterations]. Chosen: the displacement is not
-small compared with the first link; fewer stop before they agree, more cost time."""
+small compared with the first link; a smaller number stops before the fits agree, a larger one costs time."""
 
 
 def follow_links(
@@ -622,8 +622,8 @@ def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
 
 
 _FEWEST_ORBIT = 6
-"""Smallest number of positions per quarter of an orbit [1]. Chosen: fewer leave no redundancy, more refuse short
-films."""
+"""Smallest number of positions per quarter of an orbit [1]. Chosen: a smaller number leaves no redundancy, a larger one
+refuses short films."""
 _FLATTEST = 0.6
 """Largest stretch of an orbit, (a - b) / (a + b) [1]. Derived: a tilt of 75 degrees."""
 

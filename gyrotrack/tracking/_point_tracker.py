@@ -81,22 +81,23 @@ _COARSE = 5.0
 """Radius of a spot in the reduced picture that is searched as a whole [px]. Chosen: time; a smaller one loses the spot
 among similar ones."""
 _FOLLOWED = 90
-"""Number of frames in which the paths of two bodies are tested for links [frames]. Chosen: time; fewer show little
-motion."""
+"""Number of frames in which the paths of two bodies are tested for links [frames]. Chosen: time; a smaller number shows
+little motion."""
 _FOUND = 0.6
 """Smallest share of the frames in which a patch is found [1]. Chosen: a smaller value measures few frames, a larger one
 refuses films with occlusions."""
 _LEARNT = 200
-"""Largest number of frames for the average picture of the patch [frames]. Chosen: fewer give a noisier
-picture, more cost time."""
+"""Largest number of frames for the average picture of the patch [frames]. Chosen: a smaller number gives a noisier
+picture, a larger one costs time."""
 _ROUNDS = 4
-"""Alternations of averaging a patch and measuring its positions [iterations]. Chosen: fewer stop before they agree,
-more cost time."""
+"""Alternations of averaging a patch and measuring its positions [iterations]. Chosen: a smaller number stops before
+patch and positions agree, a larger one costs time."""
 _TURN_ROUNDS = 3
-"""Alternations of measuring the path and the rotation of a patch [iterations]. Chosen: fewer stop before they agree,
-more cost time."""
+"""Alternations of measuring the path and the rotation of a patch [iterations]. Chosen: a smaller number stops before
+path and rotation agree, a larger one costs time."""
 _STEPS = 8
-"""Largest number of Gauss-Newton steps of a patch [iterations]. Chosen: fewer stop early, more cost time."""
+"""Largest number of Gauss-Newton steps of a patch [iterations]. Chosen: a smaller number stops early, a larger one
+costs time."""
 _SMALL_STEP = 0.005
 """Gauss-Newton step that ends the registration of a patch [px]. Chosen: a larger value stops early, a smaller one costs
 time."""
@@ -136,7 +137,7 @@ _TURN_SEEN = 0.05
 standard deviation of a followed rotation [rad]. Chosen: a smaller value keeps the orientation of faint patches, a
 larger one follows noise."""
 _TURN_STEPS = 6
-"""Steps of the rotation of a patch [iterations]. Chosen: fewer stop early, more cost time."""
+"""Steps of the rotation of a patch [iterations]. Chosen: a smaller number stops early, a larger one costs time."""
 _ROUND = 0.7
 """Smallest area of a round patch divided by that of the circle about it [1]. Chosen: a smaller value takes a rod for a
 bob, a larger one refuses blurred bobs."""
@@ -147,8 +148,8 @@ _TURNED = 0.3
 """Rotation that must increase the residual of a patch with visible orientation [rad]. Chosen: the effect of a smaller
 value is below the noise; a larger one may reach the next period of a periodic patch."""
 _TURN_STARTS = 5
-"""Number of additional initial angles of a rotation on each side, tried if the residual is unusual [1]. Chosen: fewer
-lose a fast rotation, more cost time."""
+"""Number of additional initial angles of a rotation on each side, tried if the residual is unusual [1]. Chosen: a
+smaller number loses a fast rotation, a larger one costs time."""
 _TURN_STEP = 1.5
 """Distance between these angles, multiplied by the radius of the patch [px]. Chosen: the width of an edge; a larger one
 misses the minimum, a smaller one costs time."""

@@ -50,7 +50,8 @@ Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
 BINS = 120
-"""Bins of the histogram of the hue [1]. Chosen: 3 degrees each; fewer join similar colours, more have noisy heights."""
+"""Bins of the histogram of the hue [1]. Chosen: 3 degrees each; a smaller number joins similar colours, a larger one
+gives noisy heights."""
 APART = np.deg2rad(24.0)
 """Smallest difference between two different hues [rad]. Chosen: a smaller value divides one marker, a larger one joins
 orange and red."""
@@ -64,8 +65,8 @@ LEAST_SHARE = 0.004
 """Smallest share of a hue in the total change of chroma [1]. Chosen: a smaller value proposes reflections, a larger one
 loses small markers."""
 MOST = 8
-"""Largest number of colours that are proposed [1]. Chosen: more cost time, fewer lose markers in coloured
-surroundings."""
+"""Largest number of colours that are proposed [1]. Chosen: a larger number costs time, a smaller one loses markers in
+coloured surroundings."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def apart(a: float, b: float) -> float:
 
 TRIALS = 1500
 """Number of random triples of points for a centre [1]. Chosen: more than for a known profile, because most points may
-be outliers; fewer may not find the centre."""
+be outliers; a smaller number may not find the centre."""
 _AMBIGUOUS = 0.35
 """Smallest product of contrast and share of samples for which a second patch of a hue is a rival, relative to the first
 patch [1]. Chosen: with a smaller value reflections are rivals, with a larger one two marks may be confused."""
@@ -281,8 +282,8 @@ _MOVED = 0.25
 """Largest deviation of a group at rest from its mean angle [rad]. Chosen: a smaller value reports noise as a rotation,
 a larger one hides an oscillation."""
 _FEWEST = 8
-"""Smallest number of observations for a test of rotation [1]. Chosen: fewer are in phase by chance, more reject
-occluded markers."""
+"""Smallest number of observations for a test of rotation [1]. Chosen: with fewer, observations are in phase by chance;
+with more, occluded markers are rejected."""
 
 
 @dataclass(frozen=True)
@@ -458,8 +459,8 @@ _FAINT = 0.3
 """Smallest contrast of a white patch that is reported, relative to the smallest contrast of a marker [1]. Chosen: a
 smaller value reports noise, a larger one leaves a faint marker unexplained."""
 SPREAD = 24
-"""Frames from the whole film in addition to the first frames [frames]. Chosen: fewer may overlook bodies that are at
-rest at the start, more cost time."""
+"""Frames from the whole film in addition to the first frames [frames]. Chosen: a smaller number may overlook bodies
+that are at rest at the start, a larger one costs time."""
 
 
 @dataclass(frozen=True)

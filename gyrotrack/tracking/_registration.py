@@ -32,12 +32,13 @@ TURN = 2 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
 _PHASES = 8
 """Number of copies of the template, shifted by fractions of a column [1]. Chosen: a linear step is then at most 1/16 of
-a column; fewer need more iterations, more take memory."""
+a column; a smaller number needs more iterations, a larger one takes memory."""
 _ITERATIONS = 6
-"""Largest number of Gauss-Newton steps of a frame [iterations]. Chosen: fewer stop early, more cost time."""
+"""Largest number of Gauss-Newton steps of a frame [iterations]. Chosen: a smaller number stops early, a larger one
+costs time."""
 _ROUNDS = 2
-"""Alternating estimates of body and fixed picture [iterations]. Chosen: fewer leave parts of one in the other, more
-cost time."""
+"""Alternating estimates of body and fixed picture [iterations]. Chosen: a smaller number leaves parts of one in the
+other, a larger one costs time."""
 _CLOSE = 1e-3
 """Gauss-Newton step that ends the registration of a frame [columns]. Chosen: a larger value stops early, a smaller one
 costs time."""
@@ -421,8 +422,8 @@ def _energy(spectrum: npt.NDArray[np.complex64], factor: npt.NDArray[np.float32]
 
 
 _STEADY = 2
-"""Number of steps after which changes of the step are tested [steps]. Chosen: fewer test a noisy step, with more the
-next spoke may be followed at the start."""
+"""Number of steps after which changes of the step are tested [steps]. Chosen: with fewer, a noisy step is tested; with
+more, the next spoke may be followed at the start."""
 _JUMP = 1.5
 """Relative change of the step beyond which a higher correlation is required [1]. Chosen: equal parts of a body, for
 example spokes, are indistinguishable by correlation; a smaller value refuses reversals, with a larger one the next

@@ -47,8 +47,8 @@ SHADING = 0.1
 """Prior standard deviation of the shading over the outer radius of a ring, per axis [1]. Chosen: a
 lamp beside the table; it matters only where a ring does not determine it."""
 _ALTERNATIONS = 4
-"""Alternations of body and static light [iterations]. Chosen: for a body that rests in half of the frames, a quarter
-of the light remains after the first alternation, a hundredth after the fourth; more cost time."""
+"""Alternations of body and static light [iterations]. Chosen: for a body that rests in half of the frames, a quarter of
+the light remains after the first alternation, a hundredth after the fourth; a larger number costs time."""
 DISPLACEMENT = 1.0
 """Prior standard deviation of the centre [px]. Chosen: the difference between the disc and the ring of
 some films; it matters only where a ring does not determine its centre."""

@@ -89,22 +89,24 @@ HEAD = 48
 than a turn."""
 KEYS = 20
 """Smallest number of key frames for which the rest of a film is sampled by key frames alone [frames]. Chosen: key
-frames are decoded fastest; fewer give a poor background."""
+frames are decoded fastest; a smaller number gives a poor background."""
 LATER = 32
-"""Number of samples from the rest of a film with fewer key frames [frames]. Chosen: more cost time, fewer give a poor
-background."""
+"""Number of samples from the rest of a film with fewer key frames [frames]. Chosen: a larger number costs time, a
+smaller one gives a poor background."""
 DECODED = 240
 """Largest number of frames of 1280 x 720 px that are decoded for the later samples; more if frames are smaller
-[frames]. Chosen: time; fewer sample the film less evenly."""
+[frames]. Chosen: time; a smaller number samples the film less evenly."""
 FEWEST = 8
-"""Smallest number of frames of a film [frames]. Chosen: fewer do not show a motion, more refuse excerpts."""
+"""Smallest number of frames of a film [frames]. Chosen: a smaller number does not show a motion, a larger one refuses
+excerpts."""
 _BLOB_WIDTH = 400
 """Smallest width of the chroma plane for which blobs are searched for at half size [px]. Chosen: time; a smaller value
 loses small markers."""
 
 
 _BLOCK = 8
-"""Number of frames in a temporary file [frames]. Chosen: memory; more occupy more pages, fewer open more files."""
+"""Number of frames in a temporary file [frames]. Chosen: memory; a larger number occupies more pages, a smaller one
+opens more files."""
 
 
 class FrameStore:

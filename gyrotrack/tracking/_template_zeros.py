@@ -34,11 +34,11 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 FEWEST_TEMPLATES = 5
-"""Smallest number of templates from which the variance of the steps between zeros can be estimated [1]. Chosen: fewer
-give a variance by chance, more ignore the drift in short films."""
+"""Smallest number of templates from which the variance of the steps between zeros can be estimated [1]. Chosen: a
+smaller number gives a variance by chance, a larger one ignores the drift in short films."""
 _ORDERS = range(1, 13)
-"""Orders of the harmonics of the error of a marker [periods per turn]. Chosen: as `_body_angles._HARMONICS`; fewer
-leave errors of several equal marks in the zeros."""
+"""Orders of the harmonics of the error of a marker [periods per turn]. Chosen: as `_body_angles._HARMONICS`; a smaller
+number leaves errors of several equal marks in the zeros."""
 _AVERAGED_OUT = 0.2
 """Largest absolute mean of exp(i k a) in a batch that is used for the amplitude of harmonic k [1]. Chosen: a
 smaller value uses few batches, a larger one includes the zero in the amplitude."""
@@ -49,8 +49,8 @@ _MOTION = 4
 """Degree of the polynomial that describes the angle in a batch [1]. Chosen: a smaller value leaves changes of the
 speed, a larger one fits noise."""
 _FEWEST_FRAMES = 32
-"""Smallest number of frames of a batch whose mean difference is used [frames]. Chosen: fewer have an uncertain
-variance, more omit the last batch."""
+"""Smallest number of frames of a batch whose mean difference is used [frames]. Chosen: with fewer, the variance is
+uncertain; with more, the last batch is omitted."""
 _FAR = 5.0
 """Smallest difference of an outlier in a batch, in robust standard deviations [1]. Chosen: a smaller value rejects
 good frames, a larger one keeps slips."""

@@ -59,14 +59,14 @@ ZONES = 8
 """Number of zones in radius [1]. Chosen: with more zones, errors are separated more finely, but each zone determines
 the angle less well."""
 ROWS = 4
-"""Rows of a zone [rows]. Chosen: a bar or a rim extends over many pixels in radius; fewer lose texture, more cost
-time."""
+"""Rows of a zone [rows]. Chosen: a bar or a rim extends over many pixels in radius; a smaller number loses texture, a
+larger one costs time."""
 COLUMNS = 360
-"""Columns of the ring [columns per turn]. Chosen: motion blur and the lens smooth details below a degree; fewer lose
-detail, more cost time."""
+"""Columns of the ring [columns per turn]. Chosen: motion blur and the lens smooth details below a degree; a smaller
+number loses detail, a larger one costs time."""
 MARGIN = 6
-"""Additional columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: fewer lose
-frames with a poor prediction, more cost time."""
+"""Additional columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: a smaller
+number loses frames with a poor prediction, a larger one costs time."""
 STEP = TURN / COLUMNS
 """Angle of a column [rad]. Derived: `COLUMNS` of a turn."""
 REACH = (MARGIN - 1) * STEP
@@ -78,11 +78,11 @@ OUTERMOST = 1.35
 """Radius of the last zone relative to the outer end of the markers [1]. Chosen: the rim of the body is beyond the
 markers; a larger value includes the background."""
 FEWEST = 48
-"""Smallest number of frames for the first templates [frames]. Chosen: fewer give noisy templates,
-more leave short films without texture."""
+"""Smallest number of frames for the first templates [frames]. Chosen: a smaller number gives noisy templates, a larger
+one leaves short films without texture."""
 LEARNT = 256
-"""Smallest number of frames for later templates [frames]. Chosen: fewer give noisy templates, more
-keep an old one."""
+"""Smallest number of frames for later templates [frames]. Chosen: a smaller number gives noisy templates, a larger one
+keeps an old template."""
 LEAST_REACH = 0.7
 """Smallest radius inside the picture, relative to the outer end of the markers [1]. Chosen: a smaller value uses a
 small part of the body, a larger one omits bodies near the border."""
@@ -115,10 +115,10 @@ LEAST_ZONES = 2
 determine three variances; the difference of two gives an upper limit of both."""
 TOGETHER = 16
 """Frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do not
-average out; fewer frames leave these errors hidden in noise, more leave few averages."""
+average out; with fewer frames, these errors remain hidden in noise; with more, there are few averages."""
 MANY_TURNS = 3.0
-"""Smallest number of turns in which errors that repeat with the turn are distinguishable from a motion [turns].
-Chosen: fewer remove motion, more leave such errors in the weights."""
+"""Smallest number of turns in which errors that repeat with the turn are distinguishable from a motion [turns]. Chosen:
+a smaller number removes motion, a larger one leaves such errors in the weights."""
 CENTRE_ERROR = 0.3
 """Standard uncertainty of the centre of a ring in the luma [px]. Derived: the centre is measured in the chroma, whose
 conventions differ by up to half a pixel in each direction; a uniform distribution has 0.29 px."""
@@ -128,13 +128,13 @@ a shadow that a bar casts beside itself displaces its edges; on ten films by two
 1.04, 0.82 and 0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
 _TEMPLATE_FRAMES = 256
 """Largest number of frames of a batch from which the templates of a fast body are learnt [frames]. Derived: the noise
-of a template is that of a frame divided by 16; more cost time."""
+of a template is that of a frame divided by 16; a larger number costs time."""
 _BLOCK = 16
 """Frames that are turned and measured together [frames]. Derived: their samples, 0.7 MB, remain in the cache of a
 processor; the result does not depend on it."""
 _LIGHT_FRAMES = 128
-"""Number of frames of a batch for the estimate of static light [frames]. Chosen: fewer leave noise in it, more cost
-time."""
+"""Number of frames of a batch for the estimate of static light [frames]. Chosen: a smaller number leaves noise in it, a
+larger one costs time."""
 FAST_TURNS = 10.0
 """Smallest number of turns of a batch for the subtraction of static light [turns]. Chosen: over more turns, errors
 once and twice per turn are determined from the angles; over fewer turns, a motion that is not uniform leaves light in
@@ -152,7 +152,8 @@ _ALIGNMENTS = 3
 """Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
 errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
 _ROUNDS = 2
-"""Passes of the template [iterations]. Chosen: the second one uses the angles of the first; more cost time."""
+"""Passes of the template [iterations]. Chosen: the second one uses the angles of the first; a larger number costs
+time."""
 _LEAST_SHARE = 0.1
 """Smallest variance of a zone relative to the variance of its differences [1]. Chosen: a smaller value gives one zone
 all the weight, a larger one makes the zones equal."""

@@ -13,8 +13,8 @@ from gyrotrack.tracking._registration import TURN, Ring, Template
 Floats = npt.NDArray[np.float64]
 
 _MANY_TURNS = 3.0
-"""Smallest number of turns in which an error once per turn is distinguishable from a motion [turns]. Chosen: fewer
-understate the uncertainty, more overstate it."""
+"""Smallest number of turns in which an error once per turn is distinguishable from a motion [turns]. Chosen: a smaller
+number understates the uncertainty, a larger one overstates it."""
 _APART = 5.0
 """Largest slow difference between the two halves of a rigid body, divided by the standard uncertainty of the angle [1].
 Measured: up to 3 for real wheels and discs, 10 for a drawn rim with an oscillation of 10 to 30 mrad relative to its

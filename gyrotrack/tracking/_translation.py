@@ -21,15 +21,17 @@ WIDEST = 3.0
 """Smallest range of the angle in which rotation does not resemble translation [rad]. Chosen: about half a turn; a
 smaller value skips the test of carts, a larger one costs time."""
 _FRAMES = 24
-"""Number of frames that are compared [frames]. Chosen: with fewer, noise decides; more cost time."""
+"""Number of frames that are compared [frames]. Chosen: with fewer, noise decides; with more, the comparison takes
+longer."""
 _FEWEST = 30
-"""Smallest number of pixels that change [pixels]. Chosen: with fewer, noise decides; more skip the test of small
-bodies."""
+"""Smallest number of pixels that change [pixels]. Chosen: with fewer, noise decides; with more, the test of small
+bodies is skipped."""
 _SMOOTHED = 5
 """Width of the smoothing before an alignment [px]. Chosen: a smaller value fails for large displacements, a larger one
 loses detail."""
 _STEPS = 30
-"""Largest number of iterations of an alignment [iterations]. Chosen: fewer stop early, more cost time."""
+"""Largest number of iterations of an alignment [iterations]. Chosen: a smaller number stops early, a larger one costs
+time."""
 _SMALL_STEP = 1e-3
 """Change of the correlation that ends an alignment [1]. Chosen: a larger value stops early, a smaller one costs
 time."""

@@ -41,11 +41,11 @@ T = TypeVar("T")
 
 CHUNK = 8
 """Frames that are transferred at a time [frames]. Chosen: waking a thread for each frame would take longer than
-decoding the frame; more take memory."""
+decoding the frame; a larger number takes memory."""
 _CHUNK_BYTES = 5_000_000
 """Largest size of the frames that are transferred at a time [bytes]. Chosen: memory; several chunks exist at a time."""
 WAITING = 2
-"""Largest number of waiting chunks [1]. Chosen: memory; fewer let the decoder wait."""
+"""Largest number of waiting chunks [1]. Chosen: memory; a smaller number lets the decoder wait."""
 _PATIENCE = 0.05
 """Time after which a waiting thread checks whether it must stop [s]. Chosen: a longer time delays the end, a shorter
 one costs time."""
@@ -336,19 +336,20 @@ SMALL = 0.35
 """Smallest size of an informative packet, relative to its neighbours [1]. Chosen: a smaller value
 overlooks repeats, a larger one reports predicted frames."""
 _AROUND = 31
-"""Length of a running quantile [packets or frames]. Chosen: more follow changes of the film late, fewer are dominated
-by repeats."""
+"""Length of a running quantile [packets or frames]. Chosen: a larger number follows changes of the film late, a smaller
+one is dominated by repeats."""
 _LARGE = 80
 """Quantile of the sizes that is typical of new frames [percent]. Chosen: if most frames are repeated, a lower quantile
 is the size of repeats; a higher one is the size of scene changes."""
 _ROWS = 12
-"""Rows of a frame that are compared [rows]. Chosen: fewer overlook a small motion, more cost time."""
+"""Rows of a frame that are compared [rows]. Chosen: a smaller number overlooks a small motion, a larger one costs
+time."""
 _MOST = 0.8
 """Quantile of the differences that is typical of new frames [1]. Chosen: 3 in 4 frames may be repeated; a lower
 quantile is the difference of repeats, a higher one the difference at a cut."""
 _FEWEST = 5
-"""Smallest number of repeats for a test of their spacing [1]. Chosen: fewer are regular by chance, more leave
-short films uncorrected."""
+"""Smallest number of repeats for a test of their spacing [1]. Chosen: with fewer, repeats are regular by chance; with
+more, short films remain uncorrected."""
 
 Rows = npt.NDArray[np.uint8]
 

@@ -20,7 +20,7 @@ _MOVES = 8.0
 larger one leaves few pixels."""
 _FEWEST_MOVING = 50
 """Smallest number of moving pixels that determine the order of the fields [pixels]. Chosen: with fewer, noise decides;
-more leave slow films undecided."""
+with more, slow films remain undecided."""
 
 
 def field(plane: Plane, *, odd: bool) -> Plane:

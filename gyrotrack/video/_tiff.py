@@ -21,8 +21,8 @@ from gyrotrack.video._frame_stream import FrameStream
 
 SUFFIXES = (".tif", ".tiff")
 _SAMPLED = 20
-"""Number of pictures that determine the range of the brightness [pictures]. Chosen: time; fewer may saturate a picture
-that is brighter."""
+"""Number of pictures that determine the range of the brightness [pictures]. Chosen: time; a smaller number may saturate
+a brighter picture."""
 _INTERVAL = re.compile(r"finterval=([0-9.eE+-]+)")
 _INCREMENT = re.compile(r'TimeIncrement="([0-9.eE+-]+)"')
 _UNIT = re.compile(r'TimeIncrementUnit="([^"]+)"')

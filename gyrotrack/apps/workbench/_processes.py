@@ -4,8 +4,8 @@ A job is one command with ``--json``; it reports progress and angles as JSON lin
 `gyrotrack.apps.cli._output`) and its document on stdout. A cancelled or killed `extract` keeps its checkpoint.
 
 Candidates are ranked by ``python -m gyrotrack.apps.workbench._processes CASE``, which reads one JSON document per line
-(an entry of a ledger), writes one line for each, and ends when its input ends. With the ranking it returns the
-residuals that each candidate predicts; the same `Prediction` serves the sliders of the page.
+(an entry of a ledger), writes one line for each, and ends when its input ends. Each answer contains the ranking and the
+residuals that each candidate predicts. The same class `Prediction` serves the sliders of the page.
 """
 
 from __future__ import annotations
@@ -349,9 +349,8 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
     return {"diagnosis": document, "predicted": predicted, "base_misfit": prediction.misfit}
 
 
-_RESOLVED = (
-    0.05  # smallest relative excess of the mean square residual over the noise that is divided into shares
-)
+# The relative excess of the mean square residual over the noise is divided into shares if it is larger than this.
+_RESOLVED = 0.05
 
 
 def contradiction(effect: Effect) -> str:
@@ -388,7 +387,9 @@ def main() -> None:
         sys.stdout.flush()
 
 
-_SLIDER_RANGE = 5.0  # half range [standard errors], or else [changes of the residual by its sigma]
+_SLIDER_RANGE = (
+    5.0  # half range [standard errors]; without a standard error, [sigmas of the change of the residual]
+)
 _DRAWN = 200  # number of points of a torque curve
 
 
