@@ -146,8 +146,8 @@ _SLOPE_EVERY = 8
 """Distance between the frames in which the derivative with respect to the radius is measured [frames]. Chosen: a
 smaller one costs time, a larger one leaves noise in it."""
 _FEWEST_SLOPES = 4
-"""Smallest number of such frames [frames]. Chosen: for fewer frames, the derivative of the mean picture between rows
-is less noisy."""
+"""Smallest number of frames from which this derivative is measured [frames]. Chosen: with fewer frames, the difference
+between the rows of the mean picture is less noisy."""
 _ALIGNMENTS = 3
 """Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
 errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
