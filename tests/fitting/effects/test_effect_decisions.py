@@ -68,6 +68,7 @@ class TestDimension:
             ("rad s-1", "s-1"),
             ("N m A-1", "N m A-1"),
             ("V", "V"),
+            ("m2 s-1", "m2 s-1"),
             ("1", "1"),
             ("kg m2 s-0.5", "N m s1.5"),
         ],

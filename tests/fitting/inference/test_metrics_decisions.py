@@ -204,10 +204,10 @@ class TestEnergy:
 
 class TestBudget:
     def test_inputs_of_a_polynomial_are_propagated_with_their_interaction(self):
-        """3 x + 2 y + 5 x y with the uncertainties 0.1 and 0.2."""
+        """4 + 3 x + 2 y + 5 x y with the uncertainties 0.1 and 0.2."""
         node = np.array([-math.sqrt(3), 0.0, math.sqrt(3)])
         x, y = np.meshgrid(0.1 * node, 0.2 * node, indexing="ij")
-        found = propagated((3 * x + 2 * y + 5 * x * y)[..., None], [("x", 0.1), ("y", 0.2)])
+        found = propagated((4 + 3 * x + 2 * y + 5 * x * y)[..., None], [("x", 0.1), ("y", 0.2)])
         assert found["x"][0] == pytest.approx([0.3])
         assert found["y"][0] == pytest.approx([0.4])
         assert found["x x y"][0] == pytest.approx([0.1])

@@ -76,6 +76,7 @@ class TestOscillation:
         share = abs(extreme[-1] - extreme[0]) / np.abs(np.diff(extreme)).sum()
         assert bool(share < 0.6) is found
         assert (find_oscillation(record(angle)) is not None) is found
+        assert (find_oscillation(record(-angle)) is not None) is found
 
     @pytest.mark.parametrize(("sigma", "found"), [(0.24, True), (0.26, False)])
     def test_noise_hides_reversals(self, sigma, found):

@@ -744,6 +744,16 @@ class TestSampledCounts:
         raw = replace(raw, units=("s", "rad"))
         assert (module._of_changes(raw, ReadOptions(pulses_per_turn=60.0)) is not None) == known
 
+    @pytest.mark.parametrize("later", [0.005, 0.0])
+    def test_times_that_do_not_increase_are_not_those_of_counts(self, later):
+        k = np.arange(4000)
+        time = 0.005 * k
+        time[700] = time[699] + later
+        raw = replace(
+            table(time, np.floor(0.3 * k) % 60 * TURN / 60, names=("t", "angle")), units=("s", "rad")
+        )
+        assert (module._of_changes(raw, ReadOptions(pulses_per_turn=60.0)) is not None) == (later > 0)
+
     def read(self, time, count, per_turn):
         return module.read_sampled_counts(
             table(time, count, names=("t", "counts")),
