@@ -46,6 +46,7 @@ class TestRecording:
         assert len(CaseData.of(record).spectral_lines) == 1
         assert not CaseData.of(record, Criteria(spectral_line=0.0)).spectral_lines
 
+    @pytest.mark.slow
     def test_correlated_noise(self):
         record = wheel(wander=5e-3, step=0.05)
         shown = CaseData.of(record).angle_noise

@@ -53,6 +53,7 @@ def test_starts_are_unknown_only_if_nothing_is_stated_about_them():
         assert starts_are_unknown([CaseData.of(replace(record(), start_sigma=start_sigma))]) == unknown
 
 
+@pytest.mark.slow
 def test_a_stated_uncertainty_replaces_an_unknown_one_and_keeps_the_noise():
     found = CaseData.of(replace(record(), start_sigma=(np.nan, 2e-3, np.nan)))
     noise = found.process_noise

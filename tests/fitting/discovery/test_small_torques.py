@@ -76,6 +76,7 @@ def fitted(*hidden, speed=60.0, more=()):
 
 
 class TestStep:
+    @pytest.mark.slow
     def test_onset_and_size_are_those_of_the_torque(self):
         base = fitted("step")
         (screened,) = score(base, [LIBRARY["touchpoint.step"]], [CaseColumns(base, 0)], DEFAULT)
@@ -169,6 +170,7 @@ class TestHarmonic:
 
 
 class TestSpeed:
+    @pytest.mark.slow
     def test_a_drag_depends_on_the_speed(self):
         test = fitted("drag").smooth_test
         assert test.body == "body"

@@ -67,6 +67,7 @@ def test_sensitivities_match_differences(name):
             )
 
 
+@pytest.mark.slow
 def test_sensitivities_of_a_law_that_follows_the_angle():
     p = PAPER | EXTRA["unbalance"]
     dynamics, numbers, path = solved(p, span=4.0, follow=True)

@@ -261,6 +261,7 @@ def test_equivalence_is_mutual(effect):
     assert all(effect.name in LIBRARY[other].equivalent for other in effect.equivalent)
 
 
+@pytest.mark.slow
 def test_a_presliding_contact_dissipates_energy_in_each_cycle():
     """Steady cycles of any amplitude: the strain stays within +-1, and the work over a cycle is a loss."""
     rate = Tape([find("casing.friction.presliding").rate])

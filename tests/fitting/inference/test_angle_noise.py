@@ -86,6 +86,7 @@ def test_noise_of_the_rotors_camera_is_found_in_its_windows():
     np.testing.assert_allclose(data.unwhitened(data.whitened(rows)), rows, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_torque_that_changes_within_the_windows_is_not_an_angle_noise():
     """0.2 rad/s2 that decay with 1.5 s, as in the rise: its quartic part is fifty times the noise of its row."""
     experiment = Experiment(duration=40.0, casing_fps=30.0, rotor_fps=400.0, windows=(5.0, 20.0, 35.0))

@@ -118,6 +118,7 @@ def test_the_uncertainties_of_a_sentence_are_those_of_the_budget(found):
     assert total["casing.air.linear.b2"] > 1.3 * result.estimates["casing.air.linear.b2"].stderr
 
 
+@pytest.mark.slow
 def test_unknown_inputs_do_not_contribute(plain):
     sources = {c.source for b in budget(plain, clock_rate_u=0.0).values() for c in b.contributions}
     assert sources <= {

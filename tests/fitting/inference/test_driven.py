@@ -393,6 +393,7 @@ def test_wrong_arguments_of_an_effect_are_refused_in_one_sentence(arguments, wor
         effect(*arguments)
 
 
+@pytest.mark.slow
 def test_inputs_that_not_all_recordings_have_are_not_candidates():
     records = [record(label="a"), record(label="b", inputs=(), seed=2)]
     found = search(Model.of(["casing.air.linear"]), records, quick=True)

@@ -116,6 +116,7 @@ def test_a_user_law_of_a_single_body_is_fitted():
     assert abs(pull(found, name, SQUARE)) < 4
 
 
+@pytest.mark.slow
 def test_a_degenerate_law_is_never_adequate():
     """Only the product of k and w1 enters: the fit is good, and neither is determined."""
     law = formula("own", "casing", "-k*w1*omega_c", {"w1": {"unit": "1", "start": 1.0}})

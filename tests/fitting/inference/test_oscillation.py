@@ -221,6 +221,7 @@ def test_a_body_that_friction_hardly_holds_is_solved(excess):
     assert np.abs(path.edges[:, 1]).max() < 0.012 * excess
 
 
+@pytest.mark.slow
 def test_the_derivative_with_respect_to_dry_friction_is_right_after_reversals():
     from fitting.dynamics._sensitivities import sensitivities
 

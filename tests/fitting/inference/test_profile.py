@@ -25,6 +25,7 @@ def test_the_profile_of_a_linear_problem_gives_the_standard_error(name):
     assert not interval.upper_open
 
 
+@pytest.mark.slow
 def test_at_the_ends_of_the_interval_the_deviance_has_the_stated_rise():
     """f is skewed by its power. With f held at either end, SciPy's least squares over all else ends 3.84 higher."""
     result = fitted(seed=0, ou=1e-7, few=True)

@@ -27,6 +27,7 @@ def recording(seed, *, amplitude=0.0, frequency=4.3, jump=0.0, noise=NOISE, trac
     )
 
 
+@pytest.mark.slow
 def test_a_spectral_line_is_found_and_is_not_process_noise():
     data = recording(1, amplitude=0.05)
     (line,) = data.spectral_lines

@@ -145,6 +145,7 @@ def test_a_profile_is_linear_between_its_times_and_constant_beyond():
     assert profile_at(times, 9.0, ()) == pytest.approx(9.0)
 
 
+@pytest.mark.slow
 def test_the_rows_of_a_profile_have_the_covariance_of_the_scaled_process():
     t = np.arange(0.0, 60.0, 0.04)
     run = compress(Samples(t, 0.1 * t, np.full(len(t), 1e-3)), degree=7, blocks=20)

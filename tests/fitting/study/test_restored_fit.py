@@ -38,6 +38,7 @@ def test_a_model_that_fails_grossly_keeps_its_uncertainties(pendulum):
     assert abs(other.chi2 / pendulum.chi2 - 1) > 0.1
 
 
+@pytest.mark.slow
 def test_a_candidate_keeps_the_noise_of_its_base(pendulum):
     model = pendulum.model.with_effect(LIBRARY["casing.air.quadratic"])
     found = fit(model, pendulum, start=pendulum.values, noise=pendulum.noise, quick=True)

@@ -130,6 +130,7 @@ def test_an_input_that_stays_on_is_a_drive(level, driven):
     assert (found is not None) is driven
 
 
+@pytest.mark.slow
 def test_speeds_are_fitted_as_speeds():
     """The errors of mean speed and acceleration are those of white noise of the speeds, not of their integral."""
     time = np.arange(80) / 10

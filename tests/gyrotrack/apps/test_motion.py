@@ -49,6 +49,7 @@ def test_beats_are_neither_a_steady_rotation_nor_one_oscillation():
     assert motion.period is None
 
 
+@pytest.mark.slow
 def test_a_steady_rotation_is_one_also_with_noise_and_a_displaced_hub():
     t = np.arange(0, 20, 0.2)
     for rate in (3e-3, 3.49):
@@ -104,6 +105,7 @@ def test_models_are_averaged_by_their_criterion():
     assert found.stderr**2 == pytest.approx(0.75 * (0.01 + 0.0625) + 0.25 * (0.04 + 0.5625))
 
 
+@pytest.mark.slow
 def test_an_oscillation_states_no_uncertainty_of_its_end_speeds():
     t = np.linspace(0, 20, 2000)
     found = motion_of(t, 0.3 * np.cos(2 * np.pi * t / 1.7), np.full(len(t), 1e-3))

@@ -51,6 +51,7 @@ def test_speeds_at_the_ends_of_a_long_coast_down():
     assert found.omega["first"] == pytest.approx(90, rel=0.2)
 
 
+@pytest.mark.slow
 def test_steady_with_a_hub_out_of_place():
     t = np.arange(250) / 25
     clean = 3.4 * t

@@ -111,6 +111,7 @@ def test_a_rotor_that_speeds_up_between_clips_is_reported(recordings):
     assert any("faster in the later clip" in warning for warning in done.case.warnings)
 
 
+@pytest.mark.slow
 def test_outliers_and_gaps_do_not_matter(recordings):
     rng = np.random.default_rng(3)
     clip = recordings[2]

@@ -115,6 +115,7 @@ def test_smear_spreads_as_a_box() -> None:
     assert moments[1] / moments[0] == pytest.approx(np.sinc(0.6 / 2.0 / np.pi), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_long_exposure_is_the_mean_of_short_ones() -> None:
     """Bar and papers move through each other: nothing but summing knows the answer."""
     exposure, parts = 1.5e-3, 30
@@ -130,6 +131,7 @@ def test_long_exposure_is_the_mean_of_short_ones() -> None:
     assert difference.mean() < 0.3  # rounding
 
 
+@pytest.mark.slow
 def test_visible_share_is_what_is_seen() -> None:
     scene = replace(Scene(), markers=(PAPER,), structure=0.0)
     camera = replace(EXACT, exposure=0.5e-3)

@@ -277,6 +277,7 @@ def test_the_axis_of_a_rotor_is_that_of_its_coloured_markers():
     np.testing.assert_allclose(axis_offset(views["rotor"], flat["rotor"], rotor), [0.5, 0.0], atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_disc_that_circles_the_axis_is_not_a_camera_that_shakes():
     seen = measured.watched(800)
     circle = 1.2 * np.exp(1j * np.nan_to_num(seen.bodies["casing"].coarse))

@@ -47,6 +47,7 @@ def test_a_larger_ring_allows_a_larger_displacement():
     assert drift(large, frames, np.zeros(4), (0, 0, 320, 320), separate=False)[1] == pytest.approx(3.0)
 
 
+@pytest.mark.slow
 def test_the_middle_of_a_body_far_from_its_hub_counts():
     """A round bob on an arc may turn about itself: the angle of a small bob is not precise, its place is."""
     hub = (80.0, -160.0)

@@ -107,6 +107,7 @@ def test_errors_by_what_passes_are_learnt_only_where_it_passes_fast(speed, learn
         assert bool(np.std(error) > 2.5e-3) != learnt
 
 
+@pytest.mark.slow
 def test_markers_that_pass_nearly_in_step_with_the_frames_move_nothing():
     """Six passages a turn, creeping: a curve over their angle could follow any slow motion, or make one."""
     z, slow = [], []

@@ -219,6 +219,7 @@ def test_a_tilted_camera_is_recognised_by_hub_and_path():
     assert abs(np.ptp(found.angle) / 2 - 0.2) < 3 * found.view * 0.2
 
 
+@pytest.mark.slow
 def test_an_arc_alone_has_the_uncertainty_of_the_view_and_a_full_circle_has_not():
     assert about_pivot(drawn(), "film").view == pytest.approx(0.106, rel=0.01)
     assert about_pivot(drawn(reach=3.2), "film").view == 0.0

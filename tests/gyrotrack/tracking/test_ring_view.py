@@ -428,6 +428,7 @@ class TestSlowBody:
         found = learnt(strips.astype(np.float32), angles)
         assert found.view.value[4:6] == pytest.approx([0.06, -0.04], abs=0.015)
 
+    @pytest.mark.slow
     def test_the_error_of_the_view_is_part_of_the_slow_error(self, monkeypatch):
         angle = arc(1.5)
         pictures = [picture(a) for a in angle]

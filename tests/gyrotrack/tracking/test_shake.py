@@ -264,6 +264,7 @@ class TestHub:
         found = _film_tracker._by_markers(np.full(2, 0.18), {"red": seen}, body, hub)
         assert found == pytest.approx(np.full(2, true - 0.1))
 
+    @pytest.mark.slow
     def test_a_ring_about_the_moving_hub_has_the_angle_of_a_camera_at_rest(self):
         rng = np.random.default_rng(6)
         shift, angle = rng.normal(0, 2.0, (96, 2)), 0.21 * np.arange(96)

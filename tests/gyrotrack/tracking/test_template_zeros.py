@@ -36,6 +36,7 @@ def test_a_step_between_two_templates_is_followed_at_once():
     assert np.abs(found - true).max() < 0.5e-3
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_the_error():
     z = []
     for seed in range(20):
@@ -53,6 +54,7 @@ def test_equal_zeros_are_averaged():
     assert u < 0.035e-3
 
 
+@pytest.mark.slow
 def test_a_zero_is_less_certain_where_few_frames_determine_it():
     """Of the first batch every tenth frame is known; speeds change there, and the zeros with them."""
     rate = np.where(TEMPLATE < 6, 0.1 * (1 + TEMPLATE), 0.7)

@@ -38,6 +38,7 @@ def test_all_dissipation_is_the_loss_of_kinetic_energy(fit):
     assert total == pytest.approx(kinetic[0] - kinetic[1], rel=1e-2)
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_that_of_the_amplitude(fit):
     (row,) = [r for r in plausibility_rows(fit) if r.key == ADDED]
     energy, sigma = _number(row.energy)
