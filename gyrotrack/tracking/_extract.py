@@ -390,7 +390,7 @@ larger value doubts films of a blurred rotor, a smaller one accepts coloured pat
 
 
 def has_corners(markers: Iterable[MarkerTrack]) -> bool:
-    """Return whether the near corners of a marker, which is a rectangle of paper, are found in some frames."""
+    """Return whether a marker shows its near corners in at least the share `_FEWEST_CORNERS` of the frames."""
     return any(np.isfinite(m.rho).mean() >= _FEWEST_CORNERS for m in markers if len(m.rho))
 
 
@@ -398,8 +398,8 @@ def _without_corners(markers: dict[str, MarkerTrack]) -> tuple[str, ...]:
     if not markers or has_corners(markers.values()):
         return ()
     text = (
-        "The near corners of no marker are found, so the coloured patches may not be rectangles of paper, and the "
-        "centre of rotation may be wrong. Inspect the contact sheet (--contact-sheet), or use `gyrotrack spindown`."
+        "No marker shows its near corners, so the coloured patches may not be rectangles of paper, and the centre of "
+        "rotation may be wrong. Inspect the contact sheet (--contact-sheet), or use `gyrotrack spindown`."
     )
     return (text,)
 

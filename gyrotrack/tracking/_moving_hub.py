@@ -397,7 +397,7 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
 
 
 def _uncovered(background: Picture, sample: Sequence[Plane], limit: float) -> Picture:
-    """Return the median of some frames without a body that covers a part of the picture most of the time.
+    """Return the median of some frames, corrected where a body covers the background most of the time.
 
     If nearly all differences larger than `limit` have one sign, the body is lighter, or darker, than the background.
     Where the median shows the body, the rarer values of the other sign are the background.

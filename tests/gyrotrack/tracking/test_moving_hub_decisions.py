@@ -115,7 +115,10 @@ class TestRegistration:
         )
         assert -found.angle == pytest.approx(true if kept else rough)
 
-    def test_a_body_that_is_larger_has_a_larger_ring_and_moves_further(self, monkeypatch):
+    @pytest.mark.parametrize("rounds", [0, 10])
+    def test_a_body_that_is_larger_has_a_larger_ring_and_moves_further(self, monkeypatch, rounds):
+        """The path is corrected while the template is learnt, and again in every frame."""
+        monkeypatch.setattr(moving, "_ROUNDS", rounds)
         size, sizes = np.linspace(2.0, 1.0, 20), {}
 
         def unwrap(ring, frame, shift):
@@ -375,3 +378,14 @@ def test_a_body_is_expected_with_the_velocity_of_its_last_two_steps():
     assert link.area() == 6.5
     link.outline += [moving._Outline(np.zeros(2), 50.0)] * 10
     assert link.area() == 50.0
+
+
+def test_a_body_that_becomes_smaller_in_each_frame_is_one_body():
+    """Its area falls by 9 % per frame: to 0.65 of the median of the last ten frames, but to 0.91 of the last one."""
+    links = []
+    for k in range(15):
+        moving._link(links, k, [moving._Outline(np.array([50.0 + k, 40.0]), 900.0 * 0.91**k)])
+    assert [len(link.frame) for link in links] == [15]
+    # an area that falls suddenly is another body
+    moving._link(links, 15, [moving._Outline(np.array([65.0, 40.0]), 0.5 * 900.0 * 0.91**14)])
+    assert [len(link.frame) for link in links] == [15, 1]
