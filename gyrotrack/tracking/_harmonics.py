@@ -38,6 +38,9 @@ leaves the error of short films unstated."""
 _FEWEST_OF_CHANGE = 5
 """Smallest number of batches for a change with the speed [1]. Chosen: a smaller number does not separate the change
 from a torque, a larger one leaves the error in short films."""
+_LEAST_KNOWN = 0.7
+"""Smallest share of known angles of a batch that is used [1]. Chosen: a smaller value fits harmonics across long gaps,
+a larger one discards batches for a few frames, among them the first ones, whose speeds differ most."""
 _RESEMBLES_MOTION = 2.0
 """Variance of an amplitude, divided by the variance for a complete set of angles, above which an order resembles the
 motion [1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""
@@ -47,25 +50,30 @@ states noise as an error, a larger one hides small errors."""
 
 
 def _amplitudes(angle: Floats) -> dict[int, Floats]:
-    """Return amplitudes of cos and sin [rad], their variance [rad^2] and the turn [rad] per batch, (batches, 4)."""
+    """Return amplitudes of cos and sin [rad], their variance [rad^2] and the turn [rad] per batch, (batches, 4).
+
+    The turn is that of a complete batch: the turn between the first and the last known angle is extrapolated.
+    """
     found: dict[int, list[Floats]] = {order: [] for order in _HARMONICS}
     for first in range(0, len(angle) - BATCH + 1, BATCH):
-        psi = angle[first : first + BATCH]
-        if not np.isfinite(psi).all():
+        known = np.isfinite(angle[first : first + BATCH])
+        if known.sum() < _LEAST_KNOWN * BATCH:
             continue
-        x = np.linspace(-1.0, 1.0, BATCH)
+        psi = angle[first : first + BATCH][known]
+        x = np.linspace(-1.0, 1.0, BATCH)[known]
         powers = np.polynomial.legendre.legvander(x, _DEGREE)
         waves = np.stack([f(order * psi) for order in _HARMONICS for f in (np.cos, np.sin)], axis=1)
         a = np.concatenate([powers, waves], axis=1)
         covariance = np.linalg.pinv(a.T @ a, hermitian=True)
         fitted = covariance @ (a.T @ (psi - psi.mean()))
         rest = psi - psi.mean() - a @ fitted
-        s2 = float(rest @ rest) / (BATCH - a.shape[1])
+        s2 = float(rest @ rest) / (len(psi) - a.shape[1])
         for order in found:
             own = _DEGREE + 1 + 2 * (order - 1) + np.arange(2)
             variance = covariance[own, own]
-            if variance.max() < _RESEMBLES_MOTION * 2.0 / BATCH:
-                found[order].append(np.array([*fitted[own], s2 * variance.mean(), abs(psi[-1] - psi[0])]))
+            if variance.max() < _RESEMBLES_MOTION * 2.0 / len(psi):
+                turn = abs(psi[-1] - psi[0]) * 2.0 / (x[-1] - x[0])
+                found[order].append(np.array([*fitted[own], s2 * variance.mean(), turn]))
     return {order: np.array(each).reshape(-1, 4) for order, each in found.items()}
 
 

@@ -16,7 +16,9 @@ steady body. q, p and x maximise the likelihood, and the zeros are smoothed.
 
 Within a batch the zero is z_b + c_b (omega - omega_b). c_b is the posterior mean of the slope of the differences, with
 p as the prior standard deviation, fitted together with the harmonics, whose coefficients have the prior variance A_k^2
-/ 2. Frames that are in step with a harmonic would otherwise tilt the zero by the error of the marker.
+/ 2. Frames that are in step with a harmonic would otherwise tilt the zero by the error of the marker. The zero may
+also be a curved function of the speed, for example because the first turn of a body at rest is not blurred. Slow
+residuals of the fit are therefore part of the variance of z_b, up to the prior variance of the change within the batch.
 """
 
 from __future__ import annotations
@@ -181,9 +183,9 @@ def _within(
 ) -> tuple[Floats, float]:
     """Return the zero of a template in the frames of its batch, less the zero at the mean speed [rad].
 
-    The second result is the mean variance of this difference over the frames [rad^2]. `frames` are the frames whose
-    difference `off` is used, `squares` are the squared amplitudes of the harmonics of each angle [rad^2], and
-    `per_speed` is the prior standard deviation of the slope [rad per (rad per frame)].
+    The second result is the mean variance of this difference over the frames [rad^2]; it includes slow residuals.
+    `frames` are the frames whose difference `off` is used, `squares` are the squared amplitudes of the harmonics of
+    each angle [rad^2], and `per_speed` is the prior standard deviation of the slope [rad per (rad per frame)].
     """
     middle = 0.5 * (frames[0] + frames[-1])
     motion = np.polynomial.Polynomial.fit(frames - middle, angles[0][frames], _MOTION).deriv()
@@ -204,8 +206,21 @@ def _within(
     # the noise includes the harmonics, which the coefficients may describe only in part
     covariance = np.linalg.inv(basis.T @ basis / noise + np.diag(prior))
     slope = per_speed * float(covariance[1] @ (basis.T @ off[frames])) / noise
-    variance = per_speed**2 * float(covariance[1, 1]) * float(np.mean(apart**2))
+    usual = per_speed**2 * float(np.mean(apart**2))
+    rest = off[frames] - basis @ (covariance @ (basis.T @ off[frames]) / noise)
+    variance = float(covariance[1, 1]) * usual + min(_slow_variance(rest), usual)
     return np.asarray(slope * (motion(np.arange(batch.start, batch.stop) - middle) - faster.mean())), variance
+
+
+def _slow_variance(rest: Floats) -> float:
+    """Return the variance of the means of `_FEWEST_FRAMES` residuals [rad^2] in excess of that of white noise.
+
+    The white noise is the variance within these groups of the residuals (n,) [rad].
+    """
+    count = len(rest) // _FEWEST_FRAMES
+    groups = rest[: count * _FEWEST_FRAMES].reshape(count, _FEWEST_FRAMES)
+    white = float(groups.var(axis=1, ddof=1).mean())
+    return max(float(groups.mean(axis=1).var()) - white / _FEWEST_FRAMES, 0.0)
 
 
 def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> tuple[Floats, Floats, float]:

@@ -146,7 +146,7 @@ def test_the_amplitude_of_white_noise_is_zero():
     assert found.mean() < 0.2 * raw.mean()
 
 
-def test_the_slope_in_a_batch_is_its_posterior_mean_beside_harmonics():
+def test_the_slope_in_a_batch_is_its_posterior_mean_beside_harmonics(monkeypatch):
     """Compared with the covariance of the differences, in which the constant has a very large variance."""
     rng = np.random.default_rng(3)
     n, per_speed = 200, 0.02
@@ -156,7 +156,7 @@ def test_the_slope_in_a_batch_is_its_posterior_mean_beside_harmonics():
     squares[0, 0], squares[1, 2] = 1e-3**2, 3e-3**2
     off = 5e-3 + 0.01 * speed + 3e-3 * np.cos(3 * relative) + 1e-3 * rng.standard_normal(n)
     frames = np.delete(np.arange(n), [7, 90])
-    found, variance = module._within(off, [angle, relative], list(squares), frames, slice(0, n), per_speed)
+    found, _ = module._within(off, [angle, relative], list(squares), frames, slice(0, n), per_speed)
     apart = speed[frames] - speed[frames].mean()
     covariance = off[frames].var() * np.eye(len(frames)) + 1.0 + per_speed**2 * np.outer(apart, apart)
     for turn, order, square in ((angle[frames], 1, 1e-3**2), (relative[frames], 3, 3e-3**2)):
@@ -165,6 +165,8 @@ def test_the_slope_in_a_batch_is_its_posterior_mean_beside_harmonics():
     slope = per_speed**2 * weight @ off[frames]
     left = per_speed**2 - per_speed**4 * weight @ apart
     assert found == pytest.approx(slope * (speed - speed[frames].mean()), rel=1e-4, abs=1e-9)
+    monkeypatch.setattr(module, "_slow_variance", lambda rest: 0.0)
+    _, variance = module._within(off, [angle, relative], list(squares), frames, slice(0, n), per_speed)
     assert variance == pytest.approx(left * np.mean(apart**2), rel=1e-4)
     plain, less = module._within(off, [angle], [np.zeros(12)], frames, slice(0, n), per_speed)
     assert abs(np.ptp(found) / np.ptp(speed) - 0.01) < 0.5 * abs(np.ptp(plain) / np.ptp(speed) - 0.01)
@@ -202,6 +204,49 @@ def test_passages_in_step_at_the_end_of_a_batch_do_not_tilt_its_zero():
         error = template_zeros(off, TEMPLATE, angles).zero[first] - true[first]
         errors.append(float(np.ptp(error)))
     assert errors[0] < 0.6 * errors[1]
+
+
+class TestSlowDifferences:
+    """The differences of a batch vary slowly, with 1 mrad rms, besides white noise of 1 mrad."""
+
+    N = 512
+
+    def within(self, slow, per_speed):
+        """Return the variance of the zero [rad^2], and the variance of the speeds [(rad per frame)^2]."""
+        speed = 0.3 + 0.2 * np.arange(self.N) / self.N
+        rng = np.random.default_rng(5)
+        wave = np.sqrt(2.0) * slow * np.sin(2 * np.pi * 3 * np.arange(self.N) / self.N)
+        off = wave + 1e-3 * rng.standard_normal(self.N)
+        _, variance = module._within(
+            off, [np.cumsum(speed)], [np.zeros(12)], np.arange(self.N), slice(0, self.N), per_speed
+        )
+        return variance, float(speed.var())
+
+    def test_their_variance_is_part_of_that_of_the_zero(self):
+        """The means of 32 frames have 0.96 of the variance of a wave of 171 frames."""
+        quiet, _ = self.within(0.0, 1.0)
+        found, _ = self.within(1e-3, 1.0)
+        assert found - quiet == pytest.approx(0.9e-6, rel=0.15)
+
+    def test_they_are_attributed_to_the_zero_up_to_its_change_with_the_speed(self):
+        """With 5 mrad per (rad per frame), the zero changes by 0.29 mrad rms."""
+        found, spread = self.within(1e-3, 5e-3)
+        assert spread * 5e-3**2 == pytest.approx(0.29e-3**2, rel=0.02)
+        assert spread * 5e-3**2 < found < 1.5 * spread * 5e-3**2
+
+    @pytest.mark.parametrize("slow", [0.0, 0.5e-3])
+    def test_white_noise_has_no_slow_variance(self, slow):
+        """A constant in each 32 frames remains, white noise is subtracted, and a last incomplete mean is not used."""
+        rng = np.random.default_rng(7)
+        level = slow * np.resize([1.0, -1.0], 400)
+        found = module._slow_variance(
+            np.append(np.repeat(level, 32) + 1e-3 * rng.standard_normal(12800), [1.0] * 31)
+        )
+        assert found == pytest.approx(slow**2, abs=1e-8)
+
+    def test_less_than_white_noise_is_none(self):
+        """Residuals of alternating sign have means of zero."""
+        assert module._slow_variance(np.resize([1.0, -1.0], 320)) == 0.0
 
 
 def test_the_uncertainty_of_a_zero_includes_that_of_its_slope(monkeypatch):
