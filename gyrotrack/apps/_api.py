@@ -51,7 +51,8 @@ def extract(
     body : {"casing", "rotor", "both"}, optional
         Body to track; by default every body in view.
     times : {"auto", "stamps", "frames"}
-        Count frames, or use the timestamps of the film; "auto" uses the timestamps if the camera's rate varied.
+        "frames" counts frames at the capture rate, "stamps" uses the timestamps of the film, and "auto" uses the
+        timestamps if the frame rate varied.
     workers : int or None
         Number of processes that track parts of the film; None: one per core. A script that starts several needs the
         guard ``if __name__ == "__main__":``.
@@ -120,7 +121,8 @@ def sync(
 ) -> Case:
     """Put the recordings of one experiment on one clock and return the case.
 
-    The rotor recordings must show the casing too: its angle, measured by both cameras, determines when each started.
+    The rotor recordings must show the casing too: the angle of the casing, which both cameras measure, determines the
+    start of each recording.
 
     Parameters
     ----------

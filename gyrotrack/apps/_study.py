@@ -38,7 +38,7 @@ class Study:
     data : tuple of CaseData
         The cases, compressed for fitting.
     ledger : Ledger
-        Their fits, and those of other sets of cases in the same file.
+        The fits of these cases; the same file may contain fits of other sets of cases.
     prior : Prior, optional
         Parameters of another study, used for new fits; by default a fit has the prior of the fit from which it starts.
     """
@@ -83,7 +83,7 @@ class Study:
 
     @property
     def first_model(self) -> Model:
-        """The model of a first fit: reduced; linear for a chain, because the reduced one has the paper's bearing."""
+        """The model of a first fit: linear for a chain, else reduced (which contains the bearing of the gyroscope)."""
         from fitting.effects._library import LINEAR, REDUCED
 
         return self.model(LINEAR if self.data[0].record.is_chain else REDUCED)
@@ -143,7 +143,7 @@ class Study:
     def answered(
         self, fit_id: str | None, extra: Sequence[Effect] = (), *, workers: WorkerPool | None = None
     ) -> tuple[Diagnosis, str]:
-        """Return the diagnosis that a report shows, and the name of the diagnosed fit, the first of a history.
+        """Return the diagnosis that a report shows, and the name of the diagnosed fit, which is the first of a history.
 
         Parameters
         ----------

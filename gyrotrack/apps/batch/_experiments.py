@@ -176,7 +176,7 @@ STATED_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
 def read_folder(
     root: Path, *, casing_fps: float | None = None, rotor_fps: float | None = None, skip: Path | None = None
 ) -> tuple[Experiment, ...]:
-    """Find the experiments in a folder, except in hidden folders, links and `skip`; both rates are default values."""
+    """Find the experiments in a folder, but not in hidden folders, links and `skip`; both rates are default values."""
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
     rates = {"casing": casing_fps, "rotor": rotor_fps, "": None}

@@ -46,7 +46,7 @@ class _Running:
 
 
 class Run:
-    """One execution of all steps; `report` is called with (step, outcome), `progress` with (steps ended, in total)."""
+    """One execution of all steps; `report` gets (step, outcome), `progress` gets (steps ended, steps in total)."""
 
     def __init__(
         self,
@@ -218,7 +218,7 @@ class Row:
     fit: str  #: Verdict of the fit; empty without a fit.
     rmse_casing: float | None  #: Rms residual of the smoothed angular velocity of the casing [rad s-1].
     reduced_chi2: float | None  #: Chi-square of the casing divided by the effective number of samples [1].
-    misfit: float | None  #: Rms residual divided by that of the noise [1].
+    misfit: float | None  #: Rms residual divided by the rms of the noise [1].
     diagnosis: str  #: Verdict of the diagnosis; empty without one.
     missing: str  #: Effects that `diagnose` or `improve` found.
     trusted: bool  #: Whether every step returned a trusted result (exit code 0).

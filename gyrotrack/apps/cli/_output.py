@@ -314,7 +314,7 @@ def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
 
     if not predicted:
         return []
-    lines = ["", "each case predicted from a fit of the others (touch point and initial rates free):"]
+    lines = ["", "each case predicted from a fit of the other cases (touch point and initial rates free):"]
     lines.append(f"{'':<12}{'casing':>10}{'rotor':>10}{'R2 casing':>12}{f'rmse [{speed_unit()}]':>14}")
     lines += [
         f"{p.label[:11]:<12}{p.casing:>10.4g}{p.rotor:>10.4g}{p.r2:>12.6f}{speed(p.rmse):>14.4g}"

@@ -56,9 +56,9 @@ if TYPE_CHECKING:
 
 
 _SMALL_P = 0.01
-# animated pictures of a case
+# largest number of animated pictures of a case
 _MAX_GHOSTS = 4
-# sizes of the overview figures [inch]: two stacked figures, and one with the height of both
+# sizes of the overview figures [inch]: each of two stacked figures, and a figure with the height of both
 _WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
     "adequate": ("good", "✓", "Consistent with noise"),
@@ -207,7 +207,7 @@ def _torque_of_the_angle(view: StudyView, v: CaseView) -> list[Chart]:
 
 
 def ghost_stretches(view: StudyView, index: int, case: Case, films: Sequence[Path]) -> list[Stretch]:
-    """Return the stretches of the films of a case with the ghosts of the base and of the final model."""
+    """Return the parts of the films of a case that show the markers predicted by the base and by the final model."""
     fits, names = [view.base], ["base model"]
     if view.improved:
         fits.append(view.final)
@@ -350,7 +350,7 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
-# symbols of the moments of inertia of the bodies and of the torque of a joint of a gyroscope, with their meanings
+# symbols of a gyroscope, with their meanings: moments of inertia, and torque of the joint
 _OF_PART = {
     "rotor": ("I_r", "moment of inertia of the rotor"),
     "casing": ("I_c", "moment of inertia of the casing"),
@@ -561,7 +561,7 @@ def write_overlay(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of the ghosts of base and final model around every lack of fit of a study.
+    """Write a film of every lack of fit of a study, with the markers predicted by the base and by the final model.
 
     Parameters
     ----------

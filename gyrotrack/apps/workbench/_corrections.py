@@ -1,4 +1,4 @@
-"""Manual corrections of markers: each is made in one frame, is listed, and can be deleted completely.
+"""Manual corrections of markers: each correction applies to one frame, is listed, and can be deleted completely.
 
 The angle of the body in a corrected frame is the angle of the clicked marker alone, with the uncertainty of a click.
 The recording documents the corrections: ``corrections`` in its ``extra`` attribute contains for each correction the

@@ -216,12 +216,12 @@ def preview(
     points: Sequence[tuple[float, float]],
     frames: int = FRAMES,
 ) -> dict[str, Any]:
-    """Track the start of a film with the markers of a profile, by default that of the paper.
+    """Track the start of a film with the markers of a profile, by default the profile of the paper.
 
     If tracking `makes` a "case", the whole body is registered instead, and `points` (x, y) [px] of the first frame are
-    rotated with the body. The result contains ``frames``; ``centre``, position [px] or null in each frame;
-    ``markers``: name, body, and for each frame the position [px] or null, and whether the marker is complete;
-    ``kept``, fraction of frames with an angle, by body; ``warnings``.
+    rotated with the body. The result contains ``frames``; ``centre``, position [px] or null in each frame; ``markers``:
+    name and body, and for each frame the position [px] or null and whether the marker is complete; ``kept``, fraction
+    of frames with an angle, by body; ``warnings``.
     """
     with scratch_folder() as folder:
         excerpt = folder / f"excerpt{film.suffix.lower()}"
@@ -266,7 +266,7 @@ def _of_whole_body(
     return recording, _rotated_points(recording, tracked, points)
 
 
-# tracking of the start of a film, by the kind of file that tracking of the whole film makes
+# how the start of a film is tracked, by the kind of file that tracking of the whole film makes
 _STARTS = {"recording": _of_markers, "case": _of_whole_body}
 
 _MIDDLE = (

@@ -96,7 +96,7 @@ class Job:
 
 
 class Jobs:
-    """The jobs of one work folder: at most `most` run at a time, and one per key."""
+    """The jobs of one work folder: at most `most` jobs run at a time, and at most one job per key."""
 
     def __init__(self, folder: Path, most: int) -> None:
         self._folder = folder
@@ -388,7 +388,7 @@ def main() -> None:
 
 
 _SLIDER_RANGE = (
-    5.0  # half range [standard errors]; without a standard error, [sigmas of the change of the residual]
+    5.0  # half range [standard errors]; without a standard error, [sigma of the change of the residual]
 )
 _DRAWN = 200  # number of points of a torque curve
 
