@@ -29,9 +29,8 @@ _LEAST_RISE = 0.05  # smallest rise of the speed of a driven body [share of the 
 _SIGNIFICANT = 6.0  # smallest change of the speed that is significant [standard uncertainties]
 _FEWEST_TURNS = 8  # in fewer turns, an unbalance may cause the rise
 _BLOCKS = 100  # largest number of intervals in which mean speeds are compared
-_LEAST_LEVEL = (
-    0.05  # smallest median of an input that drives the body [share of the largest value of the input]
-)
+# smallest median of an input that drives the body [share of the largest value of the input]
+_LEAST_LEVEL = 0.05
 _EXPLAINED = 0.9  # smallest share of the variance of the speed that a first-order response explains
 _REST = 0.02  # largest speed of a body that counts as at rest before a constant drive [range of the speed]
 _GRID = 24  # number of time constants in the search grid; the number of delays is half of it

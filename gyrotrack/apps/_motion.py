@@ -671,7 +671,8 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
 
 # number of windows from which a free motion is extrapolated; smallest speed before a stop [share of the largest speed]
 _FREE, _ABRUPT = 3, 0.1
-_AGAIN = 0.5  # smallest later rise of the speed that indicates a motor, not a drive by hand [share of the first rise]
+# smallest later rise of the speed that indicates a motor, not a drive by hand [share of the first rise]
+_AGAIN = 0.5
 
 
 def _joins(time: Floats, angle: Floats, known: int) -> int:

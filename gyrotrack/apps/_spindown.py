@@ -928,9 +928,8 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         )
 
 
-_TURNS_WITH_HARMONICS = (
-    2.0  # smallest number of turns in which harmonics of the angle are distinguishable from the motion
-)
+# smallest number of turns in which harmonics of the angle are distinguishable from the motion
+_TURNS_WITH_HARMONICS = 2.0
 
 
 def _with_view_errors(

@@ -100,13 +100,13 @@ def _point(place: npt.NDArray[np.float64]) -> tuple[int, int]:
 
 
 _MAX_AHEAD = 24  # largest number of frames that are skipped by decoding instead of seeking
-# frames before the requested frame that are kept, so that a step back needs no seek: number, and size [bytes]
+# decoded frames before the requested frame are kept, so that a step back needs no seek: number, and size [bytes]
 _BEHIND, _HELD = 12, 48 * 2**20
 _MAX_HASHED = 256 * 2**20  # bytes
 
 
 def find_film(recording: Recording, folders: list[Path]) -> Path | None:
-    """Find a recording's film in folders or the samples, by SHA-256; above 256 MiB, by frame size and number."""
+    """Find a recording's film in folders or the samples: by SHA-256, above 256 MiB by frame size and frame count."""
     name = Path(recording.source).name
     here = Path(__file__)
     places = [*folders, here.parents[2] / "sample_clips", here.parents[1] / "sample_clips"]
@@ -206,7 +206,7 @@ class Film:
     def _decoded(self, first: int) -> Iterator[Any]:
         """Decode from the current position; before the timestamp `first`, only reference frames are decoded."""
         decoder = self._stream.codec_context
-        # other codecs may use such frames as references
+        # with other codecs, such frames may be references of later frames
         can_skip = decoder.codec.name == "h264"
         for packet in self._container.demux(self._stream):
             unneeded = can_skip and packet.pts is not None and packet.pts < first
@@ -367,7 +367,7 @@ _RING, _HAND = (0, 200, 255), (0, 0, 255)
 def write_picture(
     path: Path, proposal: Proposal, *, body: tuple[TrackedFilm, Tracked] | None = None, force: bool = False
 ) -> None:
-    """Write a PNG of the frame with most markers, with all proposals, and of a `body` that turns about a hub."""
+    """Write a PNG of the frame with most markers, all proposed markers, and a `body` that turns about a hub."""
     index = int(np.argmax(np.sum([m.clear for m in proposal.markers], axis=0)))
     frame = proposal.samples.frames[index]
     picture = colour_picture(frame)

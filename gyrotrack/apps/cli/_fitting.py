@@ -171,9 +171,8 @@ class BudgetDocument(TypedDict):
     parameters: dict[str, ParameterBudget]  #: Contributions, by the key of the parameter in a fit.
 
 
-_MIN_SHARE = (
-    1e-3  # smallest contribution to the variance in the table; the JSON document contains all contributions
-)
+# smallest contribution to the variance in the table; the JSON document contains all contributions
+_MIN_SHARE = 1e-3
 
 
 def budget_command(

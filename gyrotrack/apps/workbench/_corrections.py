@@ -22,7 +22,8 @@ from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 
 CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
-JUMP = 5.0  # deviation from the neighbouring frames above which a click needs confirmation [standard uncertainties]
+# deviation from the neighbouring frames above which a click needs confirmation [standard uncertainties]
+JUMP = 5.0
 _SAME = 1e-9  # largest difference of equal times [s]
 _MIN_RADIUS = 5.0  # smallest distance of a clicked position from the centre [px]
 _TURN = 2 * np.pi

@@ -269,9 +269,8 @@ def _of_whole_body(
 # how the start of a film is tracked, by the kind of file that tracking of the whole film makes
 _STARTS = {"recording": _of_markers, "case": _of_whole_body}
 
-_MIDDLE = (
-    1.15  # radius of the middle of a marker if the outer edge is not found [radius of the inner corners]
-)
+# radius of the middle of a marker if the outer edge is not found [radius of the inner corners]
+_MIDDLE = 1.15
 # number and spacing of the frames in which the outer edge of a marker is searched for
 _SAMPLED, _APART = 5, 8
 _FARTHEST = 3.0  # largest radius of the search for the outer edge [radius of the inner corners]

@@ -387,9 +387,8 @@ def main() -> None:
         sys.stdout.flush()
 
 
-_SLIDER_RANGE = (
-    5.0  # half range [standard errors]; without a standard error, [sigma of the change of the residual]
-)
+# half range [standard errors]; without a standard error, [sigma of the change of the residual]
+_SLIDER_RANGE = 5.0
 _DRAWN = 200  # number of points of a torque curve
 
 
