@@ -430,7 +430,7 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
 
 
 def _refuse_lost_passages(raw: RawTable, time: Floats) -> None:
-    """Refuse passages if so many are missing that the short periods differ from the usual period."""
+    """Refuse passages if missing passages make the usual period longer than the short periods."""
     pair = time[2:] - time[:-2]
     usual = float(np.quantile(pair, _SHORT_PERIODS))
     longer = float((pair > _LONGER * usual).mean())
@@ -636,8 +636,7 @@ def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
 
 
 def _typical_interval(step: Floats) -> Floats:
-    """Return the local typical interval: the geometric mean of the medians of three intervals before and three
-    after."""
+    """Return the local typical interval: the geometric mean of the medians of three before and of three after."""
     if len(step) < 3:
         return np.full(len(step), np.median(step) if len(step) else np.nan)
     logs = np.log(np.maximum(step, 1e-300))
