@@ -45,7 +45,8 @@ def extract(
     output : str or Path, optional
         HDF5 file to write; without it nothing is written, and `resume` and `force` have no effect.
     capture_fps : float, optional
-        Capture rate of the camera [1/s]; by default the rate in the profile, in the camera's tag, or in the container.
+        Capture rate of the camera [1/s]; by default the first of three rates that is known: in the profile, in the tag
+        of the camera, in the container.
     profile : Profile, str or Path, optional
         Markers and their colours, or a TOML file that defines them; by default the markers of the paper.
     body : {"casing", "rotor", "both"}, optional

@@ -100,13 +100,14 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
     widths `VIEW`. Over less than two turns they are nearly collinear with the polynomial, and the priors limit their
     contribution to the uncertainty. A rotation is steady if the angular acceleration is consistent with zero (three
-    standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift. Phase and
-    logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects this degree. Period,
-    amplitude and decay rate are given for the middle of the record. A motion that passes the middle of its range
-    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. A motion that
-    turns back, but is recorded over too few periods for these decisions, is "reversing". A rotation is "fluctuating" if
-    its speed rises and falls repeatedly, and neither friction nor the view of the camera explains this. The speeds at
-    its ends are then local slopes, and the mean speed is the angle of rotation divided by the time.
+    standard errors). An oscillation with amplitude A, decay rate d and period P is A exp(-d t) cos(2 pi t / P + phi)
+    about a mean that may drift. Phase and logarithm of the amplitude are polynomials in time of a higher degree if the
+    criterion selects this degree. Period, amplitude and decay rate are given for the middle of the record. A motion
+    that passes the middle of its range repeatedly, but is not such an oscillation (beats, a drive), has no period,
+    amplitude or decay rate. A motion that turns back, but is recorded over too few periods for these decisions, is
+    "reversing". A rotation is "fluctuating" if its speed rises and falls repeatedly, and neither friction nor the view
+    of the camera explains this. The speeds at its ends are then local slopes, and the mean speed is the angle of
+    rotation divided by the time.
     """
     if len(time) < _FEWEST_SAMPLES:
         what = f"The motion has {len(time)} samples; {_FEWEST_SAMPLES} are needed."
@@ -295,7 +296,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     half = max(abs(t[0]), abs(t[-1]))
     x = t / half
     psi = angle - angle[len(angle) // 2]
-    # harmonics of the smooth angle: harmonics of the measured angle would be correlated with its noise
+    # harmonics of the smoothed angle, because harmonics of the measured angle would be correlated with its noise
     smooth = np.polynomial.Polynomial.fit(x, psi, min(6, len(t) // 3))(x)
     # pulses at whole multiples of the period of a harmonic contain no information on this harmonic
     orders = [
@@ -353,9 +354,9 @@ def _derivatives(most: int, order: int, place: float) -> Floats:
 def _next_coefficient(fits: Sequence[Estimate]) -> float:
     """Return the plausible size of the first coefficient beyond the polynomial of highest degree; 0 if none is needed.
 
-    The coefficients of a smooth motion decrease geometrically: the next coefficient is c_n^2 / c_(n-1), and at most
-    c_n. This coefficient is needed if the highest degree is the best one, because further degrees may then be
-    significant.
+    The coefficients c of a smooth motion decrease geometrically. With the highest degree n, the next coefficient is
+    therefore c_n^2 / c_(n-1), and at most c_n. It is needed if the polynomial of degree n is the best one, because
+    further degrees may then be significant.
     """
     if len(fits) < 2 or fits[-1].hannan_quinn > min(fit.hannan_quinn for fit in fits):
         return 0.0
@@ -448,9 +449,9 @@ class _Wave:
         """Return the Bayesian information criterion, and the uncertainties of frequency, decay rate and amplitude.
 
         Model errors change slowly in amplitude and in phase. The residuals are therefore demodulated in windows of
-        whole periods. The component in phase with the oscillation determines the amplitude, the component in
-        quadrature determines the phase, and each component has its own correlated noise. For fewer than `_MIN_WINDOWS`
-        periods the correlated noise is a harmonic of the phase with a slowly varying amplitude.
+        whole periods. The component in phase with the oscillation determines the amplitude, the component in quadrature
+        determines the phase, and each component has its own correlated noise. For fewer than `_MIN_WINDOWS` periods the
+        correlated noise is modelled as a harmonic of the phase with a slowly varying amplitude.
         """
         jacobian, one = self.jacobian(c, t), np.eye(self.size)
         size = max(float(np.hypot(c[2], c[3])), 1e-300)

@@ -633,8 +633,8 @@ class SpindownDocument(TypedDict):
     case: Path | None  #: The case; null for light gates, which measure no angle.
     picture: Path | None  #: Picture of the tracked body; null for a table or recording.
     motion: BodyMotion  #: The motion.
-    response: Response | None  #: Response to a drive that is not fitted; null for a free body.
-    reading: list[ReadingDocument]  #: Interpretation of a table.
+    response: Response | None  #: Response to a drive without a fit; null for a free body or with `--input`.
+    reading: list[ReadingDocument]  #: Interpretation of the columns of a table.
     ambiguous: bool  #: Whether a doubt remains, for example about the hub; the exit code is then 3.
     report: Path | None  #: The report; null without a diagnosis.
     oscillator: OscillatorLaws | None  #: Laws of an oscillation; null for another motion.

@@ -287,7 +287,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
     (entry,) = latest_fits([path]).values()
     own = {d.record.digest for d in data}.intersection(entry.digests)
     if own:
-        what = f"{path} is a fit of the same data; as a prior, it would use these data twice."
+        what = f"{path} is a fit of the same data; with this prior, a fit would use these data twice."
         raise UsageError(what, "Give --prior a study of other recordings.")
     prior = entry.as_prior(path.name)
     units = Units.common(d.record.units for d in data)
@@ -391,8 +391,8 @@ class FitRequest:
     Attributes
     ----------
     model : str, optional
-        reduced, general, linear, or the name of a TOML file. Without it the request modifies an earlier fit, or else
-        the reduced model.
+        reduced, general, linear, or the name of a TOML file. Without a model, the request modifies an earlier fit, or
+        the reduced model if there is no fit.
     add, drop : tuple of str
         Effects by name, and for `add` also laws like ``casing: -k*omega_c**3``.
     own : sequence of Effect

@@ -75,7 +75,7 @@ def colour_picture(frame: Frame) -> Picture:
 def _draw_marker(
     picture: Picture, marker: MarkerTrack, k: int, centre: npt.NDArray[np.float64], sense: int
 ) -> None:
-    """Draw ray and inner corners of a complete marker (green), or the ray of a partly occluded one (orange)."""
+    """Draw ray and inner corners of a complete marker (green), or the ray of a partly occluded marker (orange)."""
     radius = float(np.nanmedian(marker.rho)) if np.isfinite(marker.rho).any() else float("nan")
     angle = sense * marker.angle_fine[k]
     if not np.isfinite([radius, angle, *centre]).all():
@@ -221,7 +221,7 @@ _LINE, _GREY = 17, (110, 110, 110)
 
 
 def check_contact_sheet(path: Path, *, force: bool) -> None:
-    """Check that a contact sheet can be written: its name ends in .png, and it does not exist or `force` is set."""
+    """Check that a contact sheet can be written: its name ends in .png, and the file is new unless `force` is set."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"Unknown format of a contact sheet: {path.name}.", "Use a name that ends in .png.")
     refuse_existing(path, force=force)

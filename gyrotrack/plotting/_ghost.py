@@ -228,7 +228,7 @@ def ghosts(case: Case, fits: Sequence[Fit], names: Sequence[str], index: int = 0
 
 
 def _filled(centre: Array) -> Array:
-    """Return the hub of each frame, the median where it is unknown."""
+    """Return the hub of each frame; the median hub where the hub is unknown."""
     known = np.asarray(np.isfinite(centre).all(axis=1))
     middle = np.median(centre[known], axis=0) if known.any() else np.full(2, np.nan)
     return np.where(known[:, None], centre, middle)
@@ -333,7 +333,7 @@ def ghost_document(ghost: Ghost, model: int = 0, *, factor: int | None = None) -
 
 @dataclass(frozen=True)
 class Animation:
-    """An animated picture (WebP) with a still one (JPEG) for print, and its text."""
+    """An animated picture (WebP), a still picture (JPEG) for print, and their caption."""
 
     webp: bytes
     jpeg: bytes

@@ -123,7 +123,7 @@ def report_parts(
     static: bool,
     certificate: Certificate | None = None,
 ) -> dict[str, Any]:
-    """Return the content of a report with lines of `provenance`; `static`: also figures for interactive charts."""
+    """Return the content of a report with lines of `provenance`; `static` adds figures of the interactive charts."""
     by_label = {case.label: case for case in recordings}
     plausibility = tables.plausibility_rows(view.final)
     unphysical = sorted({p.effect for p in plausibility if p.is_unphysical})
@@ -301,7 +301,9 @@ def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str,
     """Return the strengths of a single body's laws with their meanings, and its speed in the unit of the file."""
     rows = [
         (
-            view.name(law.parameter).words,  # a symbol comes first: k and K differ
+            view.name(
+                law.parameter
+            ).words,  # a symbol at the beginning keeps its case, because k and K differ
             typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"),
         )
         for law in laws_of_body(view.final)

@@ -72,7 +72,7 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
 
 
 def without_correction(recording: Recording, marker: str, frame: int) -> Recording:
-    """Return a recording with the content of one frame before its correction; a UsageError without a correction."""
+    """Return a recording with the content of one frame before its correction; raise an error without a correction."""
     track = _track(recording, marker, frame)
     listed = corrections(recording)
     note = next((c for c in listed if (c["marker"], c["frame"]) == (marker, frame)), None)
@@ -111,7 +111,7 @@ def corrections(recording: Recording) -> list[dict[str, Any]]:
 
 
 def jump(recording: Recording, marker: str, frame: int, place: Sequence[float]) -> float | None:
-    """Return the deviation of a clicked position from the neighbouring frames [rad]; None if it is not significant.
+    """Return the deviation of a clicked position from the neighbouring frames [rad]; None if not significant.
 
     The expected angle is interpolated between the neighbouring frames. The deviation is compared with the uncertainty
     of the click and the typical deviation of all frames from their neighbours.

@@ -184,7 +184,7 @@ FRAMES = 500  # number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 f
 
 
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:
-    """Copy the first packets of a film to a file of the same format; a TrackingError if the format forbids it."""
+    """Copy the first packets of a film to a file of the same format; raise a TrackingError if this is impossible."""
     with opened(film) as (source, stream):
         try:
             with av.open(str(target), "w") as copy:

@@ -123,7 +123,7 @@ class Jobs:
         module: str = "gyrotrack",
         replace: bool = False,
     ) -> Job:
-        """Queue a command; `finished` is called in a separate thread when it has ended.
+        """Queue a command; `finished` is called in a separate thread when the command has ended.
 
         If the latest job of the key is active, an error is raised or, with `replace`, that job is cancelled.
         """
@@ -349,7 +349,7 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
     return {"diagnosis": document, "predicted": predicted, "base_misfit": prediction.misfit}
 
 
-# The relative excess of the mean square residual over the noise is divided into shares if it is larger than this.
+# smallest relative excess of the mean square residual over the noise that is divided into shares of candidates
 _RESOLVED = 0.05
 
 

@@ -738,7 +738,7 @@ class Project:
             self._go_on()
 
     def _go_on(self) -> None:
-        """Start the next step of `analyse`; stop if an entry is missing, which the page then names."""
+        """Start the next step of `analyse`; stop if an entry is missing. The page names this entry."""
         films = [x for x in self.state.sources if x.kind == "film"]
         if not self._analysing or any(self._is_tracking(x) for x in films):
             return

@@ -231,13 +231,13 @@ class Session:
             return _document(self._prediction().moved(values))
 
     def go(self, place: int) -> dict[str, Any]:
-        """Make another step the current one."""
+        """Make another step the current step."""
         with self._lock:
             self._show(self._existing(place))
             return self.state()
 
     def compare(self, place: int) -> dict[str, Any]:
-        """Compare the current step with another one, or with its parent if `place` is negative."""
+        """Compare the current step with another step, or with its parent if `place` is negative."""
         with self._lock:
             self.reference = self._existing(place) if place >= 0 else -1
             self.revision += 1

@@ -103,7 +103,7 @@ def _continued(
     value: Floats | None,
     notes: list[str],
 ) -> Floats:
-    """Return times whose later part continues at the usual interval after each step of the clock."""
+    """Return times without steps of the clock: after each step, the later times continue at the usual interval."""
     made = time.copy()
     for k in steps.tolist():
         offset = made[k] + usual - made[k + 1]
@@ -155,7 +155,7 @@ def _delay(time: Floats, value: Floats | None, k: int) -> tuple[float, float] | 
 def _without_forward_steps(
     path: Path, time: Floats, line: Integers, value: Floats | None, notes: list[str]
 ) -> Floats:
-    """Return times without forward steps: gaps of a sampler across which the values change as in one interval."""
+    """Return times without forward steps of the clock, across which the values change as in one interval."""
     step = np.diff(time)
     usual = float(np.median(step)) if len(step) else 0.0
     equal = np.abs(step - usual) < _EQUAL * usual
@@ -184,7 +184,7 @@ def _without_forward_steps(
 
 
 def refuse_slow_clock(where: str, column: str, time: Floats) -> None:
-    """Raise an error that requests the unit of times without a unit, if the samples would be far apart in seconds.
+    """Raise an error that requests the unit of the time, if none is stated and the steps are too long for seconds.
 
     `where` is the file and line of the header, `column` the name or number of the column.
     """

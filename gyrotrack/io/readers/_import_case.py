@@ -66,9 +66,9 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
-# smallest change of the angle that is a jump, not a motion [neighbouring changes and usual change]
+# smallest jump of the angle, as a multiple of the neighbouring changes and of the usual change
 _JUMP = 20.0
-# the same limit for a change that does not continue the motion [neighbouring changes, noise]
+# limits for a change that does not continue the motion: multiple of other changes, multiple of the noise
 _CLEAR_JUMP, _UNSTEADY = 3.0, 40.0
 # change of a wrapped angle whose sense is in doubt [rad], and largest share of such changes in either sense
 _HALF_TURN, _MOST_HALF_TURNS = 0.8 * np.pi, 0.01

@@ -44,7 +44,7 @@ from gyrotrack.io.readers._reading import Reading, Taken
 
 _GAP = 20.0
 _BLOCK = 15  # samples of a local polynomial; degree 9 then leaves five degrees of freedom
-_DEGREES = (3, 5, 7, 9)  # the last degree only shows whether the previous one is sufficient
+_DEGREES = (3, 5, 7, 9)  # the last degree only shows whether the previous degree is sufficient
 # a degree is not sufficient if its residual variance exceeds that of the next degree by this factor: a random walk has
 # 1.36, white noise 1
 _INSUFFICIENT = 1.6
@@ -56,10 +56,10 @@ _SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual 
 _RARE = (0.01, 4.0)
 # symbols of quantities, which imply SI units
 _SYMBOLS = {"t", "omega", "w", "ω", "angle", "psi", "phi", "theta", "ψ", "φ", "θ"}
-# units to choose from for a quantity without one
+# units that are proposed for a quantity without a unit
 _CHOICES = {"t": ("s", "ms"), "angle": ("rad", "deg"), "omega": ("rad/s", "rpm")}
 
-# quantity and unit ("" if it is in the header) by column (header or number, case-folded)
+# quantity and unit ("" if the header states the unit) by column (header or number, case-folded)
 Names = Mapping[str, tuple[str, str]]
 
 
@@ -69,8 +69,8 @@ class ReadOptions:
 
     # columns by header or number, from `read_names`; if empty, the headers determine them
     names: Names | None = None
-    # names of points; the centre may also be coordinates, "12.5,40", or "orbit", the centre of a circle fitted to
-    # the path of the marker
+    # names of points; the centre may also be coordinates, "12.5,40", or "orbit": the centre of a circle fitted to the
+    # path of the marker
     marker: str | None = None
     centre: str | None = None
     fps: float | None = None  # frame rate [1/s], for a file with frame numbers
@@ -130,7 +130,7 @@ _LISTED = 8  # largest number of names in a message
 
 
 def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) -> str:
-    """Return the only name of a list, or the one matching the option `marker`."""
+    """Return the only name of a list, or the name that matches the option `marker`."""
     named = [n for n in names if options.marker and options.marker.casefold() in n.casefold()]
     chosen = named if len(named) == 1 else names
     if len(chosen) != 1:
@@ -212,7 +212,7 @@ def column_name(raw: RawTable, index: int) -> str:
 
 
 def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
-    """Return column, unit and reason of each quantity; two columns of one meaning are an error."""
+    """Return column, unit and reason of each quantity; raise an error for two columns with the same meaning."""
     found: dict[str, list[int]] = {}
     units: dict[int, str] = {}
     why: dict[int, str] = {}
@@ -549,7 +549,7 @@ _SIGNALS = {"V", "mV", "A", "mA", "m", "cm", "mm", "px", "counts"}
 
 
 def _without_motion(raw: RawTable, columns: Columns) -> DatasetError:
-    """Return the error for a table without a column for the angle or the speed, with the columns that may be one."""
+    """Return the error for a table without a column for the angle or the speed; it lists columns that may be one."""
     what = f"{raw.header_place}: there is no column for the angle or omega among {_listed(raw.names)}."
     others = [
         i for i in range(len(raw.names)) if i not in columns.place.values() and raw.numeric(i) is not None
