@@ -82,7 +82,7 @@ _SHADES = ((0.99, "white"), (0.90, "light gray"), (0.0, "gray"))
 
 
 def shade(r2: float) -> str:
-    """Return the paper's shade of an R2: "white" (from 0.99), "light gray" (0.90), "gray" (0) or "dark gray"."""
+    """Return the paper's shade of an R2: "white" from 0.99, "light gray" from 0.90, "gray" from 0, else "dark gray"."""
     return next((name for least, name in _SHADES if r2 >= least), "dark gray")
 
 
@@ -93,8 +93,8 @@ WIDTHS = {
     "bearing.linear.d": 0.5,
     "bearing.power.f": 0.5,
 }
-"""Relative half width of the range of each parameter; all others keep their declared bounds [1]. Source: bounds that
-the paper prints."""
+"""Relative half width of the range of each listed parameter; other parameters keep their declared bounds [1]. Source:
+bounds that the paper prints."""
 
 
 def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str, tuple[float, float]]:
@@ -367,7 +367,7 @@ def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None
     small = _model("reduced", reduced, data, noise, {}, {})
     count.add(2)
     ranges = paper_ranges(reduced, labels)
-    # the extended model starts at the optimum of the smaller model, so that its deviance is not larger
+    # the extended model starts at the optimum of the smaller model, so that the extension cannot increase the deviance
     wide = Model.of(GENERAL)
     general = [
         fit(wide, [d], noise=[n], ranges=ranges, start=_extended(wide, f))
@@ -396,7 +396,7 @@ def _model(
 
 
 def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> tuple[Row, ...]:
-    """Fit the runs of a table, small models first: a larger model with a power law starts at a smaller model."""
+    """Fit the runs of a table, small models first, because a larger model with a power law starts at a smaller fit."""
     rows: dict[Run, Row] = {}
     for run in sorted(runs, key=lambda r: len(r.terms)):
         inner = [r.fit for r in rows.values() if r.fit is not None and set(r.run.terms) < set(run.terms)]

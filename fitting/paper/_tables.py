@@ -42,8 +42,8 @@ def three_digits(x: float) -> str:
 def concise(value: float, error: float) -> str:
     """Return a number with its standard error in units of the last digit: ``9.97(12)``, ``4080(120)``.
 
-    The error has two digits if they are between 10 and 29, else one digit. A number without a standard error has three
-    significant digits.
+    The error has two digits if these are between 10 and 29, otherwise one digit. A number without a standard error has
+    three significant digits.
     """
     if not (math.isfinite(value) and math.isfinite(error) and error > 0):
         return three_digits(value)

@@ -32,7 +32,7 @@ _BLOCKS = 100  # largest number of intervals in which mean speeds are compared
 # smallest median of an input that drives the body [share of the largest value of the input]
 _LEAST_LEVEL = 0.05
 _EXPLAINED = 0.9  # smallest share of the variance of the speed that a first-order response explains
-_REST = 0.02  # largest speed of a body that counts as at rest before a constant drive [range of the speed]
+_REST = 0.02  # largest speed at rest before a constant drive [share of the range of the speed]
 _GRID = 24  # number of time constants in the search grid; the number of delays is half of it
 _LONGEST_DELAY = 0.1  # largest dead time in the search [share of the length of the record]
 _FEWEST = 12

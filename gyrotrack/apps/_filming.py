@@ -1,4 +1,4 @@
-"""Rendered films that imitate the films of a case: the scene is that of the case, the motion is that of a fit.
+"""Rendered films that imitate the films of a case: they show the scene of the case with the motion of a fit.
 
 Image size, frame rates, start times, centre and tilt are taken from the recordings. The markers have the radii,
 widths, mount angles and colours that `extract` measured. The exposure follows from the motion blur of the rotor's

@@ -35,7 +35,7 @@ _SPEED_ORDERS = range(1, 16)
 _FEWEST_DEGREES = 5.0
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
-# largest difference of the criteria of two degrees that the data do not separate (R. Kass, A. Raftery, 1995)
+# two degrees are not separated by the data up to this difference of their criteria (R. Kass, A. Raftery, 1995)
 _INSEPARABLE = 10.0
 # degrees for the fit in growing windows; polynomials of higher degree extrapolate badly
 _TRACKED_ORDERS = _WAVE_ORDERS[2]
@@ -69,7 +69,7 @@ class Value:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """The motion of one body; values from angles are unknown if only passages of light gates were measured."""
+    """The motion of one body; if only passages of light gates were measured, values that need angles are unknown."""
 
     kind: str  #: `spin-down`, `spin-up`, `steady`, `oscillation`, `reversing`, `fluctuating` or `driven`.
     turns: float  #: Range of the angle [turns].
@@ -496,7 +496,7 @@ class _Wave:
         return criterion, errors
 
     def extended(self, c: Floats, other: _Wave) -> Floats:
-        """Convert the parameters of another model of this class; additional ones are zero."""
+        """Convert the parameters of another model of this class; additional parameters are zero."""
         split = 5 + other.phase
         phase = np.zeros(self.phase - 1)
         envelope = np.zeros(self.envelope - 1)
@@ -593,7 +593,7 @@ def _sinusoid(frequency: float, t: Floats, angle: Floats) -> Floats:
 def _tracked_oscillation(
     wave: _Wave, frequency: float, t: Floats, angle: Floats, sigma: Floats
 ) -> Floats | None:
-    """Fit an oscillation in a window about the middle of the record that grows to both ends; None if it is too short.
+    """Fit an oscillation in a window that grows from the middle of the record to both ends; None for a short record.
 
     In a window of a few periods the phase is unambiguous, even if frequency and amplitude change outside of the
     window.

@@ -84,7 +84,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-# kinds of films that no other method tracks; if there are two bodies, the user must select one
+# kinds of refused films that no other method tracks; if a film shows two bodies, the user must select one
 _NO_OTHER_WAY = ("cut", "no motion", "two bodies", "two links")
 _MIN_TRACKED = 0.8  # smallest share of frames in which the paper's markers must be found to be used
 
@@ -322,7 +322,7 @@ def _by_silhouette(
 ) -> tuple[Recording, TrackedPoint] | None:
     """Track a ball on a string or a long body about a tilted axis if the silhouettes in a few frames show one.
 
-    None for any other film.
+    The result is None for any other film.
     """
     if look.long is not None and options.tilt is None:
         with suppress(TrackingError):
@@ -795,7 +795,7 @@ def _analysed(
             recorder = study.recorder(parent, base)
             reversals = len(base.problem.data[0].motion.reversals)
             long = DEFAULT.refits_through(reversals) == 1
-            # an exact fit over hundreds of reversals takes long: the averaged equations are used instead
+            # an exact fit over hundreds of reversals takes long, so the averaged equations are used instead
             first = rank(base, refitting=False) if long and laws is not None else None
             steps = None if not long else int(laws is None)
             history = improve(base, [], max_steps=steps, first=first, workers=workers, keep=recorder)
@@ -852,7 +852,7 @@ def _analysed(
 
 
 def drives_of(case: Case) -> tuple[Input, ...]:
-    """Return the recorded inputs that drive the body: all except temperatures, because a temperature is not a drive."""
+    """Return the recorded inputs that drive the body: all inputs except temperatures, which are not drives."""
     return tuple(i for i in case.inputs if i.unit != "K")
 
 

@@ -344,7 +344,7 @@ def read_cases(
 
 
 def latest_fits(runs: Sequence[Path], effects: Sequence[str] | None = None) -> dict[str, Entry]:
-    """Return the latest fit of each run by name of the run; a path is a case with a ledger next to it, or a ledger.
+    """Return the latest fit of each run, by name of the run; a run is a case with a ledger next to it, or a ledger.
 
     `effects`, if given, are the sorted names of the effects in the model of the fit.
     """

@@ -216,7 +216,7 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
 
 
 def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
-    """Return the chart of the unmodelled torque on the casing against its speed, with the difference."""
+    """Return the chart of the unmodelled torque on the casing against its speed, with the added torque."""
     factor, prefix = _torque_scale(view, view.main)
     traces: list[Trace] = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):

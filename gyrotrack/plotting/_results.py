@@ -1,6 +1,6 @@
 """Figures of the commands `laws`, `plan` and `compare`.
 
-`laws`: unmodelled torque against its variable with the laws, explained shares, ranking. `plan`: detection limits, upper
+`laws`: unmodelled torque and laws against their variable, explained shares, ranking. `plan`: detection limits, upper
 limits, power curves, next run. `compare`: each parameter in each run, as a difference from the mean; for many runs,
 against the time of the run.
 """

@@ -97,9 +97,7 @@ class CaseView:
     smoothing_width: int  # number of points of the running median
     models: tuple[CaseModel, ...]  # the base model and, if it differs, the final model
     added: AddedTorque | None  # torque of the final model minus torque of the base model
-    alternatives: tuple[
-        AddedTorque, ...
-    ]  # added torques of the best other candidate effects, each after a refit
+    alternatives: tuple[AddedTorque, ...]  # torques of the best other candidate effects, each after a refit
     energy: tuple[Energy, ...]  # energy balance of each step
     failures: tuple[Failure, ...]  # intervals with significant lack of fit of the base model
     # for an oscillation: measured angle from the equilibrium [rad], period [s]
@@ -260,7 +258,7 @@ def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int
 
 
 def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
-    """Return the torque of another model minus that of the base, along the other model's motion; None if equal."""
+    """Return the torque of another model minus the torque of the base, along the other motion; None if equal."""
     from fitting.dynamics._collocation import Sampler
 
     old, new = base.problem.cases[index], other.problem.cases[index]

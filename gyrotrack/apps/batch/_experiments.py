@@ -42,7 +42,7 @@ class Experiment:
     """One case to be processed."""
 
     label: str  # name of the case
-    # one film of the casing and one or more of the rotor, or a single film that is only tracked
+    # one film of the casing and one or more films of the rotor, or a single film that is only tracked
     clips: tuple[Clip, ...] = ()
     data: Path | None = None  # an existing case file instead of films
     surface: str = ""  # surface on which the casing turns
@@ -284,7 +284,7 @@ class _Row(_Facts):
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
-    """Read a manifest in TOML or CSV; films are checked when opened, so an unreadable one does not stop the batch."""
+    """Read a manifest in TOML or CSV; films are checked when opened, so an unreadable film does not stop the batch."""
     if path.suffix.lower() == ".csv":
         return with_folders(_from_rows(path), path)
     manifest = read_document(path, Manifest, what="manifest")

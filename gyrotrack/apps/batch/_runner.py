@@ -211,7 +211,7 @@ class Row:
 
     label: str  #: Name of the case.
     folder: str  #: Folder of its results.
-    state: str  #: `done`, `partly` (a film failed, the others were processed) or `failed`.
+    state: str  #: `done`, `partly` (a film failed, the other films were processed) or `failed`.
     films: int  #: Number of films.
     tracked: int  #: Number of tracked films.
     frames: int  #: Number of frames of the tracked films.

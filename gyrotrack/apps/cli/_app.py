@@ -150,7 +150,7 @@ def prepare_process() -> None:
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
     if os.path.expanduser("~").startswith("~"):  # noqa: PTH111 - Path.home() raises: no $HOME and an unknown user
         os.environ["HOME"] = (
-            "/nonexistent"  # libraries need a home folder; this is the usual one for users without a home
+            "/nonexistent"  # libraries need a home folder; this is the usual name for users without a home
         )
     catch_sigterm()
 

@@ -71,10 +71,10 @@ def certify_command(
 ) -> int:
     """Test an answer on recordings that are simulated from its fit.
 
-    The same bodies, samples and windows are simulated with new random errors, and analysed in the same way: without
-    the named effect (how often is there a false alarm?), with it (how often is it found, and do the intervals contain
-    the true values?), and with each effect that could be mistaken for it. The result is stored with the fit; a run
-    that was interrupted continues.
+    The same bodies, samples and windows are simulated with new random errors, and analysed in the same way: without the
+    named effect (how often is there a false alarm?), with this effect (how often is it found, and do the intervals
+    contain the true values?), and with each effect that could be mistaken for the named effect. The result is stored
+    with the fit; a run that was interrupted continues.
 
     Example: gyrotrack certify case1.h5 -n 200
     """

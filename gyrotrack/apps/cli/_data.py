@@ -305,7 +305,7 @@ def _plots(case: Case) -> list[str]:
 
 
 def _plotted(case: Case) -> list[PlottedMotion]:
-    """Return the speeds of the bodies over time, thinned, for a plot of the workbench."""
+    """Return the speeds of the bodies over time, reduced to fewer points, for a plot of the workbench."""
     import numpy as np
 
     found: list[PlottedMotion] = []

@@ -183,7 +183,8 @@ def budget_command(
         float | None,
         option(
             "--clock-rate U",
-            "Relative standard uncertainty of the time base; by default that of a crystal, 2.9e-5.",
+            "Relative standard uncertainty of the time base; by default 2.9e-5, the uncertainty of a quartz "
+            "crystal.",
         ),
     ] = None,
     speed_scale: Annotated[

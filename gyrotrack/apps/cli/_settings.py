@@ -173,7 +173,7 @@ def as_words(settings: Settings, entry: Entry, given: frozenset[str]) -> tuple[s
 
 
 def options_of(entry: Entry) -> dict[str, str]:
-    """Return the options of a command: key in a settings file by name of the parameter."""
+    """Return the options of a command: the key of each parameter in a settings file."""
     return {name: key for name, (key, _) in _options(entry).items()}
 
 

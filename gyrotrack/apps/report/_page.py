@@ -595,7 +595,7 @@ _HEAD = 200  # bytes
 
 
 def is_report(path: Path) -> bool:
-    """Return whether a file is a report of this program, or does not exist: a report may then have its name."""
+    """Return whether a report may be written to this path: the file is missing, or is a report of this program."""
     try:
         with open_side_file(path) as stream:
             return _GENERATOR in stream.read(_HEAD)

@@ -435,7 +435,7 @@ class Project:
         return job.document if job is not None and job.state == "done" else {}
 
     def read(self, key: str) -> None:
-        """Read a table in a separate process without writing a case, for the meaning of each column and the speeds."""
+        """Read a table in a separate process without writing a case, to show the columns' meaning and the speeds."""
         with self._lock:
             x = self.source(key)
             if x.kind != "table":

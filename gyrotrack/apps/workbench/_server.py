@@ -1,9 +1,9 @@
 """The server of the workbench, on this machine only.
 
-The server listens on the loopback interface and rejects requests from other sites. The Host header reveals other host
-names (DNS rebinding), and the Origin or Sec-Fetch-Site header reveals forms and scripts of other sites. Each request
-also needs the token, which is new at each start. The first visit has the token in the address, and exchanges the token
-for a cookie.
+The server listens on the loopback interface and rejects requests from other sites. The Host header shows requests to
+other host names (DNS rebinding), and the Origin or Sec-Fetch-Site header shows requests from forms and scripts of other
+sites. Each request also needs the token, which is new at each start. The first visit has the token in the address, and
+exchanges the token for a cookie.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ _TAKEN = {
     "t", "omega_r", "omega_c", "psi_r", "psi_c", "deflection", "delta", "pi",
     "abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", "heaviside",
 }  # fmt: skip
-# smallest share of equal neighbours in a column that counts as a command, whose last value holds
+# a column with at least this share of equal neighbours counts as a command, whose last value holds
 _HELD = 0.5
 
 

@@ -1,8 +1,8 @@
 """Samples of one motion from the columns of a table.
 
 Times are sorted, repeated times averaged, and rows without a value excluded; every repair is reported with its line. A
-clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps. If it
-contains no uncertainty, the uncertainty of the samples is estimated from their scatter.
+clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps. If the
+table contains no uncertainty, the uncertainty of the samples is estimated from their scatter.
 """
 
 from __future__ import annotations
@@ -623,7 +623,8 @@ def without_spikes(value: Floats, name: str, notes: list[str], line: Integers | 
     """Return values in which single samples far from both neighbours are NaN; `notes` reports them.
 
     A transmission error or a lost point changes one sample: the changes before and after it have opposite signs and far
-    exceed the usual changes of the record. Motion and rest, steps of the resolution and wrapped angles do not.
+    exceed the usual changes of the record. Motion and rest, steps of the resolution and wrapped angles do not cause
+    such changes.
     """
     known = np.flatnonzero(np.isfinite(value))
     if len(known) < MIN_SAMPLES:
@@ -726,7 +727,7 @@ def is_wrapped(angle: Floats) -> bool:
 
 
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
-    """Order a table by time and average repeated times, with `notes`; a DatasetError if the order is in doubt."""
+    """Order a table by time and average repeated times, with `notes`; an uncertain order is a DatasetError."""
     name, value = table.path.name, table.value
     if table.quantity == "angle" and len(value) and is_wrapped(value):
         value = np.unwrap(value)

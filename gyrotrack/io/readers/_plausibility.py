@@ -172,7 +172,7 @@ def wraps_at_no_turn(angle: Floats) -> bool:
 
 
 def ratio_of_units(time: Floats, angle: Floats, omega: Floats) -> tuple[float, str]:
-    """Return the ratio of the slopes of an angle to a speed, both in SI, and the units that would explain the ratio.
+    """Return the ratio of the slope of an angle to the speed, both in SI, and the units that would explain the ratio.
 
     The ratio is nan if the speed does not belong to the angle. The text is empty if both agree or no unit explains the
     ratio.

@@ -1,4 +1,4 @@
-"""Points tracked by another program, and the angle of one of them about a centre."""
+"""Points tracked by another program, and the angle of one point about a centre."""
 
 from __future__ import annotations
 

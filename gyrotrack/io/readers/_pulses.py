@@ -489,7 +489,7 @@ def _blocked(time: Floats, state: Floats, raw: RawTable, notes: list[str]) -> Fl
 def from_events(
     raw: RawTable, time: Floats, line: Integers, per_turn: float, notes: list[str]
 ) -> MotionTable:
-    """Return the angle of a body at its pulses, with missed pulses added and double ones excluded."""
+    """Return the angle of a body at its pulses, with missed pulses added and double pulses excluded."""
     if len(time) < MIN_SAMPLES:
         what = f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer recording.")
@@ -980,7 +980,7 @@ def _roughness(time: Floats, count: Floats) -> float:
 
 
 def clock_scale(raw: RawTable, ticks: Floats) -> float:
-    """Return the factor to seconds of integer times: us for steps of at least 1000, ms for steps of more than 10.
+    """Return the factor from integer times to seconds: us for steps of at least 1000, ms for steps of more than 10.
 
     Steps of more than five seconds in us are ambiguous: a DatasetError requests the unit.
     """
