@@ -52,12 +52,13 @@ USES = (
     ),
     Use(
         "an encoder, wrapped, in degrees",
-        "no option: angles that wrap at 360 are degrees; the quantisation step / sqrt(12) is in sigma",
+        "no option: angles that wrap at 360 are degrees; sigma includes the quantisation step / sqrt(12)",
         (names.TEXT,),
     ),
     Use(
         "times of pulses, one per line, or the intervals between them",
-        "add `--pulses-per-turn 1`; intervals are recognised where they do not increase, else `--column interval=1`",
+        "add `--pulses-per-turn 1`; intervals are recognised if they do not always increase, otherwise add "
+        "`--column interval=1`",
         (names.TEXT,),
     ),
     Use(
@@ -67,20 +68,21 @@ USES = (
     ),
     Use(
         "a photodiode, Hall sensor or oscilloscope (sampled voltage), or the brightness of a window of a film",
-        "add `--pulses-per-turn N`: pulses are the rising edges; of several columns `--marker NAME` selects one",
+        "add `--pulses-per-turn N`: pulses are the rising edges; `--marker NAME` selects one of several "
+        "columns",
         (names.TEXT,),
     ),
     Use(
         "a light gate with states 0 and 1",
-        "of a rotation: add `--pulses-per-turn N`; of a pendulum: `gyrotrack spindown "
-        "FILE` measures period and decay; a gate gives no angles to import",
+        "rotation: add `--pulses-per-turn N`; pendulum: a light gate gives no angles to import, but "
+        "`gyrotrack spindown FILE` measures period and decay",
         (names.TEXT,),
     ),
     Use(
         "phyphox (CSV, `.xls` or zipped)",
-        "no option: the axis of the gyroscope with the largest signal; another with `--column "
-        "'omega=Gyroscope z (rad/s)'`; the error of its scale (1 to 3 % in phones, see the data sheet) "
-        "is taken into account by `gyrotrack budget --speed-scale 0.02`",
+        "no option: the axis of the gyroscope with the largest signal is used; `--column 'omega=Gyroscope z "
+        "(rad/s)'` selects another axis; `gyrotrack budget --speed-scale 0.02` includes the error of the "
+        "scale of the gyroscope (1 to 3 % in phones, see the data sheet)",
         (names.TEXT, names.ARCHIVE, names.EXCEL_97),
     ),
     Use(
@@ -95,8 +97,8 @@ USES = (
     ),
     Use(
         "a motor with its voltage, current or PWM",
-        "add `--input 'voltage=3 [V]'`, so that laws may depend on it; `gyrotrack spindown` takes the same option and "
-        "fits the first-order response",
+        "add `--input 'voltage=3 [V]'`, so that laws may depend on this input; with the same option, "
+        "`gyrotrack spindown` fits the first-order response",
         (names.TEXT,),
     ),
     Use(
@@ -121,7 +123,7 @@ USES = (
     ),
     Use(
         "a capture of dSPACE (struct with `X` and `Y`)",
-        "add `--column 'omega=Sum3 [rpm]'`; without it the signals are listed",
+        "add `--column 'omega=Sum3 [rpm]'`; without this option the signals are listed",
         (names.MATLAB, names.MATLAB_7_3),
     ),
     Use(
@@ -133,15 +135,15 @@ USES = (
 
 
 def tables() -> str:
-    """Return what to add for which data, and the formats with their usual suffixes."""
+    """Return the tables of the page: the command for each kind of data, and the formats with their usual suffixes."""
     parts = ["| you have | command |", "|---|---|", *(f"| {u.what} | {u.how} |" for u in USES)]
     parts += ["", "| format | usual suffixes |", "|---|---|", *_suffixes(names.SUFFIXES)]
     parts += [
         "",
-        "`profile`, `extract` and `spindown` read films. The header of a Photron camera states the capture rate; its",
-        "frames are shown in grey, also those of a Bayer sensor. A TIFF stack states its rate if ImageJ or an OME",
-        "program wrote it; grey values are scaled by the darkest and the brightest one. `spindown` reads interlaced",
-        "film as two fields.",
+        "`profile`, `extract` and `spindown` read films. The header of a Photron camera states the capture rate; the",
+        "frames of this camera are shown in grey, even if its sensor is a Bayer sensor. A TIFF stack states its rate",
+        "if ImageJ or an OME program wrote it; its grey values are scaled by the darkest and the brightest value.",
+        "`spindown` reads interlaced film as two fields.",
         "",
         *("| film | usual suffixes |", "|---|---|", *_suffixes(names.FILMS)),
     ]

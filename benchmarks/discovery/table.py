@@ -19,31 +19,33 @@ HERE = Path(__file__).parent
 TARGET = HERE / "RESULTS.md"
 RIVALS, FORMS = HERE / "rivals.jsonl", HERE / "forms.jsonl"
 _EXPLAINED = """\
-Shares with their 95 % intervals (Clopper-Pearson). *Right first*: the answer is "missing effect" and the one named
-first is the hidden one, or its exact twin (`casing.windage` and `bearing.load`; `external.constant` and
-`touchpoint.constant`). *In the class*: it is among the names given. *In reach*: an oracle that knows the noise and the
-effect's own constants, with one nearest rival, would detect it and name it first in more than nine of ten recordings
-(`oracle.py`); what is out of reach no method finds. The *bound* is the mean of the oracle's rate over the same runs."""
+Shares are given with their 95 % intervals (Clopper-Pearson). *Right first*: the answer is "missing effect", and the
+effect named first is the hidden effect or its exact twin (`casing.windage` and `bearing.load`; `external.constant`
+and `touchpoint.constant`). *In the class*: the hidden effect is among the named effects. *In reach*: an oracle knows
+the noise, the constants of the effect and its nearest rival; in more than nine of ten recordings this oracle would
+detect the effect and name it first (`oracle.py`). No method finds effects that are out of reach. The *bound* is the
+mean rate of the oracle over the same runs."""
 
 _ELSEWHERE = """\
-Drawn by lot (`elsewhere.py`): bodies, friction, speeds, length of the runs, rates of the cameras, number and place of
-the rotor's windows, noise of an angle (0.3 to 4 mrad), number of recordings, strength (0.3 to 3 %), and in half of the
-runs level and memory (0.05 to 5 s) of a random torque. With the seeds 0 to 2 faults of the search were found and
-mended, and the test that doubts a single name was written after looking at them; no number in the program was chosen
-by any of them. The seeds from 3 on came after that. In seed 3 one resonance was taken for a swing, in seed 4 an empty
-recording was called unexplained; both were mended as well, in general ways, and run again: these two are no fresh
+The following are drawn at random (`elsewhere.py`): bodies, friction, speeds, length of the runs, rates of the
+cameras, number and place of the rotor's windows, noise of an angle (0.3 to 4 mrad), number of recordings, strength
+(0.3 to 3 %), and in half of the runs level and correlation time (0.05 to 5 s) of a random torque. With the seeds 0 to
+2, faults of the search were found and corrected, and the test that doubts a single name was written after an
+inspection of these runs; no number in the program was chosen with them. The seeds from 3 on were run afterwards. In
+seed 3 one resonance was taken for a sinusoidal torque, and in seed 4 a recording without a hidden effect was called
+unexplained. Both faults were also corrected, in general ways, and both runs were repeated; they are not a fresh
 sample."""
 
 _FOREIGN = """\
-Written down when the search was finished (`foreign.py`). At commit 2ad712f a table that swings was called noise, and
-the square of the time was named a precession in two of four runs; both were mended, in general ways, before these
-runs."""
+These laws were written when the search was finished (`foreign.py`). At commit 2ad712f a table that swings was called
+noise, and the square of the time was named a precession in two of four runs; both faults were corrected, in general
+ways, before these runs."""
 
 _OTHERWISE = """\
-Two recordings, 1 %, effects that show in the casing's equation. PySINDy (STLSQ, threshold by BIC) and a stepwise BIC
-see speeds made from the same angles, with the base's terms given to them, the power of its bearing included, and the
-base's fitted rotor speed between the windows (`rivals.py`). A term of the generic library counts as right if any
-effect that has it is the hidden one."""
+Two recordings, 1 %, effects that act in the equation of the casing. PySINDy (STLSQ, threshold by BIC) and a stepwise
+BIC receive speeds made from the same angles, the terms of the base with the power of its bearing, and the fitted
+rotor speed of the base between the windows (`rivals.py`). A term of the generic library counts as right if any effect
+that contains this term is the hidden effect."""
 
 
 def page(lines: list[Line], rivals: list[Line], forms: list[Line]) -> str:

@@ -29,23 +29,24 @@ _BINS = (0.0, 5.0, 15.0, 100.0, np.inf)
 _HEAD = """# Laws outside the library
 
 Made by `python benchmarks/laws/table.py` from results.jsonl and rivals.jsonl. Gyroscopes, laws, constants and cameras
-are drawn by lot and integrated in plain Python (benchmarks/discovery); two recordings are searched, a third one at
-60-80 % of the speed is predicted. The largest torque of a law is 1-5 % of the bearing's.
+are drawn by lot and integrated in plain Python (benchmarks/discovery); two recordings are searched, and a third
+recording at 60-80 % of the speed is predicted. The largest torque of a law is 1-5 % of the bearing's.
 
-- Form: the true form is among the first five formulas of the set. Torques: the same, with formulas of the same torque
-  along the recorded motion counted once.
-- Torque error: rms of the net torques of the best law's fit minus the true ones, both bodies, along the true motion,
-  over the rms of the hidden torque.
-- Third: rms error of the casing's angle in the third recording over the noise; touch point, drag of the casing and
-  start speeds free.
-- Oracle (oracle.py): size of the law in sigma beside the base; number of laws that data without noise would leave
-  within the equivalence width; errors of the fit of one who knows the form.
+- Form: the true form is among the first five formulas of the set. Torques: the true form is among the first five
+  torques, where formulas with the same torque along the recorded motion count once.
+- Torque error: rms of the error of the net torques on both bodies, for the fit of the best law along the true motion,
+  divided by the rms of the hidden torque.
+- Third: rms error of the predicted angle of the casing in the third recording, divided by the noise. Touch point,
+  drag of the casing and initial speeds are free.
+- Oracle (oracle.py) knows the true form. Sigma: size of the law that the base cannot represent. Set: number of laws
+  that data without noise would leave within the equivalence width. Torque error: error of a fit of the true form.
 
-Each line of results.jsonl has the commit that was measured; those without process noise are older than those with it.
+Each line of results.jsonl has the commit that was measured. Lines without process noise are older than lines with
+process noise.
 
-The diagnosis that precedes the search in the command is left out here, but where "whole command" is said: the rest are
-figures of the search alone. Most forms of the hidden laws are in the grammar; their constants, bodies and mixtures with
-the base are drawn.
+The command makes a diagnosis before the search. Only the tables with the title "the whole command" include this
+diagnosis; the other tables measure the search alone. Most forms of the hidden laws are in the grammar; their
+constants, bodies and mixtures with the base are drawn.
 """
 
 
@@ -115,8 +116,8 @@ def whole(lines: list[Line], words: str) -> list[str]:
     text = [
         f"## Hidden laws, the whole command{words}, no process noise",
         "",
-        "Other gyroscopes and constants than above. Where the library has the law, or one of the same torque beside",
-        "the base, its name is the answer."
+        "The gyroscopes and constants differ from those above. Where the library has the law, or a law with the same",
+        "torque apart from the base, the name of this law is the right answer."
         + (" The complete diagnosis runs only where an effect of the library may suffice." if words else ""),
         "",
         "| hidden | answer | true form | torque error | third | CPU s |",
@@ -207,7 +208,7 @@ def rivals(lines: list[Line], others: list[Line]) -> list[str]:
     text = [
         "## Other methods on the same recordings",
         "",
-        "Right: the true form is among the first five. What each of them is given is in rivals.py.",
+        "Right: the true form is among the first five. `rivals.py` states what each method is given.",
         "",
         "| method | "
         + " | ".join(f"right, {n:g} N m" for n in noises)
@@ -232,7 +233,7 @@ def rivals(lines: list[Line], others: list[Line]) -> list[str]:
     if good:
         text += [
             "",
-            "gplearn returns a formula for the unmodelled torque on the casing, not one of the grammar: its error is",
+            "gplearn returns a formula for the unmodelled torque on the casing that is not in the grammar: its error",
         ]
         text.append(
             f"below 3 % in {sum(e < 0.03 for e in good)} of {len(good)}, below 30 % in {sum(e < 0.3 for e in good)}."

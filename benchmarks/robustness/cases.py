@@ -519,7 +519,7 @@ def table(rows, skipped):
         "",
         f"Made by `python benchmarks/robustness/cases.py --write`; {len(rows)} cases run at the commits",
         f"{', '.join(sorted({r['commit'] for r in rows}))}, {skipped} not possible on this machine.",
-        "The docstring of the script says what is counted.",
+        "The docstring of the script describes what is counted.",
         "",
         "| group | cases | hangs | bug messages | damaged | leftovers | breaches | other exit code | slowest [s] |",
         "|---|---|---|---|---|---|---|---|---|",

@@ -36,8 +36,8 @@ COLUMNS = (
 FREE = "u(I_casing) 3 % stated, setup.inertia added"
 RIGHT = "hidden law in the model"
 INHERENT = (
-    "With the hidden law in the model nothing but the inertia is wrong: these factors are what an error of the "
-    "inertia costs in these data. A factor near 1 needs the inertia as a parameter."
+    "With the hidden law in the model, only the inertia is wrong: these factors are the effect of an error of the "
+    "inertia in these data. A factor near 1 requires the inertia as a parameter."
 )
 STRENGTH, FASTEST = 2e-6, 160.0  # N m at rad/s
 

@@ -113,8 +113,8 @@ def table(found: dict[str, Any]) -> str:
     lines = [
         "# Seeing: the report, its page, the workbench",
         "",
-        "Made by `python benchmarks/seeing/measure.py`, which says what is measured. Two recordings of 200 s, 52,000",
-        "angles of the casing and 3 x 3,000 of the rotor each.",
+        "Made by `python benchmarks/seeing/measure.py`, which describes what is measured. Two recordings of 200 s,",
+        "52,000 angles of the casing and 3 x 3,000 of the rotor each.",
         "",
     ]
     for part, result in found.items():

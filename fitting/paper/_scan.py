@@ -1,7 +1,7 @@
-"""All on/off combinations of the paper's terms, its two models, and the robustness of parameters.
+"""All on/off combinations of the paper's terms, the paper's two models, and the robustness of parameters.
 
-Tables 1 and 2 vary the drags of rotor and casing (the bearing has its linear law): all four terms, then each omitted
-once. Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen combinations of c, d, e and f.
+Tables 1 and 2 vary the drags of rotor and casing, with the linear law of the bearing: all four terms, then each term
+omitted once. Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen combinations of c, d, e and f.
 
 Cross-validation over recordings: shared parameters have the values of a fit of the other recordings. Only parameters
 that the other recordings do not determine are free: the friction at the touch point (another surface) and the initial
@@ -82,7 +82,7 @@ _SHADES = ((0.99, "white"), (0.90, "light gray"), (0.0, "gray"))
 
 
 def shade(r2: float) -> str:
-    """Return the paper's shade of an R2: "white" (from 0.99), "light gray" (0.90), "gray" (0) or "dark gray"."""
+    """Return the paper's shade of an R2: "white" from 0.99, "light gray" from 0.90, "gray" from 0, else "dark gray"."""
     return next((name for least, name in _SHADES if r2 >= least), "dark gray")
 
 
@@ -93,16 +93,16 @@ WIDTHS = {
     "bearing.linear.d": 0.5,
     "bearing.power.f": 0.5,
 }
-"""Relative half width of the range of each parameter; all others keep their declared bounds [1]. Source: bounds that
-the paper prints."""
+"""Relative half width of the range of each listed parameter; other parameters keep their declared bounds [1]. Source:
+bounds that the paper prints."""
 
 
 def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str, tuple[float, float]]:
     """Return ranges about the mean of separate fits of the reduced model, by name.
 
-    Values of the paper show that the mean is over the separate fits: g = 1.05 and f = 0.0795e-7 of its second case
-    equal the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In the joint fit parameters may have separate
-    values for the cases `labels`. A parameter that is zero in the reduced fits keeps its declared bounds.
+    The mean is over the separate fits, as values of the paper show: in its second case g = 1.05 and f = 0.0795e-7,
+    which equal the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In the joint fit parameters may have
+    separate values for the cases `labels`. A parameter that is zero in the reduced fits keeps its declared bounds.
     """
     ranges = {}
     for key, width in WIDTHS.items():
@@ -193,10 +193,10 @@ def _verdict(column: Column, own: Sequence[Estimate], spread: float, shift: floa
 
 @dataclass(frozen=True)
 class Predicted:
-    """One recording, predicted from the others."""
+    """One recording, predicted from a fit of the other recordings."""
 
     label: str
-    casing: float  # rms error / noise; 1 = noise limit
+    casing: float  # rms prediction error divided by the noise; 1 is the noise limit
     rotor: float
     r2: float  # of the casing's smoothed speed
     rmse: float  # of the casing's smoothed speed [rad/s]
@@ -206,7 +206,7 @@ class Predicted:
 def predict_recordings(
     model: Model, data: Sequence[CaseData], noise: Sequence[Noise], *, alone: Sequence[Fit] = ()
 ) -> tuple[Predicted, ...]:
-    """Predict each recording from a fit of the others.
+    """Predict each recording from a fit of the other recordings.
 
     Parameters
     ----------
@@ -237,7 +237,8 @@ def predict_recordings(
         if len(rest) == 1 and alone:
             others = alone[rest[0]]
         else:
-            # a parameter with a value per case has no value for another recording: here the other recordings share it
+            # a parameter with one value per case has no value for the predicted recording: the other recordings share
+            # one value
             others = fit(model, [data[k] for k in rest], share=shared, noise=[noise[k] for k in rest])
         held_values = {key: others.estimates[key].value for key in shared}
         free = fit(model.with_fixed(held_values), [held], noise=[noise[i]])
@@ -284,7 +285,7 @@ class ModelFits:
     name: str  # "reduced" or "general"
     separate: tuple[Fit, ...]  # on each case
     joint: Fit | None  # None for a single case
-    predicted: tuple[Predicted, ...]  # each case from the others; empty for a single case
+    predicted: tuple[Predicted, ...]  # prediction of each case from the other cases; empty for a single case
     robustness: tuple[Robustness, ...]
 
 
@@ -325,7 +326,7 @@ class Scan:
 
 @single_blas_thread()
 def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None) -> Scan:
-    """Fit every on/off combination of the paper's terms, and its two models.
+    """Fit every on/off combination of the paper's terms, and the paper's two models.
 
     The parameters of the general model are bounded by the paper's ranges about the mean of the separate reduced fits.
     The noise of each case is estimated once, with the reduced model, and used for every run.
@@ -366,7 +367,7 @@ def scan(cases: Sequence[Record | CaseData], *, progress: Progress | None = None
     small = _model("reduced", reduced, data, noise, {}, {})
     count.add(2)
     ranges = paper_ranges(reduced, labels)
-    # the extended model starts at the optimum of the smaller model, so that its deviance is not larger
+    # the extended model starts at the optimum of the smaller model, so that the extension cannot increase the deviance
     wide = Model.of(GENERAL)
     general = [
         fit(wide, [d], noise=[n], ranges=ranges, start=_extended(wide, f))
@@ -395,7 +396,7 @@ def _model(
 
 
 def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> tuple[Row, ...]:
-    """Fit the runs of a table, small models first: a larger model with a power law starts at a smaller model."""
+    """Fit the runs of a table, small models first, because a larger model with a power law starts at a smaller fit."""
     rows: dict[Run, Row] = {}
     for run in sorted(runs, key=lambda r: len(r.terms)):
         inner = [r.fit for r in rows.values() if r.fit is not None and set(r.run.terms) < set(run.terms)]

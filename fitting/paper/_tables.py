@@ -42,8 +42,8 @@ def three_digits(x: float) -> str:
 def concise(value: float, error: float) -> str:
     """Return a number with its standard error in units of the last digit: ``9.97(12)``, ``4080(120)``.
 
-    The error has two digits if they are between 10 and 29, else one digit. A number without a standard error has three
-    significant digits.
+    The error has two digits if these are between 10 and 29, otherwise one digit. A number without a standard error has
+    three significant digits.
     """
     if not (math.isfinite(value) and math.isfinite(error) and error > 0):
         return three_digits(value)
@@ -164,7 +164,7 @@ def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
 
 
 def _short_names(labels: Sequence[str]) -> dict[str, str]:
-    """Return a different name of at most 7 characters for each label: its beginning, its end, or a number."""
+    """Return for each label a unique name of at most 7 characters: its beginning, its end, or a number."""
     beginnings = [label[:7] for label in labels]
     ends = [label if len(label) < 8 else f"…{label[-6:]}" for label in labels]
     numbers = [f"case {i}" for i in range(1, len(labels) + 1)]
@@ -186,7 +186,7 @@ def _metrics(fit: Fit, label: str, predicted: float, *, joint: bool) -> str:
 
 
 def robustness_lines(found: Sequence[Robustness]) -> list[str]:
-    """Return the lines of the table of robustness; spread and shift are shares of the mean."""
+    """Return the lines of the table of robustness; spread and shift are relative to the mean."""
     lines = [f"{'':<4}{'mean':>12}  {'unit':<10}{'spread':>10}{'shift':>10}{'sigma':>9}  verdict"]
     for r in found:
         sigma = "" if math.isnan(r.sigma) else f"{r.sigma:.1f}" if r.sigma < 1e5 else f"{r.sigma:.0e}"
@@ -499,7 +499,7 @@ class ScanModel(TypedDict):
     name: str  #: `reduced` or `general`.
     separate: list[FitDocument]  #: Fit of each case.
     joint: FitDocument | None  #: Joint fit; null for one case.
-    predicted: list[PredictedDocument]  #: Prediction of each case from the others.
+    predicted: list[PredictedDocument]  #: Prediction of each case from a fit of the other cases.
     robustness: list[Robustness]  #: Scatter of each parameter.
 
 

@@ -45,13 +45,15 @@ def extract(
     output : str or Path, optional
         HDF5 file to write; without it nothing is written, and `resume` and `force` have no effect.
     capture_fps : float, optional
-        Capture rate of the camera [1/s]; by default the rate in the profile, in the camera's tag, or in the container.
+        Capture rate of the camera [1/s]; by default the first of three rates that is known: in the profile, in the tag
+        of the camera, in the container.
     profile : Profile, str or Path, optional
         Markers and their colours, or a TOML file that defines them; by default the markers of the paper.
     body : {"casing", "rotor", "both"}, optional
         Body to track; by default every body in view.
     times : {"auto", "stamps", "frames"}
-        Count frames, or use the timestamps of the film; "auto" uses the timestamps if the camera's rate varied.
+        "frames" counts frames at the capture rate, "stamps" uses the timestamps of the film, and "auto" uses the
+        timestamps if the frame rate varied.
     workers : int or None
         Number of processes that track parts of the film; None: one per core. A script that starts several needs the
         guard ``if __name__ == "__main__":``.
@@ -120,7 +122,8 @@ def sync(
 ) -> Case:
     """Put the recordings of one experiment on one clock and return the case.
 
-    The rotor recordings must show the casing too: its angle, measured by both cameras, determines when each started.
+    The rotor recordings must show the casing too: the angle of the casing, which both cameras measure, determines the
+    start of each recording.
 
     Parameters
     ----------

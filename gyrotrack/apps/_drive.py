@@ -1,8 +1,8 @@
 """Detection of a driven body, whose speed rises, and its first-order response to the drive.
 
-Friction never makes a body faster. A body is driven if its speed, averaged over whole turns, rises by more than its
-uncertainty and a share of its largest value. The average is needed because an unbalance makes the speed rise and fall
-within one turn. A law of friction fitted to such a record would describe the drive. The record shows the response
+Friction never makes a body faster. A body counts as driven if its mean speed over whole turns rises significantly and
+by more than a share of the largest speed. The mean is needed because an unbalance makes the speed rise and fall within
+one turn. A friction law fitted to the record of a driven body would describe the drive. The record shows the response
 
     tau d(omega)/dt = gain u(t - delay) + offset - omega
 
@@ -25,15 +25,16 @@ from gyrotrack.io.readers._motion_table import Driver
 from gyrotrack.io.readers._plausibility import rises
 from gyrotrack.io.readers._pulses import varies_both_ways
 
-_LEAST_RISE = 0.05  # smallest rise of the speed of a driven body [largest speed]
+_LEAST_RISE = 0.05  # smallest rise of the speed of a driven body [share of the largest speed]
 _SIGNIFICANT = 6.0  # smallest change of the speed that is significant [standard uncertainties]
 _FEWEST_TURNS = 8  # in fewer turns, an unbalance may cause the rise
 _BLOCKS = 100  # largest number of intervals in which mean speeds are compared
-_LEAST_LEVEL = 0.05  # smallest median of an input that drives the body [its largest value]
+# smallest median of an input that drives the body [share of the largest value of the input]
+_LEAST_LEVEL = 0.05
 _EXPLAINED = 0.9  # smallest share of the variance of the speed that a first-order response explains
-_REST = 0.02  # largest speed of a body that counts as at rest before a constant drive [range of the speed]
+_REST = 0.02  # largest speed at rest before a constant drive [share of the range of the speed]
 _GRID = 24  # number of time constants in the search grid; the number of delays is half of it
-_LONGEST_DELAY = 0.1  # [length of the record]
+_LONGEST_DELAY = 0.1  # largest dead time in the search [share of the length of the record]
 _FEWEST = 12
 
 
@@ -55,7 +56,7 @@ class Response:
 class Drive:
     """Evidence that a body is driven, and its response to the drive."""
 
-    reason: str  # the evidence, as the end of a sentence
+    reason: str  # the evidence for a drive, as the end of a sentence
     # mean speed over the "first" and the "last" turn, and their standard uncertainties [rad/s]; None for few turns
     omega: dict[str, float] | None
     omega_u: dict[str, float] | None
@@ -76,7 +77,7 @@ def drive_of(
     inputs : sequence of Driver
         Measured inputs at the times of the series.
     pulses : bool, optional
-        Whether the samples are pulses.
+        Whether the times of the series are times of pulses.
     """
     driving = [i for i in inputs if _drives(i.value)]
     speeds = _speed_of_turns(series, quantity)
@@ -143,7 +144,7 @@ def _response(series: Series, quantity: str, cause: Driver | None) -> Response |
     measured = np.interp(even, time, measured)
     value = np.ones(len(even))
     if cause is not None:
-        early = 1e-6 * float(even[1] - even[0])  # for rounding errors of the times
+        early = 1e-6 * float(even[1] - even[0])  # allows for rounding errors of the times
         rows = np.clip(np.searchsorted(time, even + early, side="right") - 1, 0, None)
         value = np.nan_to_num(cause.value)[rows]
     several = len(np.unique(value)) > 1
@@ -235,7 +236,7 @@ def _integrated(time: Floats, speed: Floats) -> Floats:
 def _inflation(rest: Floats) -> float:
     """Return the factor by which correlated residuals increase a variance: 1 + 2 times the sum of correlations.
 
-    The sum is truncated at the first correlation that is not positive (R. Priestley's initial positive sequence).
+    The sum ends before the first correlation that is not positive (initial positive sequence, after C. Geyer, 1992).
     """
     size = float(rest @ rest)
     if not size:

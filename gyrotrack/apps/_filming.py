@@ -1,4 +1,4 @@
-"""Rendered films like the films of a case: the tracked scene of the case, with the motion of a fit.
+"""Rendered films that imitate the films of a case: they show the scene of the case with the motion of a fit.
 
 Image size, frame rates, start times, centre and tilt are taken from the recordings. The markers have the radii,
 widths, mount angles and colours that `extract` measured. The exposure follows from the motion blur of the rotor's
@@ -23,7 +23,8 @@ from gyrotrack.io._records import Case, Recording
 from gyrotrack.synthetic._film import render_clip
 from gyrotrack.synthetic._scene import PAPERS, WHITE, Camera, Colour, Light, Marker, Motion, Scene
 
-# chroma below which a marker has no colour; luma of coloured markers, because it is not stored [grey levels]
+# chroma below which a marker counts as colourless; assumed luma of a coloured marker, because recordings do not contain
+# it [grey levels]
 _COLOURLESS, _LUMA = 5.0, 110.0
 # exposure if the motion blur does not determine it, and limits of the exposure [frame period]
 _USUAL_EXPOSURE, _EXPOSURES = 0.4, (0.02, 0.95)

@@ -25,8 +25,8 @@ TURN = 2 * math.pi
 # prior standard deviations of the first three harmonics of the angle [rad]: a hub displaced by 2 % of the radius, a
 # camera tilt of 0.28 rad, and the perspective of this tilt
 VIEW = (0.02, 0.02, 0.005)
-_FEWEST_SAMPLES = 10  # of a motion: the fit of a quadratic in time has seven degrees of freedom
-_MIN_SAMPLES = 12  # of a window
+_FEWEST_SAMPLES = 10  # samples of a motion: the fit of a quadratic in time has seven degrees of freedom
+_MIN_SAMPLES = 12  # smallest number of samples in a window
 _ROUNDING = 1e-6  # smallest range of a harmonic of the angle that exceeds rounding errors
 _ORDERS = range(2, 17)
 _SPEED_ORDERS = range(1, 16)
@@ -35,25 +35,27 @@ _SPEED_ORDERS = range(1, 16)
 _FEWEST_DEGREES = 5.0
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
-# largest difference of the criteria of two degrees that the data do not separate (R. Kass, A. Raftery, 1995)
+# two degrees are not separated by the data up to this difference of their criteria (R. Kass, A. Raftery, 1995)
 _INSEPARABLE = 10.0
 # degrees for the fit in growing windows; polynomials of higher degree extrapolate badly
 _TRACKED_ORDERS = _WAVE_ORDERS[2]
 # highest degree of the polynomials for times and durations of passages through a light gate
 _PASSAGE_ORDER = 4
-_END = 0.05  # part at each end of a record that determines the angular velocity there [duration]
-# a fluctuating speed: smallest number of turns, smallest rise [largest speed] and [standard errors], number of rises
+_END = 0.05  # part of a record that determines the angular velocity at an end [share of the duration]
+# limits for a fluctuating speed: smallest number of turns, smallest rise as a share of the largest speed, smallest rise
+# in standard errors, and smallest number of rises
 _FLUCTUATING_TURNS, _RISE, _RISE_SIGMA, _FEWEST_RISES = 2.0, 0.05, 6.0, 2
 _ALIKE = 4  # neighbouring deviations from a mean speed that are counted as one, because they are correlated
 _MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
 _FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
-# a motion that is not a damped oscillation reverses repeatedly if it passes the middle of its range upwards: smallest
-# number of passages, hysteresis [range], smallest range [standard uncertainties of an angle]
+# a motion that is not a damped oscillation reverses repeatedly if it often passes the middle of its range upwards:
+# smallest number of passages, hysteresis [share of the range], smallest range [standard uncertainties of an angle]
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
-# largest share of the variance of an angle in the residuals of a damped oscillation, without noise; for few and for
-# several periods. The harmonics of a pendulum with an amplitude of 176 degrees have 0.023. Over few periods, the first
-# links of two double pendulums have 0.06 and 0.11; an oscillation that was disturbed within eight periods has 0.07
+# largest share of the variance of an angle that a fitted damped oscillation may leave in the residuals, without noise:
+# limit for few periods, number of periods that count as several, limit for several periods. The harmonics of a pendulum
+# with an amplitude of 176 degrees have 0.023. Over few periods, the first links of two double pendulums have 0.06 and
+# 0.11; an oscillation that was disturbed within eight periods has 0.07
 _UNEXPLAINED, _SEVERAL_PERIODS, _UNEXPLAINED_OF_SEVERAL = 0.04, 4.0, 0.2
 
 
@@ -67,7 +69,7 @@ class Value:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """The motion of one body; values from angles are unknown if only passages of light gates were measured."""
+    """The motion of one body; if only passages of light gates were measured, values that need angles are unknown."""
 
     kind: str  #: `spin-down`, `spin-up`, `steady`, `oscillation`, `reversing`, `fluctuating` or `driven`.
     turns: float  #: Range of the angle [turns].
@@ -98,13 +100,14 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     harmonics of the angle, which a displaced hub and a tilted camera cause. The harmonics have Gaussian priors of
     widths `VIEW`. Over less than two turns they are nearly collinear with the polynomial, and the priors limit their
     contribution to the uncertainty. A rotation is steady if the angular acceleration is consistent with zero (three
-    standard errors). An oscillation is a exp(-d t) cos(2 pi t / P + phi) about a mean that may drift. Phase and
-    logarithm of the amplitude are polynomials in time of a higher degree if the criterion selects this degree. Period,
-    amplitude and decay rate are given for the middle of the record. A motion that passes the middle of its range
-    repeatedly, but is not such an oscillation (beats, a drive), has no period, amplitude or decay rate. A motion that
-    turns back, but is recorded over too few periods for these decisions, is "reversing". A rotation whose speed rises
-    and falls repeatedly, without explanation by friction or by the view, is "fluctuating": the speeds at its ends are
-    local slopes, and the mean speed is the angle of rotation divided by the time.
+    standard errors). An oscillation with amplitude A, decay rate d and period P is A exp(-d t) cos(2 pi t / P + phi)
+    about a mean that may drift. Phase and logarithm of the amplitude are polynomials in time of a higher degree if the
+    criterion selects this degree. Period, amplitude and decay rate are given for the middle of the record. A motion
+    that passes the middle of its range repeatedly, but is not such an oscillation (beats, a drive), has no period,
+    amplitude or decay rate. A motion that turns back, but is recorded over too few periods for these decisions, is
+    "reversing". A rotation is "fluctuating" if its speed rises and falls repeatedly, and neither friction nor the view
+    of the camera explains this. The speeds at its ends are then local slopes, and the mean speed is the angle of
+    rotation divided by the time.
     """
     if len(time) < _FEWEST_SAMPLES:
         what = f"The motion has {len(time)} samples; {_FEWEST_SAMPLES} are needed."
@@ -293,7 +296,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     half = max(abs(t[0]), abs(t[-1]))
     x = t / half
     psi = angle - angle[len(angle) // 2]
-    # harmonics of the smooth angle: harmonics of the measured angle would be correlated with its noise
+    # harmonics of the smoothed angle, because harmonics of the measured angle would be correlated with its noise
     smooth = np.polynomial.Polynomial.fit(x, psi, min(6, len(t) // 3))(x)
     # pulses at whole multiples of the period of a harmonic contain no information on this harmonic
     orders = [
@@ -335,7 +338,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
 
 
 def _free_degrees(turns: float) -> float:
-    """Return the highest degree of a polynomial for the speed that varies more slowly than the harmonics."""
+    """Return the highest degree at which a polynomial for the speed varies more slowly than the harmonics."""
     return max(_FEWEST_DEGREES, turns)
 
 
@@ -351,9 +354,9 @@ def _derivatives(most: int, order: int, place: float) -> Floats:
 def _next_coefficient(fits: Sequence[Estimate]) -> float:
     """Return the plausible size of the first coefficient beyond the polynomial of highest degree; 0 if none is needed.
 
-    The coefficients of a smooth motion decrease geometrically: the next coefficient is c_n^2 / c_(n-1), and at most
-    c_n. This coefficient is needed if the highest degree is the best one, because further degrees may then be
-    significant.
+    The coefficients c of a smooth motion decrease geometrically. With the highest degree n, the next coefficient is
+    therefore c_n^2 / c_(n-1), and at most c_n. It is needed if the polynomial of degree n is the best one, because
+    further degrees may then be significant.
     """
     if len(fits) < 2 or fits[-1].hannan_quinn > min(fit.hannan_quinn for fit in fits):
         return 0.0
@@ -446,9 +449,9 @@ class _Wave:
         """Return the Bayesian information criterion, and the uncertainties of frequency, decay rate and amplitude.
 
         Model errors change slowly in amplitude and in phase. The residuals are therefore demodulated in windows of
-        whole periods. The component in phase with the oscillation determines the amplitude, the component in
-        quadrature determines the phase, and each component has its own correlated noise. For fewer than `_MIN_WINDOWS`
-        periods the correlated noise is a harmonic of the phase with a slowly varying amplitude.
+        whole periods. The component in phase with the oscillation determines the amplitude, the component in quadrature
+        determines the phase, and each component has its own correlated noise. For fewer than `_MIN_WINDOWS` periods the
+        correlated noise is modelled as a harmonic of the phase with a slowly varying amplitude.
         """
         jacobian, one = self.jacobian(c, t), np.eye(self.size)
         size = max(float(np.hypot(c[2], c[3])), 1e-300)
@@ -493,7 +496,7 @@ class _Wave:
         return criterion, errors
 
     def extended(self, c: Floats, other: _Wave) -> Floats:
-        """Convert the parameters of another model of this class; additional ones are zero."""
+        """Convert the parameters of another model of this class; additional parameters are zero."""
         split = 5 + other.phase
         phase = np.zeros(self.phase - 1)
         envelope = np.zeros(self.envelope - 1)
@@ -590,7 +593,7 @@ def _sinusoid(frequency: float, t: Floats, angle: Floats) -> Floats:
 def _tracked_oscillation(
     wave: _Wave, frequency: float, t: Floats, angle: Floats, sigma: Floats
 ) -> Floats | None:
-    """Fit an oscillation in a window about the middle of the record that grows to both ends; None if it is too short.
+    """Fit an oscillation in a window that grows from the middle of the record to both ends; None for a short record.
 
     In a window of a few periods the phase is unambiguous, even if frequency and amplitude change outside of the
     window.
@@ -667,11 +670,10 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     return last
 
 
-# number of windows from which a free motion is extrapolated; smallest speed before a stop [largest speed]
+# number of windows from which a free motion is extrapolated; smallest speed before a stop [share of the largest speed]
 _FREE, _ABRUPT = 3, 0.1
-_AGAIN = (
-    0.5  # smallest later rise of the speed that indicates a motor instead of a drive by hand [first rise]
-)
+# smallest later rise of the speed that indicates a motor, not a drive by hand [share of the first rise]
+_AGAIN = 0.5
 
 
 def _joins(time: Floats, angle: Floats, known: int) -> int:
@@ -717,6 +719,6 @@ def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.
 
 
 def _turns_back(speed: Floats, error: float) -> bool:
-    """Return whether a body turns in both senses with more than 5 standard errors and a fifth of its largest speed."""
+    """Return whether the speed in each sense exceeds 5 standard errors and a fifth of the largest speed."""
     fastest = float(np.abs(speed).max())
     return bool(min(-speed.min(), speed.max()) > max(5 * error, 0.2 * fastest))

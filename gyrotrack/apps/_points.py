@@ -67,8 +67,8 @@ def with_pivot_errors(
     """Add the error of the pivot, which is common to all angles, to the uncertainties of a motion.
 
     The motion is recomputed about pivots that are displaced by one standard deviation along each principal axis of the
-    covariance of the pivot. The changes of a quantity are its uncertainties caused by the pivot. The tilt of the
-    camera scales all angles.
+    covariance of the pivot. The changes of a quantity are its uncertainties caused by the pivot. An error of the tilt
+    of the camera scales all angles.
     """
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     others = [motion_of(series.time, recording.sense * a[taken], series.sigma) for a in point.displaced()]

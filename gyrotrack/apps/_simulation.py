@@ -266,7 +266,8 @@ def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -
 
 
 FORMAT = "gyrotrack seal"
-# laws that are not in the library; the right answer is the law itself; an answer without an effect is the right class
+# laws that are not in the library: an answer with the law itself is graded "right", an answer without an effect "right
+# class"
 OUTSIDE = (
     "casing: -k*omega_c**3",
     "casing: -k*exp(-((omega_c - 110)/12)**2)",
@@ -320,7 +321,7 @@ def draw_effect(present: Sequence[str], random: Any) -> Effect:
 
 
 def hide_effect(model: Model, strength: float) -> Hidden:
-    """Add a random effect to a model; its strength is between half and twice the given one."""
+    """Add a random effect to a model; its strength is between half and twice `strength`."""
     seed = secrets.randbits(48)
     random = np.random.default_rng(seed)
     effect = draw_effect(model.names, random)
@@ -364,7 +365,7 @@ def unseal(path: Path) -> Seal:
     return Seal(effect, parameters, commitment)
 
 
-# earlier versions used the second form
+# earlier versions wrote the second word
 _WITHOUT_MISFIT = ("no_lack_of_fit", "adequate")
 
 
@@ -380,7 +381,7 @@ def answer_of(entries: Sequence[Entry]) -> tuple[list[str], dict[str, tuple[floa
 
 
 def grade(truth: Seal, named: Sequence[str], found: Mapping[str, tuple[float, float]]) -> Score:
-    """Grade an answer: `named` is an effect, then its indistinguishable effects; `found` has (value, error)."""
+    """Grade an answer: `named` has an effect and the effects indistinguishable from it; `found` has (value, error)."""
     outside = truth.effect not in LIBRARY
     equivalent = {truth.effect} if outside else {truth.effect, *LIBRARY[truth.effect].equivalent}
     word = "right class" if set(named) & equivalent or (outside and not named) else "wrong"

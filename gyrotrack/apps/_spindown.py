@@ -84,9 +84,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-# kinds of films that no other method tracks; if there are two bodies, the user must select one
+# kinds of refused films that no other method tracks; if a film shows two bodies, the user must select one
 _NO_OTHER_WAY = ("cut", "no motion", "two bodies", "two links")
-_MIN_TRACKED = 0.8  # smallest fraction of the frames in which the paper's markers are found, if they are used
+_MIN_TRACKED = 0.8  # smallest share of frames in which the paper's markers must be found to be used
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ def _recording_in(path: Path) -> Recording | None:
 def _film(
     source: Path, options: SpindownOptions, progress: Progress | None
 ) -> tuple[Recording, tuple[Film, Tracked | TrackedPoint] | None]:
-    """Track by the profile, else the body's texture, else the paper's markers (without a hub), else a moving body.
+    """Track by the first method that applies: profile, texture, the paper's markers (without a hub), moving body.
 
     If one of the bodies of the paper's markers is selected, the markers come first. A point is followed in four cases:
     a point is selected, no rotating body is found, the hub is outside the picture, or only one compact body moves on an
@@ -322,7 +322,7 @@ def _by_silhouette(
 ) -> tuple[Recording, TrackedPoint] | None:
     """Track a ball on a string or a long body about a tilted axis if the silhouettes in a few frames show one.
 
-    None for any other film.
+    The result is None for any other film.
     """
     if look.long is not None and options.tilt is None:
         with suppress(TrackingError):
@@ -391,7 +391,7 @@ def _limit(film: Film, options: SpindownOptions) -> None:
 def film_recording(
     film: Film, options: SpindownOptions, progress: Progress | None = None, *, free: bool = False
 ) -> tuple[Recording, Tracked]:
-    """Track one body in a film, about a hub or `free` to move across the picture, and make a recording."""
+    """Track one body, which turns about a hub or is `free` to move across the picture, and make a recording."""
     tracked = (track_free_body if free else track_body)(film, _levelled(film, options.hub), progress)
     return _recording_of(film, options, tracked), tracked
 
@@ -633,9 +633,9 @@ class SpindownDocument(TypedDict):
     case: Path | None  #: The case; null for light gates, which measure no angle.
     picture: Path | None  #: Picture of the tracked body; null for a table or recording.
     motion: BodyMotion  #: The motion.
-    response: Response | None  #: Response to a drive that is not fitted; null for a free body.
-    reading: list[ReadingDocument]  #: Interpretation of a table.
-    ambiguous: bool  #: Whether the data leave a doubt, for example of the hub; the exit code is then 3.
+    response: Response | None  #: Response to a drive without a fit; null for a free body or with `--input`.
+    reading: list[ReadingDocument]  #: Interpretation of the columns of a table.
+    ambiguous: bool  #: Whether a doubt remains, for example about the hub; the exit code is then 3.
     report: Path | None  #: The report; null without a diagnosis.
     oscillator: OscillatorLaws | None  #: Laws of an oscillation; null for another motion.
     first_order: list[BodyResponse]  #: Response to recorded inputs, with `--input`.
@@ -720,7 +720,7 @@ def _analysed(
             if isinstance(body[1], TrackedPoint)
             else _with_view_errors(motion, series, recording, body[1])
         )
-    # an uncertainty that all angles share, for example of the distance of the hub, also scales the range
+    # an uncertainty that all angles share (for example, that of the distance of the hub) also scales the range
     usual = min(float(np.median(series.sigma)), white_noise(series.angle, series.time))
     if motion.turns * TURN < _LEAST_RANGE * usual:
         what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
@@ -795,7 +795,7 @@ def _analysed(
             recorder = study.recorder(parent, base)
             reversals = len(base.problem.data[0].motion.reversals)
             long = DEFAULT.refits_through(reversals) == 1
-            # an exact fit over hundreds of reversals takes long: the averaged equations are used instead
+            # an exact fit over hundreds of reversals takes long, so the averaged equations are used instead
             first = rank(base, refitting=False) if long and laws is not None else None
             steps = None if not long else int(laws is None)
             history = improve(base, [], max_steps=steps, first=first, workers=workers, keep=recorder)
@@ -852,7 +852,7 @@ def _analysed(
 
 
 def drives_of(case: Case) -> tuple[Input, ...]:
-    """Return the recorded inputs that drive the body: all except temperatures, because a temperature is not a drive."""
+    """Return the recorded inputs that drive the body: all inputs except temperatures, which are not drives."""
     return tuple(i for i in case.inputs if i.unit != "K")
 
 
@@ -928,9 +928,8 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         )
 
 
-_TURNS_WITH_HARMONICS = (
-    2.0  # smallest number of turns in which harmonics of the angle are distinguishable from the motion
-)
+# smallest number of turns in which harmonics of the angle are distinguishable from the motion
+_TURNS_WITH_HARMONICS = 2.0
 
 
 def _with_view_errors(
@@ -939,9 +938,9 @@ def _with_view_errors(
     """Add the difference between the inner and the outer half of the ring to the uncertainties.
 
     Perspective, a displaced hub and objects fixed in the image affect the halves differently; these errors are
-    systematic. In less than two turns the error due to a displaced hub, `hub_leverage` times the difference of the
-    halves, is not distinguishable from the motion. In more turns it is a harmonic of the angle, which `motion_of` fits.
-    All values except times scale with the distance of a hub outside the picture.
+    systematic. A displaced hub causes an error of `hub_leverage` times the difference of the halves. In less than two
+    turns this error is not distinguishable from the motion. In more turns it is a harmonic of the angle, which
+    `motion_of` fits. All values except times scale with the distance of a hub outside the picture.
     """
     leverage = max(0.5, tracked.hub_leverage) if motion.turns < _TURNS_WITH_HARMONICS else 0.5
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))

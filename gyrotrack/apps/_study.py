@@ -38,7 +38,7 @@ class Study:
     data : tuple of CaseData
         The cases, compressed for fitting.
     ledger : Ledger
-        Their fits, and those of other sets of cases in the same file.
+        The fits of these cases; the same file may contain fits of other sets of cases.
     prior : Prior, optional
         Parameters of another study, used for new fits; by default a fit has the prior of the fit from which it starts.
     """
@@ -83,7 +83,7 @@ class Study:
 
     @property
     def first_model(self) -> Model:
-        """The model of a first fit: reduced; linear for a chain, because the reduced one has the paper's bearing."""
+        """The model of a first fit: linear for a chain, else reduced (which contains the bearing of the gyroscope)."""
         from fitting.effects._library import LINEAR, REDUCED
 
         return self.model(LINEAR if self.data[0].record.is_chain else REDUCED)
@@ -143,7 +143,7 @@ class Study:
     def answered(
         self, fit_id: str | None, extra: Sequence[Effect] = (), *, workers: WorkerPool | None = None
     ) -> tuple[Diagnosis, str]:
-        """Return the diagnosis that a report shows, and the name of the diagnosed fit, the first of a history.
+        """Return the diagnosis that a report shows, and the name of the diagnosed fit, which is the first of a history.
 
         Parameters
         ----------
@@ -287,7 +287,7 @@ def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
     (entry,) = latest_fits([path]).values()
     own = {d.record.digest for d in data}.intersection(entry.digests)
     if own:
-        what = f"{path} is a fit of the same data; as a prior, it would use these data twice."
+        what = f"{path} is a fit of the same data; with this prior, a fit would use these data twice."
         raise UsageError(what, "Give --prior a study of other recordings.")
     prior = entry.as_prior(path.name)
     units = Units.common(d.record.units for d in data)
@@ -344,7 +344,7 @@ def read_cases(
 
 
 def latest_fits(runs: Sequence[Path], effects: Sequence[str] | None = None) -> dict[str, Entry]:
-    """Return the latest fit of each run by name of the run; a path is a case with a ledger next to it, or a ledger.
+    """Return the latest fit of each run, by name of the run; a run is a case with a ledger next to it, or a ledger.
 
     `effects`, if given, are the sorted names of the effects in the model of the fit.
     """
@@ -391,8 +391,8 @@ class FitRequest:
     Attributes
     ----------
     model : str, optional
-        reduced, general, linear, or the name of a TOML file. Without it the request modifies an earlier fit, or else
-        the reduced model.
+        reduced, general, linear, or the name of a TOML file. Without a model, the request modifies an earlier fit, or
+        the reduced model if there is no fit.
     add, drop : tuple of str
         Effects by name, and for `add` also laws like ``casing: -k*omega_c**3``.
     own : sequence of Effect

@@ -46,11 +46,11 @@ _STEPS = (GREEN, PURPLE, SKY, "#555555")
 _CLIPS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 _POWERS = {"": "1", "m": "10⁻³", "µ": "10⁻⁶", "n": "10⁻⁹", "p": "10⁻¹²"}
 _RPM = 60 / (2 * np.pi)
-# largest standard uncertainty of a torque that is drawn [smallest standard uncertainty]
+# largest standard uncertainty of a drawn torque, as a multiple of the smallest standard uncertainty of the curve
 _UNDETERMINED = 3.0
-# number of intervals of the deflection for means of the unmodelled torque, smallest number of points per interval
+# number of intervals of the deflection in which the unmodelled torque is averaged; smallest number of points in each
 _INTERVALS, _FEWEST = 24, 4
-# a residual beyond _LARGE [σ] is drawn on a scale that is linear up to _LINEAR and logarithmic beyond
+# if a residual exceeds _LARGE [σ], the scale is linear up to _LINEAR [σ] and logarithmic beyond
 _LARGE, _LINEAR = 20.0, 3.0
 
 
@@ -67,7 +67,7 @@ def case_dashboard(
     charts += [normalised_chart(view, names), energy_chart(view, steps)]
     if tracks is not None:
         charts += tracking_charts(tracks)
-    # the intervals of the main body are shaded in charts of all bodies
+    # charts that show all bodies shade the intervals of the main body
     return Dashboard(view.label, tuple(replace(c, body=c.body or main) for c in charts), view.intervals)
 
 
@@ -123,7 +123,7 @@ def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> C
 
 
 def difference_chart(view: CaseView, names: Sequence[str] = NAMES) -> list[Chart]:
-    """Return the chart of the casing speed of the last model minus the speed of the first; empty for one model."""
+    """Return the chart of the casing's speed in the last model minus that in the first; empty for one model."""
     if len(view.models) < 2:
         return []
     (first,), (last,) = (view.models[i].speeds[view.main] for i in (0, -1))
@@ -187,7 +187,7 @@ def _determined(torque: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
-    """Return the chart of the unmodelled torque on a body against time, with the difference and alternatives."""
+    """Return the chart of the unmodelled torque on a body against time, with torques that could explain it."""
     factor, prefix = _torque_scale(view, body)
     traces = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
@@ -216,7 +216,7 @@ def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Cha
 
 
 def torque_speed_chart(view: CaseView, names: Sequence[str] = NAMES, *, alternatives: bool = True) -> Chart:
-    """Return the chart of the unmodelled torque on the casing against its speed, with the difference."""
+    """Return the chart of the unmodelled torque on the casing against its speed, with the added torque."""
     factor, prefix = _torque_scale(view, view.main)
     traces: list[Trace] = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
@@ -297,7 +297,7 @@ def _means(x: Array, y: Array) -> tuple[Array, Array, Array]:
 def torque_angle_charts(
     harmonics: Sequence[Sequence[AngleHarmonics]], names: Sequence[str], body: str, unit: str
 ) -> list[Chart]:
-    """Return the chart of the angular harmonics of the unmodelled torque in the first case of one or two named fits."""
+    """Return the chart of the harmonics (in the angle) of the unmodelled torque, for the first case of each fit."""
     curves = [(name, r[0]) for name, r in zip(names, harmonics, strict=False) if r]
     if not curves:
         return []
@@ -320,7 +320,7 @@ def torque_angle_charts(
 
 
 def _branches(speed: Array) -> list[NDArray[np.intp]]:
-    """Return indices before and after the peak of the speed, in order of speed; one list if one part is short."""
+    """Return indices before and after the peak of the speed, in order of speed; a single list if a part is short."""
     peak = int(np.argmax(np.abs(speed)))
     parts = [np.arange(peak + 1), np.arange(peak, len(speed))]
     if min(map(len, parts)) < 3:

@@ -1,8 +1,8 @@
 """Charts, drawn by matplotlib (files, PDF) or by uPlot (browser), and the style of all figures: colours, sizes, themes.
 
-A `Chart` consists of traces (numbers, label, colour), independent of the backend. Its vertical scale is determined by
-the data: traces for comparison, and bands much wider than the curves (due to an undetermined parameter), have no
-influence.
+A `Chart` consists of traces (numbers, label, colour), independent of the backend. Measured data determine its vertical
+scale: traces for comparison have no influence, and neither have bands that are much wider than the curves (due to an
+undetermined parameter).
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def themed(svg: str) -> str:
 
 Array = NDArray[np.float64]
 TIME = "time [s]"
-# largest width of a drawn band [span of the curves of its chart]
+# largest width of a drawn band [share of the range of the curves in the chart]
 _MAX_BAND = 2.0
 # 16-bit integers: the resolution of 1/65000 of the range is less than 0.1 pixel on a screen
 _STEPS = 32767
@@ -222,8 +222,8 @@ class Trace:
     kind: Literal["line", "points", "band"] = "line"  # a line, points joined by a line, or the band alone
     width: float = 1.5  # width of the line [px]
     dash: tuple[float, ...] = ()  # lengths of dashes and gaps [px]; empty for a solid line
-    # influence on the vertical scale. If a chart has reference traces (measurements), the others extend its scale
-    # by at most its height on either side; a trace with "none" never does
+    # influence on the vertical scale. If a chart has reference traces (measurements), other traces extend the scale by
+    # at most its height on either side; a trace with "none" has no influence
     scale: Literal["normal", "reference", "none"] = "normal"
 
 
@@ -239,9 +239,9 @@ class Chart:
     finding: str  # main result in one sentence (text alternative)
     x_label: str = TIME  # label of the horizontal axis; charts against time share zoom and cursor
     caption: str = ""  # explanation of the chart
-    # if positive, matplotlib uses a vertical scale that is linear up to this value and logarithmic beyond
+    # if positive, the vertical scale (matplotlib only) is linear up to this value and logarithmic beyond
     linear_within: float = 0.0
-    body: str = ""  # key of its body, whose intervals are shaded; without a key, the intervals of all bodies are shaded
+    body: str = ""  # key of the body whose intervals are shaded; without a key, all intervals are shaded
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "traces", informative(self.traces))
@@ -304,8 +304,8 @@ def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
 def vertical_limits(traces: Sequence[Trace]) -> tuple[float, float]:
     """Return the vertical limits of traces.
 
-    The values of the reference traces determine the height; without reference traces, all traces with influence on the
-    scale do. Other traces and bands extend the limits by at most this height on either side.
+    The reference traces determine the height; without reference traces, all traces with influence on the scale
+    determine it. Other traces and bands extend the limits by at most this height on either side.
     """
     main = [t for t in traces if t.scale == "reference"] or [t for t in traces if t.scale == "normal"]
     low, high = _range([t.value for t in main if t.kind != "band"] or [t.value for t in main])
@@ -406,7 +406,7 @@ def draw(
     ax.set_ylabel(f"{chart.title} [{chart.unit}]")
 
 
-# width of the symbol of a legend with its spacing, mean width of a character, and width left of the axes [inch]
+# widths for the layout of a legend: symbol with spacing, mean character, margin left of the axes [inch]
 _KEY, _CHARACTER, _LEFT = 0.4, 0.07, 0.8
 _SHORT = 27  # characters of a short label
 
@@ -517,7 +517,7 @@ PAGE_POLICY = (
 
 
 def content_policy(scripts: Sequence[str], *, connect: bool = False) -> str:
-    """Return a content security policy that allows only these inline scripts, and optionally the page's own server."""
+    """Return a content security policy: only these inline scripts run; with `connect`, the page may call its server."""
     hashes = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{h}'" for h in hashes) or "'none'"
     parts = [

@@ -122,7 +122,7 @@ def _candidates_finding(view: StudyView, shown: list[Candidate]) -> str:
     return text + (f"; next: {view.name(rest[0].effect).words}, {short(rest[0].score)}." if rest else ".")
 
 
-# title, unit, attribute of a step, whether the unit has a prefix
+# of each figure of merit: title, unit, attribute of a step, whether the unit has a prefix
 _KINDS = (
     ("rms error, {body}", "rad/s", "rmse", True),
     ("misfit", "noise", "misfit", False),
@@ -180,7 +180,7 @@ def history_picture(view: StudyView) -> Picture:
 def figures_of_merit(
     ax: Axes, values: np.ndarray[tuple[int], np.dtype[np.float64]], limit: float | None, texts: list[str]
 ) -> None:
-    """Draw one bar per fit, from zero or, on a logarithmic axis, from the noise limit, with `texts` or numbers."""
+    """Draw one bar per fit, with `texts` or numbers; it starts at zero, on a logarithmic axis at the noise limit."""
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
@@ -343,7 +343,7 @@ def correlation_picture(view: StudyView) -> Picture | None:
     symbols = [symbol(n, cases) for n in names]
     keys = [n.partition("@")[0].rpartition(".")[0] for n in names]
     effects = [plain(view.name(k).key.rpartition(".")[2] or k, 12) for k in keys]
-    # equal symbols are distinguished by their effects
+    # parameters with the same symbol also show the name of their effect
     labels = [f"{s} {e}" if symbols.count(s) > 1 else s for s, e in zip(symbols, effects, strict=True)]
     with style({"axes.grid": False}):
         size = min(7.5, 1.6 + 0.5 * len(names))

@@ -75,7 +75,7 @@ def colour_picture(frame: Frame) -> Picture:
 def _draw_marker(
     picture: Picture, marker: MarkerTrack, k: int, centre: npt.NDArray[np.float64], sense: int
 ) -> None:
-    """Draw ray and inner corners of a complete marker (green), or the ray of a partly occluded one (orange)."""
+    """Draw ray and inner corners of a complete marker (green), or the ray of a partly occluded marker (orange)."""
     radius = float(np.nanmedian(marker.rho)) if np.isfinite(marker.rho).any() else float("nan")
     angle = sense * marker.angle_fine[k]
     if not np.isfinite([radius, angle, *centre]).all():
@@ -100,13 +100,13 @@ def _point(place: npt.NDArray[np.float64]) -> tuple[int, int]:
 
 
 _MAX_AHEAD = 24  # largest number of frames that are skipped by decoding instead of seeking
-# frames before the requested frame that are kept, so that a step back needs no seek: number, and size [bytes]
+# decoded frames before the requested frame are kept, so that a step back needs no seek: number, and size [bytes]
 _BEHIND, _HELD = 12, 48 * 2**20
 _MAX_HASHED = 256 * 2**20  # bytes
 
 
 def find_film(recording: Recording, folders: list[Path]) -> Path | None:
-    """Find a recording's film in folders or the samples, by SHA-256; above 256 MiB, by frame size and number."""
+    """Find a recording's film in folders or the samples: by SHA-256, above 256 MiB by frame size and frame count."""
     name = Path(recording.source).name
     here = Path(__file__)
     places = [*folders, here.parents[2] / "sample_clips", here.parents[1] / "sample_clips"]
@@ -206,7 +206,7 @@ class Film:
     def _decoded(self, first: int) -> Iterator[Any]:
         """Decode from the current position; before the timestamp `first`, only reference frames are decoded."""
         decoder = self._stream.codec_context
-        # other codecs may use such frames as references
+        # with other codecs, such frames may be references of later frames
         can_skip = decoder.codec.name == "h264"
         for packet in self._container.demux(self._stream):
             unneeded = can_skip and packet.pts is not None and packet.pts < first
@@ -221,7 +221,7 @@ _LINE, _GREY = 17, (110, 110, 110)
 
 
 def check_contact_sheet(path: Path, *, force: bool) -> None:
-    """Check that a contact sheet can be written: its name ends in .png, and it does not exist or `force` is set."""
+    """Check that a contact sheet can be written: its name ends in .png, and the file is new unless `force` is set."""
     if path.suffix.lower() != ".png":
         raise UsageError(f"Unknown format of a contact sheet: {path.name}.", "Use a name that ends in .png.")
     refuse_existing(path, force=force)
@@ -367,7 +367,7 @@ _RING, _HAND = (0, 200, 255), (0, 0, 255)
 def write_picture(
     path: Path, proposal: Proposal, *, body: tuple[TrackedFilm, Tracked] | None = None, force: bool = False
 ) -> None:
-    """Write a PNG of the frame with most markers, with all proposals, and of a `body` that turns about a hub."""
+    """Write a PNG of the frame with most markers, all proposed markers, and a `body` that turns about a hub."""
     index = int(np.argmax(np.sum([m.clear for m in proposal.markers], axis=0)))
     frame = proposal.samples.frames[index]
     picture = colour_picture(frame)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-# length of an outline divided by the distance of its near corners
+# length of an outline divided by the distance between its two near corners
 _LENGTH = 1.3
 # a difference below the first number is magnified to about the second number [px at the marker]
 _SMALL, _SEEN = 8.0, 16.0
@@ -228,7 +228,7 @@ def ghosts(case: Case, fits: Sequence[Fit], names: Sequence[str], index: int = 0
 
 
 def _filled(centre: Array) -> Array:
-    """Return the hub of each frame, the median where it is unknown."""
+    """Return the hub of each frame; the median hub where the hub is unknown."""
     known = np.asarray(np.isfinite(centre).all(axis=1))
     middle = np.median(centre[known], axis=0) if known.any() else np.full(2, np.nan)
     return np.where(known[:, None], centre, middle)
@@ -333,7 +333,7 @@ def ghost_document(ghost: Ghost, model: int = 0, *, factor: int | None = None) -
 
 @dataclass(frozen=True)
 class Animation:
-    """An animated picture (WebP) with a still one (JPEG) for print, and its text."""
+    """An animated picture (WebP), a still picture (JPEG) for print, and their caption."""
 
     webp: bytes
     jpeg: bytes
@@ -353,9 +353,9 @@ class Animation:
         return "data:image/jpeg;base64," + base64.b64encode(self.jpeg).decode("ascii")
 
 
-# frames of an animated picture, their duration [ms], and the size of one panel [px]
+# number of frames of an animated picture, duration of a frame [ms], size of one panel [px]
 _FRAMES, _DURATION, _PANEL = 24, 160, 240
-# margin before and after a stretch of time, as a share of its length
+# margin before and after a time interval, as a share of its length
 _AROUND = 0.15
 # half the side of a panel divided by the radius of the marker
 _VIEW = 1.7
@@ -446,7 +446,7 @@ def _angle(value: float) -> str:
 
 
 def _panels(ghost: Ghost, i: int, picture: Picture, factor: int) -> Image:
-    """Return one frame, turned with each model, with the outlines and a legend."""
+    """Return one frame, turned with each model, side by side, with the outlines and a legend."""
     from PIL import Image, ImageDraw
 
     count = len(ghost.models)
@@ -536,7 +536,7 @@ def stretches(
     folders: Sequence[Path],
     index: int = 0,
 ) -> list[Stretch]:
-    """Return the run of the casing (or single body), and the intervals with a lack of fit, that a film shows.
+    """Return the parts that a film shows: the run of the casing (or single body), and intervals with a lack of fit.
 
     Parameters
     ----------
@@ -579,7 +579,7 @@ def check_ghost_film(path: Path, *, force: bool) -> None:
     refuse_existing(path, force=force)
 
 
-# frames of one stretch in a film, and its rate [1/s]
+# number of frames of one stretch in a film, and frame rate of the film [1/s]
 _LONGEST, _RATE = 250, 25
 
 
@@ -644,7 +644,7 @@ def write_ghost_film(
 
 
 def _around_worst(ghost: Ghost, start: float, stop: float) -> Ghost:
-    """Return consecutive frames of a stretch; if it is long, those around the largest difference of the first model."""
+    """Return consecutive frames of a stretch; of a long stretch, frames around the first model's largest difference."""
     around = _AROUND * (stop - start)
     part = ghost.inside(start - around, stop + around)
     if len(part.time) <= _LONGEST:

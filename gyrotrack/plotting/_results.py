@@ -1,6 +1,6 @@
 """Figures of the commands `laws`, `plan` and `compare`.
 
-`laws`: unmodelled torque against its variable with the laws, explained shares, ranking. `plan`: detection limits, upper
+`laws`: unmodelled torque and laws against their variable, explained shares, ranking. `plan`: detection limits, upper
 limits, power curves, next run. `compare`: each parameter in each run, as a difference from the mean; for many runs,
 against the time of the run.
 """
@@ -84,7 +84,7 @@ def write_picture(found: Laws | Plan | Comparison, path: Path, *, force: bool = 
 
 
 def _shown(found: Laws) -> Dependence | None:
-    """Return the curve to draw: the curve of the best law's variable; without a law, the most significant curve."""
+    """Return the curve to draw: against the variable of the best law, or without a law the most significant curve."""
     curves = [d for d in found.depends_on if len(d.value)]
     if found.laws:
         effect = found.laws[0].effects[0]
@@ -127,7 +127,7 @@ def _draw_curve(ax: Axes, found: Laws, d: Dependence) -> None:
 
 
 def _law_curve(law: Law, d: Dependence) -> Any:
-    """Return the values of a law that are comparable with the curve; None if it depends on other variables."""
+    """Return the values of a law that are comparable with the curve; None if the law depends on other variables."""
     from fitting.effects._expression import Tape, symbols
 
     total = np.zeros(len(d.value))
@@ -262,7 +262,7 @@ _MAX_PARAMETERS = 14
 def _population_figure(found: Population) -> Figure:
     """Return a figure with one chart per parameter: its value in each run, with bars of 2 u, against the run time.
 
-    The line is the mean, or the drift or step if it is significant; the band is the spread between the runs.
+    The line is the mean of the runs, or a significant drift or step; the band is the spread between the runs.
     """
     shown = sorted(found.parameters, key=lambda p: p.p_adjusted)[:_MAX_PARAMETERS]
     names = [p.name for p in found.parameters]

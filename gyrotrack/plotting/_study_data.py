@@ -97,12 +97,10 @@ class CaseView:
     smoothing_width: int  # number of points of the running median
     models: tuple[CaseModel, ...]  # the base model and, if it differs, the final model
     added: AddedTorque | None  # torque of the final model minus torque of the base model
-    alternatives: tuple[
-        AddedTorque, ...
-    ]  # added torques of the best other candidate effects, each after a refit
+    alternatives: tuple[AddedTorque, ...]  # torques of the best other candidate effects, each after a refit
     energy: tuple[Energy, ...]  # energy balance of each step
     failures: tuple[Failure, ...]  # intervals with significant lack of fit of the base model
-    # of an oscillation: measured angle from the equilibrium [rad], period [s]
+    # for an oscillation: measured angle from the equilibrium [rad], period [s]
     deflection: Curve | None = None
     period: float = 0.0
 
@@ -113,7 +111,7 @@ class CaseView:
 
     @property
     def body(self) -> str:
-        """Name of the main body: "casing", or "body" if a single one without a name was recorded."""
+        """Name of the main body: "casing", or "body" for a single body without a name."""
         return self.bodies[self.main]
 
     @property
@@ -140,7 +138,7 @@ class CaseView:
         return self.intervals[len(self.failures) :]
 
     def _outside_of_bands(self, model: CaseModel, covering: Sequence[Interval]) -> list[Interval]:
-        """Return the intervals in which a residual of a speed is outside of its band, without `covering` intervals."""
+        """Return the intervals in which a residual speed is outside of its band, except the `covering` intervals."""
         noise, found = self.models[-1], []
         runs = [
             (key, *both)
@@ -159,9 +157,9 @@ class CaseView:
 def _outside(
     residual: Residual, sigma: Array, covered: Sequence[tuple[float, float]], period: float
 ) -> list[tuple[float, float, float]]:
-    """Return start, stop and largest |z| of the intervals in which a residual is outside of its band on one side.
+    """Return the intervals in which a residual is outside of its band on one side: start, stop and largest |z|.
 
-    For an oscillation, an interval may contain changes of the side within half a `period`.
+    For an oscillation, an interval continues if the residual changes sides within half a `period`.
     """
     ratio = residual.value / np.where(sigma > 0, sigma, np.inf)
     side = np.where(np.abs(ratio) > _BAND, np.sign(ratio), 0.0)
@@ -328,7 +326,7 @@ class StudyView:
 
     @property
     def body(self) -> str:
-        """Name of the main body: "casing", or "body" if a single one without a name was recorded."""
+        """Name of the main body: "casing", or "body" for a single body without a name."""
         return self.cases[0].body
 
     @property

@@ -42,7 +42,7 @@ class Experiment:
     """One case to be processed."""
 
     label: str  # name of the case
-    # one film of the casing and one or more of the rotor, or a single film that is only tracked
+    # one film of the casing and one or more films of the rotor, or a single film that is only tracked
     clips: tuple[Clip, ...] = ()
     data: Path | None = None  # an existing case file instead of films
     surface: str = ""  # surface on which the casing turns
@@ -176,7 +176,7 @@ STATED_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
 def read_folder(
     root: Path, *, casing_fps: float | None = None, rotor_fps: float | None = None, skip: Path | None = None
 ) -> tuple[Experiment, ...]:
-    """Find the experiments in a folder, except in hidden folders, links and `skip`; both rates are default values."""
+    """Find the experiments in a folder, but not in hidden folders, links and `skip`; both rates are default values."""
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
     rates = {"casing": casing_fps, "rotor": rotor_fps, "": None}
@@ -284,7 +284,7 @@ class _Row(_Facts):
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
-    """Read a manifest in TOML or CSV; films are checked when opened, so an unreadable one does not stop the batch."""
+    """Read a manifest in TOML or CSV; films are checked when opened, so an unreadable film does not stop the batch."""
     if path.suffix.lower() == ".csv":
         return with_folders(_from_rows(path), path)
     manifest = read_document(path, Manifest, what="manifest")

@@ -46,7 +46,7 @@ class _Running:
 
 
 class Run:
-    """One execution of all steps; `report` is called with (step, outcome), `progress` with (steps ended, in total)."""
+    """One execution of all steps; `report` gets (step, outcome), `progress` gets (steps ended, steps in total)."""
 
     def __init__(
         self,
@@ -211,14 +211,14 @@ class Row:
 
     label: str  #: Name of the case.
     folder: str  #: Folder of its results.
-    state: str  #: `done`, `partly` (a film failed, the others were processed) or `failed`.
+    state: str  #: `done`, `partly` (a film failed, the other films were processed) or `failed`.
     films: int  #: Number of films.
     tracked: int  #: Number of tracked films.
     frames: int  #: Number of frames of the tracked films.
     fit: str  #: Verdict of the fit; empty without a fit.
     rmse_casing: float | None  #: Rms residual of the smoothed angular velocity of the casing [rad s-1].
     reduced_chi2: float | None  #: Chi-square of the casing divided by the effective number of samples [1].
-    misfit: float | None  #: Rms residual divided by that of the noise [1].
+    misfit: float | None  #: Rms residual divided by the rms of the noise [1].
     diagnosis: str  #: Verdict of the diagnosis; empty without one.
     missing: str  #: Effects that `diagnose` or `improve` found.
     trusted: bool  #: Whether every step returned a trusted result (exit code 0).

@@ -29,7 +29,7 @@ class Request:
     """Steps to run for every case."""
 
     until: str = "report"  # the last command
-    # further options of each command, from a settings file; those of a manifest override them
+    # further options of each command, from a settings file; options of a manifest override them
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     model: str = "reduced"  # the model to fit
     improve: bool = False  # also add effects until the residuals are consistent with noise
@@ -50,8 +50,8 @@ class Step:
     words: tuple[str, ...]  # arguments of the command; ``{fit}`` is the latest fit of the case
     output: Path  # output file
     files: tuple[Path, ...] = ()  # source files that no step makes: films, profiles, data
-    # steps that must all have succeeded, and steps that must have ended, at least one of them successfully; the
-    # outputs of those that failed are not used
+    # steps that must all have succeeded; steps that must have ended, at least one of them successfully (outputs of
+    # failed steps are not used)
     needs: tuple[str, ...] = ()
     needs_any: tuple[str, ...] = ()
 
@@ -268,7 +268,7 @@ def _parsed(text: str) -> Any:
 
 @contextmanager
 def locked_folder(results: Path) -> Iterator[None]:
-    """Create the folder if necessary, and lock it against other batches; an OutputError if it contains other files."""
+    """Create the folder if necessary, and lock it against other batches; other files in it are an OutputError."""
     mark = results / "batch.lock"
     try:
         results.mkdir(parents=True, exist_ok=True)

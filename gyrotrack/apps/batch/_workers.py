@@ -98,7 +98,7 @@ class Child:
 
 
 def run_once(words: Sequence[str], timeout: float | None = None, sign: str | None = None) -> bytes:
-    """Run one command in a separate process and return its answer as JSON; runs on workers of a cluster.
+    """Run one command in a separate process and return its answer as JSON; a worker of a cluster calls this function.
 
     The command ends when the file `sign` is removed, because a cluster does not end running commands.
     """
@@ -291,7 +291,7 @@ _SIGN = "batch.running."
 
 
 def new_sign(results: Path) -> Path:
-    """Return a new file in a locked folder, and remove older ones; removal of this file ends steps on a cluster."""
+    """Return a new file in a locked folder, and remove older files; removal of the new file ends steps on a cluster."""
     for left in results.glob(f"{_SIGN}*"):
         left.unlink(missing_ok=True)
     sign = results.resolve() / f"{_SIGN}{secrets.token_hex(8)}"
@@ -301,7 +301,7 @@ def new_sign(results: Path) -> Path:
 
 @dataclass(frozen=True)
 class Cluster:
-    """A Dask cluster: address of its scheduler, None for this machine; authority, own certificate and key (PEM)."""
+    """A Dask cluster: scheduler (None: this machine), certificate authority, own certificate, own key (PEM files)."""
 
     scheduler: str | None = None
     tls_ca: Path | None = None
@@ -309,7 +309,7 @@ class Cluster:
     tls_key: Path | None = None
 
     def workers(self, folder: Path, processes: int | None = None) -> Workers:
-        """Return workers for commands with outputs in `folder`: those of the cluster, or processes on this machine."""
+        """Return the workers of the cluster, or processes on this machine, for commands with outputs in `folder`."""
         if self.scheduler is None:
             return LocalWorkers(processes or available_cores())
         return ClusterWorkers(self.scheduler, new_sign(folder), self._security(self.scheduler))

@@ -123,7 +123,7 @@ def main(last: list[Callable[[], None]]) -> None:
     code, marks = FAULT, ExitStack()
 
     def end() -> None:
-        """End immediately, without the marks of unfinished outputs, which are needed only if the process is killed."""
+        """End immediately, and remove the marks of unfinished outputs, which serve only if the process is killed."""
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError, AttributeError):
                 stream.flush()
@@ -150,7 +150,7 @@ def prepare_process() -> None:
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
     if os.path.expanduser("~").startswith("~"):  # noqa: PTH111 - Path.home() raises: no $HOME and an unknown user
         os.environ["HOME"] = (
-            "/nonexistent"  # the usual value for users without a home; libraries need a value
+            "/nonexistent"  # libraries need a home folder; this is the usual name for users without a home
         )
     catch_sigterm()
 
@@ -196,7 +196,7 @@ def run(arguments: Sequence[str]) -> int:
             code = _with_settings(args)
     except KeyboardInterrupt:
         return _interrupted(as_json=as_json)
-    except BrokenPipeError:  # as in `gyrotrack ... | head`
+    except BrokenPipeError:  # the reader of stdout has ended, as in `gyrotrack ... | head`
         discard_stdout()
         return FAULT
     except StdoutError as error:

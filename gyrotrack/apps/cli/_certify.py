@@ -47,13 +47,14 @@ def certify_command(
         int | None,
         option(
             "-n --recordings N",
-            "Simulated recordings without the named effect; as many with it, a quarter as many with each rival. "
-            "By default 200, or 20 with --film.",
+            "Number of simulated recordings without the named effect; the same number is simulated with this "
+            "effect, and a quarter with each rival effect. By default 200, or 20 with --film.",
             min=1,
         ),
     ] = None,
     film: Annotated[
-        bool, option("--film", "Render films of this scene, and track and synchronise them; takes hours.")
+        bool,
+        option("--film", "Render films of this scene, and track and synchronise them; this takes hours."),
     ] = False,
     seed: Annotated[int, option("--seed N", "Random seed of all simulated errors.", min=0)] = 0,
     workers: Annotated[
@@ -70,10 +71,10 @@ def certify_command(
 ) -> int:
     """Test an answer on recordings that are simulated from its fit.
 
-    The same bodies, samples and windows are simulated with new random errors, and analysed in the same way: without
-    the named effect (how often is there a false alarm?), with it (how often is it found, and do the intervals contain
-    the true values?), and with each effect that could be mistaken for it. The result is stored with the fit; a run
-    that was interrupted continues.
+    The same bodies, samples and windows are simulated with new random errors, and analysed in the same way: without the
+    named effect (how often is there a false alarm?), with this effect (how often is it found, and do the intervals
+    contain the true values?), and with each effect that could be mistaken for the named effect. The result is stored
+    with the fit; a run that was interrupted continues.
 
     Example: gyrotrack certify case1.h5 -n 200
     """
@@ -187,7 +188,7 @@ class _Keeper:
             self._stored = now
 
     def store(self, done: Certificate) -> None:
-        """Store a complete or partial test with its fit; the outcomes of a longer test are kept."""
+        """Store a complete or partial test with its fit; further outcomes of an earlier, longer test are kept."""
         made = {(o.kind, o.effect, o.number) for o in done.outcomes}
         longer = [o for o in self._known if (o.kind, o.effect, o.number) not in made]
         n = max([done.n, *(o.number + 1 for o in longer if o.kind == "null")])
@@ -211,7 +212,7 @@ def _by_commands(
     words: Sequence[str],
     keep: Keep,
 ) -> Certificate:
-    """Return the certificate with the recordings simulated by commands, in processes or on a cluster."""
+    """Return the certificate; commands simulate the recordings, in processes or on a cluster."""
     from fitting.discovery._certificate import Outcome, planned
 
     wanted = planned(found, empty.n)

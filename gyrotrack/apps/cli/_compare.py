@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fitting.comparison._comparison import Comparison
     from fitting.comparison._population import Population
 
-# largest number of runs whose values are listed; number of runs that a cluster worker fits in one command
+# largest number of runs whose values are listed; number of runs that a worker of a cluster fits in one command
 _LISTED, _PART = 12, 8
 _SECONDS_PER_DAY = 86400.0
 _TIME = re.compile(r"time(?:\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])])?", re.IGNORECASE)
@@ -68,10 +68,10 @@ def compare_command(
     """Compare fits of several runs: differences, spread, and with many runs drifts, steps and outlying runs.
 
     Each parameter has a mean and a spread between the runs (random effects); the total uncertainty of a single run
-    includes the spread. With eight or more runs, the command also names outlying runs and the parameters that drift or
-    step with the time of the run, with one false-alarm probability (0.01) for all parameters and times. Without --model
-    the latest fit of each run is taken. With it, runs are fitted in parallel, and each fit is kept next to its case: a
-    command that was interrupted continues. The runs are assumed to be independent.
+    includes the spread. With eight or more runs, the command also names outlying runs, and parameters that drift or
+    step with the time of the run. The false-alarm probability is 0.01 for all parameters and times together. Without
+    --model the latest fit of each run is used. With --model, runs are fitted in parallel, and each fit is kept next to
+    its case, so that an interrupted command continues. The runs are assumed to be independent.
 
     Example: gyrotrack compare left.h5 right.h5 --picture difference.png
     """

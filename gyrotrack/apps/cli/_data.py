@@ -62,9 +62,9 @@ class InspectionDocument(TypedDict):
     """The integrity of a file."""
 
     file: Path  #: The file.
-    bytes: int  #: Its size.
+    bytes: int  #: Size of the file.
     kind: str  #: `recording` or `case`.
-    sound: bool  #: Whether it is consistent.
+    sound: bool  #: Whether the file is consistent.
     problems: tuple[str, ...]  #: Inconsistencies.
     warnings: tuple[str, ...]  #: Warnings stored in the file.
     verified: VerifiedDocument  #: What was compared with checksums.
@@ -74,14 +74,18 @@ def import_command(
     *,
     casing: Annotated[Path | None, option("--casing FILE", f"{_TABLE}.")] = None,
     rotor: Annotated[
-        list[Path] | None, option("--rotor FILE", "The same quantities of one rotor window; once per window.")
+        list[Path] | None,
+        option(
+            "--rotor FILE",
+            "Angles, angular rates, pulses or points of the rotor in one window; once per window.",
+        ),
     ] = None,
     body: Annotated[
         list[str] | None,
         option(
             "--body FILE",
-            "The same quantities of a single body, instead of casing and rotor. For several bodies with joints, "
-            "NAME=FILE for each; the first of them may come to rest.",
+            "Angles, angular rates, pulses or points of a single body, instead of casing and rotor. For "
+            "several bodies with joints, NAME=FILE for each; the first body may come to rest.",
         ),
     ] = None,
     joint: Annotated[
@@ -129,8 +133,8 @@ def import_command(
         float | None,
         option(
             "--start-u U",
-            "Standard uncertainty of the start of each rotor window on the clock of the casing [s], 0 if exact; "
-            "without it, errors of the starts are an alternative in every diagnosis.",
+            "Standard uncertainty of the start of each rotor window on the clock of the casing [s], 0 if "
+            "exact. Without this option, every diagnosis considers errors of the starts.",
         ),
     ] = None,
     label: shared.Label = None,
@@ -148,11 +152,12 @@ def import_command(
     The format is recognised by content: {formats}. Times are in s, all on one clock; angles in rad, wrapped or
     unwrapped; other units are converted if the header contains them, for example `angle [deg]`. Without a sigma column
     the noise is estimated from the scatter. With --body the case has a single body; a drive at the start and a brake or
-    rest at the end are detected, reported and excluded; without --inertia its torques are per unit of inertia. Two
-    lines for each file state the meaning of each column with the reason, and the unused columns; for a column in doubt
-    the option is named. Every repair is reported with its line. With --input nothing is cut: the input describes the
-    drive. Several bodies are connected by joints: --body motor=motor.csv --body drum=drum.csv --joint belt=motor,drum
-    --inertia motor=2e-4 --inertia drum=5e-4. One file may contain all of them, if its headers contain their names.
+    rest at the end are detected, reported and excluded; without --inertia its torques are per unit of inertia. For each
+    file, the command prints the meaning of each column with the reason, and the unused columns. For a doubtful column,
+    the command names the option that states the meaning. Every repair is reported with its line. With --input no drive,
+    brake or rest is excluded, because the input describes the drive. Several bodies are connected by joints: --body
+    motor=motor.csv --body drum=drum.csv --joint belt=motor,drum --inertia motor=2e-4 --inertia drum=5e-4. One file may
+    contain all bodies, if its headers contain their names.
 
     Example: gyrotrack import --casing casing.csv --rotor r1.csv --rotor r2.csv -o case1.h5 --inertia-rotor 5.54e-5
     --inertia-casing "20.6 +- 0.2 g cm2"
@@ -300,7 +305,7 @@ def _plots(case: Case) -> list[str]:
 
 
 def _plotted(case: Case) -> list[PlottedMotion]:
-    """Return the speeds of the bodies over time, thinned, for a plot of the workbench."""
+    """Return the speeds of the bodies over time, reduced to fewer points, for a plot of the workbench."""
     import numpy as np
 
     found: list[PlottedMotion] = []
@@ -363,7 +368,7 @@ def export_command(
         option(
             "--table",
             "motion: angles of the bodies; markers: every marker; frames: every frame; inputs: recorded inputs; "
-            "points: paths of points; errors: errors common to samples (CSV, Parquet, JSON).",
+            "points: paths of points; errors: errors that samples share (CSV, Parquet, JSON).",
         ),
     ] = Table.motion,
     force: shared.Force = False,

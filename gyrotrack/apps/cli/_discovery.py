@@ -33,7 +33,8 @@ def laws_command(
     cases: shared.CaseFiles,
     *,
     beyond_library: Annotated[
-        bool, option("--beyond-library", "Search also if an effect of the library explains the data.")
+        bool,
+        option("--beyond-library", "Search for formulas even if an effect of the library explains the data."),
     ] = False,
     save_law: Annotated[
         tuple[str, Path] | None,
@@ -128,9 +129,9 @@ def _laws_table(found: Laws, fit_id: str) -> str:
     if found.laws:
         lines += [
             "",
-            f"laws ({found.trials} candidates tried); the data cannot distinguish those with a letter,",
+            f"laws ({found.trials} candidates tried); the data cannot distinguish the laws with a letter,",
         ]
-        lines.append("and those with the same letter give the same torque along the recorded motion")
+        lines.append("and laws with the same letter give the same torque along the recorded motion")
         lines.append(f"   {'':<3}{'dBIC':>10}{'rank':>8}{'p':>9}{'torque':>12}")
         for number, x in enumerate(found.laws[:_SHOWN], 1):
             lines += _law(number, x, found.laws[0], letters.get(x.formula, " "))

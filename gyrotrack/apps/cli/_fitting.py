@@ -68,8 +68,8 @@ def fit_command(
         list[str] | None,
         option(
             "--profile P",
-            "Compute the 95 % interval of a parameter by profile likelihood; 'weak': all weakly "
-            "determined ones.",
+            "Compute the 95 % interval of a parameter by profile likelihood; 'weak' selects all weakly "
+            "determined parameters.",
         ),
     ] = None,
     fix: Annotated[list[str] | None, option("--fix P=V", "Fix a parameter at a value (SI units).")] = None,
@@ -77,7 +77,7 @@ def fit_command(
     rotor: shared.RotorKind = "windows",
     loss: Annotated[str, option("--loss L", "Loss function: linear, huber or cauchy.")] = "linear",
     hold_out: Annotated[
-        bool, option("--hold-out", "Also predict each case from a fit of the others.")
+        bool, option("--hold-out", "Also predict each case from a fit of the other cases.")
     ] = False,
     prior: shared.PriorStudy = None,
     prior_rotor: shared.PriorRotor = None,
@@ -171,9 +171,8 @@ class BudgetDocument(TypedDict):
     parameters: dict[str, ParameterBudget]  #: Contributions, by the key of the parameter in a fit.
 
 
-_MIN_SHARE = (
-    1e-3  # smallest contribution to the variance in the table; the JSON document contains all contributions
-)
+# smallest contribution to the variance in the table; the JSON document contains all contributions
+_MIN_SHARE = 1e-3
 
 
 def budget_command(
@@ -184,7 +183,8 @@ def budget_command(
         float | None,
         option(
             "--clock-rate U",
-            "Relative standard uncertainty of the time base; by default that of a crystal, 2.9e-5.",
+            "Relative standard uncertainty of the time base; by default 2.9e-5, the uncertainty of a quartz "
+            "crystal.",
         ),
     ] = None,
     speed_scale: Annotated[
@@ -321,7 +321,7 @@ def diagnose_command(
     study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
-        began = process_time()  # CPU time: a test is distributed among workers in the same way as this search
+        began = process_time()  # CPU time, because a test uses its workers as this search does
         fit, fit_id = study.base(start)
         own = shared.own_effects(effects, study.mechanism, friction=friction)
         found = diagnose(fit, own, workers=workers)

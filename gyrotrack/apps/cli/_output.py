@@ -207,7 +207,7 @@ def _interactive() -> bool:
 
 
 def _console(stream: Any, file: Any = None) -> Console:
-    """Return a console that formats for a stream, and writes to this stream or to another file."""
+    """Return a console that formats text for `stream`, and writes the text to this stream or to `file`."""
     from rich.console import Console
 
     terminal = stream is not None and stream.isatty()
@@ -314,7 +314,7 @@ def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
 
     if not predicted:
         return []
-    lines = ["", "each case predicted from a fit of the others (touch point and initial rates free):"]
+    lines = ["", "each case predicted from a fit of the other cases (touch point and initial rates free):"]
     lines.append(f"{'':<12}{'casing':>10}{'rotor':>10}{'R2 casing':>12}{f'rmse [{speed_unit()}]':>14}")
     lines += [
         f"{p.label[:11]:<12}{p.casing:>10.4g}{p.rotor:>10.4g}{p.r2:>12.6f}{speed(p.rmse):>14.4g}"
@@ -405,7 +405,7 @@ def _curves(d: Diagnosis) -> list[str]:
 
     lines = []
     body = d.fit.problem.data[0].record.body
-    # if the verdict is undecided, a random torque explains the torque in these intervals
+    # if the verdict is undecided, the intervals are not called a lack of fit: a random torque may explain them
     marked = "largest" if d.verdict == "undecided" else "lack of fit"
     for t in d.torques:
         intervals = [(f.t_start, f.t_stop) for f in d.failures if f.label == t.label and f.body == t.body]

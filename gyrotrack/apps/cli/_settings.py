@@ -15,8 +15,8 @@ A file given by the user (``--config``, ``$GYROTRACK_CONFIG``) and the settings 
 ``gyrotrack.toml`` found in the working folder comes with the data and may be hostile: it may set only the options in
 `FOUND`, and paths only within its own folder.
 
-A command is imported when it runs, or when its options are needed to check a settings file: `gyrotrack --help` imports
-no numerical library.
+A command is imported when it runs, or when its options are needed to check a settings file. Therefore `gyrotrack
+--help` imports no numerical library.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def as_words(settings: Settings, entry: Entry, given: frozenset[str]) -> tuple[s
 
 
 def options_of(entry: Entry) -> dict[str, str]:
-    """Return the options of a command: key in a settings file by name of the parameter."""
+    """Return the options of a command: the key of each parameter in a settings file."""
     return {name: key for name, (key, _) in _options(entry).items()}
 
 
@@ -382,7 +382,7 @@ class Colour(StrEnum):
 
 PointColour = Annotated[
     Colour | None,
-    option("--colour NAME", "Follow a point of this colour; with --point, the one at that position."),
+    option("--colour NAME", "Follow a point of this colour; with --point, the point at that position."),
 ]
 PixelScale = Annotated[
     float | None, option("--scale M_PER_PX", "Length of a pixel [m]: `export --table points` is then in m.")
@@ -417,8 +417,8 @@ Columns = Annotated[
     list[str] | None,
     option(
         "--column QUANTITY=COLUMN",
-        "Quantity in a column of a table, given by header or number: t=Zeit, 'angle=phi [deg]', 't=1 [us]', x=2, "
-        "revolutions=3; for only one of two bodies: casing.revolutions=5.",
+        "Quantity in a column of a table, which is selected by its header or number: t=Zeit, 'angle=phi "
+        "[deg]', 't=1 [us]', x=2, revolutions=3. For only one of two bodies: casing.revolutions=5.",
     ),
 ]
 Inputs = Annotated[
@@ -471,7 +471,7 @@ PriorRotor = Annotated[
     Path | None,
     option(
         "--prior-rotor STUDY",
-        "Prior from a study of the rotor alone; its laws are matched with those of the rotor.",
+        "Prior from a study of the rotor alone; the laws of its body apply to the rotor.",
     ),
 ]
 LedgerFile = Annotated[

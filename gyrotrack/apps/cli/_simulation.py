@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 _PAPER_ROTOR, _PAPER_CASING = 5.54e-5, 2.06e-5  # kg m2
-_WINDOWS = (0.025, 0.35, 0.75)  # default starts of the rotor windows [duration]
+_WINDOWS = (0.025, 0.35, 0.75)  # default starts of the rotor windows [share of the duration]
 
 
 class SimulationDocument(TypedDict):

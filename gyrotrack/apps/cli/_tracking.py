@@ -33,7 +33,7 @@ class BodyReading(TypedDict):
 
     kind: str  #: `picture of a body`.
     hub_px: list[float]  #: Centre of rotation, x and y [px].
-    hub_from: str  #: How it was found; `outline` for a body that moves across the picture.
+    hub_from: str  #: How the centre was found; `outline` for a body that moves across the picture.
     ring_px: list[float]  #: Inner and outer radius of the texture [px].
     explained: float  #: Share of the change of brightness that the rotation explains, 0 to 1 [1].
 
@@ -53,7 +53,7 @@ class FoundMarker(TypedDict):
 
     name: str  #: Name in the profile.
     colour: str  #: Colour.
-    hue_deg: float | None  #: Hue; null for a colour without one [degrees].
+    hue_deg: float | None  #: Hue; null for a colour without a hue [degrees].
     body: str  #: `casing` or `rotor`.
     inner_px: float  #: Inner radius of its orbit [px].
     outer_px: float  #: Outer radius of its orbit [px].
@@ -334,7 +334,7 @@ def extract_command(
         int | None,
         option(
             "--workers N",
-            "Number of processes; by default one per core. The result does not depend on it.",
+            "Number of processes; by default one per core. The result does not depend on this number.",
             min=1,
         ),
     ] = None,
@@ -533,12 +533,12 @@ class ClipDocument(TypedDict):
     angle_offset: float  #: Angle added to the angles of the clip [rad].
     angle_offset_sigma: float  #: Standard uncertainty of `angle_offset` [rad].
     covariance: Floats  #: Covariance matrix of start, rate and angle [products of s, 1 and rad].
-    ambiguous: bool  #: Whether another start is not excluded.
+    ambiguous: bool  #: Whether the data also allow another start.
     rivals: tuple[Rival, ...]  #: Alternative starts.
     misfit_rad: float  #: Rms difference of the angles of the two cameras [rad].
     outliers: int  #: Number of samples that are not used.
-    common_rate: bool  #: Whether all clips have one clock rate.
-    common_direction: bool  #: Whether all clips have one direction of zero.
+    common_rate: bool  #: Whether one clock rate was fitted to all clips.
+    common_direction: bool  #: Whether one direction of the zero of the angle was fitted to all clips.
 
 
 class SyncDocument(TypedDict):

@@ -24,7 +24,7 @@ class LawOfBody:
 
 
 _SIGNIFICANT = 3.0  # smallest strength whose effect on the motion is stated [standard uncertainties]
-# effect on the motion of a strength per moment of inertia `a`
+# effect on the motion of a strength divided by the moment of inertia, `a`
 _IN_MOTION: dict[str, Callable[[float], str]] = {
     "touchpoint.constant.b1": lambda a: f"it slows the body by {a:.4g} rad/s2 at any speed",
     "casing.air.linear.b2": lambda a: f"alone, the speed falls to 1/e in {1 / a:.4g} s",
@@ -37,7 +37,7 @@ _IN_MOTION: dict[str, Callable[[float], str]] = {
 
 
 def laws_of_body(fit: Fit) -> tuple[LawOfBody, ...]:
-    """Return the law parameters of a body that has no joints to other bodies; no other torque acts on this body."""
+    """Return the law parameters of a body without joints to other bodies, on which no other torque acts."""
     from fitting.effects._words import of_body
 
     record = fit.problem.data[0].record

@@ -56,9 +56,9 @@ if TYPE_CHECKING:
 
 
 _SMALL_P = 0.01
-# animated pictures of a case
+# largest number of animated pictures of a case
 _MAX_GHOSTS = 4
-# sizes of the overview figures [inch]: two stacked figures, and one with the height of both
+# sizes of the overview figures [inch]: each of two stacked figures, and a figure with the height of both
 _WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
     "adequate": ("good", "✓", "Consistent with noise"),
@@ -123,7 +123,7 @@ def report_parts(
     static: bool,
     certificate: Certificate | None = None,
 ) -> dict[str, Any]:
-    """Return the content of a report with lines of `provenance`; `static`: also figures for interactive charts."""
+    """Return the content of a report with lines of `provenance`; `static` adds figures of the interactive charts."""
     by_label = {case.label: case for case in recordings}
     plausibility = tables.plausibility_rows(view.final)
     unphysical = sorted({p.effect for p in plausibility if p.is_unphysical})
@@ -207,7 +207,7 @@ def _torque_of_the_angle(view: StudyView, v: CaseView) -> list[Chart]:
 
 
 def ghost_stretches(view: StudyView, index: int, case: Case, films: Sequence[Path]) -> list[Stretch]:
-    """Return the stretches of the films of a case with the ghosts of the base and of the final model."""
+    """Return the parts of the films of a case that show the markers predicted by the base and by the final model."""
     fits, names = [view.base], ["base model"]
     if view.improved:
         fits.append(view.final)
@@ -301,7 +301,9 @@ def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str,
     """Return the strengths of a single body's laws with their meanings, and its speed in the unit of the file."""
     rows = [
         (
-            view.name(law.parameter).words,  # a symbol comes first: k and K differ
+            view.name(
+                law.parameter
+            ).words,  # a symbol at the beginning keeps its case, because k and K differ
             typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"),
         )
         for law in laws_of_body(view.final)
@@ -350,7 +352,7 @@ def _equations(fit: Fit, name: str) -> list[Equation]:
     return [Equation(line, formula(line, f"{name}{i}")) for i, line in enumerate(lines)]
 
 
-# symbols of the moments of inertia of the bodies and of the torque of a joint of a gyroscope, with their meanings
+# symbols of a gyroscope, with their meanings: moments of inertia, and torque of the joint
 _OF_PART = {
     "rotor": ("I_r", "moment of inertia of the rotor"),
     "casing": ("I_c", "moment of inertia of the casing"),
@@ -561,7 +563,7 @@ def write_overlay(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of the ghosts of base and final model around every lack of fit of a study.
+    """Write a film of every lack of fit of a study, with the markers predicted by the base and by the final model.
 
     Parameters
     ----------
@@ -593,7 +595,7 @@ _HEAD = 200  # bytes
 
 
 def is_report(path: Path) -> bool:
-    """Return whether a file is a report of this program, or does not exist: a report may then have its name."""
+    """Return whether a report may be written to this path: the file is missing, or is a report of this program."""
     try:
         with open_side_file(path) as stream:
             return _GENERATOR in stream.read(_HEAD)

@@ -84,7 +84,7 @@ def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[
     from gyrotrack.plotting._frames import Film, find_film
 
     for case in cases:
-        # clips at the higher rate show the markers of both bodies
+        # films at the higher capture rate show the markers of both bodies
         recordings = case.case.recordings.values() if case.case is not None else ()
         for r in sorted(recordings, key=lambda r: -r.capture_fps):
             path = find_film(r, list(folders))

@@ -264,10 +264,10 @@ def plausibility_rows(fit: Fit) -> list[Plausibility]:
     """Return torque and dissipated energy of each effect along the modelled motion of each case.
 
     The torque of an effect is the torque of the model minus the torque of the model without the effect. The dissipated
-    energy is minus the integral of the power of this torque. The standard uncertainty of the energy follows from the
+    energy is the negative integral of the power of this torque. The standard uncertainty of the energy follows from the
     covariance of the parameters of the effect, for a fixed motion. An effect whose law is not friction (it depends on
-    time or angle) may supply energy. A restoring torque is conservative: its work between the ends of the record is
-    not dissipated.
+    time or angle) may supply energy. A restoring torque is conservative: its work between the ends of the record is not
+    dissipated.
     """
     several = len(fit.problem.data) > 1
     return [row for i in range(len(fit.problem.data)) for row in _plausibility(fit, i, named=several)]

@@ -1,4 +1,4 @@
-"""Manual corrections of markers: each is made in one frame, is listed, and can be deleted completely.
+"""Manual corrections of markers: each correction applies to one frame, is listed, and can be deleted completely.
 
 The angle of the body in a corrected frame is the angle of the clicked marker alone, with the uncertainty of a click.
 The recording documents the corrections: ``corrections`` in its ``extra`` attribute contains for each correction the
@@ -22,7 +22,8 @@ from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording
 from gyrotrack.io._schema import STATUS
 
 CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
-JUMP = 5.0  # deviation from the neighbouring frames above which a click needs confirmation [standard uncertainties]
+# deviation from the neighbouring frames above which a click needs confirmation [standard uncertainties]
+JUMP = 5.0
 _SAME = 1e-9  # largest difference of equal times [s]
 _MIN_RADIUS = 5.0  # smallest distance of a clicked position from the centre [px]
 _TURN = 2 * np.pi
@@ -71,7 +72,7 @@ def corrected(recording: Recording, marker: str, frame: int, place: Sequence[flo
 
 
 def without_correction(recording: Recording, marker: str, frame: int) -> Recording:
-    """Return a recording with the content of one frame before its correction; a UsageError without a correction."""
+    """Return a recording with the content of one frame before its correction; raise an error without a correction."""
     track = _track(recording, marker, frame)
     listed = corrections(recording)
     note = next((c for c in listed if (c["marker"], c["frame"]) == (marker, frame)), None)
@@ -110,7 +111,7 @@ def corrections(recording: Recording) -> list[dict[str, Any]]:
 
 
 def jump(recording: Recording, marker: str, frame: int, place: Sequence[float]) -> float | None:
-    """Return the deviation of a clicked position from the neighbouring frames [rad]; None if it is not significant.
+    """Return the deviation of a clicked position from the neighbouring frames [rad]; None if not significant.
 
     The expected angle is interpolated between the neighbouring frames. The deviation is compared with the uncertainty
     of the click and the typical deviation of all frames from their neighbours.

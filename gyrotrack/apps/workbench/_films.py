@@ -184,7 +184,7 @@ FRAMES = 500  # number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 f
 
 
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:
-    """Copy the first packets of a film to a file of the same format; a TrackingError if the format forbids it."""
+    """Copy the first packets of a film to a file of the same format; raise a TrackingError if this is impossible."""
     with opened(film) as (source, stream):
         try:
             with av.open(str(target), "w") as copy:
@@ -216,12 +216,12 @@ def preview(
     points: Sequence[tuple[float, float]],
     frames: int = FRAMES,
 ) -> dict[str, Any]:
-    """Track the start of a film with the markers of a profile, by default that of the paper.
+    """Track the start of a film with the markers of a profile, by default the profile of the paper.
 
     If tracking `makes` a "case", the whole body is registered instead, and `points` (x, y) [px] of the first frame are
-    rotated with the body. The result contains ``frames``; ``centre``, position [px] or null in each frame;
-    ``markers``: name, body, and for each frame the position [px] or null, and whether the marker is complete;
-    ``kept``, fraction of frames with an angle, by body; ``warnings``.
+    rotated with the body. The result contains ``frames``; ``centre``, position [px] or null in each frame; ``markers``:
+    name and body, and for each frame the position [px] or null and whether the marker is complete; ``kept``, fraction
+    of frames with an angle, by body; ``warnings``.
     """
     with scratch_folder() as folder:
         excerpt = folder / f"excerpt{film.suffix.lower()}"
@@ -266,12 +266,11 @@ def _of_whole_body(
     return recording, _rotated_points(recording, tracked, points)
 
 
-# tracking of the start of a film, by the kind of file that tracking of the whole film makes
+# how the start of a film is tracked, by the kind of file that tracking of the whole film makes
 _STARTS = {"recording": _of_markers, "case": _of_whole_body}
 
-_MIDDLE = (
-    1.15  # radius of the middle of a marker if the outer edge is not found [radius of the inner corners]
-)
+# radius of the middle of a marker if the outer edge is not found [radius of the inner corners]
+_MIDDLE = 1.15
 # number and spacing of the frames in which the outer edge of a marker is searched for
 _SAMPLED, _APART = 5, 8
 _FARTHEST = 3.0  # largest radius of the search for the outer edge [radius of the inner corners]

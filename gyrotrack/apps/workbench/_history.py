@@ -17,7 +17,7 @@ _MOST = 200  # largest number of changes that can be undone
 
 
 class Change(NamedTuple):
-    """One changed field: list and key of a source (both "" for a field of the state), name, values before and after.
+    """One changed field: list and key of a source (both "" for a field of the state), name, old value, new value.
 
     Without a name, the source itself was added to, or removed from, the list. The values are then the content of the
     source, or None.

@@ -1,7 +1,7 @@
 """Charts of angle and speed of every film of the work folder, also during tracking.
 
-For a tracked film, the motion of its recording is shown; during tracking, the angles found so far; after an
-interruption, the angles of its checkpoint. If the clips are synchronised, all are drawn on the clock of the casing.
+For a tracked film, the motion of its recording is shown. During tracking, the angles found so far are shown, and after
+an interruption the angles in the checkpoint. Synchronised clips are drawn on the clock of the casing.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ class Job:
 
 
 class Jobs:
-    """The jobs of one work folder: at most `most` run at a time, and one per key."""
+    """The jobs of one work folder: at most `most` jobs run at a time, and at most one job per key."""
 
     def __init__(self, folder: Path, most: int) -> None:
         self._folder = folder
@@ -123,7 +123,7 @@ class Jobs:
         module: str = "gyrotrack",
         replace: bool = False,
     ) -> Job:
-        """Queue a command; `finished` is called in a separate thread when it has ended.
+        """Queue a command; `finished` is called in a separate thread when the command has ended.
 
         If the latest job of the key is active, an error is raised or, with `replace`, that job is cancelled.
         """
@@ -349,7 +349,7 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
     return {"diagnosis": document, "predicted": predicted, "base_misfit": prediction.misfit}
 
 
-# The relative excess of the mean square residual over the noise is divided into shares if it is larger than this.
+# smallest relative excess of the mean square residual over the noise that is divided into shares of candidates
 _RESOLVED = 0.05
 
 
@@ -387,9 +387,8 @@ def main() -> None:
         sys.stdout.flush()
 
 
-_SLIDER_RANGE = (
-    5.0  # half range [standard errors]; without a standard error, [sigmas of the change of the residual]
-)
+# half range [standard errors]; without a standard error, [sigma of the change of the residual]
+_SLIDER_RANGE = 5.0
 _DRAWN = 200  # number of points of a torque curve
 
 

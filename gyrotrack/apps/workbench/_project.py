@@ -435,7 +435,7 @@ class Project:
         return job.document if job is not None and job.state == "done" else {}
 
     def read(self, key: str) -> None:
-        """Read a table in a separate process without writing a case, for the meaning of each column and the speeds."""
+        """Read a table in a separate process without writing a case, to show the columns' meaning and the speeds."""
         with self._lock:
             x = self.source(key)
             if x.kind != "table":
@@ -594,7 +594,7 @@ class Project:
                 if tracking_of(x).resumes and (self.folder / f"{x.output}.unfinished").exists():
                     words.append("--resume")
                 if x.result or (self.folder / x.output).exists():
-                    words.append("--force")  # safe: the name was unused when the film was added
+                    words.append("--force")  # safe, because the name was unused when the film was added
                 self._start(f"track:{x.key}", words, partial(self._tracked, x.key, self.track_words(x)))
 
     def is_tracked(self, x: Source) -> bool:
@@ -738,7 +738,7 @@ class Project:
             self._go_on()
 
     def _go_on(self) -> None:
-        """Start the next step of `analyse`; stop if an entry is missing, which the page then names."""
+        """Start the next step of `analyse`; stop if an entry is missing. The page names this entry."""
         films = [x for x in self.state.sources if x.kind == "film"]
         if not self._analysing or any(self._is_tracking(x) for x in films):
             return

@@ -1,9 +1,9 @@
 """The server of the workbench, on this machine only.
 
-The server listens on the loopback interface and rejects requests from other sites. The Host header reveals other host
-names (DNS rebinding), and the Origin or Sec-Fetch-Site header reveals forms and scripts of other sites. Each request
-also needs the token, which is new at each start. The first visit has the token in the address, and exchanges the token
-for a cookie.
+The server listens on the loopback interface and rejects requests from other sites. The Host header shows requests to
+other host names (DNS rebinding), and the Origin or Sec-Fetch-Site header shows requests from forms and scripts of other
+sites. Each request also needs the token, which is new at each start. The first visit has the token in the address, and
+exchanges the token for a cookie.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def refusal(error: Exception) -> Response:
 
 
 def text(query: dict[str, Any], name: str) -> str:
-    """Return a text of a request; empty if it is missing or not a text; an error for invalid characters."""
+    """Return a text of a request; "" if it is missing or not a text. Invalid characters are a UsageError."""
     value = query.get(name, "")
     if not isinstance(value, str):
         return ""
@@ -244,7 +244,7 @@ _ADDRESS = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Opened:
-    """A case that was read, with the estimates of its noise, which do not need a fit."""
+    """A case that was read, and the estimates of its noise that do not need a fit."""
 
     case: Path
     stamp: int  # modification time of the file
@@ -286,7 +286,7 @@ def import_for_laboratory() -> None:
 
 @dataclass(frozen=True)
 class Laboratory:
-    """One case with its fits and films, and the processes that rank candidate effects and write the report."""
+    """The open case with its fits and films, and the processes that rank candidate effects and write the report."""
 
     session: Session
     clips: films.Clips
@@ -558,7 +558,7 @@ class Workbench:
         }
 
     def _open(self, p: Project) -> dict[str, Any]:
-        """Open the case of the project, and close another open one."""
+        """Open the case of the project, and close any other open case."""
         with self._opening:
             stamp = (p.state.case, str(p.state.fit.get("fit_id", "")), _modified(p.folder / p.state.case))
             if self._laboratory is not None and self._opened == stamp:
@@ -792,7 +792,7 @@ def page_text(label: str, *, has_case: bool, has_project: bool) -> tuple[str, st
 
 
 def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, window: bool = False) -> None:
-    """Serve on the loopback interface (port 0: any free one) until interrupted, or ended from page or `window`."""
+    """Serve on the loopback interface (port 0: any free port) until interrupted, or ended from page or `window`."""
     import uvicorn
 
     # with an explicit protocol asyncio sets TCP_NODELAY, which avoids delays

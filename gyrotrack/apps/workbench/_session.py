@@ -82,7 +82,7 @@ class Session:
         self.steps = _steps_of(data, ledger) or [Step("base", -1, base, fit_id)]
         self.current = next(i for i, s in enumerate(self.steps) if s.fit_id == fit_id)
         self.steps[self.current].found = base
-        # step to compare with the current one; if negative, the parent
+        # index of the step to compare with the current step; if negative, its parent
         self.reference = -1
         # changes of the tree and of the view: name, undo, redo
         self._undo: list[tuple[str, Callable[[], None], Callable[[], None]]] = []
@@ -110,7 +110,7 @@ class Session:
     def change(
         self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
     ) -> dict[str, Any]:
-        """Add or remove an effect (name or ``body: law``), or set initial values, and fit; an error changes nothing.
+        """Add or remove an effect (name or ``body: law``) or set initial values, then fit; an error changes nothing.
 
         The fit runs without the lock, so that other requests are answered; `cancel` discards its result.
         """
@@ -231,13 +231,13 @@ class Session:
             return _document(self._prediction().moved(values))
 
     def go(self, place: int) -> dict[str, Any]:
-        """Make another step the current one."""
+        """Make another step the current step."""
         with self._lock:
             self._show(self._existing(place))
             return self.state()
 
     def compare(self, place: int) -> dict[str, Any]:
-        """Compare the current step with another one, or with its parent if `place` is negative."""
+        """Compare the current step with another step, or with its parent if `place` is negative."""
         with self._lock:
             self.reference = self._existing(place) if place >= 0 else -1
             self.revision += 1

@@ -1,4 +1,4 @@
-"""Zipped files: workbooks, projects of Tracker (.trz), and tables of text."""
+"""Zip archives: workbooks of Excel, projects of Tracker (.trz), and tables of text."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _START = 2**14  # number of bytes at the start of a table that are read to find 
 def read_zip(path: Path, content: bytes, options: ReadOptions) -> RawTable | Points:
     """Return the table of an Excel workbook, the project of Tracker, or the table of text in an archive.
 
-    Among several tables (phyphox writes one per sensor, and ``meta/``), the only table that contains a motion is read;
-    the option `marker` selects another table by its name.
+    If an archive has several tables (phyphox writes one per sensor, and ``meta/``), the only table with a motion is
+    read. The option `marker` selects another table by its name.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:

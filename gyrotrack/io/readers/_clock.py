@@ -2,8 +2,8 @@
 
 Rows are sorted only if the result is certain: the file runs backwards, the sorted rows are at equal intervals, or a
 small share of the rows is displaced. If the clock was set back during a record, sorting would interleave rows of
-different times. In this case, if the rows before and after the step are at equal intervals, the later times are moved
-so that the intervals continue; the values on both sides must agree with this correction.
+different times. Instead, the later times are moved so that the intervals continue. This requires equal intervals before
+and after the step, and values on both sides that agree with the correction.
 """
 
 from __future__ import annotations
@@ -17,19 +17,18 @@ from gyrotrack._errors import DatasetError
 from gyrotrack.io._records import Floats, Integers
 
 MIN_SAMPLES = 8
-_TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros` and `millis`)
+_TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros`, `millis`)
 _DAY = 86400.0
 # largest relative deviation of equal intervals, and smallest share of equal intervals of a sampler
 _EQUAL, _SAMPLER = 0.02, 0.9
-_HALF = 0.5  # smallest distance of sorted rows of a sampler [interval]; closer rows belong to different times
-_FAR = 20.0  # smallest step back of a restart [intervals]; a smaller step is a clock that was set
-_FEW_DISPLACED = (
-    0.01  # largest share of displaced rows that are sorted without equal intervals, and at least one
-)
-_BESIDE = 15  # number of rows on each side of a step whose values are extrapolated across the step
-_CONTRADICTION = (
-    4.0  # smallest difference of the two estimates of a step for a contradiction [standard errors]
-)
+# smallest interval between sorted rows of a sampler [usual interval]; a smaller one shows interleaved records
+_HALF = 0.5
+_FAR = 20.0  # smallest step back of a restart [usual intervals]; a smaller step back is a clock that was set
+# largest share of displaced rows that are sorted without equal intervals (one row is always sorted)
+_FEW_DISPLACED = 0.01
+_BESIDE = 15  # number of rows on each side of a step; their values are extrapolated across the step
+# smallest contradictory difference between the two estimates of a step [standard errors]
+_CONTRADICTION = 4.0
 _SLOWEST = 0.4  # smallest interval of samples for which times without a unit may be milliseconds [s]
 _MOST_STEPS = 5  # largest number of gaps that are tested for a clock that was set ahead
 
@@ -42,7 +41,7 @@ class Ordered(NamedTuple):
 
 
 def ordered(path: Path, time: Floats, line: Integers, value: Floats | None, notes: list[str]) -> Ordered:
-    """Return the times of a record and the order of its rows; a DatasetError names the line of an uncertain order.
+    """Return the times of a record and the order of its rows; an uncertain order is a DatasetError that names the line.
 
     `value` is an unwrapped angle or a speed, which is used to test steps of the clock. Corrections are added to
     `notes`.
@@ -104,7 +103,7 @@ def _continued(
     value: Floats | None,
     notes: list[str],
 ) -> Floats:
-    """Return times whose later part continues at the usual interval after each step of the clock."""
+    """Return times without steps of the clock: after each step, the later times continue at the usual interval."""
     made = time.copy()
     for k in steps.tolist():
         offset = made[k] + usual - made[k + 1]
@@ -129,10 +128,10 @@ def _continued(
 
 
 def _delay(time: Floats, value: Floats | None, k: int) -> tuple[float, float] | None:
-    """Return the delay after row k in excess of the stated interval, from the values, and its standard error.
+    """Return the delay after row k beyond the stated interval, as the values show it, and its standard error.
 
-    Parabolas with a common slope and curvature through the rows on both sides differ by a jump, which is the delay
-    times the slope. The result is None if the slope is too small to determine the delay.
+    Two parabolas with a common slope and curvature are fitted to the rows on both sides. The jump between them is the
+    delay times the slope. The result is None if the slope is too small to determine the delay.
     """
     near = slice(max(k + 1 - _BESIDE, 0), k + 1 + _BESIDE)
     if value is None or not np.isfinite(value[near]).all() or len(value[near]) < MIN_SAMPLES:
@@ -156,7 +155,7 @@ def _delay(time: Floats, value: Floats | None, k: int) -> tuple[float, float] | 
 def _without_forward_steps(
     path: Path, time: Floats, line: Integers, value: Floats | None, notes: list[str]
 ) -> Floats:
-    """Return times without forward steps: gaps of a sampler across which the values change as in one interval."""
+    """Return times without forward steps of the clock, across which the values change as in one interval."""
     step = np.diff(time)
     usual = float(np.median(step)) if len(step) else 0.0
     equal = np.abs(step - usual) < _EQUAL * usual
@@ -185,7 +184,7 @@ def _without_forward_steps(
 
 
 def refuse_slow_clock(where: str, column: str, time: Floats) -> None:
-    """Raise an error that requests the unit of times without a unit, if the samples would be far apart in seconds.
+    """Raise an error that requests the unit of the time, if none is stated and the steps are too long for seconds.
 
     `where` is the file and line of the header, `column` the name or number of the column.
     """

@@ -17,7 +17,7 @@ from gyrotrack.io.readers._motion_table import ReadOptions, only_one
 from gyrotrack.io.readers._raw_table import MAX_CELLS, RawTable, refuse_size, table_of
 from gyrotrack.io.readers._spreadsheets import too_many_cells
 
-_MAX_JSON = 2**25  # largest size of a JSON text [bytes]; the objects need thirty times as much memory
+_MAX_JSON = 2**25  # largest size of a JSON text [bytes]; its parsed objects need thirty times as much memory
 _MOST_NUMBERS = 30_000_000  # largest number of numbers in a Parquet file
 _NESTED = ("list", "struct", "map", "large_list", "fixed_size_list")
 # columns of time, voltage, position and velocity in a test of a drive train
@@ -78,7 +78,7 @@ def _parquet_column(column: Any) -> Any:
 
 
 def read_json(path: Path, content: bytes, options: ReadOptions) -> RawTable:
-    """Return the columns of a JSON table: an object of lists, or a list of objects; ``units`` beside the table."""
+    """Return the columns of a JSON table (object of lists, or list of objects), with units from ``units`` beside it."""
     if len(content) > _MAX_JSON:
         what = f"{path} is larger than {_MAX_JSON >> 20} MiB."
         raise DatasetError(what, "Export a part of the record, or CSV.")

@@ -50,9 +50,9 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     """Unwrap angles, and return the times of gaps in which the number of turns is uncertain.
 
     The speed is the running median of the wrapped differences of neighbouring samples, which must differ by less than
-    half a turn. The integral of the speed predicts every sample, also across gaps; the number of whole turns is that
-    with the smallest difference from the prediction. A gap of length T is uncertain if the speed changes across it by
-    so much that the prediction may be wrong by 1 rad: |change| T / 8 > 1.
+    half a turn. The integral of the speed predicts every sample, also across gaps; the number of whole turns minimises
+    the difference from the prediction. A gap of length T is uncertain if the change of the speed across the gap can
+    cause an error of the prediction of 1 rad: |change| T / 8 > 1.
     """
     step = np.diff(time)
     turned = np.angle(np.exp(1j * np.diff(angle)))
@@ -66,21 +66,20 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
     return unwrapped, [float(t) for t in time[:-1][uncertain]]
 
 
-_JUMP = 20.0  # smallest change of the angle that is not a motion [neighbouring and usual changes]
-_CLEAR_JUMP, _UNSTEADY = (
-    3.0,
-    40.0,
-)  # the same for a change that does not continue the motion [changes, noise]
+# smallest jump of the angle, as a multiple of the neighbouring changes and of the usual change
+_JUMP = 20.0
+# limits for a change that does not continue the motion: multiple of other changes, multiple of the noise
+_CLEAR_JUMP, _UNSTEADY = 3.0, 40.0
 # change of a wrapped angle whose sense is in doubt [rad], and largest share of such changes in either sense
 _HALF_TURN, _MOST_HALF_TURNS = 0.8 * np.pi, 0.01
 _MOST_SLIPPED = 3.5  # largest slip [turns]; a step of more turns is an overflow
 _SLIP = 0.05  # deviation of a step from a whole number of turns that counts as a slip [turns]
-# times above this limit [s] (three years) are seconds since 1970, not since the start of a record
+# times above this limit [s] (three years) count as seconds since 1970, not since the start of a record
 _DATES = 1e8
 
 
 def unwrapped(table: MotionTable, notes: list[str]) -> Floats:
-    """Return the values of a table, with unwrapped angles; uncertain gaps are added to `notes`, jumps are an error."""
+    """Return the values of a table, with unwrapped angles; `notes` reports uncertain gaps, jumps are an error."""
     if table.quantity != "angle" or table.counted:
         return table.value
     if not is_wrapped(table.value):
@@ -107,10 +106,10 @@ def _refuse_half_turns(table: MotionTable) -> None:
 
 
 def _refuse_jumps(table: MotionTable) -> None:
-    """Refuse an angle that changes between two samples by far more than before, after, and usually.
+    """Refuse an angle that changes between two samples by far more than its neighbouring and its usual changes.
 
-    A jump is `_JUMP` times as large as other changes, or clearly larger than they are and, beyond noise, not a
-    continuation of the motion.
+    A jump is `_JUMP` times as large as other changes. A smaller change is also a jump if it is clearly larger than
+    other changes and, beyond noise, does not continue the motion.
     """
     if wraps_at_no_turn(table.value):
         raise DatasetError(
@@ -362,7 +361,7 @@ def case_of_body(
     limits = limits or Limits()
     driven = any(i.unit != "K" for i in table.inputs)
     if driven:
-        # an input describes drive and brake, so nothing is excluded; a temperature does not
+        # an input describes drive and brake, so nothing is excluded; a temperature does not describe them
         limits = replace(limits, keep_all=True)
     read = limited(_from_origin([table])[0], limits)
     notes: list[str] = []
@@ -413,7 +412,7 @@ def in_order(parts: Sequence[list[Piece]]) -> list[Piece]:
 
 
 def modes_of(tables: list[MotionTable], series: Series) -> tuple[ErrorMode, ...]:
-    """Return the error modes of several tables as modes of their common series: each is zero in the other tables."""
+    """Return the error modes of tables as modes of their common series; a mode is zero in the rows of other tables."""
     found = []
     for k, table in enumerate(tables):
         own = np.searchsorted(table.time, series.time).clip(max=len(table.time) - 1)

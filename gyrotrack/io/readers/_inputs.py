@@ -31,7 +31,7 @@ _TAKEN = {
     "t", "omega_r", "omega_c", "psi_r", "psi_c", "deflection", "delta", "pi",
     "abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", "heaviside",
 }  # fmt: skip
-# smallest share of equal neighbours in the column of a command, whose last value holds
+# a column with at least this share of equal neighbours counts as a command, whose last value holds
 _HELD = 0.5
 
 
@@ -63,7 +63,7 @@ class InputOption:
     column: str  # header or number
     unit: str | None = None  # unit in the file; None: the unit in the header
     u: float = math.nan  # standard uncertainty, in the unit of the file; NaN if not given
-    interpolation: str = ""  # "": decided by the values
+    interpolation: str = ""  # "" if the values decide
     delay: float = 0.0  # dead time [s]
     file: Path | None = None  # separate table with this input, on the same clock
 

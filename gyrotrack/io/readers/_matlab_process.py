@@ -18,7 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 READY = b"ready\n"
-_MOST_CPU_S, _MOST_S = 10, 30  # limits of CPU time and time [s]; a valid file of the largest size takes 1 s
+_MOST_CPU_S, _MOST_S = (
+    10,
+    30,
+)  # limits of CPU time and elapsed time [s]; a valid file of the largest size takes 1 s
 _MOST_MEMORY = 2**30  # memory limit beyond the libraries [bytes]: four times the largest file
 
 

@@ -1,8 +1,8 @@
 """Samples of one motion from the columns of a table.
 
 Times are sorted, repeated times averaged, and rows without a value excluded; every repair is reported with its line. A
-clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps. If it
-contains no uncertainty, the uncertainty of the samples is estimated from their scatter.
+clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps. If the
+table contains no uncertainty, the uncertainty of the samples is estimated from their scatter.
 """
 
 from __future__ import annotations
@@ -43,23 +43,23 @@ from gyrotrack.io.readers._raw_table import (
 from gyrotrack.io.readers._reading import Reading, Taken
 
 _GAP = 20.0
-_BLOCK = 15  # samples of a local polynomial: the fewest that leave degree 9 five degrees of freedom
-_DEGREES = (3, 5, 7, 9)  # the last degree only shows whether the previous one is sufficient
-# smallest ratio of the variance to that of the next degree for which the degree is not sufficient: a random walk has
+_BLOCK = 15  # samples of a local polynomial; degree 9 then leaves five degrees of freedom
+_DEGREES = (3, 5, 7, 9)  # the last degree only shows whether the previous degree is sufficient
+# a degree is not sufficient if its residual variance exceeds that of the next degree by this factor: a random walk has
 # 1.36, white noise 1
 _INSUFFICIENT = 1.6
 _NEIGHBOURS = 41  # blocks of a running median, whose standard error is 8 %
 _FLOOR = 1e-6
 _MOST_REPEATED = 0.7  # largest share of rows with the time of the previous row
-_SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change between neighbours]
-# largest share, and number, of unusual changes between neighbours; the greater applies
+_SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change]
+# largest share and largest number of unusual changes between neighbours; the greater limit applies
 _RARE = (0.01, 4.0)
 # symbols of quantities, which imply SI units
 _SYMBOLS = {"t", "omega", "w", "ω", "angle", "psi", "phi", "theta", "ψ", "φ", "θ"}
-# units to choose from for a quantity without one
+# units that are proposed for a quantity without a unit
 _CHOICES = {"t": ("s", "ms"), "angle": ("rad", "deg"), "omega": ("rad/s", "rpm")}
 
-# quantity and unit ("" if it is in the header) by column (header or number, case-folded)
+# quantity and unit ("" if the header states the unit) by column (header or number, case-folded)
 Names = Mapping[str, tuple[str, str]]
 
 
@@ -69,8 +69,8 @@ class ReadOptions:
 
     # columns by header or number, from `read_names`; if empty, the headers determine them
     names: Names | None = None
-    # names of points; the centre may also be coordinates, "12.5,40", or "orbit", the centre of a circle fitted to
-    # the path of the marker
+    # names of points; the centre may also be coordinates, "12.5,40", or "orbit": the centre of a circle fitted to the
+    # path of the marker
     marker: str | None = None
     centre: str | None = None
     fps: float | None = None  # frame rate [1/s], for a file with frame numbers
@@ -126,11 +126,11 @@ class MotionTable:
         )
 
 
-_LISTED = 8  # names in a message
+_LISTED = 8  # largest number of names in a message
 
 
 def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) -> str:
-    """Return the only name of a list, or the one matching the option `marker`."""
+    """Return the only name of a list, or the name that matches the option `marker`."""
     named = [n for n in names if options.marker and options.marker.casefold() in n.casefold()]
     chosen = named if len(named) == 1 else names
     if len(chosen) != 1:
@@ -143,7 +143,7 @@ def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) 
 
 COORDINATES = ("x", "y")
 _TURNS = {"rev", "revs", "turn", "turns", "revolution", "revolutions", "cycles"}
-_STEADY = 100.0  # smallest ratio of squared mean to variance of a constant speed
+_STEADY = 100.0  # smallest ratio of squared mean to variance for a constant speed
 
 _LAST_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
@@ -188,7 +188,7 @@ class Columns:
     place: dict[str, int]  # column of each quantity
     unit: dict[str, str]  # unit of the column; "" if none is stated
     why: dict[str, str]  # the reason of the choice
-    axes: list[int]  # all columns of the chosen quantity, if these are the axes of a sensor
+    axes: list[int]  # all columns of the chosen quantity, if the columns are the axes of a sensor
     drivers: list[int]  # measured causes of the motion
 
     def taken(self, raw: RawTable, *roles: str) -> tuple[Taken, ...]:
@@ -212,7 +212,7 @@ def column_name(raw: RawTable, index: int) -> str:
 
 
 def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
-    """Return column, unit and reason of each quantity; two columns of one meaning are an error."""
+    """Return column, unit and reason of each quantity; raise an error for two columns with the same meaning."""
     found: dict[str, list[int]] = {}
     units: dict[int, str] = {}
     why: dict[int, str] = {}
@@ -317,7 +317,7 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
     first, *copies = (raw.numeric(i) for i in places) if len(set(names)) == 1 else (None,)
     if first is not None and all(c is not None and np.array_equal(c, first, equal_nan=True) for c in copies):
         return places[0]
-    # unlike the axes of a sensor, the magnitude does not contain the sense of rotation
+    # the magnitude does not contain the sense of rotation, which the axes of a sensor do
     axes = [
         i for i in places if not set(_words(raw.names[i])) & {"absolute", "abs", "magnitude", "norm", "total"}
     ]
@@ -549,7 +549,7 @@ _SIGNALS = {"V", "mV", "A", "mA", "m", "cm", "mm", "px", "counts"}
 
 
 def _without_motion(raw: RawTable, columns: Columns) -> DatasetError:
-    """Return the error for a table without a column for the angle or the speed, with the columns that may be one."""
+    """Return the error for a table without a column for the angle or the speed; it lists columns that may be one."""
     what = f"{raw.header_place}: there is no column for the angle or omega among {_listed(raw.names)}."
     others = [
         i for i in range(len(raw.names)) if i not in columns.place.values() and raw.numeric(i) is not None
@@ -610,7 +610,9 @@ def _ask_for_units(raw: RawTable, columns: Columns, quantity: str, options: Read
                 f"Give the rate with --casing-fps N, or the unit with --column 't={name} [s]'.",
             )
         symbol = set(re.split(r"[\s_.,\-:]+", name.casefold())) & _SYMBOLS
-        if symbol or (role == "t" and (values % 1 != 0).any()):  # hardly milliseconds
+        if symbol or (
+            role == "t" and (values % 1 != 0).any()
+        ):  # so long in seconds that milliseconds are unlikely
             continue
         first, second = (f"--column '{role}={name} [{unit}]'" for unit in _CHOICES[role])
         what = f"{raw.header_place}: the unit of {column_name(raw, column)} is not stated."
@@ -621,7 +623,8 @@ def without_spikes(value: Floats, name: str, notes: list[str], line: Integers | 
     """Return values in which single samples far from both neighbours are NaN; `notes` reports them.
 
     A transmission error or a lost point changes one sample: the changes before and after it have opposite signs and far
-    exceed the usual changes of the record. Motion and rest, steps of the resolution and wrapped angles do not.
+    exceed the usual changes of the record. Motion and rest, steps of the resolution and wrapped angles do not cause
+    such changes.
     """
     known = np.flatnonzero(np.isfinite(value))
     if len(known) < MIN_SAMPLES:
@@ -724,7 +727,7 @@ def is_wrapped(angle: Floats) -> bool:
 
 
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
-    """Order a table by time and average repeated times, with `notes`; a DatasetError if the order is in doubt."""
+    """Order a table by time and average repeated times, with `notes`; an uncertain order is a DatasetError."""
     name, value = table.path.name, table.value
     if table.quantity == "angle" and len(value) and is_wrapped(value):
         value = np.unwrap(value)
@@ -769,10 +772,10 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
 
     Polynomials are fitted to blocks of 15 samples. The variance is the running median of the residual variances over 41
     blocks, divided by the median of chi2 / dof; it is robust against outliers and follows slow changes. The degree is
-    the lowest of 3, 5 and 7 whose variance is less than 1.6 times that of the next degree. Cubics are thus used for
-    white and correlated noise; for an oscillation with few samples per period they would leave a part of the motion.
-    Errors that vary more slowly than a block (centre offset, tilt) are not included. `floor` is a lower bound, in the
-    unit of `value`.
+    the lowest of 3, 5 and 7 whose variance is less than 1.6 times the variance of the next degree. Degree 3 is thus
+    used for white and correlated noise. For an oscillation with few samples per period, cubics would leave a part of
+    the motion in the residuals. Errors that vary more slowly than a block (centre offset, tilt) are not included.
+    `floor` is a lower bound, in the unit of `value`.
     """
     size = min(_BLOCK, len(time))
     count = len(time) // size

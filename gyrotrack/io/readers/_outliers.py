@@ -13,12 +13,12 @@ import numpy as np
 from gyrotrack.io._records import Floats, Integers
 from gyrotrack.io.readers._motion_table import MotionTable, scatter
 
-# smallest deviation of an outlier from either prediction [standard errors of the prediction, each 4.5 standard
-# uncertainties of a sample]: of a million normal deviates the largest is five, and the noise of real records has
-# longer tails
+# smallest deviation of an outlier from either prediction [standard errors of the prediction; one is 4.5 standard
+# uncertainties of a sample]. The largest of a million normal deviates is five, and the noise of real records has longer
+# tails
 _FAR = 10.0
-_ALIKE = 0.5  # largest difference of the two deviations [the smaller deviation]
-_RARE = 0.02  # largest share of outliers; a larger share is noise of the record
+_ALIKE = 0.5  # largest difference between the two deviations [share of the smaller deviation]
+_RARE = 0.02  # largest share of outliers; a larger share counts as noise of the record
 
 
 def without_outliers(

@@ -15,20 +15,19 @@ from gyrotrack.io._records import Floats
 from gyrotrack.io.readers._raw_table import TURN, RawTable
 
 _FEWEST = 8  # smallest number of values for a rule
-_BACKWARD = 0.05  # smallest share of steps back of a column that is not a clock
+_BACKWARD = 0.05  # smallest share of backward steps for which a column is not a clock
 _PARTS = 30  # number of parts of a record for which the growth of intervals is compared
 _LEAST_CHANGE = 0.3  # smallest change of the logarithm of intervals that determines their law
-_POWERS = (
-    1.5,
-    3.5,
-)  # exponents of the growth of intervals as a power of the intervals: viscous and dry friction
+# range of plausible exponents: intervals grow by steps proportional to a power of the interval (viscous friction 2,
+# dry friction 3)
+_POWERS = (1.5, 3.5)
 _POWER_LAW_R2 = 0.98  # smallest share of the variance that the power law must explain
 _EQUAL_STEPS = 0.99  # smallest share of equal steps of a sampled clock
 _EQUAL = 0.01  # largest relative deviation of equal steps
 _WHOLE = 0.05  # largest deviation of the number of pulses per turn from a whole number
 _PERIODS = {"rad": TURN, "deg": 360.0, "turns": 1.0, "gon": 400.0, "mrad": 1e3 * TURN}
 _NEAR = 0.03  # largest relative deviation of a period or a ratio of units from its nominal value
-# ratios of the slopes of an angle to its speed if the angle, the speed or the time is in another unit
+# ratios of the slope of an angle to the speed, if the angle, the speed or the time is in another unit
 _RATIOS = (
     (math.pi / 180, "one of them is in degrees, the other in rad"),
     (180 / math.pi, "one of them is in degrees, the other in rad"),
@@ -43,10 +42,11 @@ _RATIOS = (
     (1e3, "the time is in ms"),
     (1e6, "the time is in us"),
 )
-# smallest number of passages through the middle of the range by an oscillating body, and hysteresis [range]
+# smallest number of passages of an oscillating body through the middle of its range, and hysteresis [share of the
+# range]
 _PASSAGES, _CLEAR = 4, 0.1
-# an angle that wraps at a value other than a whole turn: smallest jump [range], number of jumps, largest other step
-# [range]
+# an angle that wraps at a value other than a whole turn: smallest jump [share of the range], number of jumps, largest
+# other step [share of the range]
 _WHOLE_RANGE, _JUMPS, _SMALL_STEP = 0.8, 3, 0.25
 _LEAST_RATIO_R2 = 0.9  # smallest share of the variance of a speed that the slopes of the angle must explain
 
@@ -67,7 +67,7 @@ def row_numbers(raw: RawTable) -> list[int]:
 def are_intervals(values: Floats) -> bool:
     """Return whether a column of events contains the intervals between events instead of their times.
 
-    Times always increase; the intervals of a body whose speed rises and falls do not.
+    Times always increase. Intervals decrease when the speed rises.
     """
     known = values[np.isfinite(values)]
     if len(known) < _FEWEST or not (known > 0).all():
@@ -172,7 +172,7 @@ def wraps_at_no_turn(angle: Floats) -> bool:
 
 
 def ratio_of_units(time: Floats, angle: Floats, omega: Floats) -> tuple[float, str]:
-    """Return the ratio of the slopes of an angle to a speed, both in SI, and the units that would explain the ratio.
+    """Return the ratio of the slope of an angle to the speed, both in SI, and the units that would explain the ratio.
 
     The ratio is nan if the speed does not belong to the angle. The text is empty if both agree or no unit explains the
     ratio.

@@ -125,10 +125,10 @@ def _foreign(path: Path, file: Any) -> Points:
 
 
 def _case_body(path: Path, body: str) -> RawTable:
-    """Return a body of a case from `sync` or `import`: the fitted series."""
+    """Return a body of a case from `sync` or `import`: the series that a fit uses."""
     with READER.open(path, CASE) as file:
         stored = read_stored_case(file, READER)
-    # a single body, or the first one of a chain, is found by its own name (optional) and as the casing
+    # a single body, or the first body of a chain, is found by its own name (optional) and as the casing
     bodies = {"casing": stored.casing, **{s.name: s for s in (stored.casing, *stored.others)}}
     series = bodies.get(body or "casing")
     if series is None:

@@ -99,7 +99,9 @@ def _axis(name: str) -> tuple[str, str]:
     """Split ``x``, ``x_{mass A}``, ``x_A``, ``A_x``, ``A.x`` or ``x (m)`` into axis and track."""
     bare = re.sub(r"\s*[\[(][^\])]*[\])]$", "", name.strip())
     unit = header_of(name)[1]
-    if "/" in unit or factor("", unit) is not None:  # the axis of a sensor, not a coordinate
+    if (
+        "/" in unit or factor("", unit) is not None
+    ):  # such a name denotes the axis of a sensor, not a coordinate
         return "", ""
     bare = re.sub(r"_(px|m|cm|mm)$", "", bare)
     found = re.fullmatch(r"([xyXY])(?:[_ ]\{?(.+?)\}?)?|(.+?)[_. ]([xyXY])", bare)

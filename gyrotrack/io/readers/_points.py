@@ -1,4 +1,4 @@
-"""Points tracked by another program, and the angle of one of them about a centre."""
+"""Points tracked by another program, and the angle of one point about a centre."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ORBIT = "orbit"
 # largest rms deviation of a path from a circle about its fitted centre, relative to the radius; a circle seen at 45
 # degrees has 0.12
 _LARGEST_DEVIATION = 0.15
-# smallest distance between given and fitted centre that triggers a warning, in standard uncertainties and in radii
+# smallest distance between given and fitted centre that causes a warning: in standard uncertainties, and in radii
 _SIGNIFICANT, _LEAST_OFFSET = 3.0, 0.05
 
 
@@ -96,7 +96,7 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
 
 
 def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str, ...]:
-    """Return a warning if the path is a circle about a centre that is not the given one.
+    """Return a warning if the path is a circle about another centre than the given one.
 
     The path of a point of a rigid body is a circle about the centre of rotation. The standard uncertainty of the
     fitted centre is the uncertainty of the least-squares fit, increased for the correlation of the residuals.

@@ -4,16 +4,17 @@ The angle of pulse k is 2 pi k / N for N pulses per turn, corrected for the erro
 omega times the uncertainty of the time, which follows from the scatter of the times about local cubics in k and from
 the resolution q of the clock, q / sqrt(12). The correction for the marks is stored as an error mode.
 
-If counts were sampled so often that rows repeat the previous count, only their changes are used (`from_changes`): equal
-counts have a common error, not independent noise.
+If counts were sampled so often that rows repeat the previous count, only the changes of the count are used
+(`from_changes`), because equal counts share one error and have no independent noise.
 
-In a sampled signal (the voltage of a photodiode, a Hall sensor or a microphone, the brightness of a window) a pulse is
-a rise through the middle between the local lowest and highest values, from the lower third to the upper third (a
-Schmitt trigger: noise near the middle causes no pulses). The time of the crossing is interpolated linearly.
+A sampled signal is, for example, the voltage of a photodiode, a Hall sensor or a microphone, or the brightness of a
+window. A pulse is a rise of the signal from the lower third to the upper third of its local range. This is a Schmitt
+trigger, so noise near the middle causes no pulses. The time of a pulse is the time at which the signal passes the
+middle of the range, interpolated linearly.
 
-A pendulum also passes a light gate repeatedly, but its passages are not pulses of a rotation. They are recognised by
-properties that a rotation does not have: two gates are passed in the order A, B, B, A; or passages become longer
-relative to the time between them, because their duration is inversely proportional to the amplitude.
+A pendulum also passes a light gate repeatedly, but its passages are not pulses of a rotation. Two properties show a
+pendulum: it passes two gates in the order A, B, B, A; or the passages become longer relative to the time between them,
+because the duration of a passage is inversely proportional to the amplitude.
 """
 
 from __future__ import annotations
@@ -45,64 +46,63 @@ from gyrotrack.io.readers._plausibility import are_intervals, counts_rows, may_b
 from gyrotrack.io.readers._raw_table import TURN, RawTable
 from gyrotrack.io.readers._reading import Reading, Taken
 
-# largest relative deviation of 90 % of the intervals between samples from their median, for a clocked sampler
+# a clocked sampler: 90 % of its intervals deviate from their median by less than this share
 _CLOCKED = 0.01
 _REGULAR_EDGES = 0.3  # largest relative change (median) between intervals of pulses; noise has 0.7
-_LEVELS = 8  # least number of distinct values of a signal; states of a light gate have two
-_MOSTLY = 0.8  # smallest share of a record with regular pulses for which no drift is searched for
-_MORE = (
-    1.25  # smallest ratio of the numbers of pulses without and with a drift for which the drift is removed
-)
-_PULSES_PER_PART = 6  # number of the longest typical periods in which the extremes are taken
+_LEVELS = 8  # smallest number of distinct values of a signal; states of a light gate have two
+_MOSTLY = 0.8  # no drift is searched for if regular pulses fill at least this share of the record
+_MORE = 1.25  # a drift is removed if its removal multiplies the number of pulses by at least this factor
+_PULSES_PER_PART = 6  # length of the parts whose extremes are taken [longest typical periods]
 _EXTREMES = (2.0, 98.0)  # percentiles of the low and the high level
-# least amplitude of a signal relative to its typical one; below it the body is at rest or absent
+# smallest amplitude of a signal from a rotating body [typical amplitude]; below it the body is at rest or absent
 _PRESENT = 0.25
-# least number of samples per pulse (in three of four neighbouring intervals); with fewer, pulses are missed
+# smallest number of samples per pulse (in three of four neighbouring intervals); with fewer, pulses are missed
 _LEAST_SAMPLES = 4.0
 _NEIGHBOURS = 9
 _LEAST_PART = 16
 _MAX_MISSED = 20
 _SMOOTHED = 5  # number of intervals of the running median
 _SWING = 0.2  # smallest relative change of the speed between turning points of a driven motion
-_MOST_RISES = 1  # a motor at the start of a record
-# quantile of the periods of a pendulum; factor by which a period exceeds this quantile only if a passage is missing;
-# largest share of such periods
+_MOST_RISES = 1  # a motor at the start of a record may cause one rise of the speed
+# quantile of the periods of a pendulum; a passage is missing where a period exceeds the quantile by this factor;
+# largest permitted share of these periods
 _SHORT_PERIODS, _LONGER, _MOST_LOST = 0.1, 1.25, 0.3
-_SAME_SPEED = 0.3  # logarithm of the ratio of speeds before and after a time without pulses
-_LEAST_SINGLE = 0.5  # smallest share of times without repetition
+# speeds before and after a time without pulses count as equal up to this logarithm of their ratio
+_SAME_SPEED = 0.3
+_LEAST_SINGLE = 0.5  # smallest share of different times among the times of pulses
 _END = 3  # number of intervals at each end that have too few neighbours on one side
 _LINE = 4  # number of intervals whose speed is continued to the ends
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-# largest relative scatter of the intervals for which a single interval shows a missed or double pulse (about a fifth of
-# the deviation that such a pulse causes)
+# up to this relative scatter of the intervals, a single interval shows a missed or double pulse (which changes the
+# interval about five times as much)
 _REGULAR = 0.13
-_SIGNIFICANT_STEP = 3.5  # smallest significant step of the counts [standard errors]
+_SIGNIFICANT_STEP = 3.5  # smallest significant step of the count [standard errors]
 _STRETCH = 60  # number of pulses between the knots of the spline through the counts
-_PART = 3000  # number of intervals in which steps of the counts are found together
-_OVERLAP = 300  # ... with this number before and after them
+_PART = 3000  # number of intervals of a part in which steps of the count are found together
+_OVERLAP = 300  # number of further intervals before and after such a part
 _MAX_MARKS = 512
-# smallest excess of the cube root of chi2 for unequal marks [standard deviations]
+# marks are unequal if the cube root of chi2 exceeds its expected value by this number of standard deviations
 _UNEQUAL_MARKS = 3.0
 _MOST_HARMONICS = 32  # largest number of periods per turn in the error mode of the marks
-# smallest share of equally spaced rows without a new count, while the body turns, for which the counts are coarser than
-# the rows; then only the changes are used
+# only the changes of the count are used if at least this share of the equally spaced rows, while the body turns, has no
+# new count
 _IDLE = 0.05
-# smallest ratio of the speed before (or after) a change to the mean speed around it for which the body is at rest on
-# the other side
+# the body is at rest on one side of a change if the speed on the other side is this multiple of the mean speed
 _ONE_SIDED = 1.6
-_TURNING = 3.0  # smallest ratio of a time without counts to the previous one for which its ends are samples
-# number of rows whose speed is continued over an interval, and largest unambiguous part of a turn in it
+# the ends of an interval without counts are samples if it exceeds its predecessor by this factor
+_TURNING = 3.0
+# number of rows whose speed is continued over the next interval; largest unambiguous rotation in this interval [turns]
 _ROWS_BEFORE, _PART_OF_TURN = 20, 0.4
-# smallest ratio of the scatter of the angles to their quantisation for which the scatter is their uncertainty
+# the scatter of the angles determines their uncertainty if it exceeds the quantisation error by this factor
 _BEYOND_QUANTISATION = 1.3
 _MAX_RESTARTS = 3
-# smallest share of passages in the opposite order of the gates to the previous one, for a pendulum
+# smallest share of passages through two gates in the opposite order to the previous passage, for a pendulum
 _ALTERNATING = 0.9
 # smallest rise of ln (duration / time between passages) from the first to the last quarter, for a pendulum
 _DURATION_CHANGE = 0.1
-_SIGNIFICANT_CHANGE = 5.0  # the same in standard errors
-_FLICKER = 0.1  # largest duration of a flicker of a light gate [median duration]
-_LARGEST_TICKS = 5e6  # largest steps of whole numbers that are taken for microseconds
+_SIGNIFICANT_CHANGE = 5.0  # the same limit in standard errors
+_FLICKER = 0.1  # largest duration of a flicker of a light gate [median duration of a passage]
+_LARGEST_TICKS = 5e6  # largest step of whole numbers that count as microseconds
 _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
@@ -164,8 +164,9 @@ def rising_edges(time: Floats, signal: Floats, name: str, notes: list[str]) -> t
 def _without_drift(time: Floats, signal: Floats) -> Floats:
     """Return a signal minus its running mean if this reveals pulses; otherwise the signal.
 
-    If a drift is larger than the amplitude, local extremes do not show the pulses. The width of the mean begins with
-    half of the record and is halved repeatedly; it must contain two typical periods and give a quarter more pulses.
+    If a drift is larger than the amplitude, local extremes do not show the pulses. The width of the mean is half of the
+    record at first and is halved repeatedly. It must contain two typical periods, and the subtraction must yield a
+    quarter more pulses.
     """
     edges, after = _local_edges(time, signal)
     best, (most, period) = signal, _regular_pulses(edges, after)
@@ -194,7 +195,7 @@ def _regular_pulses(edges: Floats, after: Integers) -> tuple[int, float]:
 
 
 def _local_edges(time: Floats, signal: Floats) -> tuple[Floats, Integers]:
-    """Return the rising edges, from the extremes in parts of the record that are a few long periods long."""
+    """Return the rising edges, with the local range from parts of the record that last a few long periods."""
     part = len(signal)
     while True:
         edges, after = _edges(time, signal, part)
@@ -230,8 +231,8 @@ def _edges(time: Floats, signal: Floats, part: int) -> tuple[Floats, Integers]:
 def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
     """Return the angle of a body from a column of event times, the state of a light gate, or a sampled signal.
 
-    Events are the changes from 0 to 1 of a column of states, the rising edges of a signal at equally spaced times, or
-    else the rows.
+    Events are the changes from 0 to 1 in a column of states, or the rising edges of a signal at equally spaced times.
+    In any other table each row is an event.
     """
     per_turn = options.pulses_per_turn or 0.0
     if not per_turn > 0:
@@ -333,12 +334,12 @@ def _signals(raw: RawTable, place: int, options: ReadOptions) -> list[int]:
 def _pulses_of_signal(
     raw: RawTable, columns: list[int], time: Floats, rows: Integers, notes: list[str]
 ) -> tuple[Floats, Integers, str] | None:
-    """Return times, lines and column of the rising edges of the one signal with regular edges; None without one.
+    """Return times, lines and column of the rising edges of the only signal with regular edges; None without it.
 
     Raises
     ------
     UsageError, DatasetError
-        Several signals have regular edges, or the only ones have too few samples per pulse.
+        Several signals have regular edges, or every signal with regular edges has too few samples per pulse.
     """
     found, fault = {}, None
     for column in columns:
@@ -414,7 +415,8 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
         return Passages(raw.path, 0.5 * (begin + end), end - begin, (*raw.notes, *notes))
     both = np.concatenate([np.column_stack([b, np.full(len(b), k)]) for k, b in enumerate(blocked)])
     both = both[np.argsort(both[:, 0] + both[:, 1])]
-    # intervals of the two gates that are closer to each other than to the next passage
+    # the two gates are interrupted in one passage if the interruptions are closer to each other than to the next
+    # passage
     step, order = np.diff(0.5 * (both[:, 0] + both[:, 1])), np.diff(both[:, 2])
     first = np.flatnonzero((order != 0) & (step < 0.5 * np.append(step[1:], np.inf)))
     if len(first) < MIN_SAMPLES:
@@ -428,7 +430,7 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
 
 
 def _refuse_lost_passages(raw: RawTable, time: Floats) -> None:
-    """Refuse passages if missing passages make the shortest period differ from the usual one."""
+    """Refuse passages if missing passages make the usual period longer than the short periods."""
     pair = time[2:] - time[:-2]
     usual = float(np.quantile(pair, _SHORT_PERIODS))
     longer = float((pair > _LONGER * usual).mean())
@@ -487,7 +489,7 @@ def _blocked(time: Floats, state: Floats, raw: RawTable, notes: list[str]) -> Fl
 def from_events(
     raw: RawTable, time: Floats, line: Integers, per_turn: float, notes: list[str]
 ) -> MotionTable:
-    """Return the angle of a body at its pulses, with missed pulses added and double ones excluded."""
+    """Return the angle of a body at its pulses, with missed pulses added and double pulses excluded."""
     if len(time) < MIN_SAMPLES:
         what = f"{raw.path} has {len(time)} pulses; at least {MIN_SAMPLES} are needed."
         raise DatasetError(what, "Give a longer recording.")
@@ -535,8 +537,8 @@ def varies_both_ways(time: Floats) -> bool:
         return False
     logs = -np.log(interval)
     smooth = median_filter(logs, _SMOOTHED, mode="nearest")
-    # the median of n normal values has an error of 1.25 s / sqrt(n); the range of m such errors is 2 sqrt(2 ln m) times
-    # larger
+    # the median of n normal values with standard deviation s has an error of 1.25 s / sqrt(n); the range of m medians
+    # is 2 sqrt(2 ln m) times this error
     error = 1.25 * 1.483 * float(np.median(np.abs(logs - smooth))) / np.sqrt(_SMOOTHED)
     least = max(_SWING, error * (2 * np.sqrt(2 * np.log(len(logs))) + 1))
     return rises(smooth, least) >= _MOST_RISES + 1
@@ -581,11 +583,11 @@ def _refuse_gap(raw: RawTable, step: Floats, ratio: Floats, counted: Floats, lin
 
 
 def _steps_of_jittering_counts(time: Floats) -> Integers | None:
-    """Return the number of pulses missed before each pulse, -1 for a double pulse; None if single intervals show it.
+    """Return the number of pulses missed before each pulse, -1 for a double pulse; None if single intervals suffice.
 
-    If the times scatter by a large share of an interval, one interval does not show whether a pulse is missed, but all
-    later counts are then too small by one. The counts are described by a cubic spline in time, and whole steps are
-    added or removed at irregular intervals, one at a time, until none is larger than a half.
+    If the times scatter by a large share of an interval, one interval does not show whether a pulse is missed. All
+    later counts, however, are too small by one. The counts are described by a cubic spline in time. Whole steps are
+    added or removed at irregular intervals, one at a time, until no remaining step is larger than a half.
     """
     interval = np.diff(time)
     if len(interval) < _STRETCH:
@@ -617,7 +619,8 @@ def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
     columns -= basis @ (basis.T @ columns)
     size = np.sum(columns**2, axis=0)
     at = ratio[places - 1]
-    # a short interval contains a double pulse, a long one as many missed pulses as its length allows
+    # a short interval ends at a double pulse; a long interval contains the number of missed pulses that its length
+    # allows
     lowest = np.where(at < 1, -1, 0)
     highest = np.where(at < 1, 0, np.clip(np.round(at - 1 + 2 * spread), 0, _MAX_MISSED))
     for _ in range(4 * len(places)):
@@ -633,7 +636,7 @@ def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
 
 
 def _typical_interval(step: Floats) -> Floats:
-    """Return the local typical interval: the geometric mean of the medians of the three before and the three after."""
+    """Return the local typical interval: the geometric mean of the medians of three before and of three after."""
     if len(step) < 3:
         return np.full(len(step), np.median(step) if len(step) else np.nan)
     logs = np.log(np.maximum(step, 1e-300))
@@ -646,9 +649,9 @@ def _typical_interval(step: Floats) -> Floats:
 def _ratios_at_end(step: Floats) -> Floats:
     """Return the ratios of intervals to those expected from the previous speed; only the last `_END` are changed.
 
-    At the end of a motion later intervals are unknown: an interval of twice the length is a missed pulse, or a body
-    that comes to rest. The speed 1/T of the previous intervals is continued by a line in time, v - a s, over half of
-    the previous interval T0 and half of the next interval T: T (v - a (T0 + T) / 2) = 1.
+    At the end of a motion the next intervals are unknown: an interval of twice the length shows a missed pulse, or a
+    body that comes to rest. The speed 1/T of the previous intervals is continued by a line in time, v - a s, over half
+    of the previous interval T0 and half of the next interval T: T (v - a (T0 + T) / 2) = 1.
     """
     regular, ratio = step.copy(), np.ones(len(step))
     for k in range(max(len(step) - _END, _LINE), len(step)):
@@ -681,7 +684,7 @@ def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
             before = step[k - 1] if k else np.inf
             after = step[k + 1] if k + 1 < len(step) else np.inf
             if k <= last + 2 or min(before, after) + step[k] > 1.6 * usual[k]:
-                continue  # next to an excluded pulse, or jitter of one pulse
+                continue  # the pulse is next to an excluded pulse, or only its time jitters
             later = _irregularity((after + step[k]) / usual[k]) < _irregularity((before + step[k]) / usual[k])
             keep[index[k + 1 if later else k]] = False
             last, dropped = k, True
@@ -698,7 +701,7 @@ def _irregularity(ratio: float) -> float:
 def from_counts(
     raw: RawTable, time: Floats, count: Floats, line: Integers, per_turn: float, notes: list[str]
 ) -> MotionTable:
-    """Return the angle at times with known counts, with the uncertainty due to that of the times."""
+    """Return the angle at times with known counts; its uncertainty follows from the uncertainty of the times."""
     errors, modes = mark_errors(time, count, per_turn, raw, notes)
     angle = TURN * (count - errors) / per_turn
     clock = _clock_resolution(time)
@@ -719,10 +722,10 @@ def mark_errors(
 ) -> tuple[Floats, tuple[ErrorMode, ...]]:
     """Return the position error of the mark of each pulse, in pulses, and the errors that remain, as error modes.
 
-    The error of a mark is the median over all turns of its deviation from a cubic spline between the times of mark 0,
-    minus the mean deviation of each turn. It is subtracted if the marks differ significantly. An unbalance or another
-    torque that depends on the angle displaces the pulses in the same way, so the subtracted amount remains an
-    uncertainty.
+    A cubic spline connects the times of mark 0. The error of a mark is the median of its deviation from this spline
+    over all turns, after subtraction of the mean deviation of each turn. The errors are subtracted if the marks differ
+    significantly. An unbalance or another torque that depends on the angle displaces the pulses in the same way, so the
+    subtracted amount remains an uncertainty.
     """
     marks = round(per_turn)
     none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()
@@ -744,7 +747,7 @@ def mark_errors(
     off -= (np.bincount(turn, apart) / np.bincount(turn))[turn]
     errors = np.array([np.median(off[pulses]) for pulses in of_mark])
     errors -= errors.mean()
-    # the variance of a median of n normal values is pi / 2n times theirs; (n - 3) / (n - 1): 1 / mean of Student's t^2
+    # the median of n normal values has pi / 2n times their variance; 1 / mean of Student's t^2 is (n - 3) / (n - 1)
     u2 = np.pi / 2 / number * np.array([np.var(off[pulses], ddof=1) for pulses in of_mark])
     t2 = errors**2 / np.maximum(u2, 1e-24) * (number - 3) / (number - 1)
     # marks with mean zero have marks - 1 degrees of freedom, and the cube root of chi2 / dof is nearly normal
@@ -762,7 +765,7 @@ def mark_errors(
 def _mark_mode(errors: Floats, kind: Integers) -> ErrorMode:
     """Return the error mode of marks with these errors [rad]: harmonics of the angle, repeated in each turn.
 
-    The variance of a harmonic is that of this harmonic of the errors, at least that of independent errors of marks.
+    The variance of a harmonic follows from the errors, and is at least the variance for independent errors of marks.
     """
     marks = len(errors)
     harmonics = np.arange(1, min(marks // 2, _MOST_HARMONICS) + 1)
@@ -878,9 +881,9 @@ def _reading_of_counter(
 
 
 def counts_coarsely(time: Floats, count: Floats) -> bool:
-    """Return whether a counter was sampled at equal intervals, some of which are without a new count.
+    """Return whether a counter was sampled at equal intervals and some of these intervals have no new count.
 
-    In rows before the first and after the last change, and in other long times without counts, the body is at rest.
+    The body is at rest before the first change, after the last change, and in other long intervals without counts.
     """
     rows = np.diff(np.flatnonzero(np.diff(count)))
     if not len(rows) or not is_sampled(time):
@@ -894,11 +897,12 @@ def from_changes(
 ) -> MotionTable:
     """Return the angle of a body at the changes of its counts, which were sampled at equal intervals.
 
-    Rows with the same count have the same error of up to a step of the angle, so later ones contain no information. If
-    the body turns by r < 1 steps between two rows, it passes the boundary between two counts in the middle between the
-    rows, with an uncertainty of r / sqrt(12) steps. If r > 1, or if it passes several boundaries (as between rows with
-    missing rows), each row is at the middle of its count within 1 / sqrt(12) steps. If the body reverses or rests, the
-    ends of the time without counts are at the middle of the count.
+    Rows with the same count share one error of up to a step of the angle, so only the first of them contains
+    information. Let r be the number of steps between two rows. If r < 1, the body passes the boundary between two
+    counts midway between the rows, with an uncertainty of r / sqrt(12) steps. If r > 1, or if the body passes several
+    boundaries (for example, where rows are missing), the angle in each row is the middle of its count, with an
+    uncertainty of 1 / sqrt(12) steps. If the body reverses or rests, the angle at both ends of the interval without
+    counts is the middle of the count.
     """
     at = np.flatnonzero(np.diff(count)) + 1
     if len(at) < MIN_SAMPLES:
@@ -914,7 +918,7 @@ def from_changes(
     turns = np.concatenate([[True], np.diff(sense) != 0, [True]])
     beside = np.maximum(np.append(idle[1], idle[:-1]), 1)
     rests = np.flatnonzero(turns & (idle > _TURNING * beside) | (idle > _MAX_MISSED * beside))
-    # the ends of times without counts, half a row away from the counts
+    # the ends of intervals without counts, half a row away from the changes
     begin, end = np.concatenate([[0], at])[rests], np.concatenate([at, [len(time)]])[rests] - 1
     ends = np.unique(np.concatenate([begin, end]))
     rows = np.concatenate([at, ends])
@@ -939,7 +943,8 @@ def from_changes(
 def _turned_within(time: Floats, count: Floats, at: Integers) -> Floats:
     """Return the number of counts by which a body turns between the rows before and after each change, (changes,).
 
-    Its speed is that between the changes before and after; next to a rest, that on the side on which it turns.
+    The speed is the mean speed from two changes before to two changes after; next to a rest, only the moving side
+    counts.
     """
     turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(count)))])[at]
     here = np.arange(len(at))
@@ -949,7 +954,7 @@ def _turned_within(time: Floats, count: Floats, at: Integers) -> Floats:
         return np.asarray((turned[end] - turned[begin]) / np.maximum(time[at[end]] - time[at[begin]], 1e-300))
 
     both, faster = speed(first, last), np.maximum(speed(first, here), speed(here, last))
-    # counts at a constant speed fall into intervals whose rates differ by less
+    # at a constant speed, the rates on both sides differ by less than this
     rate = np.where(faster > _ONE_SIDED * both, faster, both)
     return np.asarray(rate * (time[at] - time[at - 1]))
 
@@ -975,7 +980,7 @@ def _roughness(time: Floats, count: Floats) -> float:
 
 
 def clock_scale(raw: RawTable, ticks: Floats) -> float:
-    """Return the factor to seconds of integer times: us for steps of at least 1000, ms for steps of more than 10.
+    """Return the factor from integer times to seconds: us for steps of at least 1000, ms for steps of more than 10.
 
     Steps of more than five seconds in us are ambiguous: a DatasetError requests the unit.
     """
@@ -1047,8 +1052,8 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
 def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
     """Return the angles at the changes of sampled counts.
 
-    None if at most 5 % of the rows repeat the previous count while the body turns, if the times do not increase, or if
-    a count that restarts at each turn does not determine the number of turns between two rows.
+    The result is None in three cases: at most 5 % of the rows repeat the previous count while the body turns; the times
+    do not increase; or the count restarts at each turn and does not determine the number of turns between two rows.
     """
     time = angles.numbers(0, "t") * scale_of(angles, "t", angles.units[0])
     per_turn = options.pulses_per_turn or 1.0
@@ -1068,7 +1073,7 @@ def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
 
 
 def _turns_are_known(time: Floats, total: Floats, per_turn: float) -> bool:
-    """Return whether the previous speed gives less than 0.4 turns in each interval."""
+    """Return whether the body, at its previous speed, turns by less than 0.4 turns in each interval."""
     here = np.arange(len(time) - 1)
     before = np.maximum(here - _ROWS_BEFORE, 0)
     past = np.where(here > before, time[here] - time[before], np.inf)
@@ -1098,7 +1103,7 @@ def _counted_angles(
 
 
 def _continued_count(count: Floats) -> tuple[Floats, int]:
-    """Return counts without the overflows of an n-bit counter (steps of over 2^n / 2), and n; 0 if it has none."""
+    """Return counts without the overflows of an n-bit counter (steps of over 2^n / 2), and n; 0 without overflows."""
     low, high = float(count.min()), float(count.max())
     for bits in (8, 16, 24, 32):
         size = 2.0**bits

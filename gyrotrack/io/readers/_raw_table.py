@@ -39,7 +39,7 @@ class RawTable:
     """The columns of a file."""
 
     path: Path  # the file
-    # header of each column, and its unit if in a separate line; names are empty without a header
+    # header of each column (empty without a header line), and its unit if units are in a separate line
     names: tuple[str, ...]
     units: tuple[str, ...]
     # numbers (ndarray, shape (n,)) or cells of text (list of str), one per column
@@ -113,7 +113,7 @@ def refuse_long_names(path: Path, names: Sequence[str]) -> None:
 
 
 def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
-    """Return the number in a cell (with `times` also clock and ISO 8601), NaN if it is empty, None if it is text."""
+    """Return the number in a cell, with `times` also of clock and ISO 8601 times; NaN if empty, None if text."""
     text = cell.replace(",", ".") if decimal_comma else cell
     if text.casefold() in _MISSING:
         return math.nan
@@ -226,7 +226,7 @@ def is_unit(text: str) -> bool:
 
 
 def factor(role: str, unit: str) -> float | None:
-    """Return the factor of a unit to SI for a role (any if empty), from `pint` if installed; None if unknown."""
+    """Return the factor of a unit to SI for a quantity (any if ""), from `pint` if installed; None if unknown."""
     bare = clean(unit)
     if bare.casefold() in _AMBIGUOUS:
         return None
@@ -261,7 +261,7 @@ def header_of(name: str) -> tuple[str, str]:
     """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one); ``rpm`` is both."""
     if clean(name).casefold() in _NAMED_BY_UNIT:
         return name.strip(), clean(name).casefold()
-    if name.startswith("/"):  # a topic of ROS
+    if name.startswith("/"):  # a column of a ROS topic
         topic, _, unit = name.strip().rstrip("])").partition("[" if "[" in name else "(")
         return topic.strip(), unit.strip()
     match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name.strip())

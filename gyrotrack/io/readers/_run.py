@@ -3,12 +3,12 @@
 Speeds are estimated in blocks of samples. The end of a drive (by motor or hand) is a changepoint of the deceleration:
 before this point the speed is constant or increases, afterwards the body slows down. A brake is a deceleration of at
 least three times the previous deceleration, until the end of the motion. Rest is a speed that is consistent with zero.
-A disturbance is a speed that increases again. The motion of a body that does not slow down in between is not cut.
+A disturbance is a speed that increases again. If the body never slows down, no part of its motion is excluded.
 
-The start of an oscillation is cut as long as a hand holds or moves the body: periods and amplitudes there do not
-continue the later values smoothly. Rest at the end of an oscillation is cut only if the resolution of the file exceeds
-the noise. The error of a quantised value is white while the value passes through several steps. At rest, this error is
-a constant of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
+The start of an oscillation is excluded while a hand holds or moves the body: there, periods and amplitudes do not
+continue the later values smoothly. Rest at the end of an oscillation is excluded only if the resolution of the file
+exceeds the noise. The error of a quantised value is white while the value passes through several steps. At rest, this
+error is a constant of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ _BRAKE_RATIO = 3.0  # smallest ratio of the decelerations during and before a br
 _SIGNIFICANT = 6.0  # smallest difference of the slopes before and after the end of a drive [standard errors]
 _MIN_CROSSINGS = 12  # smallest number of zero crossings for the detection of irregular periods
 _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregular period and amplitude
-# largest extent of the means at rest: standard errors (of 200 normal deviates the range is 5.5), share of the range
+# largest range of the means at rest, in standard errors (200 normal deviates have a range of 5.5) and as a share of the
+# range of the record
 _STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
-_MIN_STEPS = 2  # smallest deflection with independent quantisation errors [steps of the resolution]
+_MIN_STEPS = 2  # smallest deflection at which quantisation errors are independent [steps of the resolution]
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
     design = np.polynomial.chebyshev.chebvander(x, min(5, len(x) // 4))
     early = np.arange(len(x)) < len(x) // 4
     free = np.ones(len(x), dtype=bool)
-    weight = (size / size.max())[:, None]  # noise has more influence on small oscillations
+    weight = (size / size.max())[:, None]  # small oscillations count less, because noise affects them more
     for _ in range(len(x) // 4):
         fitted = np.linalg.lstsq((weight * design)[free], (weight * curves)[free], rcond=None)[0]
         rest = np.abs(curves - design @ fitted)
@@ -304,8 +305,8 @@ def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
 def _first_free(time: Floats, speed: Floats, begin: int, reach: int) -> int:
     """Return the first block from `begin` on that continues the parabola through the later blocks up to `reach`.
 
-    This correction is needed because the line before the changepoint describes only a constant drive: after a varying
-    drive, the last driven blocks may agree better with the line of the free motion.
+    This correction is needed because the line before the changepoint describes only a constant drive. The last blocks
+    of a varying drive may agree better with the line of the free motion.
     """
     for first in range((begin + reach) // 2, begin - 1, -1):
         x, y = time[first + 1 : reach + 1] - time[first], speed[first + 1 : reach + 1]

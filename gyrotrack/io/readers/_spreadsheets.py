@@ -27,7 +27,7 @@ def read_workbook(path: Path, content: bytes) -> RawTable:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         sheets, cells = [], 0
         for sheet in book.worksheets:
-            sheet.reset_dimensions()  # the stated size may exceed the cells by far
+            sheet.reset_dimensions()  # the stated size may be much larger than the range of cells with values
             rows: list[list[Any]] = []
             for row in sheet.iter_rows(values_only=True):
                 cells += max(len(row), 1)  # a row far below the others is preceded by empty rows

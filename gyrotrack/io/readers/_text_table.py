@@ -1,7 +1,7 @@
 """The parser of text files.
 
-Text may be UTF-8, UTF-16 or Latin-1; cells may be separated by comma, semicolon, tab or blanks; a comma that is not the
-separator is a decimal comma; comment lines with ``#``, lines above the header and units below it are accepted.
+Text may be UTF-8, UTF-16 or Latin-1. Cells may be separated by comma, semicolon, tab or blanks; a comma that is not the
+separator is a decimal comma. Comment lines with ``#``, lines above the header and units below the header are accepted.
 """
 
 from __future__ import annotations
@@ -117,7 +117,9 @@ def _delimiter_of_body(lines: Lines) -> str | None:
     body = [_QUOTED.sub("", text) for _, text in lines[len(lines) // 2 :][:_SAMPLE]]
     found = next((d for d in (";", "\t", ",") if sum(d in text for text in body) > len(body) / 2), None)
     mixed = found in {"\t", ","} and all(any(map(_is_list, split(text, found))) for text in body)
-    return None if mixed else found  # blanks: the lines contain tabs among blanks, or a decimal comma
+    return (
+        None if mixed else found
+    )  # the separator is blanks: the lines contain tabs among blanks, or a decimal comma
 
 
 def _header(above: Lines, delimiter: str | None, width: int) -> tuple[list[str], list[str], int]:
@@ -165,7 +167,7 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
     wide = len(split(lines[(first + len(lines)) // 2][1], delimiter))
     names, units, header_line = _header(lines[:first], delimiter, wide)
     header_line = header_line or lines[first][0]
-    # a title that an empty line separates from the samples may have as many words as there are columns
+    # a title above an empty line may have as many words as the table has columns
     apart = bool(names) and delimiter is None and lines[first][0] > lines[first - 1][0] + 1
     titled = apart and not any(map(role_of, names))
     if titled:
