@@ -58,9 +58,10 @@ class Extent:
 def aligned(
     score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_], reach: int | None = None
 ) -> Floats:
-    """Return the trimmed mean (middle quarter, robust against a hand) of the strips about a marker: (rows, columns).
+    """Return the trimmed mean of the strips about a marker over the samples `use`, (rows, columns).
 
-    The mean extends by `reach` columns to both sides of the marker, by default by the angle `REACH`.
+    The mean of the middle quarter of the values is used, because a hand may occlude the marker in some samples. The
+    strips extend by `reach` columns to both sides of the marker, by default by the angle `REACH`.
     """
     rows, columns = score.shape[1:]
     reach = _reach(columns) if reach is None else reach
@@ -116,14 +117,15 @@ def _fall(curve: Floats, level: float) -> float:
 
 
 LEAST_CONTRAST = 6.0
-"""Smallest difference of a marker from its surroundings, in chroma or, of a white marker, in luma [grey levels].
+"""Smallest difference of a marker from its surroundings, in chroma, or in luma for a white marker [grey levels].
 Chosen: a smaller value accepts noise, a larger one loses markers in dim light."""
 CLEAREST = 5.0
-"""Smallest height of a white marker in standard deviations of its ring [1]. Chosen: a smaller value accepts remains of
-other markers, a larger one loses faint ones."""
+"""Smallest brightness of a white marker above its ring, in standard deviations of the ring [1]. Chosen: a smaller value
+accepts remains of other markers, a larger one loses faint ones."""
 LONGEST_DWELL = 0.3
-"""Largest share of samples with a marker at one angle for which their median is the background [1]. Chosen: at 0.5 the
-median shows the marker itself; a smaller value discards the background of slow bodies."""
+"""Largest share of the samples in which a marker may be at one angle if the median of the samples serves as the
+background [1]. Chosen: above 0.5 the median shows the marker itself; a smaller value discards the background of slow
+bodies."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,7 @@ class Rings:
         """Median of each sample along each row, (2, n, rows, 1)."""
         return np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
 
-    # not cached, because this array and that of rings without a marker would be the largest arrays of a command
+    # not cached: this array, and the array of rings without a marker, would be the largest arrays in memory
     @property
     def foreground(self) -> Strips:
         """Difference of each sample from `background`."""
@@ -166,7 +168,7 @@ class Rings:
 def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
     """Find a coloured marker in rings about the centre.
 
-    The background is the median over the samples at every pixel. The background is the median along each row in two
+    By default, the background is the median over the samples at every pixel. It is the median along each row in two
     cases: the marker is at one angle in more than `LONGEST_DWELL` of the samples, or the patch does not have the size
     of a marker, for example if a codec leaves a residue of a marker at rest.
     """
@@ -178,15 +180,16 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
 
 
 _LEAST_CLEAR = 0.1
-"""Smallest share of the samples in which a marker is clear [1]. Chosen: a smaller value accepts chance, a larger one
-loses markers that are often occluded."""
+"""Smallest share of the samples in which a marker is clearly visible [1]. Chosen: a smaller value accepts chance, a
+larger one loses markers that are often occluded."""
 
 
 def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
     """Find the patch of a colour in each sample.
 
-    If the background is not grey, the difference from it has another hue than the marker. The patch is found with the
-    hue of the profile and measured with its own hue; it is also found with its own hue if this selects the same patch.
+    If the background is not grey, the hue of the difference from the background is not the hue of the marker. The patch
+    is first found with the hue of the profile, and its own hue is measured. If a search with its own hue finds the same
+    patch, this hue is used instead.
     """
     score = _scores(difference, chroma_direction(wanted.colour, wanted.hue))
     own = score
@@ -234,11 +237,11 @@ def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
 
 
 _TYPICAL = 0.6
-"""Quantile of the largest scores of the samples that is typical of the marker [1]. Chosen: the marker is occluded in
-less than half of the samples, and a hand is brighter in less than a third."""
+"""Quantile, over the samples, of the largest score in a sample; it is the typical score of the marker [1]. Chosen: the
+marker is occluded in less than half of the samples, and a hand has a larger score in less than a third of them."""
 _CLEARLY = 0.5
-"""Smallest value, for a clear marker, of the largest score of a sample relative to the typical score [1]. Chosen: a
-smaller value accepts residues of the codec, a larger one loses shaded markers."""
+"""Smallest value of the largest score in a sample, divided by the typical score, for a clearly visible marker [1].
+Chosen: a smaller value accepts residues of the codec, a larger one loses shaded markers."""
 
 
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
@@ -267,8 +270,8 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
 
 
 _LEAST_KNOWN = 8
-"""Smallest number of samples with the angle of the body in the search for a white marker [samples]. Chosen: with fewer
-the mean contains other objects, with more the marker is lost in short films."""
+"""Smallest number of samples with a known angle of the body for the search for a white marker [samples]. Chosen: with
+fewer the mean contains other objects, with more the marker is lost in short films."""
 
 
 def find_white(
@@ -281,7 +284,8 @@ def find_white(
 ) -> Marker | None:
     """Find a white marker with the coloured markers of the same body, `others`, in the samples `frames`.
 
-    Frames minus their median are rotated back by the angle of the body; their median contains no table, lamps or bar.
+    The median of the frames is subtracted, and each frame is rotated back by the angle of the body. The median of the
+    rotated frames shows only what turns with the body, without table, lamps or bar.
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)
@@ -367,8 +371,8 @@ def find_markers(
     """Find the visible markers of a profile; also return `Scene.offsets` and `Scene.doubts`.
 
     Each body is searched for in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the
-    centre of its orbits if this differs. `radius` is that of the largest orbit [px], `where` the name of the film for
-    messages.
+    centre of its orbits if this differs. `radius` is the radius of the largest orbit [px], and `where` is the name of
+    the film for messages.
     """
     frames = samples.spread
     ring = search_ring(samples, centre, disc, radius)
@@ -430,8 +434,9 @@ smaller value follows noise, with a larger one the windows are off centre."""
 def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float] | None:
     """Return the offset of the centre of a body's orbits from the centre of the rings, (x, y) in px, y downwards.
 
-    Least squares on the radii of its markers, r = rho_m + e . (cos theta, sin theta), without residuals beyond three
-    standard deviations. None unless e exceeds three standard errors and `LEAST_OFFSET`.
+    The offset e is fitted by least squares to the radii of the markers, r = rho_m + e . (cos theta, sin theta), where
+    rho_m is the radius of the orbit of marker m, and theta is the angle of the marker. Residuals beyond three standard
+    deviations are excluded. The result is None unless the length of e exceeds three standard errors and `LEAST_OFFSET`.
     """
     rows, radii, directions = [], [], []
     for k, seen in enumerate(found):
@@ -510,8 +515,8 @@ _LEAST_COMMON = 8
 """Smallest number of samples that show both markers [samples]. Chosen: with a smaller value, markers agree by chance;
 with a larger one, fewer markers are compared."""
 _NEAR = 0.2
-"""Largest difference of equal angular distances [rad]. Chosen: a smaller value separates blurred markers, a larger one
-joins bodies of similar speed."""
+"""Largest difference of two angular distances that count as equal [rad]. Chosen: a smaller value separates blurred
+markers, a larger one joins bodies of similar speed."""
 
 
 def share_together(a: SampledMarker, b: SampledMarker) -> float:
@@ -572,8 +577,8 @@ def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
 
 
 _OF_MODE = 0.15
-"""Largest distance from the mode of the angles that are averaged [rad]. Chosen: a smaller value averages few angles, a
-larger one includes outliers."""
+"""Largest distance of an averaged angle from the mode of the angles [rad]. Chosen: a smaller value averages few angles,
+a larger one includes outliers."""
 
 
 def _circular_mode(angle: Floats) -> float:
@@ -591,7 +596,7 @@ _NO_DISC = "There is no disc at the centre; the orbits of the markers determine 
 
 
 def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
-    """Find the scene in sample frames; a TrackingError if no marker is found, or those of two bodies are confused."""
+    """Find the scene in sample frames; a TrackingError if no marker is found, or if two bodies are confused."""
     orbit = _find_orbit(samples, profile, where)
     circle = chroma_direction(profile.circle_colour, profile.circle_hue)
     disc = find_disc(samples, circle, orbit) if profile.centre == "circle" and profile.hub is None else None
@@ -637,7 +642,7 @@ def _find_orbit(samples: Samples, profile: Profile, where: str) -> Orbit | None:
 
 
 def places_of(samples: Samples, found: Sequence[list[list[Blob]]]) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """Return the positions of blobs in the luma plane, (n, 2) [px], and the number of their colour in `found`."""
+    """Return the positions of blobs in the luma plane, (n, 2) [px], and the index of their colour in `found`."""
     group = [k for k, frames in enumerate(found) for blobs in frames for _ in blobs]
     points = [samples.to_luma(b.x, b.y) for frames in found for blobs in frames for b in blobs]
     return np.array(points, dtype=np.float64), np.array(group, dtype=np.int64)
@@ -651,7 +656,7 @@ includes blurred markers, a larger one misses neighbouring bodies."""
 def _refuse_second_body(
     orbit: Orbit, place: Floats, label: npt.NDArray[np.int64], count: int, where: str
 ) -> None:
-    """Raise a TrackingError if blobs turn about another centre, too, outside the orbits that were found."""
+    """Raise a TrackingError if blobs outside the orbits that were found turn about a second centre."""
     outer = max(orbit.radii.values())
     beyond = np.hypot(*(place - orbit.centre).T) > _BEYOND * outer
     other = common_centre(place[beyond], label[beyond])
@@ -689,11 +694,11 @@ _DISC_SEEN = 6.0
 """Smallest score of a pixel that may belong to a disc [grey levels]. Chosen: as `LEAST_CONTRAST`; a smaller value
 searches in noise, a larger one loses faint discs."""
 _DISC_PEAK = 10.0
-"""Smallest peak, the 99th percentile of the scores, of a disc [grey levels]. Chosen: a smaller value accepts
-reflections, a larger one loses faint discs."""
+"""Smallest peak score of a disc; the peak is the 99th percentile of the scores [grey levels]. Chosen: a smaller value
+accepts reflections, a larger one loses faint discs."""
 _DISC_FILL = 0.7
-"""Smallest area of a disc without an orbit divided by that of the smallest circle about it [1]. Chosen: a full disc has
-1; a smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
+"""Smallest area of a disc, divided by the area of the smallest circle about it, if no orbit is known [1]. Chosen: a
+full disc has 1; a smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
 
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:

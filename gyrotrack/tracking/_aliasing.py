@@ -23,14 +23,14 @@ _MOST_FOLD = 48
 """Largest order of symmetry that is considered [1]. Chosen: a larger value takes fine texture for a symmetry, a smaller
 one overlooks wheels with many spokes."""
 _ALIKE = 0.5
-"""Smallest correlation of a body's picture with itself after a period for which the other rotation is tried [1].
-Chosen: a smaller value tries more rotations, which costs time; a larger one overlooks them."""
+"""Smallest correlation between a body's picture and the same picture rotated by a period, for which the other rotation
+is tried [1]. Chosen: a smaller value tries more rotations, which costs time; a larger one overlooks an alias."""
 _FAST = 0.25
-"""Smallest turn per frame, in periods, for which the other rotation is tried [1]. Chosen: slower motions leave only
-implausibly fast alternatives; a smaller value adds doubts, a larger one misses aliases."""
+"""Smallest turn per frame, in periods, for which the other rotation is tried [1]. Chosen: if the motion is slower, the
+other rotation is implausibly fast; a smaller value adds needless warnings, a larger one overlooks aliases."""
 _EQUAL = 0.02
-"""Smallest difference of the explained shares by which the pictures decide [1]. Chosen: with a smaller value, noise
-decides; a larger one leaves clear cases to the change of speed."""
+"""Smallest difference of the explained shares of two rotations that decides between them [1]. Chosen: with a smaller
+value, noise decides; with a larger one, the change of speed decides even if the pictures are clear."""
 _STEADY = 0.02
 """Smallest relative change of the speed that counts as speeding up or slowing down [1]. Chosen: with a smaller value,
 noise decides; a larger one leaves slow decays undecided."""
@@ -67,11 +67,11 @@ def unaliased(
 ) -> Alias:
     """Select one of the rotations that are consistent with a film.
 
-    The rotation that explains more (`explained`) of the changes of brightness is selected. If two explain equally
-    much, the rotation that slows down is selected, because a free body slows down. If both are steady, the slower
-    rotation is selected, with a warning. Whole periods per frame are subtracted first, unless the pictures contradict.
-    `angle` (n,) are angles tracked by continuity, counter-clockwise [rad], in the frames `frame`; the picture
-    `template` was averaged at these angles.
+    `explained` returns the share of the changes of brightness that a rotation explains. The rotation with the larger
+    share is selected. If the shares are equal, the rotation that slows down is selected, because a free body slows
+    down. If both rotations are steady, the slower one is selected, with a warning. Whole periods per frame are
+    subtracted first, unless this reduces the explained share. `angle` (n,) are angles tracked by continuity,
+    counter-clockwise [rad], in the frames `frame`; the picture `template` was averaged at these angles.
     """
     steps = np.diff(angle) / np.diff(frame)
     usual = float(np.median(steps))
@@ -107,8 +107,8 @@ def unaliased(
 
 
 _FEWEST = 10
-"""Number of angles that must be exceeded to determine a change of the speed [frames]. Chosen: with fewer, noise
-decides; with more, short films remain aliased."""
+"""Number of angles above which a change of the speed is determined [frames]. Chosen: with fewer, noise decides; with
+more, short films remain aliased."""
 
 
 def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
@@ -132,7 +132,7 @@ def doubtful(
 
 
 def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
-    """Return the mean turn per frame in the first and in the last fifth."""
+    """Return the mean turn per frame in the first and in the last fifth of the angles."""
     fifth = max(2, len(angle) // 5)
     first, last = (
         float((angle[b] - angle[a]) / (frame[b] - frame[a])) for a, b in ((0, fifth), (-1 - fifth, -1))
@@ -141,7 +141,7 @@ def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
 
 
 def _growth(angle: Floats, frame: npt.NDArray[np.int64]) -> float:
-    """Return the relative change of the speed from the first to the last fifth; NaN if the sense changes."""
+    """Return the relative change of speed from the first to the last fifth of the angles; NaN if the sense changes."""
     first, last = _ends(angle, frame)
     return math.nan if first * last <= 0 else abs(last) / abs(first) - 1.0
 

@@ -86,14 +86,14 @@ _HUB_FRAMES = 100
 """Frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: a smaller number gives an
 uncertain hub, a larger one costs time."""
 _PATH_SETTLED = 0.02
-"""Step that ends the iterations for the displacement of a body far from its hub, in one frame [px]. Chosen: a larger
-value stops early, a smaller one costs time."""
+"""Step below which the iterations for the displacement of a body far from its hub end, in one frame [px]. Chosen: a
+larger value stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
 """Number of iterations for the hub of a body far from it [iterations]. Chosen: a smaller number stops before distance
 and template agree, a larger one costs time."""
 _FEWEST_STEPS = 4.0
-"""Effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns [1]. Chosen: a
-smaller value mistakes a cut for a rotation, a larger one refuses short motions."""
+"""Smallest effective number, (sum s)^2 / (sum s^2), of the steps s by which a body turns from frame to frame [1].
+Chosen: a smaller value mistakes a cut for a rotation, a larger one refuses short motions."""
 _DISPLACED = 0.05
 """Smallest distance of a better hub from the given hub that triggers a warning [radii]. Chosen: a smaller value warns
 of accurate hubs, a larger one accepts biased angles."""
@@ -116,27 +116,27 @@ _OUTSIDE = 0.85
 Chosen: rotation about such a hub resembles translation; a smaller value accepts translation, a larger one refuses
 pendulums."""
 _SHOWN = 0.33
-"""Largest share of a ring inside the picture for which `_OUTSIDE` applies [1]. Chosen: of a body in a corner a smaller
-share is visible; a larger value refuses cut discs, a smaller one accepts translation."""
+"""Largest share of a ring inside the picture for which `_OUTSIDE` applies [1]. Chosen: a body in a corner of the
+picture shows a smaller share; a larger value refuses cut discs, a smaller one accepts translation."""
 _WHOLE = 0.9
 """Smallest moving share of the picture for which the camera may turn about a hub outside the picture [1]. Chosen: a
 smaller value refuses bodies that fill the picture, a larger one accepts moving cameras."""
 _UNDETERMINED = 0.25
-"""Largest error of the angles due to the hub, relative to their standard deviation, that is accepted [1]. Chosen: too
-small a distance of the hub enlarges all angles; at this limit amplitude and period of a pendulum do not determine each
-other."""
+"""Largest accepted error of the angles due to the hub, divided by the standard deviation of the angles [1]. Chosen: if
+the assumed hub is too near, all angles are too large; at this limit the amplitude of a pendulum does not determine its
+period."""
 _AS_MUCH = 1.1
-"""Largest ratio of the unexplained share with another hub to that with the best hub, for which both are reported [1].
-Chosen: a smaller value hides rivals, a larger one reports worse hubs."""
+"""Largest unexplained share with another hub, divided by the unexplained share with the best hub, for which both hubs
+are reported [1]. Chosen: a smaller value hides alternatives, a larger one reports worse hubs."""
 _OTHER_RANGE = 0.05
-"""Smallest relative difference of the ranges of the angles about two hubs for which both are reported [1]. Chosen: a
-smaller value reports equal answers, a larger one hides different answers."""
+"""Smallest relative difference of the ranges of the angles about two hubs for which both hubs are reported [1]. Chosen:
+a smaller value reports hubs with equal angles, a larger one hides different angles."""
 _AS_GOOD = 0.8
 """Smallest explained share of a second body, relative to the best candidate, that makes the film ambiguous [1]. Chosen:
 a smaller value refuses films with shadows, a larger one may choose the wrong body."""
 _GIVEN_IS_NEAR = 0.8
 """Explained share about a given hub below which proposed hubs near it are also tried [1]. Chosen: a local search finds
-only a true hub that is near; a smaller value misses a more distant one, a larger one costs time."""
+the true hub only if it is near; a smaller value overlooks a distant hub, a larger one costs time."""
 _HOPELESS = 0.3
 """Explained share, relative to the best candidate or to the required share, below which a candidate is not refined [1].
 Chosen: refinement is the slowest step; a smaller value costs time, a larger one may omit the true hub."""
@@ -429,7 +429,7 @@ def _track(
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Candidates to be refined; if there are none, the best of all, and the share that it must explain."""
+    """Candidates to be refined, the best of all candidates, and the share that the best one must explain."""
 
     kept: Sequence[_Trial]
     best: _Trial | None
@@ -441,7 +441,8 @@ def _candidates(
 ) -> _Candidates:
     """Propose hubs unless the hub is given, track about each, and keep the candidates that may explain enough.
 
-    Before the refinement, which is the slowest step, a candidate must reach the fraction `share` of the required share.
+    The refinement is the slowest step. Before it, the explained share of a candidate must reach limits that are
+    proportional to `share`.
     """
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
@@ -621,11 +622,11 @@ def refuse_link(name: str, block: StoredPictures, motion: Motion, best: _Trial) 
 
 
 def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]], chosen: int) -> str | None:
-    """Return a warning if rotation about another hub explains the film as well as the chosen one, with both answers.
+    """Return a warning with both hubs if rotation about another hub explains the film as well as the chosen one.
 
     `found` contains the hub [px], the outer radius of the ring [px], the angles [rad] and the explained share of each
-    candidate. Another hub is reported if its unexplained share is at most `_AS_MUCH` times as large, and if the range
-    of the angle differs by more than `_OTHER_RANGE`.
+    candidate. Another hub is reported if its unexplained share is at most `_AS_MUCH` times the unexplained share of the
+    chosen hub, and if the ranges of the angles differ by more than `_OTHER_RANGE`.
     """
     (x, y), outer, angle, score = found[chosen]
     for k, ((u, v), _, other, share) in enumerate(found):
@@ -668,7 +669,7 @@ def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: M
 
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
-    """Return a body outside the best ring that a rotation explains as well; None if there is none."""
+    """Return a second body outside the best ring whose picture a rotation explains; None without such a body."""
     if elsewhere(motion.moving, best.ring) < _ELSEWHERE:
         return None
     rest = replace(motion, moving=_outside(motion.moving, best.ring))
@@ -748,10 +749,10 @@ bodies for jumps, a larger one hides jumps."""
 
 
 def _steadiness(trial: _Trial) -> float:
-    """Return the share of the frames without a jump: the step changes by no more than its typical size.
+    """Return the share of the frames without a jump, which is a change of the step by more than its typical size.
 
     For a body with equal parts, for example spokes with a static shadow, angles that repeatedly jump back by one part
-    explain the film at least as well.
+    explain the film at least as well as the true angles.
     """
     step = np.diff(trial.angle)
     limit = max(float(np.median(np.abs(step))), _LEAST_BEND * trial.ring.step)
@@ -1057,7 +1058,7 @@ class _BodyPath:
     radius: float  # r: distance of the body from the hub [px]
     theta: Floats  # (n,) angle of the position about the hub, 0 in the middle [rad]
     bend: float  # b [px]
-    # its standard uncertainty, with correlated residuals and position-dependent errors [px]
+    # standard uncertainty of b; it includes correlated residuals and position-dependent errors [px]
     bend_sigma: float
     across: float  # c [px]
 
@@ -1091,17 +1092,18 @@ class _BodyPath:
 def _at_distance_of_path(
     ring: Ring, pictures: Sequence[Plane], angle: Floats, area: Area, *, separate: bool
 ) -> tuple[Ring, Floats, float]:
-    """Return ring and angles with the hub at the distance given by the curvature of the path, and its uncertainty.
+    """Return ring and angles with the hub at the distance given by the curvature of the path, and the distance's error.
 
-    If a body is far from its hub, its displacements are precise, but its rotation, from which the distance is first
-    estimated, is not; moreover, the ball of a pendulum need not turn with its thread. The hub is moved if the path
-    contradicts it by more than three standard uncertainties. The uncertainty is relative; for a straight path it is
-    infinite.
+    The displacements of a body far from its hub are precise. Its rotation, from which the distance is first estimated,
+    is not precise; moreover, the ball of a pendulum need not turn with its thread. The hub is moved if its distance
+    differs from that of the path by more than three standard uncertainties. The error returned is the standard
+    uncertainty divided by the distance; for a straight path it is infinite.
     """
     plain, moved = True, False
     for _ in range(_PATH_ROUNDS):
         shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
-        # first with the same variance for all samples: variances of a template about a wrong hub hide its radial blur
+        # first with the same variance for all samples, because the variances of a template about a wrong hub hide the
+        # radial blur of this template
         template = learn(shown, angle, ring.inside(area), ring, separate=separate, plain=plain)
         path = _BodyPath.of(pictures, angle, template)
         wrong, sigma = path.bend / path.radius, path.bend_sigma / path.radius

@@ -115,7 +115,7 @@ class BodyView:
         return [name for name in self.coloured if name in flat.offset] or list(flat.offset)
 
     def with_arcs(self, flat: Flattening, centre: Floats) -> Flattening:
-        """Add the offsets of markers that cover only an arc; the mean offset of the other markers is expected."""
+        """Add the offsets of markers that cover only an arc; their prior mean is the mean offset of other markers."""
         absent = [name for name in self.observations if name not in flat.offset]
         if not absent:
             return flat
@@ -129,7 +129,7 @@ class BodyView:
     def flattening_of_arc(
         self, centre: Floats, reference: Flattening, shift: Floats, size: float
     ) -> Flattening:
-        """Take the tilt from another body, and fit offsets to the arcs of the markers (see `flattening_of_arc`)."""
+        """Take the tilt from another body, and fit offsets to the arcs (see the function `flattening_of_arc`)."""
         usual = usual_error_by_place(self)
         return flattening_of_arc(reference, self._orbits(centre), shift, size, usual)
 
@@ -179,15 +179,17 @@ Measured: rms over films of many kinds."""
 
 
 _BETTER = 4.0
-"""Smallest reduction of the mean squared residual of the radii for which another path of the hub is preferred, in
-standard errors [1]. Chosen: a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
+"""Smallest reduction of the mean squared residual of the radii, in standard errors, for which another path of the hub
+is preferred [1]. Chosen: a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
 _TOGETHER = 16
 """Number of frames over which the errors of radii are taken as correlated [frames]. Chosen: twice `HOLE`; a smaller
 value overstates the significance, a larger one leaves few groups."""
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
-    """Select the hub path about which the radii of the markers vary least; the first one unless another is better.
+    """Select the path of the hub about which the radii of the markers vary least.
+
+    The first path is selected unless another one is better by `_BETTER` standard errors.
 
     An error n of the centre changes the radius of a marker in the direction of the unit vector r by -n . r. Errors of
     the radii are independent of errors of the disc.
@@ -347,9 +349,10 @@ LEAST_PLACES = 14
 def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
     """Return the position-dependent error of the radii of a body in one component of one harmonic [px].
 
-    Orders that neither an offset nor a tilt causes determine it. The mean over the markers is used, because a shadow
-    displaces all of them equally at each place. This estimate and the typical error are estimates of one variance. A
-    marker that is seen at only a few places, in step with the frames, contains no information.
+    It is determined from the orders that neither an offset nor a tilt causes. The mean over the markers is used,
+    because a shadow displaces all of them equally at each place. The result combines this estimate with the typical
+    error, as two estimates of one variance. A marker that is seen at only a few places, in step with the frames,
+    contains no information.
     """
     usual = usual_error_of_harmonic(body_view)
     found = []
@@ -365,7 +368,7 @@ def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening
 
 
 def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView], error: float) -> complex:
-    """Return the common p + i q of all bodies: one camera sees them, so the ellipses of their orbits are equal.
+    """Return the flattening p + i q of all bodies: one camera sees them, so the ellipses of their orbits are equal.
 
     The component across the tilt is an error. The component along the tilt cannot be negative: it is the posterior mean
     for a normally distributed `error` and a uniform prior from 0.
@@ -419,7 +422,7 @@ def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float
 
 
 def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
-    """Return the typical position-dependent error of the mean of markers [px]; the part of illumination is common."""
+    """Return the typical position-dependent error of the mean of markers [px]; the part due to light is common."""
     return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
 
 
@@ -434,21 +437,21 @@ def _shrunk(found: Floats, error: float) -> Floats:
 
 
 def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
-    """Return the position-dependent errors of a body [px] without the first harmonic, at least the typical error."""
+    """Return the position-dependent error of a body [px] without the first harmonic, at least the typical error."""
     learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
     left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
     return max(left, min(learnt, usual_error_by_place(body_view)))
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the axis of a fast body from angles minus that from radii, (2,) [px] (y up), shrunk for their errors."""
+    """Return the axis of a fast body from angles minus its axis from radii, (2,) [px], y up, shrunk for its error."""
     off = _axis_by_angles(body_view, flat, body)
     known = max(len(body_view.reference(flat)), 1)
     return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, known))
 
 
 def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the mean over the markers of the axis from angles minus that from radii, (2,) [px], y up; 0 if unknown."""
+    """Return the axis from angles minus the axis from radii, (2,) [px], y up, averaged over markers; 0 if unknown."""
     off = [body.axis_off[m] * body_view.radius for m in body_view.reference(flat) if m in body.axis_off]
     return np.mean([(z.real, z.imag) for z in off], axis=0) if off else np.zeros(2)
 
@@ -459,8 +462,8 @@ def separate_perspective(
     """Return the flattening of the casing's orbit about a marked hub, with perspective separated from its offset.
 
     Perspective enlarges the near half of a circle about e: its radius varies once per turn, as for a circle about a +
-    e, with a proportional to the square of the radius, while its angles are those about e. The markers of the rotor
-    turn fast, so their angles determine e, and their radii determine a.
+    e, where a is proportional to the square of the radius, while its angles are the angles about e. The markers of the
+    rotor turn fast, so their angles determine e, and their radii determine a + e.
 
     The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
     and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or the offset of
@@ -521,8 +524,8 @@ def _tilt_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Flo
 Integers = npt.NDArray[np.int64]
 
 _FAR = 0.05
-"""Smallest range of the centre, relative to the radius of the orbit, for which its motion is followed [1]. Chosen: a
-smaller value follows noise, a larger one uses the mean position of a moving hub."""
+"""Smallest range of the positions of the centre, relative to the radius of the orbit, for which the motion of the
+centre is followed [1]. Chosen: a smaller value follows noise, a larger one uses the mean position of a moving hub."""
 
 
 @dataclass(frozen=True)
@@ -566,7 +569,7 @@ def _join_fresh(seen: FilmObservations, scene: Scene, profile: Profile, fps: flo
 
 
 def _time_base(times: FrameTimes) -> TimeBase | None:
-    """Return the times of all frames, also of missing ones; None if frames are counted."""
+    """Return the times of all frames, including missing frames; None if frames are counted."""
     if times.place is None:
         return None
     return TimeBase(np.interp(np.arange(times.number[-1] + 1), times.number, times.place), times.sigma)
@@ -825,9 +828,10 @@ def by_texture(
 
 
 RING_ERROR = 0.055
-"""Position-dependent error of a slow ring measured about its own view, rms [px]. Measured: in eleven films by two other
-renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers, 0.054 px rms. A ring whose
-view is unknown has the error of a marker, because an encoder repeats pictures of a slow body."""
+"""Position-dependent error of a slow ring whose oblique view is determined from the ring itself, rms [px]. Measured: in
+eleven films by two other renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers,
+0.054 px rms. A ring whose view is unknown has the error of a marker, because an encoder repeats pictures of a slow
+body."""
 LEAST_PERIODIC = 0.3e-3
 """Standard deviation of the amplitudes of an error once and twice per turn of a slow casing, in addition to the errors
 of centre and flattening [rad]. Measured: in the slow frames of five rendered films, the amplitudes exceeded these
@@ -837,8 +841,9 @@ LEVEL = 0.005
 rendered films of a near camera with a tilt of 0.15 rad (flattening 0.0056), the rms error of the angles is 0.75 to 1.2
 standard uncertainties over more than 0.6 turns, but 1.1 to 1.6 over half a turn; with 0.08 rad, 0.9 to 1.1."""
 _ALMOST_ALL = 0.95
-"""Smallest share of the frames of a ring that must be measured about its own view [1]. Chosen: the other frames have
-the angles of the markers; a smaller value mixes different errors, a larger one fails for a few disturbed frames."""
+"""Smallest share of the frames of a ring that must be measured with the view determined from the ring itself [1].
+Chosen: the other frames have the angles of the markers; a smaller value mixes different errors, a larger one fails for
+a few disturbed frames."""
 
 
 def periodic_error(texture: TextureObservations, centre: Floats, flattening: float, learnt: Mask) -> float:
@@ -866,7 +871,7 @@ def error_of_ring(ring: TextureObservations, usual: float) -> float:
 
 
 def _best_ring(body: BodyObservations, flattening: float) -> TextureObservations | None:
-    """Return the ring about its own view if the body is always slow, otherwise about the view of the markers.
+    """Return the ring measured with its own view if the body is always slow, otherwise with the view of the markers.
 
     Errors that repeat in each turn are estimated from the fast frames of a film, and must be valid for all frames. The
     markers of all bodies determine an oblique view, with a large `flattening`, better than one ring, because of
@@ -896,9 +901,10 @@ def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
     """Return whether the averages of new angles over `_AVERAGED` have a smaller error than those of the markers.
 
     The two angles differ by their white errors and by an error that does not average out: a marker that passes the
-    marker of another body has an error, and this error is slow where the passages are in step with the frames. With the
-    variance V of the differences of the averages of m frames, the excess V - (sigma_1^2 + sigma_2^2) / m is attributed
-    to the marker, because a ring averages over its circumference.
+    marker of another body has an error, and this error varies slowly where the passages are in step with the frames. V
+    is the variance of the differences between the two averages over m frames, and sigma_1 and sigma_2 are the standard
+    deviations of the white errors. Then the excess V - (sigma_1^2 + sigma_2^2) / m is attributed to the marker, because
+    a ring averages over its circumference.
     """
     both = np.flatnonzero(np.isfinite(found.angle) & np.isfinite(body.angle))
     if not len(both):

@@ -260,7 +260,7 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
 
 
 def _significant_roll(roll: Floats, sigma: float) -> tuple[Floats, float]:
-    """Return a roll (n,) [rad] and its standard uncertainty; zero if it is not significant (a tripod on a table)."""
+    """Return a roll (n,) [rad] and its standard uncertainty; zero if it is not significant, as on a tripod."""
     if roll.std() >= _CLEAR * sigma:
         return roll, sigma
     return np.zeros(len(roll)), float(np.sqrt(max(roll.var() - sigma**2, 0.0)))
@@ -292,7 +292,7 @@ def background_roll(frames: Iterable[Plane], body: tuple[float, float, float]) -
 
     `body` is centre (x, y) and radius [px] of the bodies in the first frame. The displacement of the result is zero at
     this centre. The standard uncertainty of the roll follows from the differences between two halves of the background.
-    A roll that is not significant is zero, with its rms beyond the noise as standard uncertainty.
+    A roll that is not significant is replaced by zero; its standard uncertainty is then its rms beyond the noise.
     """
     roll, apart, masks = [], [], []
     warp = [np.eye(2, 3, dtype=np.float32) for _ in range(3)]

@@ -105,8 +105,8 @@ def body_track(
 ) -> BodyTrack:
     """Build the record of one body from the frames in which its angle is known.
 
-    `sigma_paper` is the paper's uncertainty of the mean of the unoccluded markers of a frame, sqrt(sum sigma_m^2) / n,
-    and NaN without such markers.
+    `sigma_paper` is the uncertainty as defined in the paper (see `_corners`), for the mean of the n unoccluded markers
+    of a frame: sqrt(sum sigma_m^2) / n. It is NaN without such markers.
     """
     use = np.isfinite(body.angle)
     angle, sigma = sense * body.angle[use], body.sigma[use]
@@ -384,9 +384,9 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[s
 
 
 _FEWEST_CORNERS = 0.05
-"""Smallest share of the frames in which the near corners of one of the paper's markers are found [1]. Measured: 0.06
-and more for each marker of 60 rendered films, 1 for that of a slow casing; 0 for the red tips of a wind turbine. A
-larger value doubts films of a blurred rotor, a smaller one accepts coloured patches of other bodies."""
+"""Smallest share of the frames in which the near corners of a rectangular paper marker are found [1]. Measured: 0.06
+and more for each marker of 60 rendered films, 1 for the marker of a slow casing, 0 for the red tips of a wind turbine.
+A larger value doubts films of a blurred rotor, a smaller one accepts coloured patches of other bodies."""
 
 
 def has_corners(markers: Iterable[MarkerTrack]) -> bool:

@@ -74,8 +74,8 @@ MOST_LEARNT = 8
 """Largest number of parts whose beginnings are used for the maps of illumination and occlusion [1]. Chosen: the cost
 does not grow with the film; a larger number costs time, a smaller one gives noisier maps."""
 _RATE = 24
-"""Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: a smaller number gives a noisy
-speed, a larger one includes a change of the speed."""
+"""Frames on either side of a gap between parts; their mean speed extrapolates the angle over the gap [frames]. Chosen:
+a smaller number gives a noisy speed, a larger one includes a change of the speed."""
 _STAMPS = "stamps"
 
 
@@ -274,7 +274,7 @@ def _run(task: Task[T], film: Film, part: Part, threads: int, count: Callable[[i
 
 
 class PartWorkers:
-    """Processes that track parts of a film: `workers` including the caller (default: one per core).
+    """The processes that track parts of a film: `workers`, including the caller (default: one per core).
 
     A single part is tracked without a further process.
     """

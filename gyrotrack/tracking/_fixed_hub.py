@@ -82,8 +82,8 @@ _FALLS = 0.15
 """Share of the change explained by rotation in the frames of the search, minus the share in the whole film, above which
 the hub is not fixed [1]. Measured: up to 0.07 for real films on an axle, 0.23 for a drawn pole on a cart."""
 _FALLEN = 0.2
-"""Decrease of this share above which the film is refused [1]. Measured: 0.23 for a public film of a pole on a cart, up
-to 0.07 for real films on an axle."""
+"""Decrease of the explained share, as for `_FALLS`, above which the film is refused [1]. Measured: 0.23 for a public
+film of a pole on a cart, up to 0.07 for real films on an axle."""
 
 
 def fallen(searched: float, film: float) -> bool:

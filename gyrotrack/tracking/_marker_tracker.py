@@ -1,14 +1,14 @@
 """One marker, measured in batches of frames: its tangential profile is matched with the mean of recent profiles.
 
-p(x) = a T(x - d) + b with gain a, offset b and displacement d free in every frame, fitted over the samples that are
-not occluded. T is the mean of the profiles of the frames, each shifted to zero displacement, and is made symmetric:
-T(x) = T(-x). A marker with parallel sides that moves uniformly during the exposure has a smeared profile that is
-symmetric about the middle of the marker at mid-exposure. Therefore d is the angle of the middle of the marker at the
-middle of the exposure, for any width of the smear.
+The model of a profile is p(x) = a T(x - d) + b. The gain a, the offset b and the displacement d are fitted in every
+frame to the samples that are not occluded. T is the mean of the profiles of the frames, each shifted to zero
+displacement, and is made symmetric: T(x) = T(-x). A marker with parallel sides that moves uniformly during the exposure
+has a smeared profile that is symmetric about the middle of the marker at mid-exposure. Therefore d is the angle of the
+middle of the marker at the middle of the exposure, for any width of the smear.
 
 Glare, shadows and encoder blocks increase the misfit of a profile and displace it. The relation between misfit and
-displacement depends on the film and is estimated from the scatter of the marker. With x the squared misfit of an
-observation relative to the median, minus 1, the variance of the observation is s^2 (1 + share x). `share` is estimated
+displacement depends on the film and is estimated from the scatter of the marker. The variance of an observation is s^2
+(1 + share x), where x is its squared misfit, relative to that of a typical observation, minus 1. `share` is estimated
 by maximum likelihood.
 """
 
@@ -47,7 +47,7 @@ class MarkerObservations:
     # shape (n, 2); polar coordinates of the near corners about the ring's centre
     corner_angle: Floats
     corner_radius: Floats
-    # shape (n,); height relative to the typical one, and rms residual from the template relative to the gain
+    # shape (n,); height relative to the typical height, and rms residual from the template relative to the gain
     gain: Floats
     misfit: Floats
     weakness: Floats  # shape (n,); factor on the uncertainty for occlusion and low gain; see `Match`
@@ -106,14 +106,14 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
 LARGEST = 24.0
 """Upper limit of the excess of a squared misfit [1]. Derived: a misfit of 5 times the typical one, 5^2 - 1."""
 FEWEST = 30
-"""Smallest number of frames for a scatter [frames]. Chosen: the scatter of 30 frames is known within 13 %; a smaller
-number gives a share by chance."""
+"""Smallest number of frames for a scatter [frames]. Chosen: the scatter of 30 frames is known within 13 %; with a
+smaller number, the share estimated by `variance_inflation` is random."""
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
 """Grid of shares of the excess misfit in the variance [1]. Chosen: steps of 26 %; finer ones do not change the
 uncertainty by more than a few percent."""
 _FAULT = 5.0
-"""Largest residual of a valid angle, in standard deviations [1]. Chosen: a smaller value discards good angles, a
-larger one lets faults raise the share."""
+"""Largest residual of a valid angle, in standard deviations [1]. Chosen: a smaller value discards good angles, with a
+larger one, false angles raise the share of `variance_inflation`."""
 
 
 def excess_misfit(misfit: Floats, usual: float) -> Floats:
@@ -307,25 +307,25 @@ def flat_top(half_width: float, length: int) -> Floats:
 
 
 MOST_SHAPES = 96
-"""Largest number of frames of a batch from which the template is learnt [frames]. Chosen: time; a smaller number gives
-a noisier template."""
+"""Largest number of frames of a batch from which the template is learnt [frames]. Chosen: a larger number costs time, a
+smaller one gives a noisier template."""
 
 
 _OFF_MIDDLE = 0.25
 """Largest distance of the middle of the corners from the fine angle, in half widths [1]. Chosen: a smaller value omits
-corners of blurred markers, a larger one keeps those of other edges."""
+corners of blurred markers, a larger one keeps corners of other edges."""
 _OFF_MIDDLE_BY = 0.01
 """Distance by which the middle of the corners may exceed `_OFF_MIDDLE` [rad]. Chosen: for narrow markers; a smaller
-value omits their corners, a larger one keeps those of other edges."""
+value omits their corners, a larger one keeps corners of other edges."""
 _OTHER_WIDTH = 0.3
-"""Largest relative difference of the half width of the corners from the typical one [1]. Chosen: a smaller value omits
-corners of blurred markers, a larger one keeps those of other edges."""
+"""Largest relative difference of the half width of the corners from the typical half width [1]. Chosen: a smaller value
+omits corners of blurred markers, a larger one keeps corners of other edges."""
 _OFF_EDGE = 0.35
 """Largest distance of the corners from the near edge, in lengths of the marker [1]. Chosen: a smaller value omits
-corners of an oblique view, a larger one keeps those of other edges."""
+corners of an oblique view, a larger one keeps corners of other edges."""
 _OFF_EDGE_BY = 2.0
 """Distance by which the corners may exceed `_OFF_EDGE` [px]. Chosen: one sample of the chroma; a smaller value omits
-corners of short markers, a larger one keeps those of other edges."""
+corners of short markers, a larger one keeps corners of other edges."""
 
 
 class MarkerTracker:

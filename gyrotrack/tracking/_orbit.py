@@ -262,9 +262,9 @@ NO_FLATTENING = Flattening({}, 0.0, 0.0)
 def fit_flattening(positions: dict[str, Floats]) -> Flattening:
     """Fit offsets and flattening to the orbits of markers, from positions (n, 2) relative to the centre, y up.
 
-    Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first order, with r the unit
-    vector of theta; points beyond four robust standard deviations are rejected in each round. Markers whose
-    observations cover less than 5 rad are not used.
+    The radii |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta), to first order, are fitted by the Gauss-Newton
+    method; r is the unit vector in the direction theta. Points beyond four robust standard deviations are rejected in
+    each round. Markers whose observations cover less than 5 rad are not used.
     """
     use = {
         name: v for name, v in positions.items() if len(v) >= LEAST_OBSERVATIONS and _cover(v) > LEAST_COVER

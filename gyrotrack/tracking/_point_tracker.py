@@ -72,17 +72,18 @@ _ANCHORED = 0.5
 """Largest mean square difference of a match, divided by its limit, for which the template is not renewed [1]. Chosen: a
 smaller value lets the template drift, a larger one loses a patch that turns."""
 _PRESENT = 0.4
-"""Smallest mean square difference of a match from the background, divided by that of the patch in the first frame [1].
-Chosen: a smaller value matches the background, a larger one loses a patch in shadow."""
+"""Smallest mean square difference of a match from the background, divided by the mean square difference of the patch
+from the background in the first frame [1]. Chosen: a smaller value matches the background, a larger one loses a patch
+in shadow."""
 _TEMPLATE = 12.0
-"""Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: time; a smaller one loses
-precision."""
+"""Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: a larger radius costs time,
+a smaller one loses precision."""
 _COARSE = 5.0
-"""Radius of a spot in the reduced picture that is searched as a whole [px]. Chosen: time; a smaller one loses the spot
-among similar ones."""
+"""Radius of a spot in the reduced picture that is searched as a whole [px]. Chosen: a larger radius costs time, a
+smaller one does not distinguish the spot from similar spots."""
 _FOLLOWED = 90
-"""Number of frames in which the paths of two bodies are tested for links [frames]. Chosen: time; a smaller number shows
-little motion."""
+"""Number of frames in which the paths of two bodies are tested for links [frames]. Chosen: a larger number costs time,
+a smaller one shows little motion."""
 _FOUND = 0.6
 """Smallest share of the frames in which a patch is found [1]. Chosen: a smaller value measures few frames, a larger one
 refuses films with occlusions."""
@@ -115,8 +116,8 @@ _ROBUST = 4.0
 Math. Statist. 35, 73 (1964); a smaller limit costs precision, a larger one admits disturbed pixels."""
 _TURNS_WITH = 0.95
 """Largest residual with a rotation about the hub, divided by the residual without rotation, for which a patch is taken
-to rotate about the hub [1]. Chosen: a smaller value keeps the orientation of a bob on a rod, a larger one lets noise
-rotate round bobs."""
+to rotate about the hub [1]. Chosen: a smaller value keeps the orientation of a bob on a rod, with a larger one, noise
+makes round bobs rotate."""
 _UNSEEN = 1e9
 """Variance of a pixel that is visible in no frame [grey levels squared]. Chosen: large against any other variance, so
 that the pixel has no weight."""
@@ -151,17 +152,18 @@ _TURN_STARTS = 5
 """Number of additional initial angles of a rotation on each side, tried if the residual is unusual [1]. Chosen: a
 smaller number loses a fast rotation, a larger one costs time."""
 _TURN_STEP = 1.5
-"""Distance between these angles, multiplied by the radius of the patch [px]. Chosen: the width of an edge; a larger one
-misses the minimum, a smaller one costs time."""
+"""Distance between the additional initial angles of a rotation, multiplied by the radius of the patch [px]. Chosen: the
+width of an edge; a larger one misses the minimum, a smaller one costs time."""
 _UNUSUAL = 1.5
-"""Smallest residual, divided by its running mean, for which these angles are tried [1]. Chosen: a smaller value costs
-time, a larger one keeps a lost rotation."""
+"""Smallest residual, divided by its running mean, for which additional initial angles of a rotation are tried [1].
+Chosen: a smaller value costs time, a larger one keeps a lost rotation."""
 _UPDATE = 0.1
 """Weight of a frame in the running mean of the residual [1]. Chosen: a smaller value follows the light late, a larger
 one follows a lost rotation."""
 _NECK = 0.7
-"""Largest depth of a body at the distance `_NECK_AT` from the middle of a part, divided by the depth of the part, if
-only rods join the part [1]. Chosen: a smaller value joins the rod to the part, a larger one divides a compact body."""
+"""Largest depth (distance from the edge) of a body at the distance `_NECK_AT` from the middle of a part, divided by the
+depth of the part, if only rods join the part to the body [1]. Chosen: a smaller value joins the rod to the part, a
+larger one divides a compact body."""
 _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
 circle; a larger one reaches other parts."""
@@ -479,7 +481,8 @@ def _several(
 ) -> TrackingError:
     """Return the error for a film of several bodies: two links if a rod joins them and their motion is that of links.
 
-    A part of the picture that appears or vanishes is not a body: if one of the two parts rests, the error has no kind.
+    A part of the picture that appears or vanishes is not a body: if one of the two parts is at rest, the error has no
+    `kind`.
     """
     one, other = spots[:2]
     (x, y), (u, v) = one.place, other.place

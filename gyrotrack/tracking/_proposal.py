@@ -1,6 +1,6 @@
 """A marker profile proposed from the film alone.
 
-Moving colours of a film, and candidates for markers.
+The colours of a film that move are found first. In each of them, a candidate for a marker is found.
 """
 
 from __future__ import annotations
@@ -141,8 +141,9 @@ TRIALS = 1500
 """Number of random triples of points for a centre [1]. Chosen: more than for a known profile, because most points may
 be outliers; a smaller number may not find the centre."""
 _AMBIGUOUS = 0.35
-"""Smallest product of contrast and share of samples for which a second patch of a hue is a rival, relative to the first
-patch [1]. Chosen: with a smaller value reflections are rivals, with a larger one two marks may be confused."""
+"""Smallest product of contrast and share of samples, relative to that of the first patch of a hue, for which a second
+patch may be confused with the first [1]. Chosen: with a smaller value, reflections count as second patches; with a
+larger one, two marks may be confused."""
 _SAME_HUE = 18.0
 """Largest difference of two equal hues [degrees]. Chosen: below `APART`; a smaller value separates shades of one paper,
 a larger one joins colours."""
@@ -336,7 +337,7 @@ def rotation(angle: Floats, use: Mask) -> SteadyRotation:
 
 
 def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], list[Candidate]]:
-    """Group markers that move together, the strongest group first; also return those that do not move steadily."""
+    """Group markers that move together, the strongest group first; also return markers that do not move steadily."""
     groups: list[list[Candidate]] = []
     rotations = {id(c): rotation(c.sampled.angle[:head], c.sampled.clear[:head]) for c in candidates}
     uneven = [c for c in candidates if rotations[id(c)].share < EVEN]

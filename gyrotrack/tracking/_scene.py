@@ -95,18 +95,18 @@ LATER = 32
 smaller one gives a poor background."""
 DECODED = 240
 """Largest number of frames of 1280 x 720 px that are decoded for the later samples; more if frames are smaller
-[frames]. Chosen: time; a smaller number samples the film less evenly."""
+[frames]. Chosen: a larger number costs time, a smaller one samples the film less evenly."""
 FEWEST = 8
 """Smallest number of frames of a film [frames]. Chosen: a smaller number does not show a motion, a larger one refuses
 excerpts."""
 _BLOB_WIDTH = 400
-"""Smallest width of the chroma plane for which blobs are searched for at half size [px]. Chosen: time; a smaller value
-loses small markers."""
+"""Smallest width of the chroma plane for which blobs are searched for at half size [px]. Chosen: a larger value costs
+time, a smaller one loses small markers."""
 
 
 _BLOCK = 8
-"""Number of frames in a temporary file [frames]. Chosen: memory; a larger number occupies more pages, a smaller one
-opens more files."""
+"""Number of frames in a temporary file [frames]. Chosen: a larger number occupies more memory, a smaller one opens more
+files."""
 
 
 class FrameStore:

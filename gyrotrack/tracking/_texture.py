@@ -107,9 +107,9 @@ LEAST_CONTRAST = 0.5
 """Smallest contrast of a zone that is not covered, relative to its template [1]. Chosen: a smaller value fits a hand
 of one brightness, a larger one omits zones in shadow."""
 LEAST_KNOWN = 0.9
-"""Smallest share of the frames, relative to the best zone, of a zone that is used [1]. Chosen: a zone has no angle
-where it disagrees, so the rest seems too good; a smaller value admits such zones, a larger one omits zones that a
-cable covers."""
+"""Smallest number of frames in which a zone has an angle, relative to that of the best zone, for a zone that is used
+[1]. Chosen: a zone has no angle where it disagrees, so its other angles seem too good; a smaller value admits such
+zones, a larger one omits zones that a cable covers."""
 LEAST_ZONES = 2
 """Smallest number of informative zones for an estimate of their errors [1]. Derived: the differences of three angles
 determine three variances; the difference of two gives an upper limit of both."""
@@ -146,8 +146,8 @@ _SLOPE_EVERY = 8
 """Distance between the frames in which the derivative with respect to the radius is measured [frames]. Chosen: a
 smaller one costs time, a larger one leaves noise in it."""
 _FEWEST_SLOPES = 4
-"""Smallest number of frames from which this derivative is measured [frames]. Chosen: with fewer frames, the difference
-between the rows of the mean picture is less noisy."""
+"""Smallest number of frames from which the derivative with respect to the radius is measured [frames]. Chosen: with
+fewer frames, the difference between the rows of the mean picture is less noisy."""
 _ALIGNMENTS = 3
 """Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
 errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
@@ -158,8 +158,8 @@ _LEAST_SHARE = 0.1
 """Smallest variance of a zone relative to the variance of its differences [1]. Chosen: a smaller value gives one zone
 all the weight, a larger one makes the zones equal."""
 DEGREES = (3, 6, 12)
-"""Degrees of the polynomial that describes the motion in a batch [1]. Chosen: the first sufficient degree, or the last
-one over many turns; a remaining motion would seem correlated with the errors of some zones."""
+"""Degrees of the polynomial that describes the motion in a batch [1]. Chosen: the smallest sufficient degree is used,
+over many turns the largest one; a remaining motion would seem correlated with the errors of some zones."""
 FAR = 5.0
 """Residual to which outliers are limited, in robust standard deviations [1]. Chosen: a smaller value discards good
 frames, a larger one keeps disturbed ones."""
@@ -167,8 +167,8 @@ FINEST = 1e-7
 """Lower limit of the scatter of a zone [rad]. Derived: the rounding error of sums in single precision, which is all
 that remains of a body at rest in a picture without noise."""
 SHRINKAGE = 0.1
-"""Relative increase of variances estimated from a few hundred frames [1]. Chosen: a smaller value gives weights by
-chance, a larger one makes the zones equal."""
+"""Relative increase of variances estimated from a few hundred frames [1]. Chosen: a smaller value gives random weights,
+a larger one makes the zones equal."""
 
 
 @dataclass(frozen=True)
@@ -268,7 +268,7 @@ class _Zones:
         return self.fit_blocks([strips])
 
     def fit_blocks(self, blocks: Iterable[Singles]) -> tuple[Floats, Floats]:
-        """Return the same as `fit` from consecutive blocks of frames."""
+        """Return the results of `fit` for consecutive blocks of frames."""
         fits = [_Fit.of(z, self.picture[z], self.basis[z], self.weight[z]) for z in range(ZONES)]
         sums = [[fit.sums(strips) for fit in fits] for strips in blocks]
         both = [
@@ -637,7 +637,7 @@ class _OwnView:
 
 
 def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats, float]:
-    """Return the weights of the zones in the mean of their angles (ZONES, n) [rad], sum 1, and its uncertainty [rad].
+    """Return the weights of the zones in the mean of their angles (ZONES, n) [rad], sum 1, and the mean's error [rad].
 
     See the module docstring. The smooth motion is a polynomial and, over many turns, harmonics of the angle, which
     include errors of the centre and of the view that are removed later. The covariance is the sum of three parts: the
