@@ -100,7 +100,7 @@ def unaliased(
         if not other_slows or (slows and fastest < 0.5 * period):
             # two steady rotations cannot be distinguished
             if fastest > 0.5 * period or not (slows or other_slows):
-                return Alias(angle, _warning(angle, other, frame, period, chosen="slower at first"))
+                return Alias(angle, _warning(angle, other, frame, period, chosen="that is slower at first"))
             continue
         return Alias(other, _warning(other, angle, frame, period, chosen="that slows down"))
     return Alias(angle, None)
@@ -168,6 +168,6 @@ def _warning(
         else f"The body looks the same when rotated by {math.degrees(period):.0f} degrees. "
     )
     return (
-        f"{alike}The film fits a rotation of {words(taken)} and one of {words(other)}; the one "
+        f"{alike}Two rotations fit the film: {words(taken)}, and {words(other)}. The rotation "
         f"{chosen} is used. {remedy}"
     )

@@ -154,7 +154,7 @@ class GreyFrames(FrameStream):
 
 
 def grey_of(raw: npt.NDArray[np.uint8], bits: int, first_bit: int) -> npt.NDArray[np.uint8]:
-    """Return eight bits of each pixel, from `first_bit`, counted from the most significant bit; others are lost."""
+    """Return eight bits of each pixel, from `first_bit`, counted from the most significant bit; discard the others."""
     if bits == 8:
         return raw
     if bits == _WORDS:
