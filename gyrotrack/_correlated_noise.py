@@ -103,7 +103,7 @@ def correlated_least_squares(
         likelihood = -0.5 * (n * np.log(size * free / n) + log_noise)
         log_normal = np.linalg.slogdet(precision)[1]
         restricted = -0.5 * (free * np.log(size) + log_noise + log_normal)
-        # the coefficients are those of weighted least squares, independent of the noise model; their covariance is
+        # the coefficients come from weighted least squares and do not depend on the noise model; their covariance is
         # computed for this noise model
         of_noise, plain_normal = noise_of_plain[:, square[0], square[1]], plain_products[square]
         weak = 1e-12 * np.trace(plain_normal) * one
@@ -127,7 +127,7 @@ def correlated_least_squares(
 
 
 def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) -> float:
-    """Return the spectral density of residuals at a low frequency, divided by that of white noise of unit variance.
+    """Return the spectral density of residuals at a low frequency, relative to white noise of unit variance.
 
     `residual` (n,) and the fitted columns of `design` (n, p) are in units of the uncertainty; `period` and `t` are in
     s. The degrees of freedom of the columns are accounted for. The density is at least 1. If tau and the period are

@@ -48,9 +48,9 @@ def local_fit(
     """Fit a polynomial about every point of a uniformly sampled series, over `half` points to both sides.
 
     The weights are 1 - (x/(half + 1))^2 times the weights of the points. A missing value, which may be NaN, has the
-    weight 0. Points up to the distance `hole` are excluded, to predict each point from the others. The results are the
-    fitted values and, for each point, its weight in its own fitted value. Both are NaN if the window contains too few
-    points.
+    weight 0. Points up to the distance `hole` are excluded, to predict each point from points farther away. The results
+    are the fitted values and, for each point, its weight in its own fitted value. Both are NaN if the window contains
+    too few points.
     """
     n = len(value)
     smooth, leverage = np.empty(n), np.empty(n)

@@ -64,8 +64,8 @@ def moved(point: Sequence[Start], step: Floats) -> list[Start]:
 
 
 OUTLIER = 6.0
-"""Residual from which a sample is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects good
-samples, a larger one keeps slips."""
+"""Smallest residual of an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects good samples, a
+larger one keeps slips."""
 BLOCKS = 60
 """Blocks of a residual [1]. Chosen: a smaller number hides correlation, a larger one leaves few samples in each
 block."""

@@ -1,8 +1,10 @@
 """Acquisition of the scene: centre of rotation, disc and markers.
 
-Only the names of the colours are known beforehand. First, blobs that change between frames are collected for each
-colour, and the common centre of their circles is found. Then the disc at this centre is found. Last, each marker is
-found in rings about the centre, with its radii, width and measured shade (`find_markers`).
+Only the names of the colours are known beforehand. The score of a pixel is the difference of its colour from the
+background in the hue of a marker (`hue_score`). A strip is a ring about the centre, unrolled to rows of equal radius
+and columns of equal angle. First, blobs that change between frames are collected for each colour, and the common centre
+of their circles is found. Then the disc at this centre is found. Last, each marker is found in rings about the centre,
+with its radii, width and measured shade (`find_markers`).
 """
 
 from __future__ import annotations
@@ -180,8 +182,8 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
 
 
 _LEAST_CLEAR = 0.1
-"""Smallest share of the samples in which a marker is clearly visible [1]. Chosen: a smaller value accepts chance, a
-larger one loses markers that are often occluded."""
+"""Smallest share of the samples in which a marker is clearly visible [1]. Chosen: a smaller value accepts random
+patches, a larger one loses markers that are often occluded."""
 
 
 def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
@@ -350,8 +352,8 @@ def _brightest_place(
 
 
 FAINTEST = 0.12
-"""Smallest contrast of a marker, relative to that of the strongest marker [1]. Chosen: a smaller value accepts residues
-of the codec, a larger one loses markers in shadow."""
+"""Smallest contrast of a marker, relative to the contrast of the strongest marker [1]. Chosen: a smaller value accepts
+residues of the codec, a larger one loses markers in shadow."""
 LEAST_SIZE = 4.5
 """Smallest side of a marker [px]. Chosen: two samples of the chroma; a smaller value accepts single noisy samples, a
 larger one refuses small markers."""
@@ -371,8 +373,8 @@ def find_markers(
     """Find the visible markers of a profile; also return `Scene.offsets` and `Scene.doubts`.
 
     Each body is searched for in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the
-    centre of its orbits if this differs. `radius` is the radius of the largest orbit [px], and `where` is the name of
-    the film for messages.
+    centre of its orbits if this centre differs from the hub. `radius` is the radius of the largest orbit [px], and
+    `where` is the name of the film for messages.
     """
     frames = samples.spread
     ring = search_ring(samples, centre, disc, radius)
@@ -530,10 +532,10 @@ def share_together(a: SampledMarker, b: SampledMarker) -> float:
 
 
 def _on_other_body(found: dict[str, SampledMarker], where: str) -> list[str]:
-    """Return the markers of one body that turn with those of the other body; a TrackingError if this is ambiguous.
+    """Return markers of one body that turn with the other body's markers; a TrackingError if this is ambiguous.
 
-    If the colours of a film are not those of the profile, the colour of a rotor marker may be nearest to that of the
-    casing. If two markers turn together, the one with fewer co-rotating markers of its body is wrong.
+    If the colours of a film differ from the profile, the colour of a rotor marker may be nearest to the colour of the
+    casing's marker. If two markers turn together, the one with fewer co-rotating markers of its body is wrong.
     """
     turning = [one for one in found.values() if covered_angle(one.angle[one.clear]) > LEAST_TURNED]
 

@@ -1,8 +1,8 @@
 """Temporal aliasing: different rotations that are consistent with the same film.
 
-A picture of a body with an n-fold symmetry repeats after a period p = 2 pi / n. Frames determine the rotation per
-frame only up to multiples of p: if a rotation by d per frame describes the film, d - p does as well. Tracking by
-continuity selects the smaller of the two in the first frames. A body that turns by more than p / 2 per frame therefore
+A picture of a body with an n-fold symmetry repeats after a period p = 2 pi / n. Frames determine the rotation per frame
+only up to multiples of p: if a rotation by d per frame describes the film, d - p does as well. Tracking by continuity
+selects the smaller of the two rotations in the first frames. A body that turns by more than p / 2 per frame therefore
 seems to turn backwards, and its apparent speed grows while it slows down.
 """
 

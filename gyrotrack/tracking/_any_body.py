@@ -261,7 +261,7 @@ def _track_stabilised(
             raise
         raise RefusedFilmError(
             f"The camera moves in {film.path.name}, by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad "
-            "rms, and no body that turns about a hub is found after this is compensated.",
+            "rms, and no body that turns about a hub is found after this motion is compensated.",
             "Film with the camera on a stand, or give a point to follow with --point X,Y.",
             kind="moving camera",
             evidence={**error.evidence, "shake_px": shake.rms},
@@ -282,11 +282,11 @@ def read_excerpt(
 
 
 def _with_shake(found: Tracked, shake: Shake) -> Tracked:
-    """Add the uncertainty of the compensation: s / r for a displacement s at the radius r, and that of the roll."""
+    """Add the uncertainty of the compensation: s / r for a displacement s at the radius r, and the roll's error."""
     share = math.hypot(shake.shift_sigma / (0.5 * (found.ring.inner + found.ring.outer)), shake.roll_sigma)
     text = (
         f"The camera moves by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad rms; {shake.features} "
-        f"features of the background are used to compensate this. "
+        f"features of the background are used to compensate this motion. "
         f"The uncertainty of the compensation is {1e3 * share:.2g} mrad and is included."
     )
     # the last warning is the doubt, if there is one
@@ -308,7 +308,8 @@ def _track(
         largest = float(cv2.blur(motion.deviation, (3, 3)).max())
         raise NothingMovesError(
             f"Nothing moves in {film.path.name}: the brightness of {1e6 * moving:.0f} of a million pixels changes by "
-            f"more than 4 standard deviations of the noise ({motion.noise:.1f} grey levels), by at most {largest:.1f}.",
+            f"more than 4 standard deviations of the noise ({motion.noise:.1f} grey levels). The largest change is "
+            f"{largest:.1f} grey levels.",
             "Check the film and the illumination; a body that turns by more than one turn during an exposure "
             "shows no motion.",
             kind="no motion",
@@ -570,7 +571,7 @@ def _refuse_translation(name: str, block: StoredPictures, motion: Motion, best: 
 
 def _loose_doubt(moved: float, allowed: float) -> str:
     return (
-        f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {allowed:.1f} px at most. The "
+        f"The hub moves by {moved:.1f} px; the hub of a body on an axle moves by at most {allowed:.1f} px. The "
         "body may also translate, or several bodies may move: look at the picture of the body (.png)."
     )
 
@@ -1096,8 +1097,8 @@ def _at_distance_of_path(
 
     The displacements of a body far from its hub are precise. Its rotation, from which the distance is first estimated,
     is not precise; moreover, the ball of a pendulum need not turn with its thread. The hub is moved if its distance
-    differs from that of the path by more than three standard uncertainties. The error returned is the standard
-    uncertainty divided by the distance; for a straight path it is infinite.
+    differs by more than three standard uncertainties from the distance given by the path. The error returned is the
+    standard uncertainty divided by the distance; for a straight path it is infinite.
     """
     plain, moved = True, False
     for _ in range(_PATH_ROUNDS):
@@ -1154,8 +1155,8 @@ def _finish(
         warnings.append(
             f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees relative to the line of sight (the "
             f"orbits are ellipses with an axis ratio of {math.cos(tilt[0]):.2f} and the short axis at "
-            f"{math.degrees(tilt[1]):.0f} degrees): the angles are those in the plane of the body. The film does "
-            "not show which side of the body is nearer; the sense of rotation is the one seen."
+            f"{math.degrees(tilt[1]):.0f} degrees): the angles are measured in the plane of the body. The film "
+            "does not show which side of the body is nearer; the sense of rotation is stated as seen."
         )
     repeated = int(film.selected.sum()) - len(usable)
     if repeated:

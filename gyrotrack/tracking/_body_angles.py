@@ -111,7 +111,7 @@ class BodyView:
         return replace(common, offset=found.offset | common.offset) if common.offset else found
 
     def reference(self, flat: Flattening) -> list[str]:
-        """Return the markers with a known offset: the coloured ones (see `coloured`), or all if there are none."""
+        """Return the markers with a known offset: the coloured markers (see `coloured`), or all if none is coloured."""
         return [name for name in self.coloured if name in flat.offset] or list(flat.offset)
 
     def with_arcs(self, flat: Flattening, centre: Floats) -> Flattening:
@@ -221,8 +221,8 @@ def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
     The disc then moves on a circle about the axis, at the angle c of the casing. Its offset d is constant in the frame
     of the casing. With the unit vector r, d changes the radius of a rotor marker at the angle a by -d . r(a - c), and
     displaces the marker tangentially by at most |d| sin(a - c). The markers of the casing are displaced equally in all
-    frames. d is fitted to the radii together with the offset and the flattening of each orbit, and subtracted if this
-    reduces their scatter.
+    frames. d is fitted to the radii together with the offset and the flattening of each orbit. It is subtracted if this
+    reduces the scatter of the radii.
     """
     if "casing" not in views or "rotor" not in views:
         return path
@@ -370,8 +370,8 @@ def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening
 def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView], error: float) -> complex:
     """Return the flattening p + i q of all bodies: one camera sees them, so the ellipses of their orbits are equal.
 
-    The component across the tilt is an error. The component along the tilt cannot be negative: it is the posterior mean
-    for a normally distributed `error` and a uniform prior from 0.
+    The component of p + i q across the direction of the tilt is an error. The component along the tilt cannot be
+    negative: it is the posterior mean for a normally distributed `error` and a uniform prior from 0.
     """
     total, number = 0j, 0
     for name, one in flat.items():
@@ -467,8 +467,8 @@ def separate_perspective(
 
     The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
     and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or the offset of
-    the rotor, if the disc is above both bodies. Both have the uncertainty `_height_error`. All measurements have
-    position-dependent errors.
+    the rotor, if the disc is above both bodies. Both expected values have the uncertainty `_height_error`. All
+    measurements have position-dependent errors.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -624,7 +624,8 @@ def _join_even(
 def _unalias(bodies: dict[str, BodyAngles], given: int | None) -> list[str]:
     """Replace a rotation of the rotor that speeds up by its alias that slows down, because nothing drives the rotor.
 
-    A rotation whose sense the casing or the profile determines is kept. Return a warning if both are possible.
+    A rotation whose sense the casing or the profile determines is kept. Return a warning if both rotations are
+    possible.
     """
     casing = net_turn(bodies["casing"].angle) if "casing" in bodies else 0.0
     if given is not None or "rotor" not in bodies or abs(casing) > SENSE_TURN:
@@ -660,10 +661,11 @@ def _followed(
     fps: float,
     time_base: TimeBase | None,
 ) -> tuple[dict[str, BodyAngles], list[str]]:
-    """Combine the markers of each body; the casing twice, because the markers of the rotor pass beneath its marker.
+    """Combine the markers of each body; join the casing twice, because markers of the rotor pass beneath its marker.
 
-    If a body turns too little to measure its position-dependent errors, it gets typical errors combined with those of
-    the other body, in px: illumination and encoder are the same, but the surroundings of the markers are not.
+    If a body turns too little to measure its position-dependent errors, it gets typical errors combined with the errors
+    of the other body, in px: illumination and encoder are the same for both bodies, but the surroundings of the markers
+    differ.
     """
     candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
 
@@ -760,14 +762,14 @@ def by_texture(
     time_base: TimeBase | None = None,
     others: Sequence[Floats] = (),
 ) -> BodyAngles:
-    """Return a body with the angles of its texture if their averages are better than those of its markers.
+    """Return a body with the angles of its texture if their averages are better than averages from its markers.
 
     The zeros of the templates follow from the markers (`template_zeros`). A marker that passes a marker of another body
-    has an error; `others` are the angles of these bodies, (n,) [rad] each. If the body makes only a few turns, all
+    has an error; `others` are the angles of the other bodies, (n,) [rad] each. If the body makes only a few turns, all
     templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
-    marker (`join`). If position-dependent errors that the zones share cannot be estimated, they are at least
-    `error_of_ring`, for `usual` [px] and the mean `radius` of the markers [px]: in a compressed film a body at rest has
-    one error in all zones.
+    marker (`join`). If position-dependent errors common to the zones cannot be estimated, they are assumed to be at
+    least `error_of_ring`, computed from `usual` [px] and the mean `radius` of the markers [px], because in a compressed
+    film a body at rest has one error in all zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     # an error that repeats in each turn does not change the zeros of batches
@@ -850,8 +852,8 @@ def periodic_error(texture: TextureObservations, centre: Floats, flattening: flo
     """Return the largest standard deviation of the amplitudes of an error once and twice per turn [rad].
 
     The errors of the frames `learnt` (n,) are known and removed from all frames. The remaining errors of the `centre`
-    (n,) [px] and of the `flattening` are due to the difference of the responses of the templates. Shading also changes
-    with motion blur; it causes at least `LEAST_PERIODIC`.
+    (n,) [px] and of the `flattening` are due to the difference between the responses of the templates. Shading also
+    changes with motion blur; it causes at least `LEAST_PERIODIC`.
     """
     squares = np.zeros(len(centre))
     for moments, error in ((texture.first, np.hypot(centre, CENTRE_ERROR)), (texture.second, flattening)):
@@ -898,7 +900,7 @@ smaller value keeps angles with slow errors, a larger one accepts much noise."""
 
 
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
-    """Return whether the averages of new angles over `_AVERAGED` have a smaller error than those of the markers.
+    """Return whether the averages of new angles over `_AVERAGED` have a smaller error than averages from the markers.
 
     The two angles differ by their white errors and by an error that does not average out: a marker that passes the
     marker of another body has an error, and this error varies slowly where the passages are in step with the frames. V
@@ -952,12 +954,12 @@ _REST = 0.05
 """Largest range of the angle of a body at rest [rad]. Chosen: a smaller value calls noise a motion, a larger one hides
 a slow body."""
 _TURNS = 1.0
-"""Smallest range of the angle of the other body for which that body is rotating [rad]. Chosen: a smaller value omits a
-body although the other one hardly turns, a larger one keeps angles of the background."""
+"""Smallest range of the angle of the other body for which the other body counts as rotating [rad]. Chosen: a smaller
+value omits a body although the other one hardly turns, a larger one keeps angles of the background."""
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
-    """Return whether a body is at rest while the other one turns."""
+    """Return whether a body is at rest while the other body turns."""
     known = body.angle[np.isfinite(body.angle)]
     turns = bool(np.nanmax(other.angle) - np.nanmin(other.angle) > _TURNS)
     return turns and len(known) > 0 and bool(np.ptp(known) < _REST)

@@ -5,8 +5,9 @@ features of the background move as one rigid picture in all frames, independent 
 roll of the background are compensated before any other measurement.
 
 A background without features that can be tracked, for example the grain of wood, is registered as a whole by the
-enhanced correlation coefficient (G. Evangelidis, E. Psarakis, IEEE Trans. PAMI 30, 1858, 2008). It determines the roll;
-the displacement is that of the hub's disc, because a grain determines the displacement along its direction poorly.
+enhanced correlation coefficient (G. Evangelidis, E. Psarakis, IEEE Trans. PAMI 30, 1858, 2008). This registration
+determines the roll. The displacement is taken from the disc of the hub, because a grain poorly determines the
+displacement along its direction.
 """
 
 from __future__ import annotations

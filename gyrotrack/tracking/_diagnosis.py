@@ -29,7 +29,7 @@ _PAIRS = 16
 """Pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes longer."""
 _LAGS = (1, 2, 4, 8)
 """Lags between the frames of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
-longer ones lose features of fast bodies."""
+longer lags lose features of fast bodies."""
 _STEP = 1.0
 """Smallest displacement of a feature in motion [px]. Chosen: a smaller value includes noise, a larger one needs
 longer lags."""
@@ -350,7 +350,7 @@ class TwoMotions:
     spread: tuple[float, float]  # median distance of the fixed points of the pairs from `hubs` [px]
     places: tuple[complex, complex]  # centroids of the features of both bodies [px]
     shares: tuple[float, float]  # shares of the moving features
-    ratio: float  # rotation of the second divided by that of the first
+    ratio: float  # rotation of the second body divided by the rotation of the first
     joined: bool = False  # whether both motions displace a joint, at a fixed distance from a hub, equally
 
     @property
@@ -361,12 +361,12 @@ class TwoMotions:
 
     @property
     def linked(self) -> bool:
-        """Whether one body turns about a hub and the other about a joint on this body, as in a double pendulum."""
+        """Whether one body turns about a hub, the other about a joint on the first body, as in a double pendulum."""
         return self.moving == 1 and self.joined
 
     @property
     def coaxial(self) -> bool:
-        """Whether both turn about one hub, as rotor and casing of a gyroscope."""
+        """Whether both bodies turn about one hub, as rotor and casing of a gyroscope."""
         reach = max(abs(self.places[k] - self.hubs[k]) for k in (0, 1))
         return abs(self.hubs[0] - self.hubs[1]) < _COAXIAL * max(reach, 1.0)
 

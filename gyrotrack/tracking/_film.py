@@ -169,7 +169,7 @@ class Film:
         return self._first_field is not None
 
     def _count_fields(self, count: int) -> None:
-        """Replace rate and timestamps of the frames by those of the fields."""
+        """Replace rate and timestamps of the frames by the rate and timestamps of the fields."""
         step = np.diff(self.stamps)
         period = float(np.median(step)) if len(step) else float("nan")
         self.stamps = np.stack([self.stamps, self.stamps + 0.5 * period], axis=1).ravel()[:count]

@@ -1,14 +1,14 @@
 """One pass through a film, part by part, in several processes.
 
-A film is split at key frames into parts that depend on the film alone. Maps of illumination and occlusion are common
-to the whole film. Maps from one part alone would be based on fewer passages of the markers, and the angles would be
-less precise. The maps are learnt from the first frames of some parts. The windows of these frames are stored in a
-temporary file and then measured with the maps of all these parts, without being decoded again. Each part is tracked by
-a copy of the tracker with these maps. Templates and motion are learnt within the part, so that the result does not
-depend on the number of processes.
+A film is split at key frames into parts that depend on the film alone. Maps of illumination and occlusion are common to
+the whole film. Maps from one part alone would be based on fewer passages of the markers, and the angles would be less
+precise. The maps are learnt from the first frames of some parts. The windows about the markers in these frames are
+stored in a temporary file. They are later measured with the maps of all these parts, and the frames are not decoded
+again. Each part is tracked by a copy of the tracker with these maps. Templates and motion are learnt within the part,
+so that the result does not depend on the number of processes.
 
 A part extends by `OVERLAP` frames into the next part. These frames determine the number of turns between the unwrapped
-angles of the two parts. Their measurements are taken from the earlier part, which already has templates.
+angles of the two parts. The measurements of these frames are taken from the earlier part, which already has templates.
 """
 
 from __future__ import annotations

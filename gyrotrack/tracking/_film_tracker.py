@@ -245,7 +245,7 @@ RINGS = ("texture", "aligned")  # observations of a ring (see `TextureTracker.me
 
 BATCH = 512
 """Frames that are measured together [frames]. Chosen: a smaller number gives noisy templates, a larger one gives
-outdated ones and takes memory."""
+outdated templates and takes memory."""
 HOLD = 64
 """Number of frames held in memory; if a body is not found at its prediction, it is searched for in these frames
 [frames]. Chosen: a smaller number may not suffice to find the body again, a larger one takes memory."""
@@ -270,7 +270,7 @@ class BodyObservations:
     aligned: TextureObservations | None = None
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyObservations:
-        """Place the frames at `index` of `count` frames; the others are NaN or False."""
+        """Place the frames at `index` of `count` frames; the other frames are NaN or False."""
         markers = {name: m.spread_out(index, count) for name, m in self.markers.items()}
         rings = (ring and ring.spread_out(index, count) for ring in (self.texture, self.aligned))
         return BodyObservations(spread_out(self.coarse, index, count), markers, *rings)
@@ -345,8 +345,8 @@ class FilmTracker:
         """Hold the next frame of the film until enough of them are held.
 
         `step` is the time from the previous frame in periods of the camera. A frame that repeats the previous one shows
-        the same moment. It replaces a missing frame, so its step is added to that of the next frame. Exception: if a
-        film is not timed by its timestamps (not `stamped`), regular repeats were inserted, and their steps are not
+        the same moment. It replaces a missing frame, so its step is added to the step of the next frame. Exception: if
+        a film is not timed by its timestamps (not `stamped`), regular repeats were inserted, and their steps are not
         added. Frames are not compared while hardly anything turns.
         """
         again = self.repeats is not None and self.repeats.same(frame)

@@ -1,8 +1,8 @@
 """Test whether a body turns about one fixed hub: the displacement of its hub is fitted frame by frame.
 
-A rotation about a hub also explains a part of the change of pictures without rotation about a fixed axis: a block that
-moves along a line beside a moving plot, or several objects that move and change their size. The template about the hub
-then fits better at a position that changes from frame to frame.
+Rotation about a hub also explains a part of the change in some films without rotation about a fixed axis, for example
+of a block that moves along a line beside a moving plot, or of several objects that move and change their size. The
+template about the hub then fits better at a position that changes from frame to frame.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def drift(
 ) -> tuple[float, float]:
     """Return the displacement of a body from a rotation about a hub [px], and the limit for a body on an axle [px].
 
-    The displacement is the 80 % quantile over the frames, because a hand or a shadow may disturb the other frames. It
-    is measured at the middle of the details of the body, where it is determined best, even for a bob far from its hub.
+    The displacement is the 80 % quantile over the frames, because a hand or a shadow may disturb some frames. It is
+    measured at the middle of the details of the body, where it is determined best, even for a bob far from its hub.
     `angle` (n,) are the angles of the body in the frames, clockwise as seen [rad].
     """
     use = np.unique(np.linspace(0, len(frames) - 1, _FRAMES).astype(int))

@@ -121,7 +121,7 @@ class Residuals:
     weights: Weights
     place: PlaceErrors
     neighbour: LearntErrors
-    view: ViewErrors | None = None  # if known, its errors replace those of `place`
+    view: ViewErrors | None = None  # if known, its errors replace the errors in `place`
 
     @classmethod
     def of(
@@ -199,7 +199,7 @@ class Residuals:
     def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
         """Fit a smooth curve to the angle of the body; return its difference from the path [rad] and leverages, (n,).
 
-        `half` is the half width of the window [frames], `degree` that of the local polynomials.
+        `half` is the half width of the window [frames], and `degree` is the degree of the local polynomials.
         """
         mean, sigma, _ = self.mean()
         if self.time_base is not None:
@@ -326,11 +326,11 @@ def _weight(sigma: Floats) -> Floats:
 
 
 KNOTS = 72
-"""Number of knots of a closed curve [1]. Chosen: every 5 degrees; with fewer, the edge of the bar is smoothed; with
-more, the curve is noisy."""
+"""Number of knots of a closed curve [1]. Chosen: every 5 degrees; with fewer, the edge of the bar of the casing is
+smoothed; with more, the curve is noisy."""
 _BEND = 4e-3
 """Standard deviation of the second differences of a closed curve [rad]. Chosen: a smaller value smooths the edge of the
-bar, a larger one fits noise."""
+bar of the casing, a larger one fits noise."""
 _SIZE = 3e-2
 """Standard deviation of a closed curve [rad]. Chosen: a smaller value leaves large errors, with a larger one the curve
 is arbitrary at unseen angles."""
@@ -516,8 +516,8 @@ steps cost time, a smaller range limits the errors."""
 def errors_of_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> ViewErrors | None:
     """Estimate errors of the view from differences between markers.
 
-    Within less than two turns position-dependent errors look like motion, but motion is common to all markers of a body
-    in each frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The
+    Within less than two turns, position-dependent errors look like motion. Motion, however, is common to all markers of
+    a body in each frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The
     coefficients of the harmonics `VIEW_ORDERS` of each marker's angle have a common part and a separate part. They are
     fitted, together with the mount angles, to the residuals minus their mean in each frame. Position-dependent errors
     of standard deviation `floor` [rad] have one independent value per `CELL`. The standard deviations of both parts are
@@ -621,9 +621,9 @@ def variance_left(angle: Floats, orders: range, frames: int | None = None) -> fl
 def place_error(state: Residuals) -> float:
     """Return the rms of the estimated position-dependent errors, for the marker with the smallest rms [rad].
 
-    Faint or blurred markers have larger errors for other reasons. A marker next to a bar that hardly moves has larger
-    errors at some places only; therefore a robust standard deviation is used if it is smaller. The noise of the
-    estimated errors is subtracted. NaN if no error could be estimated, or if the markers are seen at only a few angles.
+    Faint or blurred markers have larger errors for other reasons. A marker next to a slow bar has larger errors at some
+    places only; therefore a robust standard deviation is used if it is smaller. The noise of the estimated errors is
+    subtracted. NaN if no error could be estimated, or if the markers are seen at only a few angles.
     """
     if state.turning.mean() < LEAST_TURNING:
         return float("nan")
@@ -656,7 +656,7 @@ with this number; a smaller number understates the uncertainty, a larger one cos
 
 
 def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
-    """Return the variances of the angle of the body and of its residual, relative to that of the noise, (n,).
+    """Return the variances of the angle of the body and of its residual, divided by the variance of the noise, (n,).
 
     Within a few turns, a motion and a curve over the angle can hardly be distinguished, least of all at the ends of the
     film. Motion (cubic B-splines with `motion` >= 4 parameters) and curves are one linear model r = a x + e with the
@@ -784,11 +784,11 @@ def join(
 ) -> BodyAngles:
     """Combine the markers of one body; its zero is the angle of the first marker.
 
-    `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost; `other` is that of the body
-    that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are uncertainties
-    [rad] that do not appear as scatter outside whole turns: unobserved position-dependent errors, the displacement of
-    the axis, and the displacement of the orbits about it, which the markers determine together (`arcs`: see
-    `errors_of_view`).
+    `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost. `other` is the coarse angle
+    of the body that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are
+    uncertainties [rad] that do not appear as scatter outside whole turns: unobserved position-dependent errors, the
+    displacement of the axis, and the displacement of the orbits about it, which the markers determine together (`arcs`:
+    see `errors_of_view`).
     """
     state, arcs = Residuals.of(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
@@ -859,7 +859,7 @@ def _result(
     def calibrated(residual: Floats, sigma: Floats, markers: int) -> Floats:
         """Scale uncertainties to the residuals about the smooth motion.
 
-        The smooth motion absorbs a part of correlated errors, given by its leverage times their correlation factor.
+        The smooth motion absorbs a part of correlated errors: its leverage times the correlation factor of the errors.
         """
         beside = np.hypot(unlearnt, from_time)
         off = np.where(state.turning, (residual - smooth) / np.hypot(sigma, beside), np.nan)

@@ -76,8 +76,8 @@ def harmonic_error(angle: Floats) -> float:
     In each batch of frames a polynomial and harmonics of the angle are fitted. With residuals of variance s^2 and the
     design matrix A, the coefficients have the covariance s^2 (A'A)^-1. The mean over batches of (a_cos^2 + a_sin^2) / 2
     exceeds the variance of a_cos by the variance of the error. The result is the largest error of all orders, because
-    other orders may be as large at other speeds. Orders that resemble the motion are omitted in their batches: there
-    the frames are in step with the error, which then varies slowly.
+    other orders may be as large at other speeds. An order is omitted in batches in which it resembles the motion: the
+    frames are in step with the error there, so the error varies slowly.
 
     Amplitudes of orders 1 and 2 may be constant (centre, tilt), proportional to the speed (rolling shutter), to its
     square (motion blur), or to its inverse square (a torque that depends on the angle, for example due to an

@@ -140,7 +140,7 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
     """Return the path of a disc by `smooth_path`, and paths that follow it over windows of a few frames.
 
     The errors of a compressed film are correlated, so the measured path alone does not determine which of these paths
-    is right: a hand-held camera moves the disc as fast as the errors do. The radii of the markers select the path.
+    is right: a hand-held camera moves the disc as fast as the errors change. The radii of the markers select the path.
     """
     z, known = _without_gaps(measured)
     paths = [smooth_path(measured)]
@@ -382,7 +382,7 @@ def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
 
 
 def _spans(n: int, knots: int) -> Iterator[tuple[slice, tuple[int, int], Floats]]:
-    """Yield the frames between neighbouring knots: slice, the two knots, and the weight of the second one."""
+    """Yield the frames between neighbouring knots: slice, the two knots, and the weight of the second knot."""
     if knots == 1:
         for part in row_blocks(n):
             yield part, (0, 0), np.zeros(part.stop - part.start)
@@ -471,7 +471,8 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
 
     In a window about each frame, the error n of the centre minimises sum w (excess + n . r)^2 / s^2 + |n|^2 /
     `EXPECTED_ERROR`^2, where r is the unit vector towards a marker, excess and s are the residual and the scatter of
-    its radius, and w is a parabolic weight over the window. The uncertainty is that of this fit.
+    its radius, and w is a parabolic weight over the window. The uncertainty is the standard uncertainty of n in this
+    fit.
     """
     count = len(path.centre)
     normal, right = np.zeros((3, count)), np.zeros((2, count))

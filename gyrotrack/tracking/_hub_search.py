@@ -187,8 +187,8 @@ _FLATTEST = 0.25
 def tilted_outline(motion: Motion, hub: tuple[float, float] | None = None) -> Proposal | None:
     """Return hub and stretch of the largest moving part of the picture, from the ellipse with its second moments.
 
-    A body that turns at least half a turn about a tilted axis sweeps an ellipse. None for a circle or a flat area. A
-    given `hub` replaces the centroid.
+    A body that turns at least half a turn about a tilted axis sweeps an ellipse. The result is None for a circle or a
+    flat area. A given `hub` replaces the centroid.
     """
     closed = cv2.morphologyEx(motion.moving.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     _, label, stats, middle = cv2.connectedComponentsWithStats(closed)
@@ -290,8 +290,8 @@ def similarity_hubs(
 
     A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b are suitable for a body around its
     hub (first result). For a small body far from the hub (second result), for example the ball of a pendulum, the
-    displacement d = (1 - a)(h - c) of the centroid c is precise, but the rotation is not: its errors bias the hub
-    towards the body. In this case h is fitted to a = 1 - d / (h - c).
+    displacement d = (1 - a)(h - c) of the centroid c is precise, but the rotation is not precise, and its errors bias
+    the hub towards the body. In this case h is fitted to a = 1 - d / (h - c).
     """
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:

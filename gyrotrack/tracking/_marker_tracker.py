@@ -1,15 +1,16 @@
 """One marker, measured in batches of frames: its tangential profile is matched with the mean of recent profiles.
 
 The model of a profile is p(x) = a T(x - d) + b. The gain a, the offset b and the displacement d are fitted in every
-frame to the samples that are not occluded. T is the mean of the profiles of the frames, each shifted to zero
-displacement, and is made symmetric: T(x) = T(-x). A marker with parallel sides that moves uniformly during the exposure
-has a smeared profile that is symmetric about the middle of the marker at mid-exposure. Therefore d is the angle of the
-middle of the marker at the middle of the exposure, for any width of the smear.
+frame to the samples that are not occluded. The gain is also called the height of the marker. T is the mean of the
+profiles of the frames, each shifted to zero displacement, and is made symmetric: T(x) = T(-x). A marker with parallel
+sides that moves uniformly during the exposure has a smeared profile that is symmetric about the middle of the marker at
+mid-exposure. Therefore d is the angle of the middle of the marker at the middle of the exposure, for any width of the
+smear.
 
 Glare, shadows and encoder blocks increase the misfit of a profile and displace it. The relation between misfit and
 displacement depends on the film and is estimated from the scatter of the marker. The variance of an observation is s^2
-(1 + share x), where x is its squared misfit, relative to that of a typical observation, minus 1. `share` is estimated
-by maximum likelihood.
+(1 + share x), where x is its squared misfit, divided by the squared misfit of a typical observation, minus 1. `share`
+is estimated by maximum likelihood.
 """
 
 from __future__ import annotations
@@ -418,8 +419,8 @@ class MarkerTracker:
     def _without_neighbours(self, window: MarkerWindow, found: Match, open_: Mask) -> Match:
         """Match profiles with an implausible misfit again, without the disturbing samples beside the marker.
 
-        The markers of the rotor pass below the markers of the casing and do not change their profiles. An object
-        beside a marker of the rotor, for example the bar, may cover a part of this marker.
+        The markers of the rotor pass below the markers of the casing and do not change their profiles. An object beside
+        a marker of the rotor, for example the bar of the casing, may cover a part of this marker.
         """
         poor = window.known & (found.misfit > LARGEST_MISFIT)
         if self.marker.body != "casing" or not poor.any():

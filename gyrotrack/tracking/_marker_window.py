@@ -170,10 +170,11 @@ partly covered marker for a dim one, a larger one gives noisy heights."""
 class MarkerWindow:
     """Scores (n, rows, m) and profiles in the windows of one marker, in n frames.
 
-    `known`: frames in which the body is tracked; `start`, `first`: middle column of the window, and first column of
-    the window within the full turn; `fraction`: expected displacement of the marker from the middle, in columns;
-    `raw`, `profile` (n, m): mean over the rows of the marker, without and with correction of the illumination;
-    `layers` (n, layers, m): means over parts of the radius, without the correction.
+    `known` is a mask of the frames in which the body is tracked. `start` is the middle column of the window, and
+    `first` is the first column of the window within the full turn. `fraction` is the expected displacement of the
+    marker from the middle, in columns. `raw` and `profile` (n, m) are means over the rows of the marker, without and
+    with correction of the illumination. `layers` (n, layers, m) are means over parts of the radius, without this
+    correction.
     """
 
     def __init__(self, strip: MarkerStrip, coarse: Floats) -> None:
@@ -225,8 +226,8 @@ class AngleMap:
     """Mean relative height of a marker at each angle and in parts of the radius (`layers`), learnt from its passages.
 
     `ground` is the subtracted background, in heights of the marker. A marker covers the reflections of lamps in the
-    metal beneath it. Its brightness therefore varies little and is averaged, whereas its height above the background
-    varies.
+    metal beneath it. The brightness of the marker therefore varies little and is averaged, whereas its height above the
+    background varies.
     """
 
     def __init__(self, layers: int, columns: int, ground: Floats | None = None) -> None:
@@ -255,7 +256,8 @@ class AngleMap:
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
         """Return the heights relative to their 60 % quantile (layers, columns); NaN without passages.
 
-        `blur` is the half width of the moving average, `prior` the weight of a height of 1, in full passages.
+        `blur` is the half width of the moving average. `prior` is the weight, in full passages, of an assumed height of
+        1.
         """
         top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
@@ -342,8 +344,8 @@ def _blurred(rows: Floats, half: int) -> Floats:
 Mask = npt.NDArray[np.bool_]
 
 _COLUMNS = 360
-"""Columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar is
-blurred; with more, each column is seen less often."""
+"""Columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar of the
+casing is blurred; with more, each column is seen less often."""
 _SCALE = _COLUMNS / (2.0 * np.pi)
 """Columns of the map per angle [columns per rad]. Derived: `_COLUMNS` divided by a turn."""
 

@@ -213,8 +213,8 @@ def track_by_features(
     tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
     if tracked.explained < _EXPLAINED:  # the features belong to several bodies
         return None
-    # features at the edge of the body are biased by the background: the result is from registration, and the
-    # difference between the two is a correlated uncertainty; new features inherit the error of the previous ones
+    # features at the edge of the body are biased by the background: the result is from registration, and the difference
+    # between the two is a correlated uncertainty; new features inherit the error of the previous features
     kept = np.isin(usable, tracked.frame)
     apart, followed = tracked.angle + theta[kept], followed[kept]
     for first in np.unique(followed):
@@ -309,8 +309,8 @@ def track_free_body(
         # the last warning must be the doubt about the result
         notes.append(
             f"The body does not turn about a fixed axis: it moves across the picture by "
-            f"{np.hypot(*np.ptp(path.place, axis=0)):.0f} px. Its angle is that about the centroid of its outline, "
-            f"complete in {len(path.frame)} of {len(film)} frames; what acts on its path may also act on its rotation."
+            f"{np.hypot(*np.ptp(path.place, axis=0)):.0f} px. Its angle is measured about the centroid of its outline, "
+            f"complete in {len(path.frame)} of {len(film)} frames; forces on the body may also change its rotation."
         )
         return replace(_completed(film, tracked, correlated, "outline", notes), ambiguous=True)
     where = "" if near is None else f" and passes ({near[0]:.0f}, {near[1]:.0f}) px"
@@ -417,8 +417,8 @@ def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats | None]:
 
     The size is None if it does not change.
 
-    `area` [px2] and `moment` (the polar moment divided by the squared area) are those of the outlines. The moment of a
-    body that touches another one, or is occluded, changes with its area. If only the area changes, and slowly, the
+    `area` [px2] and `moment` (the polar moment divided by the squared area) are properties of the outlines. The moment
+    of a body that touches another one, or is occluded, changes with its area. If only the area changes, and slowly, the
     distance from the camera changes.
     """
     ratio = area / np.median(area)

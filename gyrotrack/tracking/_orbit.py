@@ -7,9 +7,9 @@ disc. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc
 
     v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
 
-with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both change
-radius and angle: without correction, e causes an error of the angle of |e| / rho once per turn, and (p, q) an error of
-hypot(p, q) twice per turn.
+with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Offset and
+flattening change radius and angle: without correction, e causes an error of the angle of |e| / rho once per turn, and
+(p, q) an error of hypot(p, q) twice per turn.
 """
 
 from __future__ import annotations
@@ -326,7 +326,7 @@ def flattening_of_arc(
 
     `shift` (2,) or (h, 2) is the expected offset of all markers [px], or h equally probable offsets, with standard
     deviation `size` [px]; `usual` is a typical position-dependent error [px]. An arc determines e in part;
-    `offset_covariance` is its covariance. Systematic errors, not noise, limit the fit: there is one independent
+    `offset_covariance` is the covariance of e. Systematic errors, not noise, limit the fit: there is one independent
     observation per `CELL`. For several expected offsets, the result is mean and covariance of the mixture of the
     posterior distributions.
     """

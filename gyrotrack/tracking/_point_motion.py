@@ -400,9 +400,9 @@ def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tup
     """Return the correction across the second link [px] for a point beside the joint, and its standard uncertainty.
 
     With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
-    links, the distance is L - Re(d exp(-i phi)), and the end appears displaced by -Im(d exp(-i phi)) across the link
-    [px]. A linear fit of the distances (n,) with a normal prior of mean 0 determines d. The third result is the rms
-    residual [px].
+    links, the distance is L - Re(d exp(-i phi)), where L is the length of the second link. The end appears displaced by
+    -Im(d exp(-i phi)) across the link [px]. A linear fit of the distances (n,) with a normal prior of mean 0 determines
+    d. The third result is the rms residual [px].
     """
     cos, sin = np.cos(between), np.sin(between)
     found, covariance, rest = _with_prior(np.stack([-cos, -sin, np.ones_like(cos)], axis=1), length, off)
@@ -526,7 +526,7 @@ def about_pivot(
             warnings.append(
                 f"The arc of the path gives the pivot ({x:.0f}, {y:.0f}) px, at a distance of {arc.radius:.0f} px; all "
                 f"angles share a relative uncertainty of {100 * u:.2g} %, of which {100 * view:.2g} % is due "
-                "to a possible tilt of the camera. --hub X,Y gives the pivot, --tilt the tilt."
+                "to a possible tilt of the camera. Give the pivot with --hub X,Y, or the tilt with --tilt."
             )
     else:
         given = np.array(hub, dtype=np.float64)
@@ -652,8 +652,8 @@ def _about_tilted_axis(
     tilt, short = (math.degrees(v) for v in orbit.tilt)
     text = (
         f"The axis of rotation is tilted by {tilt:.1f} +- {math.degrees(orbit.tilt_u):.1g} degrees relative to the "
-        f"line of sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are those in the "
-        "plane of the body. The film does not show which side is nearer; the sense of rotation is the one seen."
+        f"line of sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are measured in "
+        "the plane of the body. The film does not show which side is nearer; the sense of rotation is stated as seen."
     )
     warnings = [text]
     ambiguous = False

@@ -7,9 +7,9 @@ is at the position p and rotated by theta, the picture at the point u of the pat
     I(p + R(theta) u) = s(u) B(p + R(theta) u) + q(u)
 
 with the background B, the transparency s of the patch (0 on the body, 1 beside it), and q its brightness times (1 - s).
-The pictures are linear in s and q, which follow from a regression of the pictures on B. p follows from Gauss-Newton
-steps (S. Baker, I. Matthews, IJCV 56, 221, 2004) with the variance of each pixel, so that a string or a shadow has
-little weight. Places are (x, y) in px, x to the right, y down; the centre of the first pixel is (0, 0).
+The pictures are linear in s and q, which follow from a regression of the pictures on B. p is determined by Gauss-Newton
+steps (S. Baker, I. Matthews, IJCV 56, 221, 2004). Pixels are weighted by their inverse variances, so that a string or a
+shadow has little weight. Places are (x, y) in px, x to the right, y down; the centre of the first pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _REACH = 12.0
 misses the spot, a larger one takes another body."""
 _PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)
 """Radii of a patch without an outline that are tried, the smallest first [px]. Chosen: by factors of about 1.4; larger
-ones include the background, smaller ones lack detail."""
+patches include the background, smaller patches lack detail."""
 _SHARP = 0.05
 """Largest standard uncertainty of the position of a patch [px]. Chosen: a smaller value selects large patches, a
 larger one follows patches without detail."""
@@ -140,8 +140,8 @@ larger one follows noise."""
 _TURN_STEPS = 6
 """Steps of the rotation of a patch [iterations]. Chosen: a smaller number stops early, a larger one costs time."""
 _ROUND = 0.7
-"""Smallest area of a round patch divided by that of the circle about it [1]. Chosen: a smaller value takes a rod for a
-bob, a larger one refuses blurred bobs."""
+"""Smallest area of a round patch, divided by the area of the circle about it [1]. Chosen: a smaller value takes a rod
+for a bob, a larger one refuses blurred bobs."""
 _LEAST_ROUND = 8
 """Smallest radius of a patch that has an interior [px]. Chosen: a smaller one has an edge only, a larger one ignores
 the detail of small bobs."""
@@ -187,7 +187,7 @@ class PointPath:
     radius : float
         Radius of the patch [px].
     searched : int
-        Number of frames in which the point was searched.
+        Number of frames in which the point was searched for.
     turns : bool
         Whether the patch rotates with the line from the hub to the patch.
     picture : ndarray
@@ -442,7 +442,7 @@ def _spot_at(
     away = np.hypot(u - at[0], v - at[1])
     if compact and float(depth[np.abs(away - _NECK_AT * inner) < 1.0].max(initial=0.0)) > _NECK * inner:
         return None  # the place is on a long or large body
-    # rods join the selected part to others: use the inscribed disc about its middle
+    # rods join the selected part to other parts: use the inscribed disc about the middle of the selected part
     core = (depth > _CORE * inner) & (away < inner)
     y, x = np.nonzero(core)
     weight = depth[core] - _CORE * inner
@@ -479,7 +479,7 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
 def _several(
     film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
 ) -> TrackingError:
-    """Return the error for a film of several bodies: two links if a rod joins them and their motion is that of links.
+    """Return the error for a film of several bodies: two links if a rod joins them and they move as links.
 
     A part of the picture that appears or vanishes is not a body: if one of the two parts is at rest, the error has no
     `kind`.
@@ -588,7 +588,7 @@ def _matched(
 def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Floats, Bools]:
     """Follow a patch by template matching; return positions (n, 2), rotations (n,) and a mask of found patches (n,).
 
-    The patch is searched at the position predicted by its last steps, then in a reduced picture of the whole frame.
+    The patch is searched for at the position predicted by its last steps, then in a reduced picture of the whole frame.
     The rotation is relative to the first frame, clockwise as seen [rad]; if the patch does not show its rotation, the
     last value is kept.
     """

@@ -124,7 +124,8 @@ class Blob:
     y: float
     area: int  # pixels above the threshold
     weight: float  # sum of the scores of these pixels
-    # ratio of the area to that of the smallest circle with the same extent: 1 for a disc, less for rectangles and arcs
+    # ratio of the area to the area of the smallest circle with the same extent: 1 for a disc, less for rectangles and
+    # arcs
     fill: float
 
 

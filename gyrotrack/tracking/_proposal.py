@@ -407,7 +407,7 @@ def name_bodies(
         return {name: one}, notes
     slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))
     if abs(fast.rotation.step) < 1.25 * abs(slow.rotation.step):
-        # Markers on the casing are never occluded; its bar passes over those on the rotor.
+        # Markers on the casing are never occluded; the bar of the casing passes over the markers on the rotor.
         slow, fast = sorted(
             (slow, fast), key=lambda g: (len(g.members), -min(c.sampled.clear.mean() for c in g.members))
         )
@@ -473,7 +473,7 @@ class Proposal:
     profile : Profile
         Profile for `extract`.
     markers : tuple of ProposedMarker
-        One for each marker of the profile.
+        Proposed markers, one for each marker of the profile.
     centre : tuple of float
         (x, y) in px.
     disc : Disc or None

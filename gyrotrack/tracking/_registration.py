@@ -500,8 +500,8 @@ def without_slips(
 ) -> Floats:
     """Return the angles (n,) [rad] without slips, in single frames, by one of several equal parts, for example spokes.
 
-    In such a frame the angle deviates from the motion, and returns in the next frame. It is replaced if the picture
-    fits as well at the angle predicted by the neighbours. `at` (n,) are the numbers of the frames.
+    In such a frame the angle deviates from the motion, and returns in the next frame. The angle is replaced if the
+    picture fits as well at the angle predicted by the neighbours. `at` (n,) are the numbers of the frames.
     """
     angle = angle.copy()
     if len(angle) < 4:

@@ -16,8 +16,8 @@ combined by the best linear unbiased mean, with non-negative weights w = C^-1 1 
 the angles of the zones about a smooth motion. The motion, which is common to all zones, adds a multiple of 1 1' to C,
 which does not change w.
 
-The zero of a template is arbitrary. The zero of each batch is related to the previous batch by registering the
-templates of both.
+The zero of a template is arbitrary. The zero of each batch is related to the zero of the previous batch by registering
+the templates of both batches.
 """
 
 from __future__ import annotations
@@ -107,12 +107,12 @@ LEAST_CONTRAST = 0.5
 """Smallest contrast of a zone that is not covered, relative to its template [1]. Chosen: a smaller value fits a hand
 of one brightness, a larger one omits zones in shadow."""
 LEAST_KNOWN = 0.9
-"""Smallest number of frames in which a zone has an angle, relative to that of the best zone, for a zone that is used
-[1]. Chosen: a zone has no angle where it disagrees, so its other angles seem too good; a smaller value admits such
-zones, a larger one omits zones that a cable covers."""
+"""Smallest number of frames in which a used zone has an angle, divided by this number for the best zone [1]. Chosen: a
+zone has no angle where it disagrees, so its other angles seem too good; a smaller value admits such zones, a larger one
+omits zones that a cable covers."""
 LEAST_ZONES = 2
 """Smallest number of informative zones for an estimate of their errors [1]. Derived: the differences of three angles
-determine three variances; the difference of two gives an upper limit of both."""
+determine three variances; the difference of two angles gives an upper limit of both variances."""
 TOGETHER = 16
 """Frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do not
 average out; with fewer frames, these errors remain hidden in noise; with more, there are few averages."""
@@ -128,7 +128,7 @@ a shadow that a bar casts beside itself displaces its edges; on ten films by two
 1.04, 0.82 and 0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
 _TEMPLATE_FRAMES = 256
 """Largest number of frames of a batch from which the templates of a fast body are learnt [frames]. Derived: the noise
-of a template is that of a frame divided by 16; a larger number costs time."""
+of a template is the noise of a frame divided by 16; a larger number costs time."""
 _BLOCK = 16
 """Frames that are turned and measured together [frames]. Derived: their samples, 0.7 MB, remain in the cache of a
 processor; the result does not depend on it."""
@@ -152,7 +152,7 @@ _ALIGNMENTS = 3
 """Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
 errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
 _ROUNDS = 2
-"""Passes of the template [iterations]. Chosen: the second one uses the angles of the first; a larger number costs
+"""Passes of the template [iterations]. Chosen: the second pass uses the angles of the first pass; a larger number costs
 time."""
 _LEAST_SHARE = 0.1
 """Smallest variance of a zone relative to the variance of its differences [1]. Chosen: a smaller value gives one zone
@@ -206,7 +206,7 @@ class TextureObservations:
             found[:] = (zones.share @ each).real, (zones.share @ each).imag
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> TextureObservations:
-        """Place the frames at `index` of `count` frames; the others are NaN."""
+        """Place the frames at `index` of `count` frames; the other frames are NaN."""
         return TextureObservations(
             **{f.name: spread_out(getattr(self, f.name), index, count) for f in fields(self)}
         )
@@ -487,7 +487,7 @@ class TextureTracker:
     ) -> npt.NDArray[np.uint8]:
         """Sample rings in the frames `use` about centres (n, 2) [px] at angles with cos and sin `turn` (n, 2).
 
-        Their radii are larger by `off` [px].
+        The radii of the rings are larger by `off` [px].
         """
         found = np.empty((len(use), *self._strips.shape[1:]), dtype=np.uint8)
         radius = (self._radius + off).astype(np.float32)

@@ -5,7 +5,7 @@ The header has one entry per line, ``Image Width : 1024``. The frames follow eac
 little-endian. ``EffectiveBit Depth`` is the number of bits that contain the measured value: either the lower or the
 higher bits (``EffectiveBit Side``).
 
-Sources: headers written by PFV and by the PDC library of Photron; the packing is that of pyMRAW.
+Sources: headers written by PFV and by the PDC library of Photron; the bits are packed as in pyMRAW.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The time base of a film: when each frame was captured.
 
-The timestamps of a film in real time are those of the camera. The timestamps of a film in slow motion are for playback,
+The timestamps of a film in real time come from the camera. The timestamps of a film in slow motion are for playback,
 and may have been changed by an editor. If timestamps are equally spaced, frames are counted, which is equivalent.
 
 In a film with a constant rate, the time of a frame is its index divided by the capture rate. Slow-motion films are
@@ -33,7 +33,7 @@ class CaptureRate:
 
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Return the requested rate [1/s], or that of the profile, the camera's tag, or a container of at least 100 fps."""
+    """Return the requested rate [1/s], or the rate of profile, camera tag, or a container of at least 100 fps."""
     for fps, source in (
         (requested, "--capture-fps"),
         (profile, "profile"),
