@@ -57,11 +57,11 @@ ONE_CLOCK = 2e-4
 """Smallest difference of the rates of clips that proves two cameras [1]. Chosen: a crystal changes by 1e-6 in a run,
 and slow errors of tracking imitate a difference of about 1e-5; a larger value joins two cameras."""
 UNLIKELY = 1e-4
-"""Largest p-value of a significant difference of clock rates, for white errors [1]. Chosen: a larger value
-separates clips of one camera, a smaller one joins two."""
+"""Largest p-value of a significant difference of clock rates, for white errors [1]. Chosen: a larger value separates
+clips of one camera, a smaller one joins two cameras."""
 MAX_LENGTH = 3.0
 """Largest length of the part of a clip that is compared in the search [s]. Chosen: a cubic describes the motion over
-it; a longer part needs a higher degree, a shorter one is noisy."""
+this length; a longer part needs a higher degree, a shorter one is noisy."""
 GRID = 0.1
 """Largest step of the survey of the casing's record [s]. Chosen: a larger step omits starts, a smaller one costs
 time."""
@@ -78,7 +78,7 @@ THRESHOLD = 100.0
 """Largest excess of chi2 of a candidate [1]. Chosen: a smaller value omits true starts, a larger one costs time."""
 MODEL_ERROR = np.array([0.02, 0.02, 0.05])
 """Standard deviations of speed, acceleration and jerk due to the error of the cubic [rad/s, rad/s2, rad/s3]. Chosen:
-smaller values reject true starts, larger ones accept many."""
+smaller values reject true starts, larger values accept many wrong starts."""
 INTERVALS = (2, 4, 8, 16, 32)
 """Numbers of intervals of the spline that are tried [1]. Chosen: factors of two; a larger number costs time, a smaller
 one smooths the motion."""
@@ -89,8 +89,8 @@ PARAMETERS = 16
 """Number of parameters in addition to one per interval [1]. Derived: 5 for the ends of the spline, 8 harmonics, start,
 rate and direction."""
 ROUNDS = 2
-"""Passes of the calibration of noise and the rejection of outliers [iterations]. Chosen: a smaller number keeps
-outliers, a larger one costs time."""
+"""Number of passes of the calibration of noise and the rejection of outliers [iterations]. Chosen: a smaller number
+keeps outliers, a larger one costs time."""
 MAX_MISFIT = 0.015
 """Largest difference beyond noise between the angles of two cameras [rad]. Chosen: a smaller value refuses oblique
 cameras, a larger one accepts clips of another run."""
@@ -109,7 +109,7 @@ MAX_START_SIGMA = 1e-3
 speed, a larger one accepts an uncertain start."""
 MAX_CHANCE = 1e-3
 """Largest probability that directions agree by chance [1]. Chosen: a larger value wrongly assumes a common direction, a
-smaller one does not use a true one."""
+smaller one does not use a true common direction."""
 AGREE = 4.0
 """Largest difference of two directions, or two rates, that count as equal, in standard deviations [1]. Chosen: a
 smaller value separates equal values, a larger one joins different values."""
@@ -666,8 +666,8 @@ def _placement(name: str, match: Match) -> Placement:
 
 
 FASTER = 1.02
-"""Ratio of the rotor's speed in a later clip to that in an earlier clip above which a start may be wrong [1]. Chosen: a
-smaller value warns of noise, a larger one overlooks exchanged clips."""
+"""Speed of the rotor in a later clip, divided by its speed in an earlier clip, above which a start may be wrong [1].
+Chosen: a smaller value warns of noise, a larger one overlooks exchanged clips."""
 
 
 def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:

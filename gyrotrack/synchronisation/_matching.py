@@ -67,8 +67,8 @@ OUTLIER = 6.0
 """Smallest residual of an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects good samples, a
 larger one keeps slips."""
 BLOCKS = 60
-"""Blocks of a residual [1]. Chosen: a smaller number hides correlation, a larger one leaves few samples in each
-block."""
+"""Number of blocks of a residual [1]. Chosen: a smaller number hides correlation, a larger one leaves few samples in
+each block."""
 
 
 def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
@@ -88,8 +88,8 @@ MIN_FRAMES = 60
 """Smallest number of frames of a clip with the casing [frames]. Chosen: a smaller number does not determine a start, a
 larger one refuses short clips."""
 NEIGHBOURS = 15
-"""Samples of a running median [samples]. Chosen: a smaller number follows runs of outliers, a larger one smooths the
-motion."""
+"""Number of samples of a running median [samples]. Chosen: a smaller number follows runs of outliers, a larger one
+smooths the motion."""
 MIN_DURATION = 0.2
 """Smallest duration of a clip [s]. Chosen: a shorter clip does not determine speed and acceleration, a longer one
 refuses short clips."""

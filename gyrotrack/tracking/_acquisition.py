@@ -423,11 +423,11 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
 
 
 LEAST_COVERED = 4.0
-"""Smallest angle covered by the samples of a body's markers for which its centre is measured [rad]. Chosen: a smaller
-value mistakes the radius of an arc for an offset, a larger one needs more samples."""
+"""Smallest angle covered by the samples of a body's markers for which the centre of the body is measured [rad]. Chosen:
+a smaller value mistakes the radius of an arc for an offset, a larger one needs more samples."""
 LEAST_TURNED = 0.5
-"""Smallest angle covered by the samples of a marker for deciding which markers turn with it [rad]. Chosen: a smaller
-value compares markers at rest, a larger one compares none in slow films."""
+"""Smallest angle covered by the samples of a marker at which it is decided which other markers turn with this marker
+[rad]. Chosen: a smaller value compares markers at rest, a larger one compares none in slow films."""
 LEAST_OFFSET = 1.0
 """Offset of the orbits from the hub below which rings about the hub are used [px]. Chosen: half a chroma sample; a
 smaller value follows noise, with a larger one the windows are off centre."""
@@ -651,8 +651,8 @@ def places_of(samples: Samples, found: Sequence[list[list[Blob]]]) -> tuple[Floa
 
 
 _BEYOND = 1.1
-"""Distance of the blobs of a second body from the centre, relative to the outermost orbit [1]. Chosen: a smaller value
-includes blurred markers, a larger one misses neighbouring bodies."""
+"""Smallest distance of the blobs of a second body from the centre, relative to the outermost orbit [1]. Chosen: a
+smaller value includes blurred markers, a larger one misses neighbouring bodies."""
 
 
 def _refuse_second_body(
@@ -681,7 +681,7 @@ _OVER_NOISE = 4.0
 larger one loses faint markers."""
 _OF_PEAK = 0.4
 """Smallest score of a blob, divided by the typical peak of its colour [1]. Chosen: a smaller value joins blobs with
-their surroundings, a larger one divides them."""
+their surroundings, a larger one divides blobs."""
 
 
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:

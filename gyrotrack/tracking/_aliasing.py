@@ -59,7 +59,7 @@ def symmetries(template: Template) -> list[int]:
 
 _ONE_WAY = 0.95
 """Smallest share of the steps in one sense for which another rotation is tried [1]. Chosen: an oscillation has no
-alternative; a smaller value tries one, a larger one leaves noisy rotations aliased."""
+alternative; a smaller value tries another rotation for an oscillation, a larger one leaves noisy rotations aliased."""
 
 
 def unaliased(

@@ -74,17 +74,17 @@ Bools = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
 _TRIAL = 300
-"""Frames on which a candidate for the hub is evaluated [frames]. Chosen: a smaller number shows little motion, a larger
-one costs time."""
+"""Number of frames on which a candidate for the hub is evaluated [frames]. Chosen: a smaller number shows little
+motion, a larger one costs time."""
 _EXCERPT = 300
-"""Frames that `read_excerpt` reads [frames]. Chosen: equal to `_TRIAL`; a larger number costs time, a smaller one shows
-little motion."""
+"""Number of frames that `read_excerpt` reads [frames]. Chosen: equal to `_TRIAL`; a larger number costs time, a smaller
+one shows little motion."""
 _LEARNT = 300
-"""Frames from which the template is estimated [frames]. Chosen: a smaller number gives a noisier template, a larger one
-costs time and memory."""
+"""Number of frames from which the template is estimated [frames]. Chosen: a smaller number gives a noisier template, a
+larger one costs time and memory."""
 _HUB_FRAMES = 100
-"""Frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: a smaller number gives an
-uncertain hub, a larger one costs time."""
+"""Number of frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: a smaller number
+gives an uncertain hub, a larger one costs time."""
 _PATH_SETTLED = 0.02
 """Step below which the iterations for the displacement of a body far from its hub end, in one frame [px]. Chosen: a
 larger value stops early, a smaller one costs time."""
@@ -147,48 +147,49 @@ _CLEAR = 0.6
 """Smallest explained share for which a candidate is refined immediately [1]. Chosen: with a smaller value, more
 candidates are refined; with a larger one, all candidates are first refined cheaply."""
 _FEW_FRAMES = 12
-"""Frames of the cheap refinement of a candidate [frames]. Chosen: with fewer, noise decides; with more, the refinement
-takes longer."""
+"""Number of frames of the cheap refinement of a candidate [frames]. Chosen: with fewer, noise decides; with more, the
+refinement takes longer."""
 _FEW_STEPS = 3
-"""Iterations of the cheap refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger one
-costs time."""
+"""Number of iterations of the cheap refinement of a candidate [iterations]. Chosen: a smaller number stops early, a
+larger one costs time."""
 _PROMISING = 0.85
 """Fraction of the required share that the cheap refinement must reach [1]. Chosen: few frames are explained better than
 many; a smaller value refines more candidates, a larger one may omit the true hub."""
 _SCREEN_SIZE = 320
-"""Smallest length of the longer side of a reduced frame [px]. Chosen: time; a smaller value loses the marks of small
-bodies."""
+"""Smallest length of the longer side of a reduced frame [px]. Chosen: a larger value costs time, a smaller one loses
+the marks of small bodies."""
 _SCREEN_AREA = 1000
-"""Smallest moving area of the reduced frames for which they are used for screening [px2]. Chosen: a smaller value
-refuses small bodies, a larger one screens fewer films."""
+"""Smallest moving area in the reduced frames for which these frames are used for screening [px2]. Chosen: a smaller
+value refuses small bodies, a larger one screens fewer films."""
 _SCREENED = 0.75
 """Factor of the required share in reduced frames [1]. Chosen: reduced frames lose detail; a larger value refuses films
 that the full frames explain, a smaller one costs time."""
 _STEPS = 6
-"""Iterations of the refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger one costs
-time."""
+"""Number of iterations of the refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger
+one costs time."""
 _FRAMES = 60
-"""Frames for the refinement of a candidate [frames]. Chosen: a smaller number gives an uncertain hub, a larger one
-costs time."""
+"""Number of frames for the refinement of a candidate [frames]. Chosen: a smaller number gives an uncertain hub, a
+larger one costs time."""
 _TILTED = 0.35
 """Smallest tilt of the axis that the result states [rad]. Chosen: cos 0.35 = 0.94; a smaller value reports noise, a
 larger one hides a tilt."""
 _ELSEWHERE = 0.2
-"""Smallest ratio of the moving area outside the best ring to that within it for which a second body is searched for
-[1]. Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
+"""Smallest ratio of the moving area outside the best ring to the moving area within it for which a second body is
+searched for [1]. Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
 _COUPLED = 0.55
-"""Smallest ratio of the moving area outside the best ring to that within it for which a second body may act on the
-first [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with one link tracked."""
+"""Smallest ratio of the moving area outside the best ring to the moving area within it for which a second body may act
+on the first body [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with one link
+tracked."""
 _STRETCH_SPAN = 3.0
 """Smallest range of the angle for which the ellipse due to a tilted camera is fitted [rad]. Chosen: about half a turn;
-with a smaller value the ellipse is undetermined, with a larger one it is not corrected."""
+with a smaller value the ellipse is undetermined, with a larger one the tilt is not corrected."""
 _STATIC_SPAN = 1.0
 """Smallest range of the angle for which a fixed picture is always part of the model [rad]. Chosen: a smaller value
 confuses the fixed picture with the body, a larger one leaves glare in the template."""
 _CLEARLY_BETTER = 0.02
-"""Smallest increase of the explained share for which a fixed picture is part of the model at smaller ranges [1].
-Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it due to noise, a larger one omits
-it."""
+"""Smallest increase of the explained share for which a fixed picture is part of the model at ranges below
+`_STATIC_SPAN` [1]. Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds this picture due
+to noise, a larger one omits it."""
 
 
 class NothingMovesError(RefusedFilmError):

@@ -25,8 +25,8 @@ FEWEST = 16
 """Smallest number of recent angles for a prediction [frames]. Chosen: more than twice the 7 parameters; a smaller
 number predicts badly, a larger one delays the fast search."""
 LONGEST_USE = 130
-"""Frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; a larger number extrapolates too far, a
-smaller one costs time."""
+"""Number of frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; a larger number extrapolates too
+far, a smaller one costs time."""
 LEAST_SCATTER = 1.5e-3
 """Lower limit of the scatter of a coarse angle [rad]. Chosen: a smaller value rejects good angles of quiet films, a
 larger one widens the search."""
@@ -107,11 +107,11 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
 
 
 LOCK_FRAMES = 24
-"""Frames that are scored together until a body is found [frames]. Chosen: a smaller number locks to other objects, a
-larger one needs a uniform speed for longer."""
+"""Number of frames that are scored together until a body is found [frames]. Chosen: a smaller number locks to other
+objects, a larger one needs a uniform speed for longer."""
 LONGEST_COAST = 40
-"""Frames without the body after which its prediction is no longer trusted [frames]. Chosen: a smaller number loses
-turns behind an obstacle, a larger one follows a wrong motion."""
+"""Number of frames without the body after which its prediction is no longer trusted [frames]. Chosen: a smaller number
+loses turns behind an obstacle, a larger one follows a wrong motion."""
 REACH = 0.35
 """Half width of the search window about a prediction [rad]. Chosen: a smaller value loses bodies that change their
 speed, a larger one finds other objects."""
@@ -154,7 +154,7 @@ def find_lock(
 
 _IN_PHASE = 0.25
 """Largest deviation from a uniform advance of an angle that is in phase with this advance [rad]. Chosen: a smaller
-value rejects noisy angles, a larger one accepts random ones."""
+value rejects noisy angles, a larger one accepts random angles."""
 _LOCKED = 0.7
 """Smallest share of the angles in phase with a uniform advance [1]. Chosen: a smaller value locks to other objects, a
 larger one fails with occlusions."""

@@ -280,7 +280,7 @@ def _squares(path: CentrePath, views: dict[str, BodyView], flat: dict[str, Flatt
 
 _MOST_CHANGE = 50.0
 """Upper limit of the ratio of a squared residual to its typical value [1]. Chosen: a marker that is mistaken for
-another one is an outlier; with a larger value it dominates the mean, a smaller one hides camera shake."""
+another one is an outlier; with a larger value such an outlier dominates the mean, a smaller one hides camera shake."""
 
 
 def _is_better(before: Floats, after: Floats) -> bool:
@@ -400,8 +400,8 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
 
 
 HEIGHT = 0.03
-"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit [1]. Derived: 1
-mm divided by a radius of 35 mm."""
+"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of the orbit of this marker
+[1]. Derived: 1 mm divided by a radius of 35 mm."""
 LUMA_SHIFT = 0.5
 """Distance by which the luma of a marker may be displaced from the chroma [px]. Derived: conventions for the place of
 chroma samples differ by half a luma pixel."""
@@ -955,7 +955,7 @@ _REST = 0.05
 a slow body."""
 _TURNS = 1.0
 """Smallest range of the angle of the other body for which the other body counts as rotating [rad]. Chosen: a smaller
-value omits a body although the other one hardly turns, a larger one keeps angles of the background."""
+value omits a body although the other body hardly turns, a larger one keeps angles of the background."""
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:

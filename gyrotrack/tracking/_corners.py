@@ -38,11 +38,14 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 FACTOR_R = 30.0
-"""Factor of u_r in the uncertainty of the paper [rad]. Source: formula of the paper, see the module docstring."""
+"""Factor of u_r in the uncertainty as defined in the paper [rad]. Source: V. Tanrıverdi and A. Erbasan,
+arXiv:2605.06700; see the module docstring."""
 FACTOR_1 = 150.0
-"""Factor of u_1 in the uncertainty of the paper [1]. Source: formula of the paper, see the module docstring."""
+"""Factor of u_1 in the uncertainty as defined in the paper [1]. Source: V. Tanrıverdi and A. Erbasan, arXiv:2605.06700;
+see the module docstring."""
 FACTOR_2 = 150.0
-"""Factor of u_2 in the uncertainty of the paper [1]. Source: formula of the paper, see the module docstring."""
+"""Factor of u_2 in the uncertainty as defined in the paper [1]. Source: V. Tanrıverdi and A. Erbasan, arXiv:2605.06700;
+see the module docstring."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ Frames = npt.NDArray[np.int64]
 Complexes = npt.NDArray[np.complex128]
 
 _PAIRS = 16
-"""Pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes longer."""
+"""Number of pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes
+longer."""
 _LAGS = (1, 2, 4, 8)
 """Lags between the frames of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
 longer lags lose features of fast bodies."""
@@ -58,11 +59,11 @@ MOSTLY_TRANSLATES = 0.7
 """Limit that replaces `_NO_HUB` if the hub moves less than the rim, like the hub of a suspended body [1]. Measured:
 0.40 for a real trifilar table that fills 40 % of the picture, 0.94 to 0.97 for drawn and real cameras held by hand."""
 _SECOND = 0.25
-"""Smallest share of the moving features that are outliers of the first motion, for a second body [1]. Chosen: a
-smaller value finds a second body in outliers, a larger one overlooks a small one."""
+"""Smallest share of the moving features that are outliers of the first motion, for a second body [1]. Chosen: a smaller
+value finds a second body in outliers, a larger one overlooks a small second body."""
 _EXPLAINED = 0.5
-"""Smallest share of the outliers of the first motion that are inliers of the second motion [1]. Chosen: a smaller
-value finds a second body in outliers, a larger one overlooks a blurred one."""
+"""Smallest share of the outliers of the first motion that are inliers of the second motion [1]. Chosen: a smaller value
+finds a second body in outliers, a larger one overlooks a blurred second body."""
 _OTHER_TURN = 0.3
 """Smallest relative difference of the rotations of two bodies [1]. Chosen: a smaller value takes a deformed picture for
 two bodies, a larger one overlooks links of similar speed."""
@@ -80,14 +81,14 @@ _CUT = 2.5
 """Smallest change of a frame at a cut, divided by the largest other change near the cut [1]. Chosen: a smaller value
 finds a cut in a flash, a larger one overlooks a cut."""
 _CUT_REACH = 12
-"""Distance within which the other changes are compared [frames]. Chosen: a smaller value compares few, a larger one
-includes other cuts."""
+"""Distance from a cut within which other changes are compared with it [frames]. Chosen: a smaller value compares few
+changes, a larger one includes other cuts."""
 _CUT_LEAST = 6.0
 """Smallest change of a frame at a cut [grey levels]. Chosen: a smaller value finds cuts in noise, a larger one
 overlooks cuts between similar shots."""
 _REMAINS = 0.5
-"""Smallest difference of the mean pictures before and after a cut, relative to its change [1]. Chosen: a fast body
-changes every frame, but not the mean of several; a larger value overlooks cuts."""
+"""Smallest difference of the mean pictures before and after a cut, relative to the change of the frame at the cut [1].
+Chosen: a fast body changes every frame, but not the mean of several frames; a larger value overlooks cuts."""
 _SHOT = 12
 """Length of the shortest shot [frames]. Chosen: a smaller value averages too few frames, a larger one overlooks short
 titles."""

@@ -127,8 +127,8 @@ def body_track(
 
 
 _MOST_PARTS = 1000
-"""Largest number of parts of a film whose uncertainty is stored [1]. Chosen: an attribute of HDF5 holds 4000; a smaller
-number rounds the change of the uncertainty in long films."""
+"""Largest number of parts of a film whose uncertainty is stored [1]. Chosen: an attribute of HDF5 can contain 4000; a
+smaller number rounds the change of the uncertainty in long films."""
 
 
 def _profile(parts: Floats, time: Floats) -> tuple[tuple[float, float], ...]:
@@ -365,8 +365,8 @@ LEAST_TRACKED = 0.8
 """Smallest share of frames with an angle for which no warning is given [1]. Chosen: a smaller value accepts poor
 films, a larger one doubts films with a hand at the start."""
 _STEPS = 12
-"""Frames over which the speed on either side of a gap is measured [frames]. Chosen: a smaller number measures noise, a
-larger one includes a change of the speed."""
+"""Number of frames over which the speed on either side of a gap is measured [frames]. Chosen: a smaller number measures
+noise, a larger one includes a change of the speed."""
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:

@@ -245,8 +245,8 @@ def reduced(frame: Plane, factor: int) -> Plane:
 
 
 _EXAMINED = 12
-"""Frames that show whether a film is interlaced [frames]. Chosen: a smaller number may show no motion, a larger one
-costs time."""
+"""Number of frames that show whether a film is interlaced [frames]. Chosen: a smaller number may show no motion, a
+larger one costs time."""
 
 
 def _interlacing(path: Path) -> int | None:
@@ -280,7 +280,7 @@ def is_coloured(path: Path, frames: int = 12) -> bool:
 
 _DARK = 32
 """Smallest grey level at which brightness is proportional to a power of the light [grey levels]. Chosen: a smaller
-value includes pixels of the black level, a larger one leaves few."""
+value includes pixels of the black level, a larger one leaves few pixels."""
 _BRIGHT = 235
 """Largest grey level at which brightness is proportional to a power of the light [grey levels]. Source: white of
 limited range in ITU-R BT.601; brighter pixels are saturated."""
@@ -356,8 +356,8 @@ def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> 
 
 
 _NEIGHBOURS = 9
-"""Frames of the running quantile about a frame [frames]. Chosen: a larger number follows changes of the speed late, a
-smaller one is dominated by repeats."""
+"""Number of frames of the running quantile about a frame [frames]. Chosen: a larger number follows changes of the speed
+late, a smaller one is dominated by repeats."""
 _MOVING = 7
 """Rank of the typical change among `_NEIGHBOURS` frames [1]. Chosen: a lower rank is a repeat where few
 frames are new, a higher one is an outlier."""

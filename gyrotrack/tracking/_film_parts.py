@@ -65,8 +65,8 @@ LEAST_PART = 400
 """Smallest number of frames of a part [frames]. Chosen: enough for illumination and templates; a smaller number gives
 noisy templates, a larger one leaves few parts."""
 OVERLAP = 64
-"""Frames that two neighbouring parts share [frames]. Chosen: a smaller number leaves the turns between parts uncertain,
-a larger one costs time because these frames are tracked twice."""
+"""Number of frames that two neighbouring parts share [frames]. Chosen: a smaller number leaves the turns between parts
+uncertain, a larger one costs time because these frames are tracked twice."""
 LEARNT = 256
 """Smallest number of frames at the beginning of a part for the maps of illumination and occlusion [frames]. Chosen: a
 smaller number gives noisy maps, a larger one delays the start."""
@@ -74,8 +74,8 @@ MOST_LEARNT = 8
 """Largest number of parts whose beginnings are used for the maps of illumination and occlusion [1]. Chosen: the cost
 does not grow with the film; a larger number costs time, a smaller one gives noisier maps."""
 _RATE = 24
-"""Frames on either side of a gap between parts; their mean speed extrapolates the angle over the gap [frames]. Chosen:
-a smaller number gives a noisy speed, a larger one includes a change of the speed."""
+"""Number of frames on either side of a gap between parts; their mean speed extrapolates the angle over the gap
+[frames]. Chosen: a smaller number gives a noisy speed, a larger one includes a change of the speed."""
 _STAMPS = "stamps"
 
 

@@ -244,13 +244,14 @@ Progress = Callable[[int, int | None], None]
 RINGS = ("texture", "aligned")  # observations of a ring (see `TextureTracker.measure`)
 
 BATCH = 512
-"""Frames that are measured together [frames]. Chosen: a smaller number gives noisy templates, a larger one gives
-outdated templates and takes memory."""
+"""Number of frames that are measured together [frames]. Chosen: a smaller number gives noisy templates, a larger one
+gives outdated templates and takes memory."""
 HOLD = 64
 """Number of frames held in memory; if a body is not found at its prediction, it is searched for in these frames
 [frames]. Chosen: a smaller number may not suffice to find the body again, a larger one takes memory."""
 HELD_BYTES = 24_000_000
-"""Size of the frames that are held [bytes]. Chosen: memory; a smaller value holds fewer frames of large pictures."""
+"""Size of the frames that are held [bytes]. Chosen: a larger value needs memory, a smaller one holds fewer frames of
+large pictures."""
 SLOW = 3.0 * LEAST_SCATTER
 """Smallest step of the fastest body for which equal frames are repeated frames [rad]. Derived: three times the lower
 limit of the scatter of a coarse angle."""

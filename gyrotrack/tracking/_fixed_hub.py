@@ -18,8 +18,8 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _FRAMES = 40
-"""Frames in which the displacement is fitted [frames]. Chosen: a smaller number gives an uncertain quantile, a larger
-one costs time."""
+"""Number of frames in which the displacement is fitted [frames]. Chosen: a smaller number gives an uncertain quantile,
+a larger one costs time."""
 _STEP = 2.0
 """Largest step of an iteration per axis [px]. Chosen: a smaller value needs more iterations, a larger one leaves the
 range of the linear model."""

@@ -28,8 +28,8 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 AROUND = 20
-"""Frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number gives a
-noisy step, a larger one includes a change of the speed."""
+"""Number of frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number
+gives a noisy step, a larger one includes a change of the speed."""
 CLEAR = 6.0
 """Smallest step of a body for which a repetition can be detected, in standard deviations of its steps [1]. Derived:
 half a step, below which the body counts as unmoved, is then three standard deviations."""

@@ -422,8 +422,8 @@ MOST_FRAMES = 2000
 """Number of frames from which errors of the view are estimated [frames]. Chosen: a larger number costs time, a smaller
 one gives noisier estimates."""
 LEAST_FAST = 0.2
-"""Smallest share of fast frames for which curves are estimated from these alone [1]. Chosen: a smaller value uses few
-frames, a larger one uses slow frames, in which motion resembles errors."""
+"""Smallest share of fast frames for which curves are estimated from the fast frames alone [1]. Chosen: a smaller value
+uses few frames, a larger one uses slow frames, in which motion resembles errors."""
 
 
 def errors_by_place(state: Residuals, smooth: Floats) -> PlaceErrors:
@@ -713,8 +713,8 @@ def _without_common(mounts: dict[str, float]) -> Floats:
 
 
 ROUNDS = 5
-"""Passes of the fusion [iterations]. Chosen: a smaller number stops before curves and motion agree, a larger one costs
-time."""
+"""Number of passes of the fusion [iterations]. Chosen: a smaller number stops before curves and motion agree, a larger
+one costs time."""
 
 
 @dataclass(frozen=True)
@@ -814,7 +814,7 @@ def join(
 WEAKEST_BODY = 10.0
 """Smallest uncertainty, relative to the median of neighbouring frames, for which a frame has no angle [1]. Chosen: such
 a frame shows a small part of one marker and has 1/100 of the information; errors at the occluding edge are not normally
-distributed; a larger value admits these, a smaller one omits angles."""
+distributed; a larger value admits such errors, a smaller one omits angles."""
 _NEIGHBOURS = 101
 """Width of the running median of the uncertainty [frames]. Chosen: a smaller number follows a hand, a larger one
 ignores a change of light."""

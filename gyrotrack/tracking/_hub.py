@@ -86,8 +86,8 @@ HOLE = 8
 """Correlation length of the errors of a compressed film [frames]. Chosen: a smaller value mistakes correlated errors
 for a path, a larger one smooths a fast path."""
 _HALVES = (24, 48, 96, 192)
-"""Half widths that cross-validation compares for the local parabolas of a path [frames]. Chosen: factors of two; a
-shorter one follows noise, a longer one smooths a precession."""
+"""Half widths that cross-validation compares for the local parabolas of a path [frames]. Chosen: factors of two;
+shorter windows follow noise, longer windows smooth a precession."""
 _SHORT_HALVES = (2, 6, 12, 0)
 """Half widths for a hub that moves fast, as in a hand-held film; 0 (no smoothing) if the camera shakes from frame to
 frame [frames]. Chosen: about factors of two; see `marked_paths`."""

@@ -29,13 +29,13 @@ _PAIRS = 40
 time."""
 _LAGS = (1, 4, 16)
 """Distances of the frames of a pair [frames]. Chosen: for fast and slow bodies; over longer distances features are
-lost, shorter ones show no rotation."""
+lost, shorter distances show no rotation."""
 _FIRST = 5
 """Spacing of the pairs that decide whether the other pairs are needed [pairs]. Chosen: with a larger value few pairs
 decide, a smaller one costs time."""
 _NO_COMMON_HUB = 0.8
-"""Median residual of the displacements about one hub, relative to their median, beyond which pairs have no common hub
-[1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
+"""Median residual of the displacements about one hub, divided by the median displacement, beyond which pairs have no
+common hub [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
 _FEWEST_PAIRS = 4
 """Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: with fewer, pairs agree by chance;
 with more, hubs are lost."""

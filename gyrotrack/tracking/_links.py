@@ -41,10 +41,10 @@ _ROUGH = 0.5
 larger one leaves the pivot undetermined."""
 _REACH = 2.0
 """Largest distance of a body from the extrapolation of its last step [radii]. Chosen: a smaller value loses fast
-bodies, a larger one confuses them."""
+bodies, a larger one confuses bodies."""
 _LOST = 2
-"""Frames in a row in which a body may be occluded by another one [frames]. Chosen: a smaller number ends the paths
-early, a larger one confuses bodies."""
+"""Number of frames in a row in which a body may be occluded by another body [frames]. Chosen: a smaller number ends the
+paths early, a larger one confuses bodies."""
 _FEWEST = 20
 """Smallest number of positions of a moving body [1]. Chosen: with fewer, positions agree by chance; with more, short
 paths are refused."""

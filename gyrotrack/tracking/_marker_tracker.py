@@ -105,15 +105,15 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
 
 
 LARGEST = 24.0
-"""Upper limit of the excess of a squared misfit [1]. Derived: a misfit of 5 times the typical one, 5^2 - 1."""
+"""Upper limit of the excess of a squared misfit [1]. Derived: a misfit of 5 times the typical misfit, 5^2 - 1."""
 FEWEST = 30
 """Smallest number of frames for a scatter [frames]. Chosen: the scatter of 30 frames is known within 13 %; with a
 smaller number, the share estimated by `variance_inflation` is random."""
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
-"""Grid of shares of the excess misfit in the variance [1]. Chosen: steps of 26 %; finer ones do not change the
+"""Grid of shares of the excess misfit in the variance [1]. Chosen: steps of 26 %; finer steps do not change the
 uncertainty by more than a few percent."""
 _FAULT = 5.0
-"""Largest residual of a valid angle, in standard deviations [1]. Chosen: a smaller value discards good angles, with a
+"""Largest residual of a valid angle, in standard deviations [1]. Chosen: a smaller value discards good angles; with a
 larger one, false angles raise the share of `variance_inflation`."""
 
 
@@ -135,7 +135,7 @@ def variance_inflation(off: Floats, excess: Floats) -> float:
 
 LARGEST_MISFIT = 0.12
 """Largest misfit of a profile, relative to its height, that illumination alone can cause [1]. Chosen: occlusion of a
-tenth of a marker causes more; a larger value accepts it, a smaller one rejects glare."""
+tenth of a marker causes a larger misfit; a larger value accepts this occlusion, a smaller one rejects glare."""
 WEAKEST = 4.0
 """Largest factor on the uncertainty of a partly occluded marker that is used [1]. Chosen: 1/16 of the information; a
 larger value admits the errors of an edge, a smaller one discards angles."""
@@ -155,13 +155,13 @@ class Candidate:
 
 _LOWEST = 0.5
 """Smallest plausible height of a marker, divided by its median height [1]. Chosen: a smaller value keeps half-covered
-markers, a larger one omits shaded ones."""
+markers, a larger one omits shaded markers."""
 _HIGHEST = 2.0
 """Largest plausible height of a marker, divided by its median height [1]. Chosen: a larger value keeps glare, a smaller
 one omits markers in bright light."""
 _POOR = 6.0
-"""Largest misfit of a plausible profile, in robust standard deviations above the typical misfit [1]. Chosen: a
-smaller value omits good angles, a larger one keeps disturbed ones."""
+"""Largest misfit of a plausible profile, in robust standard deviations above the typical misfit [1]. Chosen: a smaller
+value omits good angles, a larger one keeps disturbed angles."""
 
 
 def plausible(seen: MarkerObservations) -> Mask:
@@ -194,8 +194,8 @@ def _usual(seen: MarkerObservations, values: Floats) -> float:
 
 
 ROUNDS = 8
-"""Number of iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer; a larger number costs
-time."""
+"""Number of iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer iterations; a larger
+number costs time."""
 FINENESS = 8
 """Tabulated displacements of the template per sample [1]. Chosen: linear interpolation between 1/8 of a sample; a
 smaller number biases the angle, a larger one takes memory."""
@@ -515,7 +515,7 @@ _OF_TYPICAL = 0.6
 shaded markers, a larger one leaves few profiles."""
 _OF_MISFIT = 1.2
 """Largest misfit of a profile that enters a template, divided by the median misfit [1]. Chosen: a larger value admits
-disturbed profiles, a smaller one leaves few."""
+disturbed profiles, a smaller one leaves few profiles."""
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:

@@ -164,7 +164,7 @@ class MarkerStrip:
 
 LAYERS = 3
 """Number of parts of the radius for which the occlusion is measured separately [1]. Chosen: a smaller number takes a
-partly covered marker for a dim one, a larger one gives noisy heights."""
+partly covered marker for a dim marker, a larger one gives noisy heights."""
 
 
 class MarkerWindow:
@@ -271,7 +271,7 @@ class AngleMap:
 
 HIDDEN = 0.55
 """Smallest height of an unoccluded marker relative to the expected height, and lower limit of the illumination [1].
-Chosen: a smaller value keeps half-covered markers, a larger one discards shaded ones."""
+Chosen: a smaller value keeps half-covered markers, a larger one discards shaded markers."""
 CLEAR = 0.95
 """Smallest relative height of a marker without shadow [1]. Chosen: a smaller value keeps blurred edges, a larger one
 discards markers in uneven light."""
@@ -344,10 +344,10 @@ def _blurred(rows: Floats, half: int) -> Floats:
 Mask = npt.NDArray[np.bool_]
 
 _COLUMNS = 360
-"""Columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar of the
-casing is blurred; with more, each column is seen less often."""
+"""Number of columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar
+of the casing is blurred; with more, each column is seen less often."""
 _SCALE = _COLUMNS / (2.0 * np.pi)
-"""Columns of the map per angle [columns per rad]. Derived: `_COLUMNS` divided by a turn."""
+"""Number of columns of the map per angle [columns per rad]. Derived: `_COLUMNS` divided by a turn."""
 
 
 class Occlusion:

@@ -50,8 +50,8 @@ _WIDEST = 2.0
 """Largest range of the angles in which features are followed [rad]. Chosen: larger rotations are measured by
 registration about a hub, because features are lost during a larger rotation."""
 _LENIENT = 2.0
-"""Factor on the lower limits of range and travel in reduced frames [1]. Chosen: a smaller factor
-refuses films that the full frames show, a larger one examines more of them."""
+"""Factor on the lower limits of range and travel in reduced frames [1]. Chosen: a smaller factor refuses films that the
+full frames show, a larger one examines more films in full frames."""
 _EXPLAINED = 0.4
 """Smallest share of the change of brightness about the path that the rotation explains [1]. Chosen: a smaller value
 accepts bodies that only translate, a larger one refuses uneven light."""
@@ -69,8 +69,8 @@ _MIDDLE = 100.0
 """Largest resolution for the final angles [samples per radius]. Chosen: a larger value costs time, a smaller one loses
 detail."""
 _LEARNT = 150
-"""Frames from which the template is learnt [frames]. Chosen: a smaller number gives a noisier template, a larger one
-costs time."""
+"""Number of frames from which the template is learnt [frames]. Chosen: a smaller number gives a noisier template, a
+larger one costs time."""
 _ROUNDS = 10
 """Largest number of iterations between template and poses [iterations]. Chosen: a smaller number stops before path and
 template agree, a larger one costs time."""
@@ -97,7 +97,7 @@ smaller one keeps a slow body in the background."""
 _ONE_SIGN = 3.0
 """Smallest ratio of lighter to darker differences from the background, or the inverse, for which the whole body counts
 as lighter, or darker, than the background [1]. Chosen: a smaller value takes marks of a body for the background, a
-larger one leaves a body at rest in it."""
+larger one leaves a body at rest in the background."""
 _RARE = 0.15
 """Smallest share of the frames in which the background is visible where a body covers it most of the time [1]. Chosen:
 a smaller value follows noise and shadows, a larger one takes a body that stays longer for the background."""
@@ -119,8 +119,8 @@ _REGIONS = 50
 """Largest number of regions of a frame that are considered, the largest first [1]. Chosen: a larger number costs time,
 a smaller one loses bodies in noisy films."""
 _LOST = 5
-"""Frames without the body after which a path ends [frames]. Chosen: colliding bodies start new paths; a smaller number
-splits a path at each occlusion, a larger one joins different bodies."""
+"""Number of frames without the body after which a path ends [frames]. Chosen: colliding bodies start new paths; a
+smaller number splits a path at each occlusion, a larger one joins different bodies."""
 _AREA = 0.3
 """Smallest relative change of the area of a body that touches another body or is occluded [1]. Chosen: a smaller value
 discards frames of uneven light, a larger one keeps touching bodies."""
@@ -133,14 +133,14 @@ _SIMILAR = 0.25
 [1]. Derived: a disc of which half is hidden changes by 0.28; a larger value takes occlusion for distance, a smaller one
 omits bodies that wobble."""
 _TREND = 15, 31
-"""Lengths of the running medians of area and moment [frames]. Chosen: smaller values follow an occlusion, larger ones
+"""Lengths of the running medians of area and moment [frames]. Chosen: smaller values follow an occlusion, larger values
 do not follow the distance."""
 _GATE = 0.7
 """Largest distance of a body from its prediction [diameters]. Chosen: a smaller value loses fast bodies, a larger one
 confuses neighbours."""
 _TRAVEL = 0.5
-"""Smallest motion of a free body [diameters]. Chosen: a smaller value follows bodies on an axle, a larger one omits
-short paths."""
+"""Smallest distance that a free body moves [diameters]. Chosen: a smaller value follows bodies on an axle, a larger one
+omits short paths."""
 _OF_FILM = 0.25
 """Smallest share of the change of the film that is in the frames of the path [1]. Chosen: a body with a smaller share
 is not the subject of the film; a larger value omits one body of several."""
@@ -151,8 +151,8 @@ _TURNING = 3.0
 """Smallest change (rms) of the picture of a moving body divided by the noise [1]. Chosen: a smaller value includes
 rest, a larger one cuts slow ends."""
 _TURNED = 0.2
-"""Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen:
-changes by the codec at rest exceed the noise; a smaller value includes them, a larger one cuts slow ends."""
+"""Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen: changes by the
+codec at rest exceed the noise; a smaller value includes these changes, a larger one cuts slow ends."""
 _STEADY = 9
 """Length of a window in which most frames show the motion [frames]. Chosen: a smaller number ends the motion at a
 single frame, a larger one blurs its ends."""

@@ -37,7 +37,7 @@ class Orbit:
 
 
 _FEWEST = 5
-"""Smallest number of blobs, of directions with a blob, and of inliers of a common centre [1]. Chosen: with fewer, they
+"""Smallest number of blobs, of directions with a blob, and of inliers of a common centre [1]. Chosen: with fewer, blobs
 agree by chance; with more, films with occlusions are refused."""
 _LEAST_SPREAD = 1.5
 """Smallest angle that the inliers of a common centre cover [rad]. Chosen: a quarter of a turn; a smaller value leaves
@@ -201,8 +201,8 @@ LEAST_COVER = 5.0
 """Smallest part of the turn that an orbit covers [rad]. Chosen: a smaller value confuses offset and radius of an arc, a
 larger one fits few orbits."""
 _ROUNDS = 6
-"""Iterations of a fit of offset and flattening [iterations]. Chosen: a smaller number stops before outliers and shape
-agree, a larger one costs time."""
+"""Number of iterations of a fit of offset and flattening [iterations]. Chosen: a smaller number stops before outliers
+and shape agree, a larger one costs time."""
 
 
 @dataclass(frozen=True)

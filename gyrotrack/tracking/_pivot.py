@@ -114,10 +114,10 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
 
 
 _MOST_TRIALS = 100
-"""Largest number of trial ellipses of the first fit of an orbit [1]. Derived: orbits of rendered films need 5 to 53;
-the fit of a short arc, which determines no ellipse, does not converge even after 500."""
+"""Largest number of trial ellipses of the first fit of an orbit [1]. Derived: orbits of rendered films need 5 to 53
+trials; the fit of a short arc, which determines no ellipse, does not converge even after 500 trials."""
 CELLS = 12
-"""Parts of an arc, each with one position-dependent error [1]. Derived: a full orbit has 12 independent
+"""Number of parts of an arc, each with one position-dependent error [1]. Derived: a full orbit has 12 independent
 position-dependent errors, see `_orbit.CELL`."""
 _FEWEST_IN_CELL = 3
 """Smallest number of positions in a part of an arc that determine its error [positions]. Chosen: a smaller number gives

@@ -41,7 +41,7 @@ _TILT_U = 0.05
 angles, a larger one overstates it."""
 _WIDE = 0.5 * TURN
 """Smallest range of the angle in which an ellipse differs from a circle [rad]. Chosen: half a turn; a smaller value
-drops the error of the tilt too early, a larger one keeps it."""
+drops the error of the tilt too early, a larger one drops it too late."""
 _OFF = 8.0
 """Largest distance of a correct match from the arc, in standard deviations of the residuals [1]. Chosen: a smaller
 value discards good frames, a larger one keeps wrong matches."""
@@ -592,8 +592,8 @@ def about_pivot(
 
 
 _GAP = 0.25 * TURN
-"""Largest gap of an orbit that shows a tilt [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse
-undetermined, a smaller one refuses few positions."""
+"""Largest gap of an orbit that shows a tilt [rad]. Chosen: a quarter of a turn; a larger gap leaves the ellipse
+undetermined, a smaller one refuses orbits of few positions."""
 _ELLIPSE = 0.03
 """Largest deviation (rms) of the points of an orbit from the ellipse, divided by its radius [1]. Chosen: a smaller
 value refuses blurred points, a larger one accepts other paths."""

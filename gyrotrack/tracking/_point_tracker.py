@@ -91,11 +91,11 @@ _LEARNT = 200
 """Largest number of frames for the average picture of the patch [frames]. Chosen: a smaller number gives a noisier
 picture, a larger one costs time."""
 _ROUNDS = 4
-"""Alternations of averaging a patch and measuring its positions [iterations]. Chosen: a smaller number stops before
-patch and positions agree, a larger one costs time."""
+"""Number of alternations of averaging a patch and measuring its positions [iterations]. Chosen: a smaller number stops
+before patch and positions agree, a larger one costs time."""
 _TURN_ROUNDS = 3
-"""Alternations of measuring the path and the rotation of a patch [iterations]. Chosen: a smaller number stops before
-path and rotation agree, a larger one costs time."""
+"""Number of alternations of measuring the path and the rotation of a patch [iterations]. Chosen: a smaller number stops
+before path and rotation agree, a larger one costs time."""
 _STEPS = 8
 """Largest number of Gauss-Newton steps of a patch [iterations]. Chosen: a smaller number stops early, a larger one
 costs time."""
@@ -116,7 +116,7 @@ _ROBUST = 4.0
 Math. Statist. 35, 73 (1964); a smaller limit costs precision, a larger one admits disturbed pixels."""
 _TURNS_WITH = 0.95
 """Largest residual with a rotation about the hub, divided by the residual without rotation, for which a patch is taken
-to rotate about the hub [1]. Chosen: a smaller value keeps the orientation of a bob on a rod, with a larger one, noise
+to rotate about the hub [1]. Chosen: a smaller value keeps the orientation of a bob on a rod; with a larger one, noise
 makes round bobs rotate."""
 _UNSEEN = 1e9
 """Variance of a pixel that is visible in no frame [grey levels squared]. Chosen: large against any other variance, so
@@ -131,20 +131,21 @@ HIDDEN = 6.0
 """Largest mean square residual of a frame that shows the patch, divided by the median of all frames [1]. Chosen: a
 smaller value omits frames of uneven light, a larger one keeps frames with a hand."""
 _SILHOUETTE = 15.0
-"""Largest radius of a patch that the silhouette about it suggests [px]. Chosen: a smaller value discards the edge of a
-large bob, a larger one includes the background."""
+"""Largest radius of a patch whose radius is taken from the silhouette about it [px]. Chosen: a smaller value discards
+the edge of a large bob, a larger one includes the background."""
 _TURN_SEEN = 0.05
 """Largest standard uncertainty of the rotation of a patch in one frame for which the rotation is followed, and prior
 standard deviation of a followed rotation [rad]. Chosen: a smaller value keeps the orientation of faint patches, a
 larger one follows noise."""
 _TURN_STEPS = 6
-"""Steps of the rotation of a patch [iterations]. Chosen: a smaller number stops early, a larger one costs time."""
+"""Number of steps of the rotation of a patch [iterations]. Chosen: a smaller number stops early, a larger one costs
+time."""
 _ROUND = 0.7
 """Smallest area of a round patch, divided by the area of the circle about it [1]. Chosen: a smaller value takes a rod
 for a bob, a larger one refuses blurred bobs."""
 _LEAST_ROUND = 8
-"""Smallest radius of a patch that has an interior [px]. Chosen: a smaller one has an edge only, a larger one ignores
-the detail of small bobs."""
+"""Smallest radius of a patch that has an interior [px]. Chosen: a smaller patch has an edge only; a larger value
+ignores the detail of small bobs."""
 _TURNED = 0.3
 """Rotation that must increase the residual of a patch with visible orientation [rad]. Chosen: the effect of a smaller
 value is below the noise; a larger one may reach the next period of a periodic patch."""
@@ -153,7 +154,7 @@ _TURN_STARTS = 5
 smaller number loses a fast rotation, a larger one costs time."""
 _TURN_STEP = 1.5
 """Distance between the additional initial angles of a rotation, multiplied by the radius of the patch [px]. Chosen: the
-width of an edge; a larger one misses the minimum, a smaller one costs time."""
+width of an edge; a larger distance misses the minimum, a smaller one costs time."""
 _UNUSUAL = 1.5
 """Smallest residual, divided by its running mean, for which additional initial angles of a rotation are tried [1].
 Chosen: a smaller value costs time, a larger one keeps a lost rotation."""
@@ -166,7 +167,7 @@ depth of the part, if only rods join the part to the body [1]. Chosen: a smaller
 larger one divides a compact body."""
 _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
-circle; a larger one reaches other parts."""
+circle; a larger distance reaches other parts."""
 _SLENDER = 1.6
 """Radius of the circle of the same area, divided by the radius of the inscribed circle, above which a body is not
 compact [1]. Derived: sqrt(8 / pi) = 1.6 for a rectangle twice as long as wide."""

@@ -50,8 +50,8 @@ Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
 BINS = 120
-"""Bins of the histogram of the hue [1]. Chosen: 3 degrees each; a smaller number joins similar colours, a larger one
-gives noisy heights."""
+"""Number of bins of the histogram of the hue [1]. Chosen: 3 degrees each; a smaller number joins similar colours, a
+larger one gives noisy heights."""
 APART = np.deg2rad(24.0)
 """Smallest difference between two different hues [rad]. Chosen: a smaller value divides one marker, a larger one joins
 orange and red."""
@@ -141,12 +141,12 @@ TRIALS = 1500
 """Number of random triples of points for a centre [1]. Chosen: more than for a known profile, because most points may
 be outliers; a smaller number may not find the centre."""
 _AMBIGUOUS = 0.35
-"""Smallest product of contrast and share of samples, relative to that of the first patch of a hue, for which a second
-patch may be confused with the first [1]. Chosen: with a smaller value, reflections count as second patches; with a
-larger one, two marks may be confused."""
+"""Smallest product of contrast and share of samples, divided by this product for the first patch of a hue, for which a
+second patch may be confused with the first [1]. Chosen: with a smaller value, reflections count as second patches; with
+a larger one, two marks may be confused."""
 _SAME_HUE = 18.0
-"""Largest difference of two equal hues [degrees]. Chosen: below `APART`; a smaller value separates shades of one paper,
-a larger one joins colours."""
+"""Largest difference of two hues that count as equal [degrees]. Chosen: below `APART`; a smaller value separates shades
+of one paper, a larger one joins colours."""
 _DISC_HUES = range(0, 360, 30)
 """Trial hues in the search for a disc [degrees]. Chosen: a finer step costs time, a coarser one loses contrast."""
 _LEAST_DISC = 14.0
@@ -318,7 +318,7 @@ class Group:
 
 
 _IN_PHASE = 0.35
-"""Largest distance of an angle from a steady rotation that is in phase with it [rad]. Chosen: a smaller value rejects
+"""Largest deviation of an angle from a steady rotation with which it is in phase [rad]. Chosen: a smaller value rejects
 changes of the speed, a larger one accepts random angles."""
 
 
@@ -460,8 +460,8 @@ _FAINT = 0.3
 """Smallest contrast of a white patch that is reported, relative to the smallest contrast of a marker [1]. Chosen: a
 smaller value reports noise, a larger one leaves a faint marker unexplained."""
 SPREAD = 24
-"""Frames from the whole film in addition to the first frames [frames]. Chosen: a smaller number may overlook bodies
-that are at rest at the start, a larger one costs time."""
+"""Number of frames from the whole film in addition to the first frames [frames]. Chosen: a smaller number may overlook
+bodies that are at rest at the start, a larger one costs time."""
 
 
 @dataclass(frozen=True)

@@ -426,11 +426,11 @@ _STEADY = 2
 more, the next spoke may be followed at the start."""
 _JUMP = 1.5
 """Relative change of the step beyond which a higher correlation is required [1]. Chosen: equal parts of a body, for
-example spokes, are indistinguishable by correlation; a smaller value refuses reversals, with a larger one the next
+example spokes, are indistinguishable by correlation; a smaller value refuses reversals; with a larger one, the next
 spoke may be followed."""
 _LEAST_JUMP = 6.0
 """Change of the step beyond which a higher correlation is required [columns]. Chosen: a smaller value refuses changes
-of slow bodies, with a larger one the next spoke may be followed."""
+of slow bodies; with a larger one, the next spoke may be followed."""
 _UNLIKELY = 0.3
 """Required increase of the correlation for a change of the step, relative to the maximum [1]. Chosen: with a smaller
 value the next spoke may be followed, a larger one refuses true jumps."""

@@ -48,8 +48,8 @@ SHADING = 0.1
 """Prior standard deviation of the shading over the outer radius of a ring, per axis [1]. Chosen: for a lamp beside the
 table; the prior matters only where a ring does not determine its shading."""
 _ALTERNATIONS = 4
-"""Alternations of body and static light [iterations]. Chosen: for a body that rests in half of the frames, a quarter of
-the light remains after the first alternation, a hundredth after the fourth; a larger number costs time."""
+"""Number of alternations of body and static light [iterations]. Chosen: for a body that rests in half of the frames, a
+quarter of the light remains after the first alternation, a hundredth after the fourth; a larger number costs time."""
 DISPLACEMENT = 1.0
 """Prior standard deviation of the centre [px]. Chosen: the difference between the disc and the ring of some films; the
 prior matters only where a ring does not determine its centre."""

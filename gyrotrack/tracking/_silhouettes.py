@@ -31,8 +31,8 @@ _COMPARED = 30
 """Number of frames that are compared with the background [frames]. Chosen: half of `_BACKGROUND`, to save time; a
 smaller number gives uncertain shares."""
 _BAND = 32
-"""Rows of the picture for which the median is computed at a time [rows]. Chosen: to limit memory; a larger number needs
-more."""
+"""Number of rows of the picture for which the median is computed at a time [rows]. Chosen: to limit memory; a larger
+number needs more."""
 _CONTRAST = 6.0
 """Smallest difference of a body from the background in standard deviations of the noise [1]. Chosen: a smaller value
 finds noise, a larger one loses faint bodies."""
@@ -277,7 +277,7 @@ _FILLED = 1.4
 pi / 3 = 1.05; a larger value accepts bent bodies, a smaller one refuses interrupted bars."""
 _PIECE = 0.2
 """Smallest part of a silhouette that is used, relative to the largest part [1]. Chosen: a bar over the middle divides
-it; a smaller value includes noise, a larger one loses an end."""
+the silhouette; a smaller value includes noise, a larger one loses an end."""
 _TILTED = 0.4
 """Smallest tilt of the axis of a long body [rad]. Chosen: a smaller value takes a disturbed circle for a tilt, a larger
 one leaves a biased angle."""
@@ -285,8 +285,8 @@ _ELLIPSE = 0.06
 """Largest scatter about the ellipse, divided by the radius [1]. Chosen: a smaller value refuses blurred ends, a larger
 one accepts other motions."""
 _GAP = 0.25 * TURN
-"""Largest gap of the orbit [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse undetermined, a smaller
-one refuses few positions."""
+"""Largest gap of the orbit [rad]. Chosen: a quarter of a turn; a larger gap leaves the ellipse undetermined, a smaller
+one refuses orbits of few positions."""
 _SIDES = ("light", "dark")
 
 

@@ -57,9 +57,9 @@ _FAR = 5.0
 good frames, a larger one keeps slips."""
 _STEPS = np.concatenate([[0.0], np.geomspace(0.1, 50.0, 10)])
 """Grid of q, and of p times the change of speed (rms), divided by the typical uncertainty of a mean [1]. Chosen:
-factors of 2; finer ones cost time, a smaller range limits the drift."""
+factors of 2; finer steps cost time, a smaller range limits the drift."""
 _COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
-"""Grid of common errors x, divided by the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer ones cost
+"""Grid of common errors x, divided by the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer steps cost
 time, a smaller range limits the error."""
 
 

@@ -59,14 +59,14 @@ ZONES = 8
 """Number of zones in radius [1]. Chosen: with more zones, errors are separated more finely, but each zone determines
 the angle less well."""
 ROWS = 4
-"""Rows of a zone [rows]. Chosen: a bar or a rim extends over many pixels in radius; a smaller number loses texture, a
-larger one costs time."""
+"""Number of rows of a zone [rows]. Chosen: a bar or a rim extends over many pixels in radius; a smaller number loses
+texture, a larger one costs time."""
 COLUMNS = 360
-"""Columns of the ring [columns per turn]. Chosen: motion blur and the lens smooth details below a degree; a smaller
-number loses detail, a larger one costs time."""
+"""Number of columns of the ring [columns per turn]. Chosen: motion blur and the lens smooth details below a degree; a
+smaller number loses detail, a larger one costs time."""
 MARGIN = 6
-"""Additional columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: a smaller
-number loses frames with a poor prediction, a larger one costs time."""
+"""Number of additional columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: a
+smaller number loses frames with a poor prediction, a larger one costs time."""
 STEP = TURN / COLUMNS
 """Angle of a column [rad]. Derived: `COLUMNS` of a turn."""
 REACH = (MARGIN - 1) * STEP
@@ -93,7 +93,7 @@ LEAST_RESIDUAL = 0.01
 """Lower limit of the typical residual of a zone [grey levels]. Chosen: below the rounding of grey levels, 0.29, and
 above the rounding errors of sums in single precision, which are all that remains in a picture without noise."""
 FINENESS = 32
-"""Parts of a column to which rotations are rounded [1]. Source: OpenCV interpolates to 1/32 of a pixel."""
+"""Number of steps per column to which rotations are rounded [1]. Source: OpenCV interpolates to 1/32 of a pixel."""
 UNUSUAL = 4.0
 """Largest mean square residual of a zone, relative to the typical residual, of a frame that enters its template [1].
 Chosen: a smaller value discards good frames, a larger one admits a hand."""
@@ -101,8 +101,8 @@ LARGEST_MISFIT = 25.0
 """Largest mean square residual of a zone with an angle, relative to the typical residual [1]. Chosen: another body
 below that stands still for some frames changes a zone less than a hand does; a smaller value omits these frames."""
 LARGEST_TURN = 0.02
-"""Largest error of the rough angles [rad]. Derived: two pixels at a radius of a hundred; beyond it the picture is not
-linear in the angle."""
+"""Largest error of the rough angles [rad]. Derived: two pixels at a radius of a hundred; beyond this error the picture
+is not linear in the angle."""
 LEAST_CONTRAST = 0.5
 """Smallest contrast of a zone that is not covered, relative to its template [1]. Chosen: a smaller value fits a hand
 of one brightness, a larger one omits zones in shadow."""
@@ -114,8 +114,8 @@ LEAST_ZONES = 2
 """Smallest number of informative zones for an estimate of their errors [1]. Derived: the differences of three angles
 determine three variances; the difference of two angles gives an upper limit of both variances."""
 TOGETHER = 16
-"""Frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do not
-average out; with fewer frames, these errors remain hidden in noise; with more, there are few averages."""
+"""Number of frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do
+not average out; with fewer frames, these errors remain hidden in noise; with more, there are few averages."""
 MANY_TURNS = 3.0
 """Smallest number of turns in which errors that repeat with the turn are distinguishable from a motion [turns]. Chosen:
 a smaller number removes motion, a larger one leaves such errors in the weights."""
@@ -130,11 +130,11 @@ _TEMPLATE_FRAMES = 256
 """Largest number of frames of a batch from which the templates of a fast body are learnt [frames]. Derived: the noise
 of a template is the noise of a frame divided by 16; a larger number costs time."""
 _BLOCK = 16
-"""Frames that are turned and measured together [frames]. Derived: their samples, 0.7 MB, remain in the cache of a
-processor; the result does not depend on it."""
+"""Number of frames that are turned and measured together [frames]. Derived: their samples, 0.7 MB, remain in the cache
+of a processor; the result does not depend on it."""
 _LIGHT_FRAMES = 128
-"""Number of frames of a batch for the estimate of static light [frames]. Chosen: a smaller number leaves noise in it, a
-larger one costs time."""
+"""Number of frames of a batch for the estimate of static light [frames]. Chosen: a smaller number leaves noise in the
+light, a larger one costs time."""
 FAST_TURNS = 10.0
 """Smallest number of turns of a batch for the subtraction of static light [turns]. Chosen: over more turns, errors
 once and twice per turn are determined from the angles; over fewer turns, a motion that is not uniform leaves light in
@@ -144,16 +144,16 @@ LOWEST_LIGHT_ORDER = 3
 displaced centre and an oblique view, which are measured with the markers."""
 _SLOPE_EVERY = 8
 """Distance between the frames in which the derivative with respect to the radius is measured [frames]. Chosen: a
-smaller one costs time, a larger one leaves noise in it."""
+smaller distance costs time, a larger one leaves noise in the derivative."""
 _FEWEST_SLOPES = 4
 """Smallest number of frames from which the derivative with respect to the radius is measured [frames]. Chosen: with
 fewer frames, the difference between the rows of the mean picture is less noisy."""
 _ALIGNMENTS = 3
-"""Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
-errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
+"""Number of passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4
+leave errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
 _ROUNDS = 2
-"""Passes of the template [iterations]. Chosen: the second pass uses the angles of the first pass; a larger number costs
-time."""
+"""Number of passes of the template [iterations]. Chosen: the second pass uses the angles of the first pass; a larger
+number costs time."""
 _LEAST_SHARE = 0.1
 """Smallest variance of a zone relative to the variance of its differences [1]. Chosen: a smaller value gives one zone
 all the weight, a larger one makes the zones equal."""
@@ -162,7 +162,7 @@ DEGREES = (3, 6, 12)
 over many turns the largest one; a remaining motion would seem correlated with the errors of some zones."""
 FAR = 5.0
 """Residual to which outliers are limited, in robust standard deviations [1]. Chosen: a smaller value discards good
-frames, a larger one keeps disturbed ones."""
+frames, a larger one keeps disturbed frames."""
 FINEST = 1e-7
 """Lower limit of the scatter of a zone [rad]. Derived: the rounding error of sums in single precision, which is all
 that remains of a body at rest in a picture without noise."""

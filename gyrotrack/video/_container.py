@@ -256,8 +256,8 @@ def _declared_duration(container: Any, stream: Any) -> float:
 
 
 _MISSING = 1.2
-"""Largest ratio of the nominal rate to the average rate that missing frames explain [1]. Chosen: a smaller value uses
-a rate biased by missing frames, a larger one the inverse of an unusual time base."""
+"""Largest ratio of the nominal rate to the average rate that missing frames explain [1]. Chosen: a smaller value uses a
+rate biased by missing frames, a larger one uses the inverse of an unusual time base."""
 
 
 def _nominal_rate(stream: Any) -> Any:

@@ -40,8 +40,8 @@ from gyrotrack.video._time_base import stamp_warnings
 T = TypeVar("T")
 
 CHUNK = 8
-"""Frames that are transferred at a time [frames]. Chosen: waking a thread for each frame would take longer than
-decoding the frame; a larger number takes memory."""
+"""Number of frames that are transferred at a time [frames]. Chosen: waking a thread for each frame would take longer
+than decoding the frame; a larger number takes memory."""
 _CHUNK_BYTES = 5_000_000
 """Largest size of the frames that are transferred at a time [bytes]. Chosen: to limit memory, because several chunks
 exist at a time."""
@@ -347,8 +347,8 @@ _LARGE = 80
 """Quantile of the sizes that is typical of new frames [percent]. Chosen: if most frames are repeated, a lower quantile
 is the size of repeats; a higher one is the size of scene changes."""
 _ROWS = 12
-"""Rows of a frame that are compared [rows]. Chosen: a smaller number overlooks a small motion, a larger one costs
-time."""
+"""Number of rows of a frame that are compared [rows]. Chosen: a smaller number overlooks a small motion, a larger one
+costs time."""
 _MOST = 0.8
 """Quantile of the differences that is typical of new frames [1]. Chosen: 3 in 4 frames may be repeated; a lower
 quantile is the difference of repeats, a higher one the difference at a cut."""

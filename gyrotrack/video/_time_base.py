@@ -145,8 +145,8 @@ _ODD = 0.01
 """Largest share of wrong timestamps [1]. Chosen: a smaller value discards timestamps because of single errors, a larger
 one uses damaged timestamps."""
 _HALF = 20
-"""Timestamps on either side of a local fit [frames]. Chosen: a smaller number leaves jitter, a larger one smooths a
-change of the rate."""
+"""Number of timestamps on either side of a local fit [frames]. Chosen: a smaller number leaves jitter, a larger one
+smooths a change of the rate."""
 
 
 @dataclass(frozen=True)
