@@ -184,8 +184,8 @@ def discs(pixels: Array, weights: tuple[float, float], radius: float) -> Array:
     """Return the centroid (n, 2) of a bright disc in each window [px of the window]; NaN where it is occluded.
 
     `pixels` (n, 2, side, side) are both chroma planes, with `weights` in the score; `radius` is in px. Foreground and
-    background levels are quantiles of each window; a soft mask between 30 % and 70 % of their difference weights pixels
-    at the edge by the fraction that the disc covers.
+    background levels are quantiles of each window; a soft mask between 30 % and 70 % of their difference weights each
+    pixel at the edge by the fraction of the pixel that the disc covers.
     """
     out = np.empty((len(pixels), 2))
     _check("u1[n,2,s,s] -> f8[n,2]", (pixels, out))

@@ -373,7 +373,7 @@ def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy
     if np.all(np.abs(ratio - 1) < _EQUAL_SPEEDS):
         doubt = f"casing and rotor have the same motion ({first}): one body may have been measured twice"
     elif np.all(ratio < 1):
-        doubt = f"the casing is faster than the rotor ({first}): they may be exchanged"
+        doubt = f"the casing is faster than the rotor ({first}): the bodies may be exchanged"
     return [f"{doubt}; {remedy}"] if doubt else []
 
 
@@ -772,7 +772,7 @@ class Inertia:
         """Read a moment of inertia that has no default; see `of`."""
         if text is None:
             raise UsageError(
-                f"The moment of inertia of the {body} is not given; torques follow from it.",
+                f"The moment of inertia of the {body} is not given, but torques depend on it.",
                 f'Give --inertia-{body} "VALUE +- UNCERTAINTY" in kg m2, for example "5.54e-5 +- 0.06e-5".',
             )
         return cls.of(text, body)

@@ -1,12 +1,12 @@
 """Starts of the clips on the clock of the casing camera: search, joint solution, ambiguity; and the resulting case.
 
 Each clip is characterised by speed, acceleration and jerk at its middle, from a cubic with harmonics; the record of the
-casing is characterised in the same way around every time. A start is possible if the values of clip and record agree
-within their uncertainties and the uncertainty of the clock rate r, which scales the three values by r, r^2 and r^3.
+casing is characterised in the same way at every time. A start is possible if the values of clip and record agree within
+their uncertainties and the uncertainty of the clock rate r, which scales the three values by r, r^2 and r^3.
 
 Clips of one camera have a common clock rate, and a common direction if the camera was not moved in between. A common
 rate is assumed if it does not increase chi2 by more than errors of tracking explain. A common direction determines the
-start modulo whole turns of the casing; it is assumed if the probability that the directions agree by chance is less
+start modulo whole turns of the casing. It is assumed if the probability that the directions agree by chance is less
 than 0.001.
 """
 
@@ -505,7 +505,8 @@ def _common_direction(
 ) -> tuple[list[int | None], Solution]:
     """Return the whole turns between the directions of clips, None where unknown, and the solution with these turns.
 
-    The clip with the best known direction is the reference; the others are added in order of increasing uncertainty.
+    The clip with the best known direction is the reference; the other clips are added in order of increasing
+    uncertainty.
     """
     count = len(pairs)
     none: list[int | None] = [None] * count

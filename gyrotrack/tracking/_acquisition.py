@@ -123,7 +123,7 @@ LEAST_CONTRAST = 6.0
 Chosen: a smaller value accepts noise, a larger one loses markers in dim light."""
 CLEAREST = 5.0
 """Smallest brightness of a white marker above its ring, in standard deviations of the ring [1]. Chosen: a smaller value
-accepts remains of other markers, a larger one loses faint ones."""
+accepts remains of other markers, a larger one loses faint white markers."""
 LONGEST_DWELL = 0.3
 """Largest share of the samples in which a marker may be at one angle if the median of the samples serves as the
 background [1]. Chosen: above 0.5 the median shows the marker itself; a smaller value discards the background of slow

@@ -297,7 +297,7 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
     if lost:
         first = next(a + 1 for a, b in pairwise(numbers) if b != a + 1)
         raise VideoError(
-            f"{folder}: {lost} pictures are missing, first number {first}.",
+            f"{folder}: {lost} pictures are missing; the first missing number is {first}.",
             "Times are counted from the pictures: add the missing pictures.",
         )
     digits = f"%0{widths.pop()}d" if widths else "%d"

@@ -63,7 +63,7 @@ def read_stack(path: Path) -> TiffStack:
     colour = len(shape) == 3 and shape[2] in (3, 4) and kind == np.uint8
     if not alike or not (colour or (len(shape) == 2 and kind.kind in "uif")):
         size = "x".join(map(str, shape))
-        what = f"{path} contains pictures of the shape {size} and the type {kind}, or different ones."
+        what = f"{path} contains pictures of the shape {size} and the type {kind}, or pictures of different shapes."
         raise VideoError(what, "Save it as a stack of equal grey pictures, or of colours with 8 bits.")
     return TiffStack(path, pages, shape[1], shape[0], colour, _rate(text))
 
