@@ -121,7 +121,10 @@ _MARKED = {"command": "outputs"}
 
 
 def mark_new(path: Path, content: Path) -> None:
-    """Mark `path`, which does not exist yet, as an output of the running command; `content` is or becomes it."""
+    """Mark `path`, which does not exist yet, as an output of the running command.
+
+    `content` is the file that is, or becomes, `path`.
+    """
     held = marks()
     if held is None:
         return

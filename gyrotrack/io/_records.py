@@ -505,7 +505,7 @@ class Case(_Tabular):
 
     @property
     def motions(self) -> list[tuple[str, Series]]:
-        """Names and series of the bodies, the main one first."""
+        """Names and series of the bodies, the main body first."""
         of_rotor = [("rotor", self.rotor)] if self.bodies == "two" else []
         return [(self.main_body, self.casing), *of_rotor, *((b.name, b.series) for b in self.further)]
 

@@ -123,7 +123,7 @@ omit the true combination."""
 
 @dataclass(frozen=True)
 class Motion:
-    """Speed, acceleration and jerk at one time, (3,) in rad s-1, s-2, s-3, and their covariance (3, 3)."""
+    """Speed, acceleration and jerk at one time, (3,) [rad s-1, rad s-2, rad s-3], and their covariance (3, 3)."""
 
     value: Floats
     covariance: Floats
@@ -226,7 +226,7 @@ class Prepared:
 
 
 def prepare(casing: Curve, record: Survey, clip: Curve, name: str) -> Prepared:
-    """Find the possible starts of a clip in the record of the casing with the survey `record`; a SyncError if none."""
+    """Find the possible starts of a clip by the survey `record` of the casing's record; a SyncError if there is none."""
     starts = [_initial_value(casing, clip, offset) for offset in candidates(record, clip)]
     pair = Pair(casing, clip, INTERVALS[-1])
     solutions = _distinct(pair, starts, 10 * RATE_LIMIT)

@@ -285,7 +285,10 @@ class Motion:
         psi_rotor: float = 0.0,
         psi_casing: float = 0.0,
     ) -> Motion:
-        """Angles by integration of splines through at least four speeds [rad/s]; ``psi``: angles at ``time[0]``."""
+        """Angles by integration of splines through at least four speeds [rad/s].
+
+        ``psi_rotor`` and ``psi_casing`` are the angles at ``time[0]``.
+        """
         t, rotor, casing = _splines(time, omega_rotor, omega_casing)
         angles = _curve(rotor.antiderivative(), psi_rotor), _curve(casing.antiderivative(), psi_casing)
         return cls(*angles, _curve(rotor), _curve(casing), float(t[0]), float(t[-1]))

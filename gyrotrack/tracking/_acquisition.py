@@ -132,7 +132,7 @@ bodies."""
 
 @dataclass(frozen=True)
 class SampledMarker:
-    """One marker in the samples: the marker, its angle in each sample [rad], and a mask of distinct samples."""
+    """One marker in the samples: the marker, its angle [rad], and a mask of the samples that show it clearly."""
 
     marker: Marker
     angle: Floats
@@ -305,7 +305,7 @@ def find_white(
 
 
 def _body_angles(others: list[SampledMarker], count: int) -> Floats:
-    """Combine observations into the angle of the body in each of the first samples; NaN without a distinct marker."""
+    """Combine observations into the angle of the body in each of the first samples; NaN without a clear marker."""
     total = np.zeros(count, dtype=np.complex128)
     for seen in others:
         total += np.where(seen.clear[:count], np.exp(1j * (seen.angle[:count] - seen.marker.mount)), 0.0)
@@ -522,7 +522,7 @@ markers, a larger one joins bodies of similar speed."""
 
 
 def share_together(a: SampledMarker, b: SampledMarker) -> float:
-    """Return the largest share of the samples in which two markers have the same distance; NaN for too few samples."""
+    """Return the largest share of the samples in which two markers have one angular distance; NaN for few samples."""
     both = a.clear & b.clear
     if both.sum() < _LEAST_COMMON:
         return float("nan")
@@ -568,7 +568,7 @@ def _placed(observations: dict[str, SampledMarker], profile: Profile) -> dict[st
 
 
 def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
-    """Measure the mount angles of the markers of one body relative to the first of them."""
+    """Measure the mount angles of the markers of one body relative to the first marker."""
     found = []
     for seen in observations:
         first = observations[0]

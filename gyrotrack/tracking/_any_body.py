@@ -578,7 +578,7 @@ def _loose_doubt(moved: float, allowed: float) -> str:
 
 
 def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float, allowed: float) -> NoReturn:
-    """Raise a RefusedFilmError for a body whose hub moves by more than `allowed` for a body on an axle [px]."""
+    """Raise a RefusedFilmError for a body whose hub moves by more than `allowed` [px], so it is not on an axle."""
     raise RefusedFilmError(
         f"No body in {name} turns about a fixed axis: the hub of the best candidate, at "
         f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "

@@ -284,7 +284,7 @@ another one is an outlier; with a larger value such an outlier dominates the mea
 
 
 def _is_better(before: Floats, after: Floats) -> bool:
-    """Return whether squared residuals are significantly smaller than those before, on average over the markers."""
+    """Return whether squared residuals `after` are significantly smaller than `before`, averaged over the markers."""
     gain = []
     for one, other in zip(before, after, strict=True):
         use = np.isfinite(one) & np.isfinite(other)
@@ -866,7 +866,7 @@ def periodic_error(texture: TextureObservations, centre: Floats, flattening: flo
 
 
 def error_of_ring(ring: TextureObservations, usual: float) -> float:
-    """Return the position-dependent error of a ring [px]: `RING_ERROR` about its own view, otherwise `usual` [px]."""
+    """Return the position-dependent error of a ring [px]: `RING_ERROR` with its own view, otherwise `usual` [px]."""
     known = np.isfinite(ring.angle)
     own = known & (ring.own_view > 0.0)
     return RING_ERROR if own.sum() > _ALMOST_ALL * known.sum() else usual

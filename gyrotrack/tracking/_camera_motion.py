@@ -61,7 +61,7 @@ frames needlessly, a larger one leaves a shake."""
 
 @dataclass(frozen=True)
 class Shake:
-    """Displacement of the picture in each frame."""
+    """Displacement and roll of the picture in each frame."""
 
     shift: Floats  # displacement (x, y) of the picture at `centre` from the reference frame [px], (n, 2)
     roll: Floats  # rotation of the picture, clockwise in the picture [rad]

@@ -750,7 +750,7 @@ class BodyAngles:
     axis_off: dict[str, complex] = field(default_factory=dict)
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyAngles:
-        """Place the frames at `index` of `count` frames; the others have no angle."""
+        """Place the frames at `index` of `count` frames; the other frames have no angle."""
         number = np.zeros(count, dtype=np.int64)
         number[index] = self.count
         angle, sigma = (spread_out(a, index, count) for a in (self.angle, self.sigma))
@@ -824,7 +824,7 @@ not enough [1]. Chosen: a smaller value omits frames next to gaps, a larger one 
 
 
 def _mostly_hidden(sigma: Floats) -> Mask:
-    """Return a mask of the frames whose uncertainty is `WEAKEST_BODY` times that of their neighbours or larger."""
+    """Return a mask of the frames whose uncertainty is at least `WEAKEST_BODY` times that of neighbouring frames."""
     reach = min(_NEIGHBOURS // 2, len(sigma))
     # reflected at the ends, where a hand may hide the markers
     usual = median_smooth(np.pad(sigma, reach, mode="symmetric"), _NEIGHBOURS)[reach : reach + len(sigma)]

@@ -56,7 +56,7 @@ class MarkerObservations:
     centre: Floats  # shape (n, 2); centre of the ring in px
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> MarkerObservations:
-        """Place the frames at `index` of `count` frames; see `spread_out`."""
+        """Place the frames at `index` of `count` frames; see the function `spread_out`."""
         return MarkerObservations(
             **in_file(
                 {f.name: spread_out(getattr(self, f.name), index, count) for f in fields(MarkerObservations)}
@@ -96,7 +96,7 @@ class MarkerObservations:
 
 
 def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
-    """Place rows at `index` of `count` rows; the others are NaN or False."""
+    """Place rows at `index` of `count` rows; the other rows are NaN or False."""
     out = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
     if values.dtype != np.bool_:
         out[:] = np.nan
@@ -118,7 +118,7 @@ larger one, false angles raise the share of `variance_inflation`."""
 
 
 def excess_misfit(misfit: Floats, usual: float) -> Floats:
-    """Return the relative excess of squared misfits over the typical one, (n,), at least 0."""
+    """Return the relative excess of squared misfits over the typical squared misfit, (n,), at least 0."""
     ratio = np.nan_to_num(misfit, nan=0.0) / max(usual, 1e-9)
     return np.asarray(np.clip(ratio**2 - 1.0, 0.0, LARGEST))
 

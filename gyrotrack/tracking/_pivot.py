@@ -273,7 +273,7 @@ def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[n
 def _covariance(
     jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
 ) -> tuple[float, float, Floats]:
-    """Return the noise, the position-dependent error, and the covariance of the parameters due to both."""
+    """Return the noise, the position-dependent error, and the covariance of the parameters due to both errors."""
     count = max(len(rest) - 3, 1)
     weight = 1.0 / sigma**2
     inverse = np.linalg.pinv((jacobian * weight[:, None]).T @ jacobian)

@@ -815,7 +815,7 @@ class _Layers:
         return np.where(outside, np.float32(np.nan), found)
 
     def _pixels(self, shape: tuple[int, ...], place: Floats, turn: float) -> tuple[Picture, Picture, Bools]:
-        """Return the pixels x, y of the patch about a place, and a mask of those outside the frame."""
+        """Return the pixels x, y of the patch about a place, and a mask of the pixels outside the frame."""
         c, s = math.cos(turn), math.sin(turn)
         x = (place[0] + c * self.grid[0] - s * self.grid[1]).astype(np.float32)
         y = (place[1] + s * self.grid[0] + c * self.grid[1]).astype(np.float32)

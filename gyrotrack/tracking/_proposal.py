@@ -254,7 +254,7 @@ def _candidate(rings: Rings, hue: float) -> Candidate | None:
 
 
 def _alike(one: Candidate, other: Candidate) -> bool:
-    """Return whether a second patch has the hue of the first and is significant."""
+    """Return whether a second patch has the hue of the first patch and is significant."""
     share = other.contrast / one.contrast * float(other.sampled.clear.mean())
     return share > _AMBIGUOUS and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
 
@@ -381,7 +381,7 @@ def resting_casing(resting_groups: list[Group], groups: list[Group], circle: Cir
 def name_bodies(
     groups: list[Group], resting: Group | None, circle: Circle | None
 ) -> tuple[dict[Body, Group], list[str]]:
-    """Name the bodies; the faster one is the rotor."""
+    """Name the bodies; the faster body is the rotor."""
     notes = []
     if len(groups) > 2:
         colours = ", ".join(c.colour for g in groups[2:] for c in g.members)
@@ -583,7 +583,7 @@ shapes, a larger one accepts reflections."""
 
 
 def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | Marker | None:
-    """Find a white marker on the rotor; a faint one is returned without a profile."""
+    """Find a white marker on the rotor; a faint marker is returned without a profile."""
     group = bodies.get("rotor")
     if group is None:
         return None

@@ -55,7 +55,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Scene:
-    """A clip's scene."""
+    """The scene of a clip: centre of rotation, disc and markers."""
 
     centre: tuple[float, float]  # centre of rotation (x, y) [px] at the time of acquisition
     disc: Disc | None  # the disc at the centre; None where the centre is taken from the orbit
@@ -158,7 +158,7 @@ class Samples:
 
     @cached_property
     def chroma(self) -> npt.NDArray[np.uint8]:
-        """Chroma of a spread of frames, shape (2, n, height, width), at a reduced resolution."""
+        """Chroma of the frames `spread`, shape (2, n, height, width), at a reduced resolution."""
         chosen = [self.frames[i] for i in self.spread]
         kept = np.ascontiguousarray if self.scale == 2 else _halved
         return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
@@ -180,7 +180,7 @@ class Samples:
         return (*head, *keys)
 
     def to_luma(self, x: float, y: float) -> tuple[float, float]:
-        """Turn px of `chroma` into luma px."""
+        """Convert px of `chroma` to luma px."""
         shift = (self.scale - 1) / 2.0
         return self.scale * x + shift, self.scale * y + shift
 
@@ -197,7 +197,7 @@ class Samples:
 
 
 def take_samples(path: Path, threads: int = 1) -> Samples:
-    """Decode the samples of a film in `threads`; a VideoError if no frame can be decoded."""
+    """Decode the samples of a film with `threads` threads; a VideoError if no frame can be decoded."""
     head: list[Frame] = []
     keep = FrameStore()
     with Reader(path) as reader:

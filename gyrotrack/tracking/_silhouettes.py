@@ -256,7 +256,7 @@ class Foreground:
 
     @property
     def few(self) -> Sequence[Plane]:
-        """Every second frame of a full sample, all frames of a shorter one."""
+        """Every second frame of a full sample, all frames of a shorter sample."""
         return self.sample[:: max(1, len(self.sample) // _COMPARED)]
 
     @cached_property

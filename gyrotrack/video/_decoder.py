@@ -207,7 +207,7 @@ class Reader:
 
     @property
     def stamps(self) -> npt.NDArray[np.int64]:
-        """Timestamps of the decoded frames in units of the time base; frames without one have the smallest integer."""
+        """Timestamps of the decoded frames in units of the time base; missing timestamps are the smallest integer."""
         return np.array(self._pts, dtype=np.int64)
 
     def pts_seconds(self) -> npt.NDArray[np.float64]:
@@ -221,7 +221,7 @@ class Reader:
 
 
 def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.float64]:
-    """Return timestamps [s], NaN for frames without one; `tick` is the time base [s]."""
+    """Return timestamps [s], NaN for frames without a timestamp; `tick` is the time base [s]."""
     return np.where(stamps == _NO_STAMP, np.nan, stamps * tick)
 
 

@@ -25,7 +25,7 @@ is stored at 24 to 60 fps; a smaller value takes playback for real time, a large
 
 @dataclass(frozen=True)
 class CaptureRate:
-    """Frames per second of the camera, the origin of that number, and warnings for the user."""
+    """Frames per second of the camera, the origin of this rate, and warnings for the user."""
 
     fps: float
     source: str
