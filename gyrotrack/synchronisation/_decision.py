@@ -226,7 +226,7 @@ class Prepared:
 
 
 def prepare(casing: Curve, record: Survey, clip: Curve, name: str) -> Prepared:
-    """Find the possible starts of a clip by the survey `record` of the casing's record; a SyncError if there is none."""
+    """Find the possible starts of a clip by the survey `record` of the casing; a SyncError if there is none."""
     starts = [_initial_value(casing, clip, offset) for offset in candidates(record, clip)]
     pair = Pair(casing, clip, INTERVALS[-1])
     solutions = _distinct(pair, starts, 10 * RATE_LIMIT)
