@@ -1,8 +1,8 @@
 """Long columns in an anonymous memory-mapped file, so that memory use does not grow with the length of the film.
 
-The columns are ordinary arrays, but only the pages in use occupy memory: `release_pages` releases them, and the
-operating system reads them from the file again on the next access. Columns of short films are plain arrays, as are all
-columns on systems without support for such files.
+The columns are ordinary arrays, but only the pages in use occupy memory: `release_pages` releases these pages, and the
+operating system reads a page from the file again on the next access. Columns of short films are plain arrays. On
+systems without support for such files, all columns are plain arrays.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _files: WeakSet[mmap.mmap] = WeakSet()
 
 
 def new_columns(rows: int, kinds: Mapping[str, tuple[tuple[int, ...], npt.DTypeLike]]) -> dict[str, Array]:
-    """Return columns with `rows` undefined values; `kinds` contains shape of one row and type by name."""
+    """Return columns of `rows` undefined values; `kinds` maps the name of a column to the shape and type of a row."""
     places, end = {}, 0
     for name, (shape, kind) in kinds.items():
         places[name] = end
@@ -80,18 +80,20 @@ def release_memory() -> None:
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of <malloc.h>
-# smallest size of a freed block that is returned, and free memory kept at the end of the heap [bytes]: larger than
-# temporary arrays of a batch of frames; the largest that glibc sets by itself
+# smallest size of a freed block that is returned, and free memory kept at the end of the heap [bytes]. While a film is
+# tracked, they are larger than the temporary arrays of a batch of frames; afterwards, they are the largest values that
+# glibc sets by itself
 _TRACKING, _AFTERWARDS = (1 << 20, 1 << 22), (1 << 25, 1 << 26)
 
 
 @contextmanager
 def large_blocks_returned() -> Iterator[None]:
-    """Let glibc return large blocks to the system as soon as they are freed while a film is tracked.
+    """While a film is tracked, let glibc return large blocks to the system as soon as they are freed.
 
-    By default glibc raises the threshold size for this to the size of the largest freed block, up to 32 MB. Pictures
-    and the buffers of trackers would then fragment the heap. After tracking, the threshold is set to 32 MB: otherwise
-    the system would have to clear each large array of a fit, which takes half as long as the fit.
+    glibc returns blocks above a threshold size. By default, it raises this threshold to the size of the largest freed
+    block, up to 32 MB. Pictures and the buffers of trackers would then fragment the heap. After tracking, the threshold
+    is set to 32 MB: otherwise the system would have to clear each large array of a fit, which takes half as long as the
+    fit.
     """
     _set_thresholds(*_TRACKING)
     try:
@@ -112,7 +114,7 @@ _LEAST_READ = 8 << 20  # bytes of pictures that are read between two releases of
 
 
 class StoredPictures(Sequence[Array]):
-    """Pictures (m, height, width) in a file instead of memory: the rows `places` of a column of `new_columns`."""
+    """Pictures in a file instead of memory: the rows `places` of a column (m, height, width) made by `new_columns`."""
 
     def __init__(self, pictures: Array, places: Array) -> None:
         self._pictures, self._places = pictures, places
@@ -150,12 +152,12 @@ class StoredPictures(Sequence[Array]):
         return picture
 
     def at(self, places: npt.ArrayLike) -> StoredPictures:
-        """Return the pictures at some places."""
+        """Return the pictures with the indices `places`."""
         return StoredPictures(self._pictures, self._places[np.asarray(places, dtype=np.int64)])
 
 
 def _mapped(size: int) -> mmap.mmap | None:
-    """Return an anonymous memory-mapped file of this size; None without support by the system, or without space."""
+    """Return an anonymous memory-mapped file of this size; None if the system has no support or no space for it."""
     if _DONTNEED is None or len(_files) >= MOST_FILES or not hasattr(os, "posix_fallocate"):
         return None
     try:

@@ -5,8 +5,8 @@ The errors of neighbouring frames of a film are correlated. The covariance of th
     K = s^2 [diag(sigma^2) + q exp(-|t - t'| / tau) + p cos(psi - psi') exp(-|t - t'| / T)].
 
 The last term, a harmonic of the angle with a slowly varying amplitude, applies to a body of known angle psi whose hub
-or camera moves slowly. q, tau, p and T are averaged over their posterior on a grid, s^2 is estimated by restricted
-maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 1977).
+or camera moves slowly. The results are averaged over the posterior of q, tau, p and T on a grid. s^2 is estimated by
+restricted maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 1977).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dtrtrs
 
 Floats = npt.NDArray[np.float64]
 
-_MAX_BINS = 150  # bins of neighbouring samples, each replaced by its mean
+_MAX_BINS = 150  # largest number of bins; the neighbouring samples in a bin are replaced by their mean
 _VARIANCE_RATIOS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0)  # q and p, divided by the white variance of a bin
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # tau [bins]
 _HARMONIC_TIMES = (0.1, 0.3, 1.0, 3.0)  # T [lengths of the record]
@@ -59,9 +59,9 @@ def correlated_least_squares(
 ) -> list[Estimate]:
     """Fit y (n,) by columns of a design matrix (n, p), with white and correlated noise of unknown variance.
 
-    `t` are times [s], `sigma` relative standard uncertainties; `models` lists the indices of the columns of each model,
-    `prior` (p,) the standard deviations of Gaussian priors about zero, infinite for free coefficients. With the smooth
-    angle `psi` [rad], the noise model includes noise that is harmonic in the angle.
+    `t` are times [s], and `sigma` are relative standard uncertainties. `models` lists the indices of the columns of
+    each model. `prior` (p,) contains the standard deviations of Gaussian priors about zero, infinite for free
+    coefficients. With the smooth angle `psi` [rad], the noise model includes noise that is harmonic in the angle.
     """
     x, z, white, when = _binned(t, design, y, sigma)
     n = len(z)
@@ -73,7 +73,7 @@ def correlated_least_squares(
     families, products, logs, scatter = [], [], [], []
     for family, _, _, noise in _noise_models(white, when, psi_binned):
         root = np.linalg.cholesky(noise)
-        # as `solve_triangular` does, whose checks take as long
+        # `solve_triangular` calls the same function, but its checks take as long as the solution
         solved = dtrtrs(root.T, both, lower=0, trans=1)[0]
         families.append(family)
         products.append(solved.T @ solved)
@@ -103,7 +103,7 @@ def correlated_least_squares(
         likelihood = -0.5 * (n * np.log(size * free / n) + log_noise)
         log_normal = np.linalg.slogdet(precision)[1]
         restricted = -0.5 * (free * np.log(size) + log_noise + log_normal)
-        # the coefficients are those of weighted least squares, independent of the noise model; their covariance is
+        # the coefficients come from weighted least squares and do not depend on the noise model; their covariance is
         # computed for this noise model
         of_noise, plain_normal = noise_of_plain[:, square[0], square[1]], plain_products[square]
         weak = 1e-12 * np.trace(plain_normal) * one
@@ -127,14 +127,16 @@ def correlated_least_squares(
 
 
 def slow_variance(t: Floats, design: Floats, residual: Floats, period: float) -> float:
-    """Return the spectral density of residuals at a low frequency, divided by that of white noise of unit variance.
+    """Return the spectral density of residuals at a low frequency, relative to white noise of unit variance.
 
-    `residual` (n,) and the fitted columns of `design` (n, p) are in units of the uncertainty; `period` and `t` in s.
-    The degrees of freedom of the columns are accounted for. The density is at least 1; with times in bins it is
+    `residual` (n,) and the fitted columns of `design` (n, p) are in units of the uncertainty; `period` and `t` are in
+    s. The degrees of freedom of the columns are accounted for. The density is at least 1. If tau and the period are
+    given in bins, it is
 
         s^2 (1 + q sinh(1 / tau) / (cosh(1 / tau) - cos(2 pi / period))),
 
-    averaged geometrically over the posterior of q and tau, because this posterior has a long tail.
+    averaged geometrically over the posterior of q and tau. An arithmetic mean would be dominated by the long tail of
+    this posterior.
     """
     x, z, white, when = _binned(t, design, residual, np.ones(len(t)))
     scale = np.linalg.norm(x, axis=0)
@@ -174,7 +176,11 @@ def _binned(t: Floats, design: Floats, y: Floats, sigma: Floats) -> tuple[Floats
 def _noise_models(
     white: Floats, when: Floats, psi: Floats | None = None
 ) -> Iterator[tuple[int, float, float, Floats]]:
-    """Yield family (0 white, 1 in time; if bins resolve a turn, 2 in the angle, 3 both), q, tau, covariance."""
+    """Yield family, q, tau and covariance of each noise model.
+
+    The families are 0 for white noise and 1 for noise correlated in time. If the bins resolve a turn, they are also 2
+    for noise that is harmonic in the angle, and 3 for both kinds.
+    """
     lag = np.abs(when[:, None] - when[None, :]) / float(np.median(np.diff(when)))
     level = float(np.median(white))
     correlated = [(q, c) for q in _VARIANCE_RATIOS for c in _TIMES]
@@ -194,7 +200,7 @@ def _noise_models(
 
 
 def _weights(logs: Floats, families: Sequence[int]) -> Floats:
-    """Return the posterior of the noise models; a priori, white noise is as probable as all others together."""
+    """Return the posterior of the noise models; a priori, white noise is as probable as all other models together."""
     count = np.bincount(families)
     prior: Floats = 1.0 / count[np.asarray(families)]
     prior[1:] /= max(int(np.count_nonzero(count)) - 1, 1)

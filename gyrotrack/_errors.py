@@ -3,7 +3,7 @@
 ::
 
     GyrotrackError                 code, message, hint; exit code 1
-    ├── VideoError                 "video":   a film that cannot be read, or not as requested
+    ├── VideoError                 "video":   a film that cannot be read as requested
     ├── ProfileError               "profile": a profile that is not valid
     ├── ConfigurationError         "configuration": a manifest, study or settings file that is not valid
     ├── TrackingError              "tracking": no markers, no centre, no angle

@@ -1,7 +1,8 @@
 """Local polynomials, robust scatter, smooth motion on uniform and non-uniform time bases, angular velocities.
 
-As in the paper, angular velocities are central differences of the running median of the angles over 51 points, smoothed
-by a second such median, without the first and last 50 points.
+Angular velocities are computed as in the paper (V. Tanrıverdi and A. Erbasan, arXiv:2605.06700): central differences of
+the running median of the angles over 51 points are smoothed by a second such median. The first and last 50 points are
+omitted.
 
 On a non-uniform time base, the path of a body is a fit of local parabolas in time to the coarse angles. The residuals
 of a marker from this path are small, so each residual is assigned to the nearest point of a uniform grid and smoothed
@@ -26,7 +27,7 @@ Integers = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 WIDTH = 51  # points of the paper's running medians
-# half width of the window in which the motion of a body is approximated by a parabola [frames]
+# half width of the window in which a parabola approximates the motion of a body [frames]
 HALF_WINDOW = 20
 FAR = 6.0  # largest deviation of an inlier [standard deviations]
 FEWEST = 8  # smallest number of residuals for an estimate of their scatter
@@ -47,8 +48,9 @@ def local_fit(
     """Fit a polynomial about every point of a uniformly sampled series, over `half` points to both sides.
 
     The weights are 1 - (x/(half + 1))^2 times the weights of the points. A missing value, which may be NaN, has the
-    weight 0. Points up to the distance `hole` are excluded, to predict each point from the others. The results are the
-    fitted value, and the weight of a point in its own fitted value; NaN if the window contains too few points.
+    weight 0. Points up to the distance `hole` are excluded, to predict each point from points farther away. The results
+    are the fitted values and, for each point, its weight in its own fitted value. Both are NaN if the window contains
+    too few points.
     """
     n = len(value)
     smooth, leverage = np.empty(n), np.empty(n)
@@ -79,7 +81,7 @@ def core_scatter(off: Floats, otherwise: float) -> float:
 
 
 def excess(off: Floats) -> float:
-    """Return the rms of normalised residuals clipped at `FAR`, limited to 0.5 to 3; 1 for too few residuals."""
+    """Return the rms, between 0.5 and 3, of normalised residuals clipped at `FAR`; 1 for too few residuals."""
     known = off[np.isfinite(off)]
     if len(known) < FEWEST:
         return 1.0
@@ -109,7 +111,7 @@ def tail_factor(off: Floats) -> Floats:
 
 
 def correlation_factor(residual: Floats) -> float:
-    """Return the variance inflation of averages by correlation: 1 + 2 times the sum of the autocorrelations.
+    """Return the factor by which correlation increases the variance of a mean: 1 + 2 times the sum of autocorrelations.
 
     The sum is truncated at the first pair of lags with a sum that is not positive (Geyer's initial sequence). A factor
     within 3.5 sigma of 1, the value for independent samples, is replaced by 1.
@@ -145,7 +147,7 @@ def share_of_floor(off: Floats, sigma: Floats, floor: float, places: float) -> f
 
 
 def smooth_path(coarse: Floats) -> Floats:
-    """Smooth a coarse path by local parabolas; values more than 0.3 rad from the smooth path are kept."""
+    """Smooth a coarse path by local parabolas; values more than 0.3 rad from the smooth path remain unchanged."""
     known = np.isfinite(coarse)
     if known.sum() < FEWEST:
         return coarse
@@ -191,7 +193,7 @@ def line_through(path: Floats) -> Floats:
 
 
 def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
-    """Return the running median over an odd number of points, extended by the end values; NaN values are kept."""
+    """Return the running median over an odd number of points; the end values are repeated, and NaN values stay NaN."""
     if width < 1 or width % 2 == 0:
         raise ValueError(f"the width of a median must be odd and positive, not {width}")
     series = np.asarray(x, dtype=float)
@@ -203,7 +205,7 @@ def median_smooth(x: npt.ArrayLike, width: int = WIDTH) -> Floats:
 
 
 def running_quantile(x: npt.NDArray[Any], width: int, rank: int) -> npt.NDArray[Any]:
-    """Return the value of a rank (from 0) among `width` (odd) neighbours of each point; the ends are extended."""
+    """Return the value of a `rank` (from 0) in a running window of `width` (odd) points; the ends are repeated."""
     if len(x) and x.min() == x.max():
         return x.copy()
     if len(x) > _MANY and np.isfinite(x).all():
@@ -222,11 +224,11 @@ def angular_velocity(
 ) -> tuple[Floats, Floats]:
     """Return the angular velocity of a record without large gaps, smoothed as in the paper, and its uncertainty.
 
-    The uncertainty [rad s-1] is the uncertainty of a running median of central differences d_i = (x_{i+1} - x_{i-1}) /
-    2 dt with a linear trend: var = N / D^2, where D is the sum of the densities of d_i at the median and N the sum of
-    the covariances of the events d_i < median. d_i and d_{i+2} have one angle in common, and therefore the correlation
-    -1/2. Without trend this is (pi / 6 n) var(d). The noise of the unwrapped angles [rad] must be independent. The
-    first and last ``width - 1`` points are NaN.
+    The uncertainty [rad s-1] is computed for a running median of n central differences d_i = (x_{i+1} - x_{i-1}) / 2 dt
+    with a linear trend. The variance is N / D^2, where D is the sum of the densities of d_i at the median, and N is the
+    sum of the covariances of the events d_i < median. d_i and d_{i+2} have one angle in common, and therefore the
+    correlation -1/2. Without trend, the variance is (pi / 6 n) var(d). The noise of the unwrapped angles [rad] must be
+    independent. The first and last ``width - 1`` points are NaN.
     """
     t, x, s = (np.asarray(a, dtype=float) for a in (time, angle, sigma))
     omega, omega_sigma = np.full_like(t, np.nan), np.full_like(t, np.nan)
@@ -304,7 +306,7 @@ def _median_table(width: int) -> tuple[Floats, Floats]:
 
 
 class TimeBase:
-    """The times `place` (n,) of frames in periods of the capture rate, with independent errors `sigma`."""
+    """The times `place` (n,) of frames, with independent errors of standard deviation `sigma`, in camera periods."""
 
     def __init__(self, place: Floats, sigma: float = 0.0) -> None:
         self.place = place - place[0]
@@ -315,7 +317,7 @@ class TimeBase:
         return np.asarray(np.rint(self.place), dtype=np.int64)
 
     def path(self, coarse: Floats) -> tuple[Floats, Floats]:
-        """Return a smoothed coarse path at the frames (n,), NaN where unknown, and on the uniform grid [rad]."""
+        """Return a smoothed coarse path [rad], at the frames (n,), NaN where unknown, and on the uniform grid."""
         known = np.isfinite(coarse)
         if known.sum() < _MIN_PATH:
             return coarse, np.zeros(int(self._slot[-1]) + 1)
@@ -342,8 +344,9 @@ class TimeBase:
     ) -> tuple[Floats, Floats]:
         """Fit polynomials in time to residuals about a path; return their values and leverages at the frames.
 
-        `off` are residuals [rad] with their weights, 0 for a missing residual; `bend` is the path on the uniform grid,
-        less a straight line [rad]; `half` [periods] and `degree` as for `local_fit`.
+        `off` are residuals [rad], and `weight` are their weights, 0 for a missing residual. `bend` is the path on the
+        uniform grid, less a straight line [rad]. `half` [periods] and `degree` have the same meaning as for
+        `local_fit`.
         """
         total = np.bincount(self._slot, weight, len(bend)).astype(np.float64)
         clean = np.where(weight > 0.0, off, 0.0) * weight
@@ -354,7 +357,7 @@ class TimeBase:
 
 
 def local_parabola(place: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """Fit a parabola about every point of a non-uniform series: value and slope, (n,)."""
+    """Fit a parabola about every point of a non-uniform series; return the values and slopes at the points, (n,)."""
     half = HALF_WINDOW
     out = np.empty((2, len(place)))
     reach = np.arange(-half, half + 1)

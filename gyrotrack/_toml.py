@@ -67,7 +67,7 @@ _MOST_FAULTS = 8
 def read_document(
     path: Path, model: type[Model], *, what: str, error: type[GyrotrackError] = ConfigurationError
 ) -> Model:
-    """Read a TOML file of at most 1 MB and validate it; the error, of a given class, lists invalid keys with lines."""
+    """Read a TOML file of at most 1 MB and validate it; an `error` lists the invalid keys with their lines."""
     text = read_text(path, what=what, error=error)
     try:
         data = tomllib.loads(text)

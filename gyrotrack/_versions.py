@@ -39,7 +39,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def _libraries() -> dict[str, str]:
-    # importlib.metadata reads a file of each library, and every table that is written states the versions
+    # cached: importlib.metadata reads a file for each library, and the versions are written into every table
     found = {}
     for name in LIBRARIES:
         try:

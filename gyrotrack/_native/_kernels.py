@@ -104,11 +104,11 @@ def match(
 ) -> Array:  # fmt: skip
     """Fit gain, offset and displacement of a template to each profile (n, m) by Gauss-Newton.
 
-    `curve`, `slope` (m + 2 pad,) are the template and its derivative per sample, extended by `pad` >= `limit` + 2
-    samples at both ends; `start` (n,) the initial displacement; `seen` (n, m) marks samples that are not occluded;
-    `limit` and `stride` are the largest displacement and step; the template is evaluated at multiples of 1/`fineness`
-    samples. The result is (n, 5): displacement [samples], gain, offset, sum of squared residuals, and the last
-    diagonal element of the inverse normal matrix.
+    `curve` and `slope` (m + 2 pad,) are the template and its derivative per sample, extended by `pad` >= `limit` + 2
+    samples at both ends. `start` (n,) is the initial displacement, and `seen` (n, m) is a mask of the samples that are
+    not occluded. `limit` is the largest displacement, and `stride` is the largest step. The template is evaluated at
+    multiples of 1/`fineness` samples. The result is (n, 5): displacement [samples], gain, offset, sum of squared
+    residuals, and the last diagonal element of the inverse normal matrix.
     """
     out = np.empty((len(profile), 5))
     profile, seen, start = (
@@ -132,9 +132,9 @@ def bands(
 ) -> Array:
     """Return averages of (light * window - offset) * scale over bands of rows, or columns (`across`), of windows.
 
-    `which` (n,) are the indices of the averaged `windows` (k, rows, columns); `light` (n, columns) is a factor on each
-    column, `offset` (n,) is in units of the window; `mixing` (bands, rows) or (bands, columns) are the weights of each
-    band, with sum 1. The result has the shape (n, bands, columns) or (n, bands, rows).
+    `which` (n,) are the indices of the averaged `windows` (k, rows, columns). `light` (n, columns) is a factor on each
+    column, and `offset` (n,) is in units of the window. `mixing` (bands, rows) or (bands, columns) contains the weights
+    of each band, with sum 1. The result has the shape (n, bands, columns) or (n, bands, rows).
     """
     count, parts = len(which), len(mixing)
     out = np.empty((count, parts, windows.shape[1] if across else windows.shape[2]))
@@ -149,7 +149,7 @@ def bands(
 
 
 def crossings(curves: Array, first: int, step: int, level: float, least: float) -> Array:
-    """Return positions at which curves (n, k, m) fall below a level, in samples from `first`; NaN if never or at once.
+    """Return where curves (n, k, m) fall below a level, in samples from `first`; NaN if never or at `first`.
 
     `step` (1 or -1) is the direction of the search; the crossing is interpolated linearly. `least` is the lower limit
     of the decrease between two samples, which is a divisor.
@@ -167,9 +167,10 @@ def local_polynomials(
 ) -> None:
     """Fit a polynomial about each point of an evenly sampled series, with weights 1 - (x / (half + 1))^2.
 
-    `value`, `weight` (n + 2 half,); the weight is 0 without a value; `degree` is 0 to 3; points up to the distance
-    `hole` are excluded, none with -1. The outputs are `smooth` and `leverage` (n,): fitted value, and its derivative
-    with respect to the value at the point itself; NaN if the window contains too few points.
+    `value` and `weight` have the shape (n + 2 half,); the weight is 0 where a value is missing. `degree` is 0 to 3.
+    Points up to the distance `hole` are excluded; -1 excludes none. The outputs (n,) are the fitted value `smooth`, and
+    its derivative `leverage` with respect to the value at the point itself. Both are NaN if the window contains too few
+    points.
     """
     lengths = _check("f8[m] f8[m] -> f8[n] f8[n]", (value, weight, smooth, leverage))
     fits = lengths["m"] == lengths["n"] + 2 * half and 1 <= half <= 1 << 20
@@ -183,8 +184,8 @@ def discs(pixels: Array, weights: tuple[float, float], radius: float) -> Array:
     """Return the centroid (n, 2) of a bright disc in each window [px of the window]; NaN where it is occluded.
 
     `pixels` (n, 2, side, side) are both chroma planes, with `weights` in the score; `radius` is in px. Foreground and
-    background levels are quantiles of each window; a soft mask between 30 % and 70 % of their difference weights pixels
-    at the edge by the fraction that the disc covers.
+    background levels are quantiles of each window; a soft mask between 30 % and 70 % of their difference weights each
+    pixel at the edge by the fraction of the pixel that the disc covers.
     """
     out = np.empty((len(pixels), 2))
     _check("u1[n,2,s,s] -> f8[n,2]", (pixels, out))
@@ -193,11 +194,13 @@ def discs(pixels: Array, weights: tuple[float, float], radius: float) -> Array:
 
 
 def locate(windows: Array, column: Array, rows: tuple[int, int, int], half: int, reach: int) -> Array:
-    """Return displacement [columns] and mean score (n, 2) of a marker about its expected column; score 0 at the limit.
+    """Return displacement [columns] and mean score (n, 2) of a marker about its expected column.
 
-    `windows` (n, rows, columns) are contiguous in every row; `column` (n,) is the first column of the search; `rows`
-    are start, stop and step of the rows to average; `half` is the half width of the marker, `reach` the half width of
-    the search.
+    The score is 0 if its maximum is at the limit of the search.
+
+    `windows` (n, rows, columns) are contiguous in every row. `column` (n,) is the first column of the search. `rows`
+    are start, stop and step of the rows to average. `half` is the half width of the marker, and `reach` is the half
+    width of the search.
     """
     windows, column = np.ascontiguousarray(windows), np.ascontiguousarray(column)
     out = np.empty((len(windows), 2))
@@ -246,9 +249,10 @@ def ring(
 ) -> None:
     """Sample rings from one plane (height, width) per frame by bilinear interpolation, rounded to grey levels.
 
-    The sample of row i and column j in frame k is at the radius r_i (`radius` (rows,) [px]) about `centre` (n, 2)
-    (x, y) [px] and at the angle a_j + b_k, counter-clockwise: `direction` (2, columns) holds cos and sin of a_j, `turn`
-    (n, 2) those of b_k. Outside the picture its nearest pixel is used. `out` (n, rows, columns) is written to.
+    The sample of row i and column j in frame k is at the radius r_i (`radius` (rows,) [px]) about `centre` (n, 2) (x,
+    y) [px] and at the angle a_j + b_k, counter-clockwise: `direction` (2, columns) contains cos and sin of a_j, and
+    `turn` (n, 2) contains cos and sin of b_k. For a sample outside the picture, the nearest pixel is used. `out` (n,
+    rows, columns) is written to.
     """
     lengths = _check("f8[n,2] f8[n,2] f4[r] f4[2,c] -> u1[n,r,c]", (centre, turn, radius, direction, out))
     _require(len(planes) == lengths["n"], "the number of planes and rings differ")
@@ -286,7 +290,7 @@ def sample_sums(strips: Array, row: int, picture: Array, weights: Array) -> Arra
     """Return weighted sums over the samples of each picture, (n, 4).
 
     The samples x of picture k are the (p,) values of `strips` (n, rows, columns) that start at a given row. With d = x
-    - `picture` (p,) and `weights` w (4, p), the sums are those of w_0 d, w_1 d, w_2 d and w_3 d^2.
+    - `picture` (p,) and `weights` w (4, p), the terms of the four sums are w_0 d, w_1 d, w_2 d and w_3 d^2.
     """
     out = np.empty((len(strips), 4))
     lengths = _check("f4[n,r,c] f4[p] f4[4,p] -> f8[n,4]", (strips, picture, weights, out))
@@ -300,8 +304,8 @@ def sample_sums(strips: Array, row: int, picture: Array, weights: Array) -> Arra
 def frame_sums(strips: Array, row: int, picture: Array, weights: Array) -> Array:
     """Return weighted sums over the pictures for each sample, (5, p).
 
-    With d as for `sample_sums` and `weights` w (n, 4), the sums are those of w_0 d, w_0 d^2, w_1 d, w_2 d and w_3 d;
-    pictures with w_0 = 0 are omitted.
+    With d as for `sample_sums` and `weights` w (n, 4), the terms of the five sums are w_0 d, w_0 d^2, w_1 d, w_2 d and
+    w_3 d. Pictures with w_0 = 0 are omitted.
     """
     out = np.zeros((5, len(picture)), dtype=np.float32)
     lengths = _check("f4[n,r,c] f4[p] f4[n,4] -> f4[5,p]", (strips, picture, weights, out))

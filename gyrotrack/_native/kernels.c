@@ -1,5 +1,5 @@
-/* Numerical kernels of tracking, in C without Python. `_compiled.pyx` checks nothing and calls them; `_kernels.py`
- * checks types and shapes, and says in NumPy what each of them computes. */
+/* Numerical kernels of tracking, in C without Python. `_kernels.py` checks types and shapes, and contains a NumPy
+ * version of each kernel. `_compiled.pyx` calls the kernels without further checks of shapes. */
 #include "kernels.h"
 
 #include <math.h>
@@ -85,7 +85,8 @@ typedef struct {
     double limit, stride, fineness;
 } Template;
 
-/* Fit one profile; out: displacement, gain, offset, sum of squares left over, last entry of the inverse. */
+/* Fit one profile. The results in `out` are displacement, gain, offset, sum of squared residuals, and the last diagonal
+ * element of the inverse normal matrix. */
 static void fit_one(const Template *t, const double *profile, const uint8_t *seen, double shift, double *out)
 {
     double gain = 0.0, offset = 0.0, left = 0.0, spread = 0.0;
@@ -197,10 +198,10 @@ void gt_crossings(const double *curves, ssize count, ssize size, ssize first, ss
 
 /* Local polynomials */
 
-#define LANES 8 /* fits that are made side by side */
-#define POWERS 9 /* moments up to twice a cubic's, with two for the bell */
+#define LANES 8 /* number of fits that are computed together */
+#define POWERS 9 /* powers 0 to 8: twice the degree of a cubic, and 2 for the parabolic weights */
 
-/* Turn sums of w u^p, p = 0 to `most`, into sums of w (u - c)^p, and these into sums with the weights 1 - (u - c)^2. */
+/* Convert sums of w u^p, p = 0 to `most`, to sums of w (u - c)^p, and these to sums with the weights 1 - (u - c)^2. */
 static void centred(double sum[POWERS][LANES], const double *c, int most)
 {
     for (int done = 0; done < most; done++)
@@ -212,7 +213,8 @@ static void centred(double sum[POWERS][LANES], const double *c, int most)
             sum[p][k] -= sum[p + 2][k];
 }
 
-/* Fit polynomials about `LANES` neighbouring points from moments of weights s and values t; the value and leverage. */
+/* Fit polynomials about `LANES` neighbouring points from moments s of the weights and t of the values. The results are
+ * the fitted values and their leverages. */
 static void solve_lanes(double s[POWERS][LANES], double t[POWERS][LANES], int size, double *fitted, double *leverage)
 {
     double a[4][4][LANES], right[4][LANES] = {{0.0}}, smallest = 1e-12;
@@ -244,8 +246,8 @@ static void solve_lanes(double s[POWERS][LANES], double t[POWERS][LANES], int si
     }
 }
 
-/* Fit about the points of a block, by differences of running sums; they are counted from its middle, in units of the
- * window, so that few digits are lost in the differences. */
+/* Fit about the points of a block, by differences of running sums. Positions are relative to the middle of the block,
+ * in units of the window, so that the differences lose few digits. */
 static void fit_block(const double *value, const double *weight, ssize points, ssize half, int degree,
                       ssize hole, double *room, double *smooth, double *leverage)
 {
@@ -299,7 +301,7 @@ ssize gt_local_room(ssize half, int degree) { return (4 * half + LANES + 1) * (3
 
 /* Centroids of discs */
 
-/* Find a bright disc in the score of one window, in px of it; NaN where it is hidden. */
+/* Find a bright disc in the score of one window, in px of the window; NaN where the disc is occluded. */
 static void disc_one(const uint8_t *pixels, ssize side, const double *weight, double radius, float *soft, double *few,
                      double *out)
 {
@@ -391,11 +393,11 @@ void gt_locate(const float *windows, ssize bytes, ssize count, ssize width, cons
 #else
 #define FETCH(place) ((void)(place))
 #endif
-#define LINE 64 /* bytes that come from memory at once */
-#define TOGETHER 64 /* samples taken at a time */
+#define LINE 64 /* bytes of a cache line */
+#define TOGETHER 64 /* samples that are computed at a time */
 
 typedef struct {
-    const uint32_t *at; /* line and column of the pixel left above each sample, 16 bits each */
+    const uint32_t *at; /* line and column of the pixel above and left of each sample, 16 bits each */
     const int32_t *box;
     const float *right, *down, *ground;
     float *score;
@@ -408,7 +410,7 @@ typedef struct {
     float weight;
 } Plane;
 
-/* Form the score of two planes in the box that a window touches. */
+/* Compute the score of two planes in the box of pixels that a window covers. */
 static void form(const Grid *grid, const Plane *plane, const int32_t *edge)
 {
     for (int32_t y = edge[2]; y < edge[3]; y++) {
@@ -419,7 +421,7 @@ static void form(const Grid *grid, const Plane *plane, const int32_t *edge)
     }
 }
 
-/* Sample a score, or one plane as it is; four neighbours a sample are gathered first. */
+/* Sample a score, or a plane without weights. The four neighbours of each sample are collected first. */
 static void sample(const Grid *grid, const Plane *plane, ssize begin, ssize count, float *out)
 {
     const uint32_t *at = grid->at + begin;
@@ -447,7 +449,7 @@ static void sample(const Grid *grid, const Plane *plane, ssize begin, ssize coun
         out[k] = pair[2 * k] + right[k] * (pair[2 * k + 1] - pair[2 * k]) - ground[k];
 }
 
-/* Ask for what the next window needs, while this one is worked on. */
+/* Prefetch the pixels of the next window while the current window is processed. */
 static void fetch(const Grid *grid, const Plane *plane, int planes, ssize first)
 {
     const int32_t *edge = grid->box + 4 * first;

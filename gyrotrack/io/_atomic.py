@@ -121,7 +121,10 @@ _MARKED = {"command": "outputs"}
 
 
 def mark_new(path: Path, content: Path) -> None:
-    """Mark `path`, which does not exist yet, as an output of the running command; `content` is or will be this file."""
+    """Mark `path`, which does not exist yet, as an output of the running command.
+
+    `content` is the file that is, or becomes, `path`.
+    """
     held = marks()
     if held is None:
         return
@@ -215,9 +218,10 @@ def written_records(path: Path) -> list[Record]:
 class CheckpointFile:
     """The checkpoint of one run, in the folder of its output, locked against a second writer while it is open.
 
-    `facts` identify the run: film, settings, version. With `resume` an existing checkpoint of equal facts is continued;
-    otherwise a new one is started, and `other` states whether the checkpoint of another run was replaced. An
-    OutputError is raised if another program writes the same output for longer than `wait` [s], or the write fails.
+    `facts` identify the run: film, settings, version. With `resume` an existing checkpoint with equal facts is
+    continued; otherwise a new checkpoint is started, and `other` states whether the checkpoint of another run was
+    replaced. An OutputError is raised if another program writes the same output for longer than `wait` [s], or the
+    write fails.
     """
 
     def __init__(

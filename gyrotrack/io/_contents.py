@@ -52,11 +52,11 @@ class Provenance(TypedDict):
 class MarkerCounts(TypedDict):
     """Number of frames by status of a marker."""
 
-    ok: int  #: Frames in which it is measured.
-    blurred: int  #: Frames in which it is blurred by the motion.
-    occluded: int  #: Frames in which it is occluded.
-    out_of_frame: int  #: Frames in which it is outside the picture.
-    lost: int  #: Frames in which it is not found.
+    ok: int  #: Frames in which the marker is measured.
+    blurred: int  #: Frames in which the marker is blurred by the motion.
+    occluded: int  #: Frames in which the marker is occluded.
+    out_of_frame: int  #: Frames in which the marker is outside the picture.
+    lost: int  #: Frames in which the marker is not found.
 
 
 class MarkerSummary(MarkerCounts):
@@ -101,7 +101,7 @@ class BodySummary(WindowsSummary):
     """A further body of a chain."""
 
     inertia: float  #: Moment of inertia [kg m2].
-    inertia_u: float | None  #: Its standard uncertainty; null if not given [kg m2].
+    inertia_u: float | None  #: Standard uncertainty of the inertia; null if not given [kg m2].
 
 
 class InputSummary(TypedDict):
@@ -128,7 +128,7 @@ class RecordingSummary(TypedDict):
 class ClipSummary(RecordingSummary):
     """A recording in a case."""
 
-    placement: NotRequired[Placement]  #: Its clock.
+    placement: NotRequired[Placement]  #: Clock of the clip.
 
 
 class CaseSummary(TypedDict):

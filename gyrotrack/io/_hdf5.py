@@ -223,7 +223,7 @@ def write_case(
     OutputError
         The file exists and `force` is not given, or the file cannot be written.
     UsageError
-        The file could not be read again: an inertia, an uncertainty or an error mode is not valid.
+        The file could not be read back: an inertia, an uncertainty or an error mode is not valid.
     """
     with new_hdf5(Path(path), force=force) as file:
         stamp(file, layout.CASE, command=command, settings=settings)

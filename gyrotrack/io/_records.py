@@ -2,8 +2,9 @@
 
 A `Recording` is one clip: frames, markers, and the angle of each body. A `Case` is one experiment: casing and rotor as
 `Series` on the clock of the casing camera, with the recordings and the `Placement` of each recording on this clock. An
-`Inertia` is read from a text with optional unit and standard uncertainty. SI units; angles in rad, increasing in the
-sense of rotation; lengths in the image in px. Missing values are NaN.
+`Inertia` is read from a text with optional unit and standard uncertainty. Quantities are in SI units. Angles are in rad
+and increase in the sense of rotation. Lengths in the image are in px. Missing values are NaN. The paper is V.
+Tanrıverdi and A. Erbasan, arXiv:2605.06700.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class MarkerTrack:
     corner : ndarray, shape (n, 2, 2)
         The two corners nearest to the centre: frame, side, (x, y) [px].
     delta, rho, beta : ndarray, shape (n,)
-        Length of the base [px], radius [px], angle between them [rad].
+        Length of the base [px], radius [px], and angle between base and radius [rad].
     angle, sigma : ndarray, shape (n,)
         Mean angle of the corners, wrapped [rad], and its uncertainty as in the paper,
         sqrt((30 u_r)^2 + (150 u_1)^2 + (150 u_2)^2) [rad].
@@ -266,7 +267,8 @@ class Series:
         Standard uncertainty of an error once and twice per turn, of constant amplitude [rad]; 0 without one.
     harmonic_sigma : float
         Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
-    modes : tuple of ErrorMode Errors common to samples.
+    modes : tuple of ErrorMode
+        Errors common to samples.
     """
 
     time: Floats
@@ -341,7 +343,7 @@ def windows_of(series: Series) -> Integers:
     return series.window if series.window is not None else np.zeros(len(series.time), dtype=np.int64)
 
 
-# largest relative difference of equal speeds
+# largest relative difference of speeds that count as equal
 _EQUAL_SPEEDS = 0.003
 
 
@@ -354,8 +356,8 @@ def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy
     """Return warnings about a casing that is faster than the rotor, or has the same motion, in all windows.
 
     Friction between the bodies cannot accelerate the casing beyond the rotor, and makes both turn together only at the
-    end of a run. Otherwise the bodies may be exchanged, or one body was measured twice. `remedy` is the recommended
-    action.
+    end of a run. If the speeds contradict this, the bodies may be exchanged, or one body was measured twice. `remedy`
+    is the recommended action.
     """
     windows = windows_of(rotor) if isinstance(rotor, Series) else np.zeros(len(rotor.time), dtype=np.int64)
     speeds = []
@@ -371,7 +373,7 @@ def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy
     if np.all(np.abs(ratio - 1) < _EQUAL_SPEEDS):
         doubt = f"casing and rotor have the same motion ({first}): one body may have been measured twice"
     elif np.all(ratio < 1):
-        doubt = f"the casing is faster than the rotor ({first}): they may be exchanged"
+        doubt = f"the casing is faster than the rotor ({first}): the bodies may be exchanged"
     return [f"{doubt}; {remedy}"] if doubt else []
 
 
@@ -382,10 +384,10 @@ class Placement:
     id: str  #: Name of the clip.
     clock_offset: float  #: Start of the clip on the clock of the casing's camera [s].
     clock_offset_sigma: float  #: Standard uncertainty of the start [s].
-    clock_rate: float  #: Rate of the clock of the clip, relative to that of the casing's camera [1].
+    clock_rate: float  #: Rate of the clock of the clip, relative to the clock of the casing's camera [1].
     clock_rate_sigma: float  #: Standard uncertainty of the rate [1].
     angle_offset: float  #: Angle added to the angles of the clip [rad].
-    ambiguous: bool  #: Whether another start is not excluded.
+    ambiguous: bool  #: Whether another start cannot be excluded.
     method: str  #: Method that gave the start.
 
 
@@ -407,7 +409,7 @@ class Input:
     name : str
         Name of the input in laws.
     time, value, u : ndarray
-        Times [s], values, and standard uncertainties of the values by calibration [unit]; NaN without one.
+        Times [s], values [unit], and standard uncertainties of the values due to calibration [unit]; NaN if unknown.
     unit : str
         SI unit: "A", "V", "N m", "K", "1".
     interpolation : {"linear", "hold"}
@@ -432,9 +434,9 @@ class ChainBody:
     Attributes
     ----------
     name : str
-        Its name.
+        Name of the body.
     series : Series
-        Its motion, with windows.
+        Motion of the body, with windows.
     inertia, inertia_u : float
         Moment of inertia and its standard uncertainty [kg m2]; NaN if the uncertainty is not given.
     """
@@ -458,12 +460,12 @@ class Case(_Tabular):
     start_u : float
         Standard uncertainty of the start of each rotor window on the clock of the casing [s]; NaN if not given.
     quantity : {"angle", "omega"}
-        Measured quantity; with "omega" the angle is its integral.
+        Measured quantity; with "omega" the angle is the integral of the angular velocity.
     bodies : {"two", "one", "chain"}
-        With "one", the series `casing` is the series of the single body, and `rotor` is empty. With "chain", it is the
-        series of the first body, which may come to rest, and `further` are the other bodies.
+        With "one", the series `casing` is the series of the single body, and `rotor` is empty. With "chain", `casing`
+        is the series of the first body, which may come to rest, and `further` contains the other bodies.
     body_name : str
-        Name of the single body or of the first one of a chain, for example "wheel"; empty without one.
+        Name of the single body, or of the first body of a chain, for example "wheel"; may be empty.
     further : tuple of ChainBody
         The other bodies of a chain.
     joints : dict of str to (str, str)
@@ -503,7 +505,7 @@ class Case(_Tabular):
 
     @property
     def motions(self) -> list[tuple[str, Series]]:
-        """Names and series of the bodies, the main one first."""
+        """Names and series of the bodies, the main body first."""
         of_rotor = [("rotor", self.rotor)] if self.bodies == "two" else []
         return [(self.main_body, self.casing), *of_rotor, *((b.name, b.series) for b in self.further)]
 
@@ -770,7 +772,7 @@ class Inertia:
         """Read a moment of inertia that has no default; see `of`."""
         if text is None:
             raise UsageError(
-                f"The moment of inertia of the {body} is not given; torques follow from it.",
+                f"The moment of inertia of the {body} is not given, but torques depend on it.",
                 f'Give --inertia-{body} "VALUE +- UNCERTAINTY" in kg m2, for example "5.54e-5 +- 0.06e-5".',
             )
         return cls.of(text, body)

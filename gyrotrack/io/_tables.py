@@ -69,7 +69,7 @@ def create_dataset(group: Any, name: str, array: npt.NDArray[Any]) -> Any:
 def _attach_scales(
     group: Any, f: Field, datasets: Mapping[str, Any], own: dict[str, Any], scales: Mapping[str, Any]
 ) -> None:
-    """Attach dimension scales: `scales` of other groups, or those of this group, which are added to `own`."""
+    """Attach dimension scales: `scales` of other groups, or scales of this group, which are added to `own`."""
     dataset = datasets[f.name]
     for axis, dim in enumerate(f.dims):
         if dim in scales:

@@ -1,12 +1,12 @@
 """Starts of the clips on the clock of the casing camera: search, joint solution, ambiguity; and the resulting case.
 
 Each clip is characterised by speed, acceleration and jerk at its middle, from a cubic with harmonics; the record of the
-casing is characterised in the same way around every time. A start is possible if the values of clip and record agree
-within their uncertainties and the uncertainty of the clock rate r, which scales the three values by r, r^2 and r^3.
+casing is characterised in the same way at every time. A start is possible if the values of clip and record agree within
+their uncertainties and the uncertainty of the clock rate r, which scales the three values by r, r^2 and r^3.
 
 Clips of one camera have a common clock rate, and a common direction if the camera was not moved in between. A common
 rate is assumed if it does not increase chi2 by more than errors of tracking explain. A common direction determines the
-start modulo whole turns of the casing; it is assumed if the probability that the directions agree by chance is less
+start modulo whole turns of the casing. It is assumed if the probability that the directions agree by chance is less
 than 0.001.
 """
 
@@ -55,13 +55,13 @@ RATE_SIGMA = 1e-3
 nominal rate, a larger one leaves a constant speed undetermined."""
 ONE_CLOCK = 2e-4
 """Smallest difference of the rates of clips that proves two cameras [1]. Chosen: a crystal changes by 1e-6 in a run,
-and slow errors of tracking imitate about 1e-5; a larger value joins two cameras."""
+and slow errors of tracking imitate a difference of about 1e-5; a larger value joins two cameras."""
 UNLIKELY = 1e-4
-"""Largest p-value of a significant difference of clock rates, for white errors [1]. Chosen: a larger value
-separates clips of one camera, a smaller one joins two."""
+"""Largest p-value of a significant difference of clock rates, for white errors [1]. Chosen: a larger value separates
+clips of one camera, a smaller one joins two cameras."""
 MAX_LENGTH = 3.0
 """Largest length of the part of a clip that is compared in the search [s]. Chosen: a cubic describes the motion over
-it; a longer part needs a higher degree, a shorter one is noisy."""
+this length; a longer part needs a higher degree, a shorter one is noisy."""
 GRID = 0.1
 """Largest step of the survey of the casing's record [s]. Chosen: a larger step omits starts, a smaller one costs
 time."""
@@ -72,12 +72,13 @@ MIN_DISTANCE = 0.3
 """Smallest time between two candidates [s]. Chosen: a smaller value refines one start twice, a larger one omits a
 start."""
 MAX_CANDIDATES = 5
-"""Largest number of starts of a clip that are refined [1]. Chosen: time; a smaller number may omit the true start."""
+"""Largest number of starts of a clip that are refined [1]. Chosen: a larger number costs time, a smaller one may omit
+the true start."""
 THRESHOLD = 100.0
 """Largest excess of chi2 of a candidate [1]. Chosen: a smaller value omits true starts, a larger one costs time."""
 MODEL_ERROR = np.array([0.02, 0.02, 0.05])
 """Standard deviations of speed, acceleration and jerk due to the error of the cubic [rad/s, rad/s2, rad/s3]. Chosen:
-smaller values reject true starts, larger ones accept many."""
+smaller values reject true starts, larger values accept many wrong starts."""
 INTERVALS = (2, 4, 8, 16, 32)
 """Numbers of intervals of the spline that are tried [1]. Chosen: factors of two; a larger number costs time, a smaller
 one smooths the motion."""
@@ -88,18 +89,19 @@ PARAMETERS = 16
 """Number of parameters in addition to one per interval [1]. Derived: 5 for the ends of the spline, 8 harmonics, start,
 rate and direction."""
 ROUNDS = 2
-"""Passes of noise and rejection [iterations]. Chosen: a smaller number keeps outliers, a larger one costs time."""
+"""Number of passes of the calibration of noise and the rejection of outliers [iterations]. Chosen: a smaller number
+keeps outliers, a larger one costs time."""
 MAX_MISFIT = 0.015
-"""Largest difference of the cameras beyond noise [rad]. Chosen: a smaller value refuses oblique cameras, a larger one
-accepts clips of another run."""
+"""Largest difference beyond noise between the angles of two cameras [rad]. Chosen: a smaller value refuses oblique
+cameras, a larger one accepts clips of another run."""
 RATE_LIMIT = 5 * RATE_SIGMA
 """Largest deviation of the clock rate of a solution from 1 [1]. Derived: five prior standard deviations."""
 RIVAL = 60.0
-"""Largest increase of chi2 of alternative starts for the joint solution [1]. Chosen: above `EXCLUDED`; a smaller value
-omits rivals, a larger one costs time."""
+"""Largest increase of chi2 for which an alternative start is tried in the joint solution [1]. Chosen: above `EXCLUDED`;
+a smaller value omits alternative starts, a larger one costs time."""
 NEAR = 1e-3
 """Largest difference of starts that count as equal [s]. Chosen: a smaller value lists one start twice, a larger one
-joins rivals."""
+joins different starts."""
 EXCLUDED = 25.0
 """Increase of chi2 above which an alternative start is excluded [1]. Derived: five standard deviations."""
 MAX_START_SIGMA = 1e-3
@@ -107,21 +109,21 @@ MAX_START_SIGMA = 1e-3
 speed, a larger one accepts an uncertain start."""
 MAX_CHANCE = 1e-3
 """Largest probability that directions agree by chance [1]. Chosen: a larger value wrongly assumes a common direction, a
-smaller one does not use a true one."""
+smaller one does not use a true common direction."""
 AGREE = 4.0
-"""Largest difference of equal directions, or rates, in standard deviations [1]. Chosen: a smaller value separates equal
-ones, a larger one joins different ones."""
+"""Largest difference of two directions, or two rates, that count as equal, in standard deviations [1]. Chosen: a
+smaller value separates equal values, a larger one joins different values."""
 RESOLVED = TURN / 10
 """Largest uncertainty of a direction that identifies the turn [rad]. Chosen: a tenth of a turn, so that half a turn is
 five standard deviations; a larger value counts turns wrongly."""
 MAX_COMBINATIONS = 64
-"""Largest number of combinations of starts that are compared [1]. Chosen: time; a smaller number may omit the true
-one."""
+"""Largest number of combinations of starts that are compared [1]. Chosen: a larger number costs time, a smaller one may
+omit the true combination."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Speed, acceleration and jerk at one time, (3,) in rad s-1, s-2, s-3, and their covariance (3, 3)."""
+    """Speed, acceleration and jerk at one time, (3,) [rad s-1, rad s-2, rad s-3], and their covariance (3, 3)."""
 
     value: Floats
     covariance: Floats
@@ -164,7 +166,7 @@ class Survey:
 
 
 def half_length(clip: Curve) -> float:
-    """Return half the length of the part of a clip that is used [s], rounded, so that clips can use one survey."""
+    """Return half the length of the used part of a clip [s], rounded, so that several clips can use one survey."""
     return min(round(clip.duration / 2, 1), MAX_LENGTH / 2) or clip.duration / 2
 
 
@@ -224,7 +226,7 @@ class Prepared:
 
 
 def prepare(casing: Curve, record: Survey, clip: Curve, name: str) -> Prepared:
-    """Find the possible starts of a clip in the record of the casing with the survey `record`; a SyncError if none."""
+    """Find the possible starts of a clip by the survey `record` of the casing; a SyncError if there is none."""
     starts = [_initial_value(casing, clip, offset) for offset in candidates(record, clip)]
     pair = Pair(casing, clip, INTERVALS[-1])
     solutions = _distinct(pair, starts, 10 * RATE_LIMIT)
@@ -503,7 +505,8 @@ def _common_direction(
 ) -> tuple[list[int | None], Solution]:
     """Return the whole turns between the directions of clips, None where unknown, and the solution with these turns.
 
-    The clip with the best known direction is the reference; the others are added in order of increasing uncertainty.
+    The clip with the best known direction is the reference; the other clips are added in order of increasing
+    uncertainty.
     """
     count = len(pairs)
     none: list[int | None] = [None] * count
@@ -573,9 +576,10 @@ def synchronise(
 ) -> Synchronised:
     """Synchronise the rotor clips of one experiment with the casing camera.
 
-    The names, for messages, begin with that of the casing. Moments of inertia are in kg m2. `progress` is called with
-    (clips done, clips in total). A SyncError is raised if a clip does not belong to this run, is given twice, or does
-    not show both bodies; a UsageError if a moment of inertia is not positive or no clip is given.
+    The `names` are used in messages; the first is the name of the casing recording. Moments of inertia are in kg m2.
+    `progress` is called with (clips done, clips in total). A SyncError is raised if a clip does not belong to this run,
+    is given twice, or does not show both bodies; a UsageError if a moment of inertia is not positive or no clip is
+    given.
     """
     if not (I_rotor > 0 and I_casing > 0):
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
@@ -663,8 +667,8 @@ def _placement(name: str, match: Match) -> Placement:
 
 
 FASTER = 1.02
-"""Ratio of the rotor's speed in a later clip to that in an earlier clip above which a start may be wrong [1]. Chosen: a
-smaller value warns of noise, a larger one overlooks exchanged clips."""
+"""Speed of the rotor in a later clip, divided by its speed in an earlier clip, above which a start may be wrong [1].
+Chosen: a smaller value warns of noise, a larger one overlooks exchanged clips."""
 
 
 def _warnings(matches: Sequence[Match], rotor_tracks: Sequence[BodyTrack], order: Sequence[int]) -> list[str]:

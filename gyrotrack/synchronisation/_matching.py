@@ -64,11 +64,11 @@ def moved(point: Sequence[Start], step: Floats) -> list[Start]:
 
 
 OUTLIER = 6.0
-"""Residual from which a sample is an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects good
-samples, a larger one keeps slips."""
+"""Smallest residual of an outlier, in robust standard deviations [1]. Chosen: a smaller value rejects good samples, a
+larger one keeps slips."""
 BLOCKS = 60
-"""Blocks of a residual [1]. Chosen: a smaller number hides correlation, a larger one leaves few samples in each
-block."""
+"""Number of blocks of a residual [1]. Chosen: a smaller number hides correlation, a larger one leaves few samples in
+each block."""
 
 
 def inliers(residual: Floats) -> npt.NDArray[np.bool_]:
@@ -88,8 +88,8 @@ MIN_FRAMES = 60
 """Smallest number of frames of a clip with the casing [frames]. Chosen: a smaller number does not determine a start, a
 larger one refuses short clips."""
 NEIGHBOURS = 15
-"""Samples of a running median [samples]. Chosen: a smaller number follows runs of outliers, a larger one smooths the
-motion."""
+"""Number of samples of a running median [samples]. Chosen: a smaller number follows runs of outliers, a larger one
+smooths the motion."""
 MIN_DURATION = 0.2
 """Smallest duration of a clip [s]. Chosen: a shorter clip does not determine speed and acceleration, a longer one
 refuses short clips."""
@@ -159,10 +159,10 @@ MARGIN = 2.0
 the window, a larger one needs more intervals."""
 HARMONIC_SIGMA = 0.02
 """Prior standard deviation of the harmonics [rad]. Chosen: a smaller value keeps errors of an oblique view in the
-residuals, a larger one lets them replace motion."""
+residuals; with a larger one, harmonics replace motion."""
 SPLINE_SIGMA = 1.0
-"""Prior standard deviation of the spline from the quartic [rad]. Chosen: a smaller value stiffens the motion, a larger
-one leaves gaps of the record undetermined."""
+"""Prior standard deviation of the difference between spline and quartic [rad]. Chosen: a smaller value stiffens the
+motion, a larger one leaves gaps of the record undetermined."""
 HARMONICS = 4
 """Number of harmonics of a camera [1]. Derived: cosine and sine of orders 1 and 2."""
 
@@ -232,8 +232,8 @@ def link_matrix(*, common_rate: bool, shared_angle: Sequence[bool]) -> Floats:
 
 
 START_SIGMA = 5.0
-"""Prior standard deviation of a start about its window [s]. Chosen: it regularises a constant speed; a smaller value
-biases the start, a larger one makes the matrix singular."""
+"""Prior standard deviation of a start about its window [s]. Chosen: this prior regularises the fit at constant speed; a
+smaller value biases the start, a larger one makes the matrix singular."""
 MAX_STEP = 0.3
 """Largest step of a start [s]. Chosen: a larger step leaves the range of the linear model, a smaller one costs time."""
 MAX_ROUNDS = 40

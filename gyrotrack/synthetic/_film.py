@@ -1,7 +1,7 @@
 """Rendering of a film, with its exact angles, corners and visibilities: colour planes, encoding, truth.
 
 A chroma sample (i, j) is centred at the luma position x = 2 i, y = 2 j + 1/2, the default of H.264. The conversion is
-implemented here because common scalers differ by half a luma pixel.
+implemented here because the results of common scalers differ by half a luma pixel.
 """
 
 from __future__ import annotations
@@ -136,11 +136,11 @@ class Truth:
     angle: Mapping[str, Array]
     omega: Mapping[str, Array]
     centre: Array  # shape (n, 2); position of the axis in the image in px
-    # shape (n, 4, 2); for each marker the corners in px at the middle of the exposure: inner, inner, outer, outer,
-    # in cyclic order; the first one has the smaller angle in the sense of rotation
+    # shape (n, 4, 2); for each marker the corners in px at the middle of the exposure, in cyclic order: inner, inner,
+    # outer, outer; of the inner corners, the first has the smaller angle in the sense of rotation
     corners: Mapping[str, Array]
-    # shape (n,); for each marker the visible fraction of its area, 0 to 1, neither occluded by the casing (mean
-    # over the exposure) nor outside of the image
+    # shape (n,); for each marker the visible fraction of its area, 0 to 1: not occluded by the casing (mean over the
+    # exposure), and not outside the image
     visible: Mapping[str, Array]
     sense: int  # +1 if the bodies turn counter-clockwise in the image, -1 if clockwise
 

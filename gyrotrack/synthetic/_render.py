@@ -6,9 +6,9 @@ turns by w during the exposure appears at each angle as the mean of its picture 
 Edges are sharp edges convolved with a Gaussian (the ``psf`` of the camera) in closed form, so that sub-pixel positions
 are correct at every angle.
 
-A pixel is the mean over the exposure of ``casing + (1 - cover) * rotor``. The means of casing, cover and rotor are
-exact. The mean of the product is exact where the cover does not change during the exposure. In the narrow zone swept
-by the edges of the bar, the mean is a sum over sub-exposures.
+A pixel is the mean over the exposure of ``casing + (1 - cover) * rotor``, where cover is the opacity of the casing. The
+means of casing, cover and rotor are exact. The mean of the product is exact where the cover does not change during the
+exposure. In the narrow zone swept by the edges of the bar, the mean is a sum over sub-exposures.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class PolarPicture:
 
 
 def _box(pixels: Paint, width: float) -> Paint:
-    """Average cyclically over ``width`` = n + 2 f columns, centred: n columns (n odd) and a part f at each end."""
+    """Average cyclically over ``width`` = n + 2 f centred columns: n columns (n odd), and a fraction f at each end."""
     columns = pixels.shape[1]
     odd = int(width) if int(width) % 2 else int(width) - 1
     share = 0.5 * (width - odd)
@@ -208,7 +208,7 @@ TABLES: dict[str, Colour] = {
 
 
 class _Canvas:
-    """Polar grid of cover and of colour times cover, painted from bottom to top."""
+    """Polar grid of cover (opacity) and of colour times cover, painted from bottom to top."""
 
     def __init__(self, scene: Scene, camera: Camera, reach: float) -> None:
         self.sigma = max(camera.psf, 0.2) / camera.scale
@@ -352,7 +352,7 @@ class Noise:
 
 
 class Renderer:
-    """Renders frames of a scene with given motion, camera and light; the seed is that of grain and noise."""
+    """Renders frames of a scene with given motion, camera and light; `seed` determines grain and noise."""
 
     def __init__(
         self, scene: Scene, motion: Motion, camera: Camera, light: Light | None = None, *, seed: int = 0

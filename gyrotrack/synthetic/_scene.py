@@ -51,7 +51,8 @@ class Camera:
     # true time in s from the first to the last row (rolling shutter); 0 is a global shutter. The nominal time is the
     # time of the row of ``rest``
     readout: float = 0.0
-    sense: int = -1  # -1: the bodies turn clockwise in the image, as in the paper
+    # -1: the bodies turn clockwise in the image, as in the films of the paper (arXiv:2605.06700)
+    sense: int = -1
     psf: float = 0.6  # standard deviation in px of the point spread function (lens and pixel)
     # standard deviation of the sensor noise in grey levels (of 255), independent in the three colours
     noise: float = 2.0
@@ -284,7 +285,10 @@ class Motion:
         psi_rotor: float = 0.0,
         psi_casing: float = 0.0,
     ) -> Motion:
-        """Angles by integration of splines through at least four speeds [rad/s]; ``psi`` is that at ``time[0]``."""
+        """Angles by integration of splines through at least four speeds [rad/s].
+
+        ``psi_rotor`` and ``psi_casing`` are the angles at ``time[0]``.
+        """
         t, rotor, casing = _splines(time, omega_rotor, omega_casing)
         angles = _curve(rotor.antiderivative(), psi_rotor), _curve(casing.antiderivative(), psi_casing)
         return cls(*angles, _curve(rotor), _curve(casing), float(t[0]), float(t[-1]))

@@ -1,8 +1,10 @@
 """Acquisition of the scene: centre of rotation, disc and markers.
 
-Only the names of the colours are known beforehand. First, blobs that change between frames are collected for each
-colour, and the common centre of their circles is found. Then the disc at this centre is found. Last, each marker is
-found in rings about the centre, with its radii, width and measured shade (`find_markers`).
+Only the names of the colours are known beforehand. The score of a pixel is the difference of its colour from the
+background in the hue of a marker (`hue_score`). A strip is a ring about the centre, unrolled to rows of equal radius
+and columns of equal angle. First, blobs that change between frames are collected for each colour, and the common centre
+of their circles is found. Then the disc at this centre is found. Last, each marker is found in rings about the centre,
+with its radii, width and measured shade (`find_markers`).
 """
 
 from __future__ import annotations
@@ -58,9 +60,10 @@ class Extent:
 def aligned(
     score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_], reach: int | None = None
 ) -> Floats:
-    """Return the trimmed mean (middle quarter, robust against a hand) of the strips about a marker: (rows, columns).
+    """Return the trimmed mean of the strips about a marker over the samples `use`, (rows, columns).
 
-    The mean extends by `reach` columns to both sides of the marker, by default by the angle `REACH`.
+    The mean of the middle quarter of the values is used, because a hand may occlude the marker in some samples. The
+    strips extend by `reach` columns to both sides of the marker, by default by the angle `REACH`.
     """
     rows, columns = score.shape[1:]
     reach = _reach(columns) if reach is None else reach
@@ -116,19 +119,20 @@ def _fall(curve: Floats, level: float) -> float:
 
 
 LEAST_CONTRAST = 6.0
-"""Smallest difference of a marker from its surroundings, in chroma or, of a white marker, in luma [grey levels].
+"""Smallest difference of a marker from its surroundings, in chroma, or in luma for a white marker [grey levels].
 Chosen: a smaller value accepts noise, a larger one loses markers in dim light."""
 CLEAREST = 5.0
-"""Smallest height of a white marker in standard deviations of its ring [1]. Chosen: a smaller value accepts remains of
-other markers, a larger one loses faint ones."""
+"""Smallest brightness of a white marker above its ring, in standard deviations of the ring [1]. Chosen: a smaller value
+accepts remains of other markers, a larger one loses faint white markers."""
 LONGEST_DWELL = 0.3
-"""Largest share of samples with a marker at one angle for which their median is the background [1]. Chosen: at 0.5 the
-median shows the marker itself; a smaller value discards the background of slow bodies."""
+"""Largest share of the samples in which a marker may be at one angle if the median of the samples serves as the
+background [1]. Chosen: above 0.5 the median shows the marker itself; a smaller value discards the background of slow
+bodies."""
 
 
 @dataclass(frozen=True)
 class SampledMarker:
-    """One marker in the samples: the marker, its angle in each sample [rad], and a mask of distinct samples."""
+    """One marker in the samples: the marker, its angle [rad], and a mask of the samples that show it clearly."""
 
     marker: Marker
     angle: Floats
@@ -151,7 +155,7 @@ class Rings:
         """Median of each sample along each row, (2, n, rows, 1)."""
         return np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
 
-    # not cached, because this array and that of rings without a marker would be the largest arrays of a command
+    # not cached: this array, and the array of rings without a marker, would be the largest arrays in memory
     @property
     def foreground(self) -> Strips:
         """Difference of each sample from `background`."""
@@ -166,7 +170,7 @@ class Rings:
 def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
     """Find a coloured marker in rings about the centre.
 
-    The background is the median over the samples at every pixel. The background is the median along each row in two
+    By default, the background is the median over the samples at every pixel. It is the median along each row in two
     cases: the marker is at one angle in more than `LONGEST_DWELL` of the samples, or the patch does not have the size
     of a marker, for example if a codec leaves a residue of a marker at rest.
     """
@@ -178,15 +182,16 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
 
 
 _LEAST_CLEAR = 0.1
-"""Smallest share of the samples in which a marker is clear [1]. Chosen: a smaller value accepts chance, a larger one
-loses markers that are often occluded."""
+"""Smallest share of the samples in which a marker is clearly visible [1]. Chosen: a smaller value accepts random
+patches, a larger one loses markers that are often occluded."""
 
 
 def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
     """Find the patch of a colour in each sample.
 
-    If the background is not grey, the difference from it has another hue than the marker. The patch is found with the
-    hue of the profile and measured with its own hue; it is also found with its own hue if this selects the same patch.
+    If the background is not grey, the hue of the difference from the background is not the hue of the marker. The patch
+    is first found with the hue of the profile, and its own hue is measured. If a search with its own hue finds the same
+    patch, this hue is used instead.
     """
     score = _scores(difference, chroma_direction(wanted.colour, wanted.hue))
     own = score
@@ -234,11 +239,11 @@ def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
 
 
 _TYPICAL = 0.6
-"""Quantile of the largest scores of the samples that is typical of the marker [1]. Chosen: the marker is occluded in
-less than half of the samples, and a hand is brighter in less than a third."""
+"""Quantile, over the samples, of the largest score in a sample; it is the typical score of the marker [1]. Chosen: the
+marker is occluded in less than half of the samples, and a hand has a larger score in less than a third of them."""
 _CLEARLY = 0.5
-"""Smallest value, for a clear marker, of the largest score of a sample relative to the typical score [1]. Chosen: a
-smaller value accepts residues of the codec, a larger one loses shaded markers."""
+"""Smallest value of the largest score in a sample, divided by the typical score, for a clearly visible marker [1].
+Chosen: a smaller value accepts residues of the codec, a larger one loses shaded markers."""
 
 
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
@@ -267,8 +272,8 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
 
 
 _LEAST_KNOWN = 8
-"""Smallest number of samples with the angle of the body in the search for a white marker [samples]. Chosen: with fewer
-the mean contains other objects, with more the marker is lost in short films."""
+"""Smallest number of samples with a known angle of the body for the search for a white marker [samples]. Chosen: with
+fewer the mean contains other objects, with more the marker is lost in short films."""
 
 
 def find_white(
@@ -281,7 +286,8 @@ def find_white(
 ) -> Marker | None:
     """Find a white marker with the coloured markers of the same body, `others`, in the samples `frames`.
 
-    Frames minus their median are rotated back by the angle of the body; their median contains no table, lamps or bar.
+    The median of the frames is subtracted, and each frame is rotated back by the angle of the body. The median of the
+    rotated frames shows only what turns with the body, without table, lamps or bar.
     """
     body = _body_angles(others, len(frames))
     use = np.isfinite(body)
@@ -299,7 +305,7 @@ def find_white(
 
 
 def _body_angles(others: list[SampledMarker], count: int) -> Floats:
-    """Combine observations into the angle of the body in each of the first samples; NaN without a distinct marker."""
+    """Combine observations into the angle of the body in each of the first samples; NaN without a clear marker."""
     total = np.zeros(count, dtype=np.complex128)
     for seen in others:
         total += np.where(seen.clear[:count], np.exp(1j * (seen.angle[:count] - seen.marker.mount)), 0.0)
@@ -346,8 +352,8 @@ def _brightest_place(
 
 
 FAINTEST = 0.12
-"""Smallest contrast of a marker, relative to that of the strongest marker [1]. Chosen: a smaller value accepts residues
-of the codec, a larger one loses markers in shadow."""
+"""Smallest contrast of a marker, relative to the contrast of the strongest marker [1]. Chosen: a smaller value accepts
+residues of the codec, a larger one loses markers in shadow."""
 LEAST_SIZE = 4.5
 """Smallest side of a marker [px]. Chosen: two samples of the chroma; a smaller value accepts single noisy samples, a
 larger one refuses small markers."""
@@ -367,8 +373,8 @@ def find_markers(
     """Find the visible markers of a profile; also return `Scene.offsets` and `Scene.doubts`.
 
     Each body is searched for in a ring about the hub `centre` (x, y) [px], without the `disc`, and again about the
-    centre of its orbits if this differs. `radius` is that of the largest orbit [px], `where` the name of the film for
-    messages.
+    centre of its orbits if this centre differs from the hub. `radius` is the radius of the largest orbit [px], and
+    `where` is the name of the film for messages.
     """
     frames = samples.spread
     ring = search_ring(samples, centre, disc, radius)
@@ -417,11 +423,11 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
 
 
 LEAST_COVERED = 4.0
-"""Smallest angle covered by the samples of a body's markers for which its centre is measured [rad]. Chosen: a smaller
-value mistakes the radius of an arc for an offset, a larger one needs more samples."""
+"""Smallest angle covered by the samples of a body's markers for which the centre of the body is measured [rad]. Chosen:
+a smaller value mistakes the radius of an arc for an offset, a larger one needs more samples."""
 LEAST_TURNED = 0.5
-"""Smallest angle covered by the samples of a marker for deciding which markers turn with it [rad]. Chosen: a smaller
-value compares markers at rest, a larger one compares none in slow films."""
+"""Smallest angle covered by the samples of a marker at which it is decided which other markers turn with this marker
+[rad]. Chosen: a smaller value compares markers at rest, a larger one compares none in slow films."""
 LEAST_OFFSET = 1.0
 """Offset of the orbits from the hub below which rings about the hub are used [px]. Chosen: half a chroma sample; a
 smaller value follows noise, with a larger one the windows are off centre."""
@@ -430,8 +436,9 @@ smaller value follows noise, with a larger one the windows are off centre."""
 def orbit_offset(rings: Rings, found: list[SampledMarker]) -> tuple[float, float] | None:
     """Return the offset of the centre of a body's orbits from the centre of the rings, (x, y) in px, y downwards.
 
-    Least squares on the radii of its markers, r = rho_m + e . (cos theta, sin theta), without residuals beyond three
-    standard deviations. None unless e exceeds three standard errors and `LEAST_OFFSET`.
+    The offset e is fitted by least squares to the radii of the markers, r = rho_m + e . (cos theta, sin theta), where
+    rho_m is the radius of the orbit of marker m, and theta is the angle of the marker. Residuals beyond three standard
+    deviations are excluded. The result is None unless the length of e exceeds three standard errors and `LEAST_OFFSET`.
     """
     rows, radii, directions = [], [], []
     for k, seen in enumerate(found):
@@ -510,12 +517,12 @@ _LEAST_COMMON = 8
 """Smallest number of samples that show both markers [samples]. Chosen: with a smaller value, markers agree by chance;
 with a larger one, fewer markers are compared."""
 _NEAR = 0.2
-"""Largest difference of equal angular distances [rad]. Chosen: a smaller value separates blurred markers, a larger one
-joins bodies of similar speed."""
+"""Largest difference of two angular distances that count as equal [rad]. Chosen: a smaller value separates blurred
+markers, a larger one joins bodies of similar speed."""
 
 
 def share_together(a: SampledMarker, b: SampledMarker) -> float:
-    """Return the largest share of the samples in which two markers have the same distance; NaN for too few samples."""
+    """Return the largest share of the samples in which two markers have one angular distance; NaN for few samples."""
     both = a.clear & b.clear
     if both.sum() < _LEAST_COMMON:
         return float("nan")
@@ -525,10 +532,10 @@ def share_together(a: SampledMarker, b: SampledMarker) -> float:
 
 
 def _on_other_body(found: dict[str, SampledMarker], where: str) -> list[str]:
-    """Return the markers of one body that turn with those of the other body; a TrackingError if this is ambiguous.
+    """Return markers of one body that turn with the other body's markers; a TrackingError if this is ambiguous.
 
-    If the colours of a film are not those of the profile, the colour of a rotor marker may be nearest to that of the
-    casing. If two markers turn together, the one with fewer co-rotating markers of its body is wrong.
+    If the colours of a film differ from the profile, the colour of a rotor marker may be nearest to the colour of the
+    casing's marker. If two markers turn together, the one with fewer co-rotating markers of its body is wrong.
     """
     turning = [one for one in found.values() if covered_angle(one.angle[one.clear]) > LEAST_TURNED]
 
@@ -561,7 +568,7 @@ def _placed(observations: dict[str, SampledMarker], profile: Profile) -> dict[st
 
 
 def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
-    """Measure the mount angles of the markers of one body relative to the first of them."""
+    """Measure the mount angles of the markers of one body relative to the first marker."""
     found = []
     for seen in observations:
         first = observations[0]
@@ -572,8 +579,8 @@ def placed(observations: list[SampledMarker]) -> list[SampledMarker]:
 
 
 _OF_MODE = 0.15
-"""Largest distance from the mode of the angles that are averaged [rad]. Chosen: a smaller value averages few angles, a
-larger one includes outliers."""
+"""Largest distance of an averaged angle from the mode of the angles [rad]. Chosen: a smaller value averages few angles,
+a larger one includes outliers."""
 
 
 def _circular_mode(angle: Floats) -> float:
@@ -591,7 +598,7 @@ _NO_DISC = "There is no disc at the centre; the orbits of the markers determine 
 
 
 def acquire(samples: Samples, profile: Profile, where: str) -> Scene:
-    """Find the scene in sample frames; a TrackingError if no marker is found, or those of two bodies are confused."""
+    """Find the scene in sample frames; a TrackingError if no marker is found, or if two bodies are confused."""
     orbit = _find_orbit(samples, profile, where)
     circle = chroma_direction(profile.circle_colour, profile.circle_hue)
     disc = find_disc(samples, circle, orbit) if profile.centre == "circle" and profile.hub is None else None
@@ -637,21 +644,21 @@ def _find_orbit(samples: Samples, profile: Profile, where: str) -> Orbit | None:
 
 
 def places_of(samples: Samples, found: Sequence[list[list[Blob]]]) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """Return the positions of blobs in the luma plane, (n, 2) [px], and the number of their colour in `found`."""
+    """Return the positions of blobs in the luma plane, (n, 2) [px], and the index of their colour in `found`."""
     group = [k for k, frames in enumerate(found) for blobs in frames for _ in blobs]
     points = [samples.to_luma(b.x, b.y) for frames in found for blobs in frames for b in blobs]
     return np.array(points, dtype=np.float64), np.array(group, dtype=np.int64)
 
 
 _BEYOND = 1.1
-"""Distance of the blobs of a second body from the centre, relative to the outermost orbit [1]. Chosen: a smaller value
-includes blurred markers, a larger one misses neighbouring bodies."""
+"""Smallest distance of the blobs of a second body from the centre, relative to the outermost orbit [1]. Chosen: a
+smaller value includes blurred markers, a larger one misses neighbouring bodies."""
 
 
 def _refuse_second_body(
     orbit: Orbit, place: Floats, label: npt.NDArray[np.int64], count: int, where: str
 ) -> None:
-    """Raise a TrackingError if blobs turn about another centre, too, outside the orbits that were found."""
+    """Raise a TrackingError if blobs outside the orbits that were found turn about a second centre."""
     outer = max(orbit.radii.values())
     beyond = np.hypot(*(place - orbit.centre).T) > _BEYOND * outer
     other = common_centre(place[beyond], label[beyond])
@@ -674,7 +681,7 @@ _OVER_NOISE = 4.0
 larger one loses faint markers."""
 _OF_PEAK = 0.4
 """Smallest score of a blob, divided by the typical peak of its colour [1]. Chosen: a smaller value joins blobs with
-their surroundings, a larger one divides them."""
+their surroundings, a larger one divides blobs."""
 
 
 def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:
@@ -689,11 +696,11 @@ _DISC_SEEN = 6.0
 """Smallest score of a pixel that may belong to a disc [grey levels]. Chosen: as `LEAST_CONTRAST`; a smaller value
 searches in noise, a larger one loses faint discs."""
 _DISC_PEAK = 10.0
-"""Smallest peak, the 99th percentile of the scores, of a disc [grey levels]. Chosen: a smaller value accepts
-reflections, a larger one loses faint discs."""
+"""Smallest peak score of a disc; the peak is the 99th percentile of the scores [grey levels]. Chosen: a smaller value
+accepts reflections, a larger one loses faint discs."""
 _DISC_FILL = 0.7
-"""Smallest area of a disc without an orbit divided by that of the smallest circle about it [1]. Chosen: a full disc has
-1; a smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
+"""Smallest area of a disc, divided by the area of the smallest circle about it, if no orbit is known [1]. Chosen: a
+full disc has 1; a smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
 
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:

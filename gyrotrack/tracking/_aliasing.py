@@ -1,8 +1,8 @@
 """Temporal aliasing: different rotations that are consistent with the same film.
 
-A picture of a body with an n-fold symmetry repeats after a period p = 2 pi / n. Frames determine the rotation per
-frame only up to multiples of p: if a rotation by d per frame describes the film, d - p does as well. Tracking by
-continuity selects the smaller of the two in the first frames. A body that turns by more than p / 2 per frame therefore
+A picture of a body with an n-fold symmetry repeats after a period p = 2 pi / n. Frames determine the rotation per frame
+only up to multiples of p: if a rotation by d per frame describes the film, d - p does as well. Tracking by continuity
+selects the smaller of the two rotations in the first frames. A body that turns by more than p / 2 per frame therefore
 seems to turn backwards, and its apparent speed grows while it slows down.
 """
 
@@ -23,14 +23,14 @@ _MOST_FOLD = 48
 """Largest order of symmetry that is considered [1]. Chosen: a larger value takes fine texture for a symmetry, a smaller
 one overlooks wheels with many spokes."""
 _ALIKE = 0.5
-"""Smallest correlation of a body's picture with itself after a period for which the other rotation is tried [1].
-Chosen: a smaller value tries more rotations, which costs time; a larger one overlooks them."""
+"""Smallest correlation between a body's picture and the same picture rotated by a period, for which the other rotation
+is tried [1]. Chosen: a smaller value tries more rotations, which costs time; a larger one overlooks an alias."""
 _FAST = 0.25
-"""Smallest turn per frame, in periods, for which the other rotation is tried [1]. Chosen: slower motions leave only
-implausibly fast alternatives; a smaller value adds doubts, a larger one misses aliases."""
+"""Smallest turn per frame, in periods, for which the other rotation is tried [1]. Chosen: if the motion is slower, the
+other rotation is implausibly fast; a smaller value adds needless warnings, a larger one overlooks aliases."""
 _EQUAL = 0.02
-"""Smallest difference of the explained shares by which the pictures decide [1]. Chosen: with a smaller value, noise
-decides; a larger one leaves clear cases to the change of speed."""
+"""Smallest difference of the explained shares of two rotations that decides between them [1]. Chosen: with a smaller
+value, noise decides; with a larger one, the change of speed decides even if the pictures are clear."""
 _STEADY = 0.02
 """Smallest relative change of the speed that counts as speeding up or slowing down [1]. Chosen: with a smaller value,
 noise decides; a larger one leaves slow decays undecided."""
@@ -59,7 +59,7 @@ def symmetries(template: Template) -> list[int]:
 
 _ONE_WAY = 0.95
 """Smallest share of the steps in one sense for which another rotation is tried [1]. Chosen: an oscillation has no
-alternative; a smaller value tries one, a larger one leaves noisy rotations aliased."""
+alternative; a smaller value tries another rotation for an oscillation, a larger one leaves noisy rotations aliased."""
 
 
 def unaliased(
@@ -67,11 +67,11 @@ def unaliased(
 ) -> Alias:
     """Select one of the rotations that are consistent with a film.
 
-    The rotation that explains more (`explained`) of the changes of brightness is selected. If two explain equally
-    much, the rotation that slows down is selected, because a free body slows down. If both are steady, the slower
-    rotation is selected, with a warning. Whole periods per frame are subtracted first, unless the pictures contradict.
-    `angle` (n,) are angles tracked by continuity, counter-clockwise [rad], in the frames `frame`; the picture
-    `template` was averaged at these angles.
+    `explained` returns the share of the changes of brightness that a rotation explains. The rotation with the larger
+    share is selected. If the shares are equal, the rotation that slows down is selected, because a free body slows
+    down. If both rotations are steady, the slower one is selected, with a warning. Whole periods per frame are
+    subtracted first, unless this reduces the explained share. `angle` (n,) are angles tracked by continuity,
+    counter-clockwise [rad], in the frames `frame`; the picture `template` was averaged at these angles.
     """
     steps = np.diff(angle) / np.diff(frame)
     usual = float(np.median(steps))
@@ -100,15 +100,15 @@ def unaliased(
         if not other_slows or (slows and fastest < 0.5 * period):
             # two steady rotations cannot be distinguished
             if fastest > 0.5 * period or not (slows or other_slows):
-                return Alias(angle, _warning(angle, other, frame, period, chosen="slower at first"))
+                return Alias(angle, _warning(angle, other, frame, period, chosen="that is slower at first"))
             continue
         return Alias(other, _warning(other, angle, frame, period, chosen="that slows down"))
     return Alias(angle, None)
 
 
 _FEWEST = 10
-"""Number of angles that must be exceeded to determine a change of the speed [frames]. Chosen: with fewer, noise
-decides; with more, short films remain aliased."""
+"""Number of angles above which a change of the speed is determined [frames]. Chosen: with fewer, noise decides; with
+more, short films remain aliased."""
 
 
 def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
@@ -132,7 +132,7 @@ def doubtful(
 
 
 def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
-    """Return the mean turn per frame in the first and in the last fifth."""
+    """Return the mean turn per frame in the first and in the last fifth of the angles."""
     fifth = max(2, len(angle) // 5)
     first, last = (
         float((angle[b] - angle[a]) / (frame[b] - frame[a])) for a, b in ((0, fifth), (-1 - fifth, -1))
@@ -141,7 +141,7 @@ def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
 
 
 def _growth(angle: Floats, frame: npt.NDArray[np.int64]) -> float:
-    """Return the relative change of the speed from the first to the last fifth; NaN if the sense changes."""
+    """Return the relative change of speed from the first to the last fifth of the angles; NaN if the sense changes."""
     first, last = _ends(angle, frame)
     return math.nan if first * last <= 0 else abs(last) / abs(first) - 1.0
 
@@ -168,6 +168,6 @@ def _warning(
         else f"The body looks the same when rotated by {math.degrees(period):.0f} degrees. "
     )
     return (
-        f"{alike}The film fits a rotation of {words(taken)} and one of {words(other)}; the one "
+        f"{alike}Two rotations fit the film: {words(taken)}, and {words(other)}. The rotation "
         f"{chosen} is used. {remedy}"
     )

@@ -74,26 +74,26 @@ Bools = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
 _TRIAL = 300
-"""Frames on which a candidate for the hub is evaluated [frames]. Chosen: a smaller number shows little motion, a larger
-one costs time."""
+"""Number of frames on which a candidate for the hub is evaluated [frames]. Chosen: a smaller number shows little
+motion, a larger one costs time."""
 _EXCERPT = 300
-"""Frames that `read_excerpt` reads [frames]. Chosen: equal to `_TRIAL`; a larger number costs time, a smaller one shows
-little motion."""
+"""Number of frames that `read_excerpt` reads [frames]. Chosen: equal to `_TRIAL`; a larger number costs time, a smaller
+one shows little motion."""
 _LEARNT = 300
-"""Frames from which the template is estimated [frames]. Chosen: a smaller number gives a noisier template, a larger one
-costs time and memory."""
+"""Number of frames from which the template is estimated [frames]. Chosen: a smaller number gives a noisier template, a
+larger one costs time and memory."""
 _HUB_FRAMES = 100
-"""Frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: a smaller number gives an
-uncertain hub, a larger one costs time."""
+"""Number of frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: a smaller number
+gives an uncertain hub, a larger one costs time."""
 _PATH_SETTLED = 0.02
-"""Step that ends the iterations for the displacement of a body far from its hub, in one frame [px]. Chosen: a larger
-value stops early, a smaller one costs time."""
+"""Step below which the iterations for the displacement of a body far from its hub end, in one frame [px]. Chosen: a
+larger value stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
 """Number of iterations for the hub of a body far from it [iterations]. Chosen: a smaller number stops before distance
 and template agree, a larger one costs time."""
 _FEWEST_STEPS = 4.0
-"""Effective number, (sum s)^2 / (sum s^2), of the steps from frame to frame in which a body turns [1]. Chosen: a
-smaller value mistakes a cut for a rotation, a larger one refuses short motions."""
+"""Smallest effective number, (sum s)^2 / (sum s^2), of the steps s by which a body turns from frame to frame [1].
+Chosen: a smaller value mistakes a cut for a rotation, a larger one refuses short motions."""
 _DISPLACED = 0.05
 """Smallest distance of a better hub from the given hub that triggers a warning [radii]. Chosen: a smaller value warns
 of accurate hubs, a larger one accepts biased angles."""
@@ -116,27 +116,27 @@ _OUTSIDE = 0.85
 Chosen: rotation about such a hub resembles translation; a smaller value accepts translation, a larger one refuses
 pendulums."""
 _SHOWN = 0.33
-"""Largest share of a ring inside the picture for which `_OUTSIDE` applies [1]. Chosen: of a body in a corner a smaller
-share is visible; a larger value refuses cut discs, a smaller one accepts translation."""
+"""Largest share of a ring inside the picture for which `_OUTSIDE` applies [1]. Chosen: a body in a corner of the
+picture shows a smaller share; a larger value refuses cut discs, a smaller one accepts translation."""
 _WHOLE = 0.9
 """Smallest moving share of the picture for which the camera may turn about a hub outside the picture [1]. Chosen: a
 smaller value refuses bodies that fill the picture, a larger one accepts moving cameras."""
 _UNDETERMINED = 0.25
-"""Largest error of the angles due to the hub, relative to their standard deviation, that is accepted [1]. Chosen: too
-small a distance of the hub enlarges all angles; at this limit amplitude and period of a pendulum do not determine each
-other."""
+"""Largest accepted error of the angles due to the hub, divided by the standard deviation of the angles [1]. Chosen: if
+the assumed hub is too near, all angles are too large; at this limit the amplitude of a pendulum does not determine its
+period."""
 _AS_MUCH = 1.1
-"""Largest ratio of the unexplained share with another hub to that with the best hub, for which both are reported [1].
-Chosen: a smaller value hides rivals, a larger one reports worse hubs."""
+"""Largest unexplained share with another hub, divided by the unexplained share with the best hub, for which both hubs
+are reported [1]. Chosen: a smaller value hides alternatives, a larger one reports worse hubs."""
 _OTHER_RANGE = 0.05
-"""Smallest relative difference of the ranges of the angles about two hubs for which both are reported [1]. Chosen: a
-smaller value reports equal answers, a larger one hides different answers."""
+"""Smallest relative difference of the ranges of the angles about two hubs for which both hubs are reported [1]. Chosen:
+a smaller value reports hubs with equal angles, a larger one hides different angles."""
 _AS_GOOD = 0.8
 """Smallest explained share of a second body, relative to the best candidate, that makes the film ambiguous [1]. Chosen:
 a smaller value refuses films with shadows, a larger one may choose the wrong body."""
 _GIVEN_IS_NEAR = 0.8
 """Explained share about a given hub below which proposed hubs near it are also tried [1]. Chosen: a local search finds
-only a true hub that is near; a smaller value misses a more distant one, a larger one costs time."""
+the true hub only if it is near; a smaller value overlooks a distant hub, a larger one costs time."""
 _HOPELESS = 0.3
 """Explained share, relative to the best candidate or to the required share, below which a candidate is not refined [1].
 Chosen: refinement is the slowest step; a smaller value costs time, a larger one may omit the true hub."""
@@ -147,48 +147,49 @@ _CLEAR = 0.6
 """Smallest explained share for which a candidate is refined immediately [1]. Chosen: with a smaller value, more
 candidates are refined; with a larger one, all candidates are first refined cheaply."""
 _FEW_FRAMES = 12
-"""Frames of the cheap refinement of a candidate [frames]. Chosen: with fewer, noise decides; with more, the refinement
-takes longer."""
+"""Number of frames of the cheap refinement of a candidate [frames]. Chosen: with fewer, noise decides; with more, the
+refinement takes longer."""
 _FEW_STEPS = 3
-"""Iterations of the cheap refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger one
-costs time."""
+"""Number of iterations of the cheap refinement of a candidate [iterations]. Chosen: a smaller number stops early, a
+larger one costs time."""
 _PROMISING = 0.85
 """Fraction of the required share that the cheap refinement must reach [1]. Chosen: few frames are explained better than
 many; a smaller value refines more candidates, a larger one may omit the true hub."""
 _SCREEN_SIZE = 320
-"""Smallest length of the longer side of a reduced frame [px]. Chosen: time; a smaller value loses the marks of small
-bodies."""
+"""Smallest length of the longer side of a reduced frame [px]. Chosen: a larger value costs time, a smaller one loses
+the marks of small bodies."""
 _SCREEN_AREA = 1000
-"""Smallest moving area of the reduced frames for which they are used for screening [px2]. Chosen: a smaller value
-refuses small bodies, a larger one screens fewer films."""
+"""Smallest moving area in the reduced frames for which these frames are used for screening [px2]. Chosen: a smaller
+value refuses small bodies, a larger one screens fewer films."""
 _SCREENED = 0.75
 """Factor of the required share in reduced frames [1]. Chosen: reduced frames lose detail; a larger value refuses films
 that the full frames explain, a smaller one costs time."""
 _STEPS = 6
-"""Iterations of the refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger one costs
-time."""
+"""Number of iterations of the refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger
+one costs time."""
 _FRAMES = 60
-"""Frames for the refinement of a candidate [frames]. Chosen: a smaller number gives an uncertain hub, a larger one
-costs time."""
+"""Number of frames for the refinement of a candidate [frames]. Chosen: a smaller number gives an uncertain hub, a
+larger one costs time."""
 _TILTED = 0.35
 """Smallest tilt of the axis that the result states [rad]. Chosen: cos 0.35 = 0.94; a smaller value reports noise, a
 larger one hides a tilt."""
 _ELSEWHERE = 0.2
-"""Smallest ratio of the moving area outside the best ring to that within it for which a second body is searched for
-[1]. Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
+"""Smallest ratio of the moving area outside the best ring to the moving area within it for which a second body is
+searched for [1]. Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
 _COUPLED = 0.55
-"""Smallest ratio of the moving area outside the best ring to that within it for which a second body may act on the
-first [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with one link tracked."""
+"""Smallest ratio of the moving area outside the best ring to the moving area within it for which a second body may act
+on the first body [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with one link
+tracked."""
 _STRETCH_SPAN = 3.0
 """Smallest range of the angle for which the ellipse due to a tilted camera is fitted [rad]. Chosen: about half a turn;
-with a smaller value the ellipse is undetermined, with a larger one it is not corrected."""
+with a smaller value the ellipse is undetermined, with a larger one the tilt is not corrected."""
 _STATIC_SPAN = 1.0
 """Smallest range of the angle for which a fixed picture is always part of the model [rad]. Chosen: a smaller value
 confuses the fixed picture with the body, a larger one leaves glare in the template."""
 _CLEARLY_BETTER = 0.02
-"""Smallest increase of the explained share for which a fixed picture is part of the model at smaller ranges [1].
-Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds it due to noise, a larger one omits
-it."""
+"""Smallest increase of the explained share for which a fixed picture is part of the model at ranges below
+`_STATIC_SPAN` [1]. Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds this picture due
+to noise, a larger one omits it."""
 
 
 class NothingMovesError(RefusedFilmError):
@@ -261,7 +262,7 @@ def _track_stabilised(
             raise
         raise RefusedFilmError(
             f"The camera moves in {film.path.name}, by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad "
-            "rms, and no body that turns about a hub is found after this is compensated.",
+            "rms, and no body that turns about a hub is found after this motion is compensated.",
             "Film with the camera on a stand, or give a point to follow with --point X,Y.",
             kind="moving camera",
             evidence={**error.evidence, "shake_px": shake.rms},
@@ -282,11 +283,11 @@ def read_excerpt(
 
 
 def _with_shake(found: Tracked, shake: Shake) -> Tracked:
-    """Add the uncertainty of the compensation: s / r for a displacement s at the radius r, and that of the roll."""
+    """Add the uncertainty of the compensation: s / r for a displacement s at the radius r, and the roll's error."""
     share = math.hypot(shake.shift_sigma / (0.5 * (found.ring.inner + found.ring.outer)), shake.roll_sigma)
     text = (
         f"The camera moves by {shake.rms:.2g} px rms and {1e3 * shake.roll.std():.2g} mrad rms; {shake.features} "
-        f"features of the background are used to compensate this. "
+        f"features of the background are used to compensate this motion. "
         f"The uncertainty of the compensation is {1e3 * share:.2g} mrad and is included."
     )
     # the last warning is the doubt, if there is one
@@ -308,7 +309,8 @@ def _track(
         largest = float(cv2.blur(motion.deviation, (3, 3)).max())
         raise NothingMovesError(
             f"Nothing moves in {film.path.name}: the brightness of {1e6 * moving:.0f} of a million pixels changes by "
-            f"more than 4 standard deviations of the noise ({motion.noise:.1f} grey levels), by at most {largest:.1f}.",
+            f"more than 4 standard deviations of the noise ({motion.noise:.1f} grey levels). The largest change is "
+            f"{largest:.1f} grey levels.",
             "Check the film and the illumination; a body that turns by more than one turn during an exposure "
             "shows no motion.",
             kind="no motion",
@@ -429,7 +431,7 @@ def _track(
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Candidates to be refined; if there are none, the best of all, and the share that it must explain."""
+    """Candidates to be refined, the best of all candidates, and the share that the best one must explain."""
 
     kept: Sequence[_Trial]
     best: _Trial | None
@@ -441,7 +443,8 @@ def _candidates(
 ) -> _Candidates:
     """Propose hubs unless the hub is given, track about each, and keep the candidates that may explain enough.
 
-    Before the refinement, which is the slowest step, a candidate must reach the fraction `share` of the required share.
+    The refinement is the slowest step. Before it, the explained share of a candidate must reach limits that are
+    proportional to `share`.
     """
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
@@ -569,13 +572,13 @@ def _refuse_translation(name: str, block: StoredPictures, motion: Motion, best: 
 
 def _loose_doubt(moved: float, allowed: float) -> str:
     return (
-        f"The hub moves by {moved:.1f} px; that of a body on an axle moves by {allowed:.1f} px at most. The "
+        f"The hub moves by {moved:.1f} px; the hub of a body on an axle moves by at most {allowed:.1f} px. The "
         "body may also translate, or several bodies may move: look at the picture of the body (.png)."
     )
 
 
 def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float, allowed: float) -> NoReturn:
-    """Raise a RefusedFilmError for a body whose hub moves by more than `allowed` for a body on an axle [px]."""
+    """Raise a RefusedFilmError for a body whose hub moves by more than `allowed` [px], so it is not on an axle."""
     raise RefusedFilmError(
         f"No body in {name} turns about a fixed axis: the hub of the best candidate, at "
         f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "
@@ -621,11 +624,11 @@ def refuse_link(name: str, block: StoredPictures, motion: Motion, best: _Trial) 
 
 
 def rival_hub(found: Sequence[tuple[tuple[float, float], float, Floats, float]], chosen: int) -> str | None:
-    """Return a warning if rotation about another hub explains the film as well as the chosen one, with both answers.
+    """Return a warning with both hubs if rotation about another hub explains the film as well as the chosen one.
 
     `found` contains the hub [px], the outer radius of the ring [px], the angles [rad] and the explained share of each
-    candidate. Another hub is reported if its unexplained share is at most `_AS_MUCH` times as large, and if the range
-    of the angle differs by more than `_OTHER_RANGE`.
+    candidate. Another hub is reported if its unexplained share is at most `_AS_MUCH` times the unexplained share of the
+    chosen hub, and if the ranges of the angles differ by more than `_OTHER_RANGE`.
     """
     (x, y), outer, angle, score = found[chosen]
     for k, ((u, v), _, other, share) in enumerate(found):
@@ -668,7 +671,7 @@ def _doubt_of_hub(trial: _Trial, given: _Trial, block: StoredPictures, motion: M
 
 
 def _second_body(block: StoredPictures, motion: Motion, best: _Trial) -> _Trial | None:
-    """Return a body outside the best ring that a rotation explains as well; None if there is none."""
+    """Return a second body outside the best ring whose picture a rotation explains; None without such a body."""
     if elsewhere(motion.moving, best.ring) < _ELSEWHERE:
         return None
     rest = replace(motion, moving=_outside(motion.moving, best.ring))
@@ -748,10 +751,10 @@ bodies for jumps, a larger one hides jumps."""
 
 
 def _steadiness(trial: _Trial) -> float:
-    """Return the share of the frames without a jump: the step changes by no more than its typical size.
+    """Return the share of the frames without a jump, which is a change of the step by more than its typical size.
 
     For a body with equal parts, for example spokes with a static shadow, angles that repeatedly jump back by one part
-    explain the film at least as well.
+    explain the film at least as well as the true angles.
     """
     step = np.diff(trial.angle)
     limit = max(float(np.median(np.abs(step))), _LEAST_BEND * trial.ring.step)
@@ -1057,7 +1060,7 @@ class _BodyPath:
     radius: float  # r: distance of the body from the hub [px]
     theta: Floats  # (n,) angle of the position about the hub, 0 in the middle [rad]
     bend: float  # b [px]
-    # its standard uncertainty, with correlated residuals and position-dependent errors [px]
+    # standard uncertainty of b; it includes correlated residuals and position-dependent errors [px]
     bend_sigma: float
     across: float  # c [px]
 
@@ -1091,17 +1094,18 @@ class _BodyPath:
 def _at_distance_of_path(
     ring: Ring, pictures: Sequence[Plane], angle: Floats, area: Area, *, separate: bool
 ) -> tuple[Ring, Floats, float]:
-    """Return ring and angles with the hub at the distance given by the curvature of the path, and its uncertainty.
+    """Return ring and angles with the hub at the distance given by the curvature of the path, and the distance's error.
 
-    If a body is far from its hub, its displacements are precise, but its rotation, from which the distance is first
-    estimated, is not; moreover, the ball of a pendulum need not turn with its thread. The hub is moved if the path
-    contradicts it by more than three standard uncertainties. The uncertainty is relative; for a straight path it is
-    infinite.
+    The displacements of a body far from its hub are precise. Its rotation, from which the distance is first estimated,
+    is not precise; moreover, the ball of a pendulum need not turn with its thread. The hub is moved if its distance
+    differs by more than three standard uncertainties from the distance given by the path. The error returned is the
+    standard uncertainty divided by the distance; for a straight path it is infinite.
     """
     plain, moved = True, False
     for _ in range(_PATH_ROUNDS):
         shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
-        # first with the same variance for all samples: variances of a template about a wrong hub hide its radial blur
+        # first with the same variance for all samples, because the variances of a template about a wrong hub hide the
+        # radial blur of this template
         template = learn(shown, angle, ring.inside(area), ring, separate=separate, plain=plain)
         path = _BodyPath.of(pictures, angle, template)
         wrong, sigma = path.bend / path.radius, path.bend_sigma / path.radius
@@ -1152,8 +1156,8 @@ def _finish(
         warnings.append(
             f"The axis of rotation is tilted by {math.degrees(tilt[0]):.0f} degrees relative to the line of sight (the "
             f"orbits are ellipses with an axis ratio of {math.cos(tilt[0]):.2f} and the short axis at "
-            f"{math.degrees(tilt[1]):.0f} degrees): the angles are those in the plane of the body. The film does "
-            "not show which side of the body is nearer; the sense of rotation is the one seen."
+            f"{math.degrees(tilt[1]):.0f} degrees): the angles are measured in the plane of the body. The film "
+            "does not show which side of the body is nearer; the sense of rotation is stated as seen."
         )
     repeated = int(film.selected.sum()) - len(usable)
     if repeated:

@@ -1,9 +1,9 @@
 """Association: one coarse, unwrapped angle per frame.
 
 The input is a score over all angles in each frame, which is large where the markers of the body match the picture. A
-lock determines angle and angular rate from several frames. Each later frame is searched only near the predicted angle,
-so that no other object of the same colour is tracked. When the body is lost, the motion is extrapolated until a new
-lock is found.
+search over several frames, called a lock, determines angle and angular rate. Each later frame is searched only near the
+predicted angle, so that no other object of the same colour is tracked. When the body is lost, the motion is
+extrapolated until a new lock is found.
 """
 
 from __future__ import annotations
@@ -25,22 +25,23 @@ FEWEST = 16
 """Smallest number of recent angles for a prediction [frames]. Chosen: more than twice the 7 parameters; a smaller
 number predicts badly, a larger one delays the fast search."""
 LONGEST_USE = 130
-"""Frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; a larger number extrapolates too far, a
-smaller one costs time."""
+"""Number of frames after which the fit is repeated [frames]. Chosen: about `MEMORY`; a larger number extrapolates too
+far, a smaller one costs time."""
 LEAST_SCATTER = 1.5e-3
 """Lower limit of the scatter of a coarse angle [rad]. Chosen: a smaller value rejects good angles of quiet films, a
 larger one widens the search."""
 VIEW_ERROR = 0.05
-"""Prior standard deviation of the harmonics of orders 1 and 2 of an oblique view [rad]. Chosen: the t^2 / 4 of a tilt t
-of 0.45 rad; a smaller value ignores tilts, a larger one fits noise."""
+"""Prior standard deviation of the harmonics of orders 1 and 2 of an oblique view [rad]. Chosen: t^2 / 4 for a tilt t of
+0.45 rad; a smaller value ignores tilts, a larger one fits noise."""
 
 
 class Prediction:
     """Prediction of the angle of a body from its last angles, for a smooth motion seen by an oblique camera.
 
-    The angle at frame x is a + b x + c x^2 + d cos psi + e sin psi + f cos 2 psi + g sin 2 psi, where psi = a + b x +
-    c x^2. With X the rows of these functions, s the scatter about the fit and P the prior precision of d to g times
-    s^2, the standard uncertainty is s sqrt(x' (X'X + P)^-1 x).
+    The angle at frame x is a + b x + c x^2 + d cos psi + e sin psi + f cos 2 psi + g sin 2 psi, where psi = a + b x + c
+    x^2. The matrix X contains these functions at the known frames, and the vector v contains them at the predicted
+    frame. s is the scatter about the fit, and P is s^2 times the prior precision of d to g. The standard uncertainty is
+    s sqrt(v' (X'X + P)^-1 v).
     """
 
     def __init__(self) -> None:
@@ -106,11 +107,11 @@ def _robust(rows: Floats, value: Floats, prior: Floats) -> tuple[Floats, Floats,
 
 
 LOCK_FRAMES = 24
-"""Frames that are scored together until a body is found [frames]. Chosen: a smaller number locks to other objects, a
-larger one needs a uniform speed for longer."""
+"""Number of frames that are scored together until a body is found [frames]. Chosen: a smaller number locks to other
+objects, a larger one needs a uniform speed for longer."""
 LONGEST_COAST = 40
-"""Frames without the body after which its prediction is no longer trusted [frames]. Chosen: a smaller number loses
-turns behind an obstacle, a larger one follows a wrong motion."""
+"""Number of frames without the body after which its prediction is no longer trusted [frames]. Chosen: a smaller number
+loses turns behind an obstacle, a larger one follows a wrong motion."""
 REACH = 0.35
 """Half width of the search window about a prediction [rad]. Chosen: a smaller value loses bodies that change their
 speed, a larger one finds other objects."""
@@ -152,10 +153,10 @@ def find_lock(
 
 
 _IN_PHASE = 0.25
-"""Largest distance of an angle from an even advance that is in phase with it [rad]. Chosen: a smaller value rejects
-noisy angles, a larger one accepts random ones."""
+"""Largest deviation from a uniform advance of an angle that is in phase with this advance [rad]. Chosen: a smaller
+value rejects noisy angles, a larger one accepts random angles."""
 _LOCKED = 0.7
-"""Smallest share of the angles in phase with an even advance [1]. Chosen: a smaller value locks to other objects, a
+"""Smallest share of the angles in phase with a uniform advance [1]. Chosen: a smaller value locks to other objects, a
 larger one fails with occlusions."""
 
 
@@ -240,10 +241,10 @@ larger one ignores short films."""
 
 
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
-    """Return the factor (+1 or -1) that makes the angles increase: `given`, or by each body's rotation as seen [rad].
+    """Return the factor (+1 or -1) that makes the angles increase: `given`, or the sign of the `turns` as seen [rad].
 
     The casing has priority, because it never turns by half a turn between frames; next is the rotor. The default is
-    clockwise, as in the paper.
+    clockwise, as in the films of the paper (V. Tanrıverdi and A. Erbasan, arXiv:2605.06700).
     """
     if given is not None:
         return given

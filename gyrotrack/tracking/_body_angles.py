@@ -111,11 +111,11 @@ class BodyView:
         return replace(common, offset=found.offset | common.offset) if common.offset else found
 
     def reference(self, flat: Flattening) -> list[str]:
-        """Return the markers with a known offset: the coloured ones (see `coloured`), or all if there are none."""
+        """Return the markers with a known offset: the coloured markers (see `coloured`), or all if none is coloured."""
         return [name for name in self.coloured if name in flat.offset] or list(flat.offset)
 
     def with_arcs(self, flat: Flattening, centre: Floats) -> Flattening:
-        """Add the offsets of markers that cover only an arc; the mean offset of the other markers is expected."""
+        """Add the offsets of markers that cover only an arc; their prior mean is the mean offset of other markers."""
         absent = [name for name in self.observations if name not in flat.offset]
         if not absent:
             return flat
@@ -129,7 +129,7 @@ class BodyView:
     def flattening_of_arc(
         self, centre: Floats, reference: Flattening, shift: Floats, size: float
     ) -> Flattening:
-        """Take the tilt from another body, and fit offsets to the arcs of the markers (see `flattening_of_arc`)."""
+        """Take the tilt from another body, and fit offsets to the arcs (see the function `flattening_of_arc`)."""
         usual = usual_error_by_place(self)
         return flattening_of_arc(reference, self._orbits(centre), shift, size, usual)
 
@@ -179,15 +179,17 @@ Measured: rms over films of many kinds."""
 
 
 _BETTER = 4.0
-"""Smallest reduction of the mean squared residual of the radii for which another path of the hub is preferred, in
-standard errors [1]. Chosen: a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
+"""Smallest reduction of the mean squared residual of the radii, in standard errors, for which another path of the hub
+is preferred [1]. Chosen: a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
 _TOGETHER = 16
 """Number of frames over which the errors of radii are taken as correlated [frames]. Chosen: twice `HOLE`; a smaller
 value overstates the significance, a larger one leaves few groups."""
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
-    """Select the hub path about which the radii of the markers vary least; the first one unless another is better.
+    """Select the path of the hub about which the radii of the markers vary least.
+
+    The first path is selected unless another one is better by `_BETTER` standard errors.
 
     An error n of the centre changes the radius of a marker in the direction of the unit vector r by -n . r. Errors of
     the radii are independent of errors of the disc.
@@ -219,8 +221,8 @@ def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
     The disc then moves on a circle about the axis, at the angle c of the casing. Its offset d is constant in the frame
     of the casing. With the unit vector r, d changes the radius of a rotor marker at the angle a by -d . r(a - c), and
     displaces the marker tangentially by at most |d| sin(a - c). The markers of the casing are displaced equally in all
-    frames. d is fitted to the radii together with the offset and the flattening of each orbit, and subtracted if this
-    reduces their scatter.
+    frames. d is fitted to the radii together with the offset and the flattening of each orbit. It is subtracted if this
+    reduces the scatter of the radii.
     """
     if "casing" not in views or "rotor" not in views:
         return path
@@ -278,11 +280,11 @@ def _squares(path: CentrePath, views: dict[str, BodyView], flat: dict[str, Flatt
 
 _MOST_CHANGE = 50.0
 """Upper limit of the ratio of a squared residual to its typical value [1]. Chosen: a marker that is mistaken for
-another one is an outlier; with a larger value it dominates the mean, a smaller one hides camera shake."""
+another one is an outlier; with a larger value such an outlier dominates the mean, a smaller one hides camera shake."""
 
 
 def _is_better(before: Floats, after: Floats) -> bool:
-    """Return whether squared residuals are significantly smaller than those before, on average over the markers."""
+    """Return whether squared residuals `after` are significantly smaller than `before`, averaged over the markers."""
     gain = []
     for one, other in zip(before, after, strict=True):
         use = np.isfinite(one) & np.isfinite(other)
@@ -347,9 +349,10 @@ LEAST_PLACES = 14
 def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
     """Return the position-dependent error of the radii of a body in one component of one harmonic [px].
 
-    Orders that neither an offset nor a tilt causes determine it. The mean over the markers is used, because a shadow
-    displaces all of them equally at each place. This estimate and the typical error are estimates of one variance. A
-    marker that is seen at only a few places, in step with the frames, contains no information.
+    It is determined from the orders that neither an offset nor a tilt causes. The mean over the markers is used,
+    because a shadow displaces all of them equally at each place. The result combines this estimate with the typical
+    error, as two estimates of one variance. A marker that is seen at only a few places, in step with the frames,
+    contains no information.
     """
     usual = usual_error_of_harmonic(body_view)
     found = []
@@ -365,10 +368,10 @@ def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening
 
 
 def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView], error: float) -> complex:
-    """Return the common p + i q of all bodies: one camera sees them, so the ellipses of their orbits are equal.
+    """Return the flattening p + i q of all bodies: one camera sees them, so the ellipses of their orbits are equal.
 
-    The component across the tilt is an error. The component along the tilt cannot be negative: it is the posterior mean
-    for a normally distributed `error` and a uniform prior from 0.
+    The component of p + i q across the direction of the tilt is an error. The component along the tilt cannot be
+    negative: it is the posterior mean for a normally distributed `error` and a uniform prior from 0.
     """
     total, number = 0j, 0
     for name, one in flat.items():
@@ -397,8 +400,8 @@ def _azimuth(tilt: complex, error: float, flat: dict[str, Flattening], views: di
 
 
 HEIGHT = 0.03
-"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of its orbit [1]. Derived: 1
-mm divided by a radius of 35 mm."""
+"""Standard deviation of the height of the hub's disc above the casing's marker, in radii of the orbit of this marker
+[1]. Derived: 1 mm divided by a radius of 35 mm."""
 LUMA_SHIFT = 0.5
 """Distance by which the luma of a marker may be displaced from the chroma [px]. Derived: conventions for the place of
 chroma samples differ by half a luma pixel."""
@@ -419,7 +422,7 @@ def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float
 
 
 def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
-    """Return the typical position-dependent error of the mean of markers [px]; the part of illumination is common."""
+    """Return the typical position-dependent error of the mean of markers [px]; the part due to light is common."""
     return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
 
 
@@ -434,21 +437,21 @@ def _shrunk(found: Floats, error: float) -> Floats:
 
 
 def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
-    """Return the position-dependent errors of a body [px] without the first harmonic, at least the typical error."""
+    """Return the position-dependent error of a body [px] without the first harmonic, at least the typical error."""
     learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
     left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
     return max(left, min(learnt, usual_error_by_place(body_view)))
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the axis of a fast body from angles minus that from radii, (2,) [px] (y up), shrunk for their errors."""
+    """Return the axis of a fast body from angles minus its axis from radii, (2,) [px], y up, shrunk for its error."""
     off = _axis_by_angles(body_view, flat, body)
     known = max(len(body_view.reference(flat)), 1)
     return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, known))
 
 
 def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the mean over the markers of the axis from angles minus that from radii, (2,) [px], y up; 0 if unknown."""
+    """Return the axis from angles minus the axis from radii, (2,) [px], y up, averaged over markers; 0 if unknown."""
     off = [body.axis_off[m] * body_view.radius for m in body_view.reference(flat) if m in body.axis_off]
     return np.mean([(z.real, z.imag) for z in off], axis=0) if off else np.zeros(2)
 
@@ -459,13 +462,13 @@ def separate_perspective(
     """Return the flattening of the casing's orbit about a marked hub, with perspective separated from its offset.
 
     Perspective enlarges the near half of a circle about e: its radius varies once per turn, as for a circle about a +
-    e, with a proportional to the square of the radius, while its angles are those about e. The markers of the rotor
-    turn fast, so their angles determine e, and their radii determine a.
+    e, where a is proportional to the square of the radius, while its angles are the angles about e. The markers of the
+    rotor turn fast, so their angles determine e, and their radii determine a + e.
 
     The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
     and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or the offset of
-    the rotor, if the disc is above both bodies. Both have the uncertainty `_height_error`. All measurements have
-    position-dependent errors.
+    the rotor, if the disc is above both bodies. Both expected values have the uncertainty `_height_error`. All
+    measurements have position-dependent errors.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -521,8 +524,8 @@ def _tilt_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Flo
 Integers = npt.NDArray[np.int64]
 
 _FAR = 0.05
-"""Smallest range of the centre, relative to the radius of the orbit, for which its motion is followed [1]. Chosen: a
-smaller value follows noise, a larger one uses the mean position of a moving hub."""
+"""Smallest range of the positions of the centre, relative to the radius of the orbit, for which the motion of the
+centre is followed [1]. Chosen: a smaller value follows noise, a larger one uses the mean position of a moving hub."""
 
 
 @dataclass(frozen=True)
@@ -566,7 +569,7 @@ def _join_fresh(seen: FilmObservations, scene: Scene, profile: Profile, fps: flo
 
 
 def _time_base(times: FrameTimes) -> TimeBase | None:
-    """Return the times of all frames, also of missing ones; None if frames are counted."""
+    """Return the times of all frames, including missing frames; None if frames are counted."""
     if times.place is None:
         return None
     return TimeBase(np.interp(np.arange(times.number[-1] + 1), times.number, times.place), times.sigma)
@@ -621,7 +624,8 @@ def _join_even(
 def _unalias(bodies: dict[str, BodyAngles], given: int | None) -> list[str]:
     """Replace a rotation of the rotor that speeds up by its alias that slows down, because nothing drives the rotor.
 
-    A rotation whose sense the casing or the profile determines is kept. Return a warning if both are possible.
+    A rotation whose sense the casing or the profile determines is kept. Return a warning if both rotations are
+    possible.
     """
     casing = net_turn(bodies["casing"].angle) if "casing" in bodies else 0.0
     if given is not None or "rotor" not in bodies or abs(casing) > SENSE_TURN:
@@ -657,10 +661,11 @@ def _followed(
     fps: float,
     time_base: TimeBase | None,
 ) -> tuple[dict[str, BodyAngles], list[str]]:
-    """Combine the markers of each body; the casing twice, because the markers of the rotor pass beneath its marker.
+    """Combine the markers of each body; join the casing twice, because markers of the rotor pass beneath its marker.
 
-    If a body turns too little to measure its position-dependent errors, it gets typical errors combined with those of
-    the other body, in px: illumination and encoder are the same, but the surroundings of the markers are not.
+    If a body turns too little to measure its position-dependent errors, it gets typical errors combined with the errors
+    of the other body, in px: illumination and encoder are the same for both bodies, but the surroundings of the markers
+    differ.
     """
     candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
 
@@ -757,14 +762,14 @@ def by_texture(
     time_base: TimeBase | None = None,
     others: Sequence[Floats] = (),
 ) -> BodyAngles:
-    """Return a body with the angles of its texture if their averages are better than those of its markers.
+    """Return a body with the angles of its texture if their averages are better than averages from its markers.
 
     The zeros of the templates follow from the markers (`template_zeros`). A marker that passes a marker of another body
-    has an error; `others` are the angles of these bodies, (n,) [rad] each. If the body makes only a few turns, all
+    has an error; `others` are the angles of the other bodies, (n,) [rad] each. If the body makes only a few turns, all
     templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
-    marker (`join`). If position-dependent errors that the zones share cannot be estimated, they are at least
-    `error_of_ring`, for `usual` [px] and the mean `radius` of the markers [px]: in a compressed film a body at rest has
-    one error in all zones.
+    marker (`join`). If position-dependent errors common to the zones cannot be estimated, they are assumed to be at
+    least `error_of_ring`, computed from `usual` [px] and the mean `radius` of the markers [px], because in a compressed
+    film a body at rest has one error in all zones.
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     # an error that repeats in each turn does not change the zeros of batches
@@ -825,9 +830,10 @@ def by_texture(
 
 
 RING_ERROR = 0.055
-"""Position-dependent error of a slow ring measured about its own view, rms [px]. Measured: in eleven films by two other
-renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers, 0.054 px rms. A ring whose
-view is unknown has the error of a marker, because an encoder repeats pictures of a slow body."""
+"""Position-dependent error of a slow ring whose oblique view is determined from the ring itself, rms [px]. Measured: in
+eleven films by two other renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers,
+0.054 px rms. A ring whose view is unknown has the error of a marker, because an encoder repeats pictures of a slow
+body."""
 LEAST_PERIODIC = 0.3e-3
 """Standard deviation of the amplitudes of an error once and twice per turn of a slow casing, in addition to the errors
 of centre and flattening [rad]. Measured: in the slow frames of five rendered films, the amplitudes exceeded these
@@ -837,16 +843,17 @@ LEVEL = 0.005
 rendered films of a near camera with a tilt of 0.15 rad (flattening 0.0056), the rms error of the angles is 0.75 to 1.2
 standard uncertainties over more than 0.6 turns, but 1.1 to 1.6 over half a turn; with 0.08 rad, 0.9 to 1.1."""
 _ALMOST_ALL = 0.95
-"""Smallest share of the frames of a ring that must be measured about its own view [1]. Chosen: the other frames have
-the angles of the markers; a smaller value mixes different errors, a larger one fails for a few disturbed frames."""
+"""Smallest share of the frames of a ring that must be measured with the view determined from the ring itself [1].
+Chosen: the other frames have the angles of the markers; a smaller value mixes different errors, a larger one fails for
+a few disturbed frames."""
 
 
 def periodic_error(texture: TextureObservations, centre: Floats, flattening: float, learnt: Mask) -> float:
     """Return the largest standard deviation of the amplitudes of an error once and twice per turn [rad].
 
     The errors of the frames `learnt` (n,) are known and removed from all frames. The remaining errors of the `centre`
-    (n,) [px] and of the `flattening` are due to the difference of the responses of the templates. Shading also changes
-    with motion blur; it causes at least `LEAST_PERIODIC`.
+    (n,) [px] and of the `flattening` are due to the difference between the responses of the templates. Shading also
+    changes with motion blur; it causes at least `LEAST_PERIODIC`.
     """
     squares = np.zeros(len(centre))
     for moments, error in ((texture.first, np.hypot(centre, CENTRE_ERROR)), (texture.second, flattening)):
@@ -859,14 +866,14 @@ def periodic_error(texture: TextureObservations, centre: Floats, flattening: flo
 
 
 def error_of_ring(ring: TextureObservations, usual: float) -> float:
-    """Return the position-dependent error of a ring [px]: `RING_ERROR` about its own view, otherwise `usual` [px]."""
+    """Return the position-dependent error of a ring [px]: `RING_ERROR` with its own view, otherwise `usual` [px]."""
     known = np.isfinite(ring.angle)
     own = known & (ring.own_view > 0.0)
     return RING_ERROR if own.sum() > _ALMOST_ALL * known.sum() else usual
 
 
 def _best_ring(body: BodyObservations, flattening: float) -> TextureObservations | None:
-    """Return the ring about its own view if the body is always slow, otherwise about the view of the markers.
+    """Return the ring measured with its own view if the body is always slow, otherwise with the view of the markers.
 
     Errors that repeat in each turn are estimated from the fast frames of a film, and must be valid for all frames. The
     markers of all bodies determine an oblique view, with a large `flattening`, better than one ring, because of
@@ -893,12 +900,13 @@ smaller value keeps angles with slow errors, a larger one accepts much noise."""
 
 
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
-    """Return whether the averages of new angles over `_AVERAGED` have a smaller error than those of the markers.
+    """Return whether the averages of new angles over `_AVERAGED` have a smaller error than averages from the markers.
 
     The two angles differ by their white errors and by an error that does not average out: a marker that passes the
-    marker of another body has an error, and this error is slow where the passages are in step with the frames. With the
-    variance V of the differences of the averages of m frames, the excess V - (sigma_1^2 + sigma_2^2) / m is attributed
-    to the marker, because a ring averages over its circumference.
+    marker of another body has an error, and this error varies slowly where the passages are in step with the frames. V
+    is the variance of the differences between the two averages over m frames, and sigma_1 and sigma_2 are the standard
+    deviations of the white errors. Then the excess V - (sigma_1^2 + sigma_2^2) / m is attributed to the marker, because
+    a ring averages over its circumference.
     """
     both = np.flatnonzero(np.isfinite(found.angle) & np.isfinite(body.angle))
     if not len(both):
@@ -946,12 +954,12 @@ _REST = 0.05
 """Largest range of the angle of a body at rest [rad]. Chosen: a smaller value calls noise a motion, a larger one hides
 a slow body."""
 _TURNS = 1.0
-"""Smallest range of the angle of the other body for which that body is rotating [rad]. Chosen: a smaller value omits a
-body although the other one hardly turns, a larger one keeps angles of the background."""
+"""Smallest range of the angle of the other body for which the other body counts as rotating [rad]. Chosen: a smaller
+value omits a body although the other body hardly turns, a larger one keeps angles of the background."""
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:
-    """Return whether a body is at rest while the other one turns."""
+    """Return whether a body is at rest while the other body turns."""
     known = body.angle[np.isfinite(body.angle)]
     turns = bool(np.nanmax(other.angle) - np.nanmin(other.angle) > _TURNS)
     return turns and len(known) > 0 and bool(np.ptp(known) < _REST)

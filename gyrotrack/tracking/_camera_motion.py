@@ -5,8 +5,9 @@ features of the background move as one rigid picture in all frames, independent 
 roll of the background are compensated before any other measurement.
 
 A background without features that can be tracked, for example the grain of wood, is registered as a whole by the
-enhanced correlation coefficient (G. Evangelidis, E. Psarakis, IEEE Trans. PAMI 30, 1858, 2008). It determines the roll;
-the displacement is that of the hub's disc, because a grain determines the displacement along its direction poorly.
+enhanced correlation coefficient (G. Evangelidis, E. Psarakis, IEEE Trans. PAMI 30, 1858, 2008). This registration
+determines the roll. The displacement is taken from the disc of the hub, because a grain poorly determines the
+displacement along its direction.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _MOST = 400
 """Largest number of features of a frame [features]. Chosen: a larger number costs time, a smaller one leaves few
 features in the background."""
 _FEWEST = 6
-"""Smallest number of inliers [features]. Chosen: with fewer, they may belong to a small body; with more, plain
+"""Smallest number of inliers [features]. Chosen: with fewer, the inliers may belong to a small body; with more, plain
 backgrounds are refused."""
 _ALIKE = 0.7
 """Largest residual of a feature of the background from the motion of the picture [px]. Chosen: a smaller value rejects
@@ -37,7 +38,7 @@ _STILL = 0.35
 motion that is noise, a larger one ignores a shaking camera."""
 _OFTEN = 0.8
 """Smallest share of frames in which a feature of the background is an inlier [1]. Chosen: a hand or the body may
-occlude it; a smaller value accepts a body that is sometimes at rest."""
+occlude the feature; a smaller value accepts a body that is sometimes at rest."""
 _MOST_ROLL = 0.05
 """Largest roll of the camera [rad]. Chosen: a body that turns farther is not the background; a smaller value refuses
 cameras that roll."""
@@ -49,7 +50,7 @@ _TRIES = 300
 outliers is 1 - 0.99^300 = 95 %."""
 _WIDEST_BODY = 0.05
 """Smallest share of the picture within the features of its background [1]. Chosen: the ball of a pendulum in front of a
-blank wall covers less; a larger value refuses narrow backgrounds."""
+blank wall covers a smaller share; a larger value refuses narrow backgrounds."""
 _CLEAR = 5.0
 """Smallest significant motion of the camera in standard uncertainties [1]. Chosen: a smaller value corrects noise, a
 larger one leaves a shake."""
@@ -60,7 +61,7 @@ frames needlessly, a larger one leaves a shake."""
 
 @dataclass(frozen=True)
 class Shake:
-    """Displacement of the picture in each frame."""
+    """Displacement and roll of the picture in each frame."""
 
     shift: Floats  # displacement (x, y) of the picture at `centre` from the reference frame [px], (n, 2)
     roll: Floats  # rotation of the picture, clockwise in the picture [rad]
@@ -138,8 +139,8 @@ def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> 
 
 
 _DISSIMILAR = 20.0
-"""Largest difference of the surroundings of a tracked feature in two frames [grey levels]. Chosen: a smaller
-value loses features in flicker, a larger one keeps occluded ones."""
+"""Largest difference of the surroundings of a tracked feature in two frames [grey levels]. Chosen: a smaller value
+loses features in flicker, a larger one keeps occluded features."""
 
 
 def background(
@@ -260,7 +261,7 @@ def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | 
 
 
 def _significant_roll(roll: Floats, sigma: float) -> tuple[Floats, float]:
-    """Return a roll (n,) [rad] and its standard uncertainty; zero if it is not significant (a tripod on a table)."""
+    """Return a roll (n,) [rad] and its standard uncertainty; zero if it is not significant, as on a tripod."""
     if roll.std() >= _CLEAR * sigma:
         return roll, sigma
     return np.zeros(len(roll)), float(np.sqrt(max(roll.var() - sigma**2, 0.0)))
@@ -280,11 +281,11 @@ _KERNEL = 5
 grain."""
 _PATCH = 70
 """Width of the patches of the background that are assigned in turn to its two halves [px]. Measured: in a path-traced
-film the halves give 0.11 mrad for an error of 0.10 mrad, in a drawn one 0.14 for 0.06; patches of 40 px give several
-times the error, patches of 126 px half of it."""
+film the halves give 0.11 mrad for an error of 0.10 mrad, in a drawn film 0.14 mrad for 0.06 mrad; patches of 40 px give
+several times the error, patches of 126 px half of the error."""
 _HALVES_EVERY = 16
-"""Distance between the frames in which the halves of the background are compared [frames]. Chosen: a smaller one costs
-time, a larger one leaves few differences."""
+"""Distance between the frames in which the halves of the background are compared [frames]. Chosen: a smaller distance
+costs time, a larger one leaves few differences."""
 
 
 def background_roll(frames: Iterable[Plane], body: tuple[float, float, float]) -> Shake | None:
@@ -292,7 +293,7 @@ def background_roll(frames: Iterable[Plane], body: tuple[float, float, float]) -
 
     `body` is centre (x, y) and radius [px] of the bodies in the first frame. The displacement of the result is zero at
     this centre. The standard uncertainty of the roll follows from the differences between two halves of the background.
-    A roll that is not significant is zero, with its rms beyond the noise as standard uncertainty.
+    A roll that is not significant is replaced by zero; its standard uncertainty is then its rms beyond the noise.
     """
     roll, apart, masks = [], [], []
     warp = [np.eye(2, 3, dtype=np.float32) for _ in range(3)]

@@ -18,17 +18,17 @@ _COARSE = 48.0
 """Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
 marks of the second body."""
 _OF_REST = 0.4
-"""Smallest share that a second rotation explains of the change not explained by the first one [1]. Measured: less than
-0.2 for one body with light fixed in the image or a displaced hub."""
+"""Smallest share, explained by a second rotation, of the change that the first rotation does not explain [1]. Measured:
+less than 0.2 for one body with light fixed in the image or a displaced hub."""
 _OF_ALL = 0.05
-"""Smallest explained share of the whole change, for a second rotation [1]. Measured: less than 0.03 for one body with
+"""Smallest share of the whole change that a second rotation explains [1]. Measured: less than 0.03 for one body with
 light fixed in the image or a displaced hub."""
 _LESS_OF_REST = 0.2
-"""As `_OF_REST`, for a rotation that explains at least `_MORE_OF_ALL` of the whole change [1]. Measured: 0.22 for a
-rendered rotor in a slowly turning casing."""
+"""Limit that replaces `_OF_REST` for a rotation that explains at least `_MORE_OF_ALL` of the whole change [1].
+Measured: 0.22 for a rendered rotor in a slowly turning casing."""
 _MORE_OF_ALL = 0.1
-"""Share of the whole change from which `_LESS_OF_REST` applies instead of `_OF_REST` [1]. Measured: 0.13 for a rendered
-rotor in a slowly turning casing, less than 0.03 for one body."""
+"""Smallest explained share of the whole change for which `_LESS_OF_REST` replaces `_OF_REST` [1]. Measured: 0.13 for a
+rendered rotor in a slowly turning casing, less than 0.03 for one body."""
 _APART = 0.2
 """Smallest standard deviation of the difference of two angles, divided by the larger of their standard deviations, for
 different motions [1]. Measured: up to 0.1 for one body with a displaced hub, whose residual picture turns with the
@@ -45,7 +45,7 @@ class SecondRotation:
     Attributes
     ----------
     angle : ndarray, shape (n,)
-        Its angle in each frame, clockwise as seen [rad].
+        Angle of this part in each frame, clockwise as seen [rad].
     of_rest, of_all : float
         Explained share of the change of brightness that the first body does not explain, and of the whole change.
     """

@@ -1,8 +1,10 @@
-"""The near corners of a marker from fitted edges, and the uncertainty of the paper.
+"""The near corners of a marker from fitted edges, and the uncertainty of the angle as defined in the paper.
 
-Notation, for one frame: C the centre, P_1 and P_2 the two near corners, M their midpoint, rho = |M - C| the
-radius, delta = |P_2 - P_1| the base, beta the angle between the base and the radius; bars are averages over
-the clip. Ideally delta and rho are constant and beta is a right angle. Then
+The paper is V. Tanrıverdi and A. Erbasan, arXiv:2605.06700.
+
+Notation, for one frame: C the centre, P_1 and P_2 the two near corners, M their midpoint, rho = |M - C| the radius,
+delta = |P_2 - P_1| the base, beta the angle between the base and the radius; mean() is the average over the clip.
+Ideally delta and rho are constant and beta is a right angle. Then
 
     u_r  = |rho - mean(rho)| / mean(rho)                                 (relative, one for both corners)
     u_1k = |angle(M +- mean(delta)/2 * e_base)  - angle(P_k)|            (average base, measured direction)
@@ -36,11 +38,14 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 FACTOR_R = 30.0
-"""Factor of u_r in the uncertainty of the paper [rad]. Source: formula of the paper, see the module docstring."""
+"""Factor of u_r in the uncertainty as defined in the paper [rad]. Source: V. Tanrıverdi and A. Erbasan,
+arXiv:2605.06700; see the module docstring."""
 FACTOR_1 = 150.0
-"""Factor of u_1 in the uncertainty of the paper [1]. Source: formula of the paper, see the module docstring."""
+"""Factor of u_1 in the uncertainty as defined in the paper [1]. Source: V. Tanrıverdi and A. Erbasan, arXiv:2605.06700;
+see the module docstring."""
 FACTOR_2 = 150.0
-"""Factor of u_2 in the uncertainty of the paper [1]. Source: formula of the paper, see the module docstring."""
+"""Factor of u_2 in the uncertainty as defined in the paper [1]. Source: V. Tanrıverdi and A. Erbasan, arXiv:2605.06700;
+see the module docstring."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +130,9 @@ def near_corners(
 ) -> tuple[Floats, Floats]:
     """Return radius [px] and angle [rad] of the near corners of a marker in n windows, (n, 2), the lower angle first.
 
-    The score is 0 on the background and 1 on the marker, which is near the middle column; `radii` of the rows and
-    `angles` of the columns are evenly increasing; `inner` and `outer` are typical radii of the near and the far edge.
-    NaN where an edge is not found.
+    The score is 0 on the background and 1 on the marker, which is near the middle column. The `radii` of the rows and
+    the `angles` of the columns increase uniformly. `inner` and `outer` are typical radii of the near and the far edge.
+    The results are NaN where an edge is not found.
     """
     left, right = _side_edges(window, radii, angles, inner, outer)
     if not np.isfinite(left[0] + right[0]).any():

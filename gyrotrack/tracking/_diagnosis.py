@@ -26,10 +26,11 @@ Frames = npt.NDArray[np.int64]
 Complexes = npt.NDArray[np.complex128]
 
 _PAIRS = 16
-"""Pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes longer."""
+"""Number of pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes
+longer."""
 _LAGS = (1, 2, 4, 8)
 """Lags between the frames of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
-longer ones lose features of fast bodies."""
+longer lags lose features of fast bodies."""
 _STEP = 1.0
 """Smallest displacement of a feature in motion [px]. Chosen: a smaller value includes noise, a larger one needs
 longer lags."""
@@ -55,53 +56,54 @@ _NO_HUB = 0.3
 about a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held by
 hand."""
 MOSTLY_TRANSLATES = 0.7
-"""Limit as `_NO_HUB`, if the hub moves less than the rim, as the hub of a suspended body does [1]. Measured: 0.40 for a
-real trifilar table that fills 40 % of the picture, 0.94 to 0.97 for drawn and real cameras held by hand."""
+"""Limit that replaces `_NO_HUB` if the hub moves less than the rim, like the hub of a suspended body [1]. Measured:
+0.40 for a real trifilar table that fills 40 % of the picture, 0.94 to 0.97 for drawn and real cameras held by hand."""
 _SECOND = 0.25
-"""Smallest share of the moving features that are outliers of the first motion, for a second body [1]. Chosen: a
-smaller value finds a second body in outliers, a larger one overlooks a small one."""
+"""Smallest share of the moving features that are outliers of the first motion, for a second body [1]. Chosen: a smaller
+value finds a second body in outliers, a larger one overlooks a small second body."""
 _EXPLAINED = 0.5
-"""Smallest share of the outliers of the first motion that are inliers of the second motion [1]. Chosen: a smaller
-value finds a second body in outliers, a larger one overlooks a blurred one."""
+"""Smallest share of the outliers of the first motion that are inliers of the second motion [1]. Chosen: a smaller value
+finds a second body in outliers, a larger one overlooks a blurred second body."""
 _OTHER_TURN = 0.3
-"""Smallest relative difference of the rotations of two bodies [1]. Chosen: a smaller value divides a deformed picture,
-a larger one overlooks links of similar speed."""
+"""Smallest relative difference of the rotations of two bodies [1]. Chosen: a smaller value takes a deformed picture for
+two bodies, a larger one overlooks links of similar speed."""
 _LEAST_TURN = 2e-3
 """Smallest rotation of each of two bodies [rad]. Chosen: a smaller value takes translation for rotation, a larger one
 overlooks slow bodies."""
 _LINKED = 0.25
-"""Smallest spread of the fixed point of a moving hub from pair to pair, divided by the reach of the features [1].
-Chosen: a smaller value takes noise for a link, a larger one overlooks links."""
+"""Smallest scatter, from pair to pair, of the fixed point of a body with a moving hub, divided by the largest distance
+of the features of a body from its hub [1]. Chosen: a smaller value takes noise for a link, a larger one overlooks
+links."""
 _COAXIAL = 0.15
-"""Smallest distance of two separate fixed points, divided by the reach of the features [1]. Chosen: a smaller value
-refuses rotor and casing as two hubs, a larger one joins neighbouring bodies."""
+"""Smallest distance of two separate fixed points, divided by the largest distance of the features of a body from its
+hub [1]. Chosen: a smaller value refuses rotor and casing as two hubs, a larger one joins neighbouring bodies."""
 _CUT = 2.5
 """Smallest change of a frame at a cut, divided by the largest other change near the cut [1]. Chosen: a smaller value
 finds a cut in a flash, a larger one overlooks a cut."""
 _CUT_REACH = 12
-"""Distance within which the other changes are compared [frames]. Chosen: a smaller value compares few, a larger one
-includes other cuts."""
+"""Distance from a cut within which other changes are compared with it [frames]. Chosen: a smaller value compares few
+changes, a larger one includes other cuts."""
 _CUT_LEAST = 6.0
 """Smallest change of a frame at a cut [grey levels]. Chosen: a smaller value finds cuts in noise, a larger one
 overlooks cuts between similar shots."""
 _REMAINS = 0.5
-"""Smallest difference of the mean pictures before and after a cut, relative to its change [1]. Chosen: a fast body
-changes every frame, but not the mean of several; a larger value overlooks cuts."""
+"""Smallest difference of the mean pictures before and after a cut, relative to the change of the frame at the cut [1].
+Chosen: a fast body changes every frame, but not the mean of several frames; a larger value overlooks cuts."""
 _SHOT = 12
 """Length of the shortest shot [frames]. Chosen: a smaller value averages too few frames, a larger one overlooks short
 titles."""
 _SMEARED = 0.12
-"""Smallest detail along the circles of a ring, divided by the detail across them, of a sharp picture, in noise-free
-gradients [1]. Chosen: it names the cause of a refusal; a smaller value overlooks blur, a larger one calls discs with
-rings blurred."""
+"""Smallest detail along the circles of a ring, divided by the detail across them, for a sharp picture; the gradients of
+the noise are subtracted [1]. Chosen: only the stated cause of a refusal depends on it; a smaller value overlooks blur,
+a larger one calls discs with rings blurred."""
 FOLLOW_LINKS = (
     "Follow the joint and a point of the second link; give their positions in the first frame, in this order: "
     "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
 )
 _FAINT = 3.0
-"""Smallest change (rms) of the picture in a ring with detail, in standard deviations of the noise [1].
-Chosen: it names the cause of a refusal; a smaller value overlooks faint marks, a larger one names them as the cause
-wrongly."""
+"""Smallest change (rms) of the picture in a ring with detail, in standard deviations of the noise [1]. Chosen: only the
+stated cause of a refusal depends on it; a smaller value overlooks faint marks, a larger one wrongly states them as the
+cause."""
 
 
 class RefusedFilmError(TrackingError):
@@ -161,7 +163,7 @@ class Pair:
     step: Complexes  # [px]
 
     def motion(self, among: Bools) -> RigidMotion | None:
-        """Return the rigid motion of most of some features; None for fewer than `_FEWEST`."""
+        """Return the rigid motion of most of the features `among`; None for fewer than `_FEWEST` features."""
         if among.sum() < _FEWEST:
             return None
         z0, z1 = self.place[among], (self.place + self.step)[among]
@@ -300,8 +302,8 @@ def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float,
     """Return the motion of the whole picture, or None if it turns about a hub.
 
     The result contains the median displacement of the features per frame [px], the share of the features that move
-    together, and the rms residual of the displacements after the fit of a rotation about the best hub, relative to
-    their rms.
+    together, and the rms residual of the displacements after the fit of a rotation about the best hub, divided by the
+    rms displacement.
     """
     steps, shares, left, right = [], [], [], []
     at_rest = 0
@@ -346,11 +348,11 @@ class TwoMotions:
     """Two bodies that turn differently: medians over the pairs of frames."""
 
     hubs: tuple[complex, complex]  # fixed points of both motions, x + i y [px]
-    spread: tuple[float, float]  # median distance of the fixed points of the pairs from these medians [px]
+    spread: tuple[float, float]  # median distance of the fixed points of the pairs from `hubs` [px]
     places: tuple[complex, complex]  # centroids of the features of both bodies [px]
     shares: tuple[float, float]  # shares of the moving features
-    ratio: float  # rotation of the second divided by that of the first
-    joined: bool = False  # whether both move a joint, at a fixed distance from a hub, in the same way
+    ratio: float  # rotation of the second body divided by the rotation of the first
+    joined: bool = False  # whether both motions displace a joint, at a fixed distance from a hub, equally
 
     @property
     def moving(self) -> int:
@@ -360,12 +362,12 @@ class TwoMotions:
 
     @property
     def linked(self) -> bool:
-        """Whether one body turns about a hub and the other about a joint on this body, as in a double pendulum."""
+        """Whether one body turns about a hub, the other about a joint on the first body, as in a double pendulum."""
         return self.moving == 1 and self.joined
 
     @property
     def coaxial(self) -> bool:
-        """Whether both turn about one hub, as rotor and casing of a gyroscope."""
+        """Whether both bodies turn about one hub, as rotor and casing of a gyroscope."""
         reach = max(abs(self.places[k] - self.hubs[k]) for k in (0, 1))
         return abs(self.hubs[0] - self.hubs[1]) < _COAXIAL * max(reach, 1.0)
 
@@ -463,7 +465,7 @@ def detail(ring: Ring, frames: Sequence[Plane], noise: float) -> tuple[float, fl
     """Return the rms change of a ring divided by the noise, and the ratio of the detail along and across circles.
 
     The detail is the rms gradient per px in each direction, less the gradient of the noise. If a body turns by several
-    of its details during an exposure, its detail along the circles is smeared.
+    times the width of a detail during an exposure, its detail along the circles is smeared.
     """
     polars = np.stack([ring.unwrap(frame) for frame in frames]).astype(np.float64)
     inside = np.broadcast_to(np.isfinite(polars), polars.shape)

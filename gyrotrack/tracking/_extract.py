@@ -105,8 +105,8 @@ def body_track(
 ) -> BodyTrack:
     """Build the record of one body from the frames in which its angle is known.
 
-    `sigma_paper` is the paper's uncertainty of the mean of the unoccluded markers of a frame, sqrt(sum sigma_m^2) / n,
-    and NaN without such markers.
+    `sigma_paper` is the uncertainty as defined in the paper (see `_corners`), for the mean of the n unoccluded markers
+    of a frame: sqrt(sum sigma_m^2) / n. It is NaN without such markers.
     """
     use = np.isfinite(body.angle)
     angle, sigma = sense * body.angle[use], body.sigma[use]
@@ -127,8 +127,8 @@ def body_track(
 
 
 _MOST_PARTS = 1000
-"""Largest number of parts of a film whose uncertainty is stored [1]. Chosen: an attribute of HDF5 holds 4000; a smaller
-number rounds the change of the uncertainty in long films."""
+"""Largest number of parts of a film whose uncertainty is stored [1]. Chosen: an attribute of HDF5 can contain 4000; a
+smaller number rounds the change of the uncertainty in long films."""
 
 
 def _profile(parts: Floats, time: Floats) -> tuple[tuple[float, float], ...]:
@@ -365,8 +365,8 @@ LEAST_TRACKED = 0.8
 """Smallest share of frames with an angle for which no warning is given [1]. Chosen: a smaller value accepts poor
 films, a larger one doubts films with a hand at the start."""
 _STEPS = 12
-"""Frames over which the speed on either side of a gap is measured [frames]. Chosen: a smaller number measures noise, a
-larger one includes a change of the speed."""
+"""Number of frames over which the speed on either side of a gap is measured [frames]. Chosen: a smaller number measures
+noise, a larger one includes a change of the speed."""
 
 
 def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[str, ...]:
@@ -384,9 +384,9 @@ def _doubts(scene: Scene, bodies: dict[str, BodyTrack], time: Floats) -> tuple[s
 
 
 _FEWEST_CORNERS = 0.05
-"""Smallest share of the frames in which the near corners of one of the paper's markers are found [1]. Measured: 0.06
-and more for each marker of 60 rendered films, 1 for that of a slow casing; 0 for the red tips of a wind turbine. A
-larger value doubts films of a blurred rotor, a smaller one accepts coloured patches of other bodies."""
+"""Smallest share of the frames in which the near corners of a rectangular paper marker are found [1]. Measured: 0.06
+and more for each marker of 60 rendered films, 1 for the marker of a slow casing, 0 for the red tips of a wind turbine.
+A larger value doubts films of a blurred rotor, a smaller one accepts coloured patches of other bodies."""
 
 
 def has_corners(markers: Iterable[MarkerTrack]) -> bool:

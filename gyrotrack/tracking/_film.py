@@ -50,14 +50,13 @@ class Tilt:
 
 
 _HELD = 600_000_000
-"""Largest size of the decoded pictures that are kept in temporary files [bytes]. Chosen: disk; longer films are decoded
-for each pass."""
+"""Largest size of the decoded pictures that are kept in temporary files [bytes]. Chosen: a larger value needs more disk
+space; with a smaller one, more films are decoded again in each pass."""
 _FILE = 32_000_000
-"""Size of one temporary file [bytes]. Chosen: memory; a larger file occupies more pages, a smaller one opens more
-files."""
+"""Size of one temporary file [bytes]. Chosen: a larger file occupies more memory, a smaller size opens more files."""
 _RELEASES = 2
-"""Number of parts of a temporary file after which its pages are released [1]. Chosen: memory; with more, pages are
-released earlier, which costs time."""
+"""Number of parts of a temporary file; after each part its pages are released [1]. Chosen: a smaller number occupies
+more memory, a larger one costs time."""
 
 
 class Film:
@@ -125,7 +124,7 @@ class Film:
         return self.count
 
     def stabilise(self, shake: Shake | None) -> None:
-        """Compensate the motion of the camera in all frames from now on; None: no compensation."""
+        """Compensate the motion of the camera in all frames that are read from now on; None: no compensation."""
         self._shake = shake
 
     @property
@@ -170,7 +169,7 @@ class Film:
         return self._first_field is not None
 
     def _count_fields(self, count: int) -> None:
-        """Replace rate and timestamps of the frames by those of the fields."""
+        """Replace rate and timestamps of the frames by the rate and timestamps of the fields."""
         step = np.diff(self.stamps)
         period = float(np.median(step)) if len(step) else float("nan")
         self.stamps = np.stack([self.stamps, self.stamps + 0.5 * period], axis=1).ravel()[:count]
@@ -231,7 +230,7 @@ class Film:
         return plane if self._shake is None else self._shake.stabilised(plane, index)
 
     def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> StoredPictures:
-        """Return chosen frames, in the order of their numbers."""
+        """Return the frames with the numbers `index`, in ascending order."""
         wanted = {int(i) for i in index}
         first, stop = min(wanted), max(wanted) + 1
         chosen = (f for i, f in enumerate(self.frames(first, stop), first) if i in wanted)
@@ -246,8 +245,8 @@ def reduced(frame: Plane, factor: int) -> Plane:
 
 
 _EXAMINED = 12
-"""Frames that show whether a film is interlaced [frames]. Chosen: a smaller number may show no motion, a larger one
-costs time."""
+"""Number of frames that show whether a film is interlaced [frames]. Chosen: a smaller number may show no motion, a
+larger one costs time."""
 
 
 def _interlacing(path: Path) -> int | None:
@@ -281,7 +280,7 @@ def is_coloured(path: Path, frames: int = 12) -> bool:
 
 _DARK = 32
 """Smallest grey level at which brightness is proportional to a power of the light [grey levels]. Chosen: a smaller
-value includes pixels of the black level, a larger one leaves few."""
+value includes pixels of the black level, a larger one leaves few pixels."""
 _BRIGHT = 235
 """Largest grey level at which brightness is proportional to a power of the light [grey levels]. Source: white of
 limited range in ITU-R BT.601; brighter pixels are saturated."""
@@ -299,8 +298,8 @@ flicker then exceeds all other changes; a smaller value amplifies noise, a large
 class _Flicker:
     """Gain of each frame relative to the first one: the common ratio of most pixels, robust against moving bodies.
 
-    Brightness is measured from black, which is 0, or 16 in films of limited range (ITU-R BT.601). The level for which
-    the typical pixel varies less is used.
+    Brightness is measured from black, which is 0, or 16 in films of limited range (ITU-R BT.601). Of these two levels,
+    the one for which the typical pixel varies less is used.
     """
 
     def __init__(self) -> None:
@@ -350,21 +349,21 @@ the variance 1 / 12."""
 def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> float:
     """Return the mean absolute difference of two pictures, apart from flicker of the illumination.
 
-    Without this correction, frames taken at the same flicker phase differ less than others, as if they were repeated.
+    Without this correction, frames taken at the same flicker phase differ so little that they seem to be repeated.
     """
     gain = float(after.mean()) / max(float(before.mean()), 1.0)
     return float(np.mean(np.abs(after - np.float32(gain) * before)))
 
 
 _NEIGHBOURS = 9
-"""Frames of the running quantile about a frame [frames]. Chosen: a larger number follows changes of the speed late, a
-smaller one is dominated by repeats."""
+"""Number of frames of the running quantile about a frame [frames]. Chosen: a larger number follows changes of the speed
+late, a smaller one is dominated by repeats."""
 _MOVING = 7
 """Rank of the typical change among `_NEIGHBOURS` frames [1]. Chosen: a lower rank is a repeat where few
 frames are new, a higher one is an outlier."""
 _REPEATED = 0.1
-"""Largest change of a repeated frame, relative to the typical one [1]. Chosen: a smaller value keeps repeats that were
-encoded again, a larger one drops frames of slow motion."""
+"""Largest change of a repeated frame, relative to the typical change [1]. Chosen: a smaller value keeps repeats that
+were encoded again, a larger one drops frames of slow motion."""
 
 
 FEWEST_FRAMES = 10

@@ -1,14 +1,14 @@
 """One pass through a film, part by part, in several processes.
 
-A film is split at key frames into parts that depend on the film alone. Maps of illumination and occlusion are common
-to the whole film. Maps from one part alone would be based on fewer passages of the markers, and the angles would be
-less precise. The maps are learnt from the first frames of some parts. The windows of these frames are stored in a
-temporary file and then measured with the maps of all these parts, without being decoded again. Each part is tracked by
-a copy of the tracker with these maps. Templates and motion are learnt within the part, so that the result does not
-depend on the number of processes.
+A film is split at key frames into parts that depend on the film alone. Maps of illumination and occlusion are common to
+the whole film. Maps from one part alone would be based on fewer passages of the markers, and the angles would be less
+precise. The maps are learnt from the first frames of some parts. The windows about the markers in these frames are
+stored in a temporary file. They are later measured with the maps of all these parts, and the frames are not decoded
+again. Each part is tracked by a copy of the tracker with these maps. Templates and motion are learnt within the part,
+so that the result does not depend on the number of processes.
 
 A part extends by `OVERLAP` frames into the next part. These frames determine the number of turns between the unwrapped
-angles of the two parts. Their measurements are taken from the earlier part, which already has templates.
+angles of the two parts. The measurements of these frames are taken from the earlier part, which already has templates.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ LEAST_PART = 400
 """Smallest number of frames of a part [frames]. Chosen: enough for illumination and templates; a smaller number gives
 noisy templates, a larger one leaves few parts."""
 OVERLAP = 64
-"""Frames that two neighbouring parts share [frames]. Chosen: a smaller number leaves the turns between parts uncertain,
-a larger one costs time because these frames are tracked twice."""
+"""Number of frames that two neighbouring parts share [frames]. Chosen: a smaller number leaves the turns between parts
+uncertain, a larger one costs time because these frames are tracked twice."""
 LEARNT = 256
 """Smallest number of frames at the beginning of a part for the maps of illumination and occlusion [frames]. Chosen: a
 smaller number gives noisy maps, a larger one delays the start."""
@@ -74,8 +74,8 @@ MOST_LEARNT = 8
 """Largest number of parts whose beginnings are used for the maps of illumination and occlusion [1]. Chosen: the cost
 does not grow with the film; a larger number costs time, a smaller one gives noisier maps."""
 _RATE = 24
-"""Frames on either side of a seam whose mean speed continues the angle [frames]. Chosen: a smaller number gives a noisy
-speed, a larger one includes a change of the speed."""
+"""Number of frames on either side of a gap between parts; their mean speed extrapolates the angle over the gap
+[frames]. Chosen: a smaller number gives a noisy speed, a larger one includes a change of the speed."""
 _STAMPS = "stamps"
 
 
@@ -274,7 +274,7 @@ def _run(task: Task[T], film: Film, part: Part, threads: int, count: Callable[[i
 
 
 class PartWorkers:
-    """Processes that track parts of a film: `workers` including the caller (default: one per core).
+    """The processes that track parts of a film: `workers`, including the caller (default: one per core).
 
     A single part is tracked without a further process.
     """

@@ -36,8 +36,8 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 LEAST_SCORE = 0.4
-"""Smallest score of an angle at which the body is visible, relative to the height of one marker [1]. Chosen: a smaller
-value follows noise, a larger one loses shaded markers."""
+"""Smallest score of an angle at which the body is visible; a fully visible marker has the score 1 [1]. Chosen: a
+smaller value follows noise, a larger one loses shaded markers."""
 MARGIN = 0.05
 """Largest distance of a marker from its prediction [rad]. Chosen: with a smaller value, whole rings are searched more
 often; with a larger one, more samples are needed."""
@@ -138,7 +138,7 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
-        """Refine coarse angles (n,) by coloured markers, with weights height^8 for occlusions; also return a mask."""
+        """Refine coarse angles (n,) by coloured markers, with small weights if occluded; also return a mask."""
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
@@ -203,7 +203,7 @@ class BodyTracker:
         return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
     def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
-        """Find the body again after `begin` and track it backwards; otherwise extrapolate, which keeps the turns."""
+        """Find the body again after `begin` and track it backwards; otherwise extrapolate the number of turns."""
         old = self._motion
         place = np.cumsum(np.append(0.0, advance[begin:-1]))
         lock = find_lock(score[begin:], LEAST_SCORE, old.step if old else 0.0, place)
@@ -244,13 +244,14 @@ Progress = Callable[[int, int | None], None]
 RINGS = ("texture", "aligned")  # observations of a ring (see `TextureTracker.measure`)
 
 BATCH = 512
-"""Frames that are measured together [frames]. Chosen: a smaller number gives noisy templates, a larger one gives
-outdated ones and takes memory."""
+"""Number of frames that are measured together [frames]. Chosen: a smaller number gives noisy templates, a larger one
+gives outdated templates and takes memory."""
 HOLD = 64
-"""Frames that are held in memory, in which a body that is not found at its prediction is searched for [frames]. Chosen:
-a smaller number may not suffice to find the body again, a larger one takes memory."""
+"""Number of frames held in memory; if a body is not found at its prediction, it is searched for in these frames
+[frames]. Chosen: a smaller number may not suffice to find the body again, a larger one takes memory."""
 HELD_BYTES = 24_000_000
-"""Size of the frames that are held [bytes]. Chosen: memory; a smaller value holds fewer frames of large pictures."""
+"""Size of the frames that are held [bytes]. Chosen: a larger value needs memory, a smaller one holds fewer frames of
+large pictures."""
 SLOW = 3.0 * LEAST_SCATTER
 """Smallest step of the fastest body for which equal frames are repeated frames [rad]. Derived: three times the lower
 limit of the scatter of a coarse angle."""
@@ -266,10 +267,11 @@ class BodyObservations:
     coarse: Floats
     markers: dict[str, MarkerObservations]
     texture: TextureObservations | None = None
-    aligned: TextureObservations | None = None  # of a slow body, about the view determined by its ring
+    # of a slow body, with the oblique view that its ring determines
+    aligned: TextureObservations | None = None
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyObservations:
-        """Place the frames at `index` of `count` frames; the others are NaN or False."""
+        """Place the frames at `index` of `count` frames; the other frames are NaN or False."""
         markers = {name: m.spread_out(index, count) for name, m in self.markers.items()}
         rings = (ring and ring.spread_out(index, count) for ring in (self.texture, self.aligned))
         return BodyObservations(spread_out(self.coarse, index, count), markers, *rings)
@@ -344,8 +346,8 @@ class FilmTracker:
         """Hold the next frame of the film until enough of them are held.
 
         `step` is the time from the previous frame in periods of the camera. A frame that repeats the previous one shows
-        the same moment. It replaces a missing frame, so its step is added to that of the next frame. Exception: in a
-        film that is not timed by its timestamps (`stamped`), regular repeats were inserted, and their steps are not
+        the same moment. It replaces a missing frame, so its step is added to the step of the next frame. Exception: if
+        a film is not timed by its timestamps (not `stamped`), regular repeats were inserted, and their steps are not
         added. Frames are not compared while hardly anything turns.
         """
         again = self.repeats is not None and self.repeats.same(frame)

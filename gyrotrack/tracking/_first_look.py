@@ -89,7 +89,7 @@ def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
             "Give the centre of rotation with --hub X,Y, or a point to follow with --point X,Y.",
         )
     text = (
-        "The direction of the long body is that of the axis of its silhouette; its ends are not distinguished. "
+        "The direction of the long body is taken from the axis of its silhouette; its ends are not distinguished. "
         "--point X,Y follows a point instead."
     )
     return replace(

@@ -1,8 +1,8 @@
 """Test whether a body turns about one fixed hub: the displacement of its hub is fitted frame by frame.
 
-A rotation about a hub also explains a part of the change of pictures without rotation about a fixed axis: a block that
-moves along a line beside a moving plot, or several objects that move and change their size. The template about the hub
-then fits better at a position that changes from frame to frame.
+Rotation about a hub also explains a part of the change in some films without rotation about a fixed axis, for example
+of a block that moves along a line beside a moving plot, or of several objects that move and change their size. The
+template about the hub then fits better at a position that changes from frame to frame.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
 
 _FRAMES = 40
-"""Frames in which the displacement is fitted [frames]. Chosen: a smaller number gives an uncertain quantile, a larger
-one costs time."""
+"""Number of frames in which the displacement is fitted [frames]. Chosen: a smaller number gives an uncertain quantile,
+a larger one costs time."""
 _STEP = 2.0
 """Largest step of an iteration per axis [px]. Chosen: a smaller value needs more iterations, a larger one leaves the
 range of the linear model."""
@@ -47,8 +47,8 @@ def drift(
 ) -> tuple[float, float]:
     """Return the displacement of a body from a rotation about a hub [px], and the limit for a body on an axle [px].
 
-    The displacement is the 80 % quantile over the frames, because a hand or a shadow may disturb the other frames. It
-    is measured at the middle of the details of the body, where it is determined best, even for a bob far from its hub.
+    The displacement is the 80 % quantile over the frames, because a hand or a shadow may disturb some frames. It is
+    measured at the middle of the details of the body, where it is determined best, even for a bob far from its hub.
     `angle` (n,) are the angles of the body in the frames, clockwise as seen [rad].
     """
     use = np.unique(np.linspace(0, len(frames) - 1, _FRAMES).astype(int))
@@ -82,8 +82,8 @@ _FALLS = 0.15
 """Share of the change explained by rotation in the frames of the search, minus the share in the whole film, above which
 the hub is not fixed [1]. Measured: up to 0.07 for real films on an axle, 0.23 for a drawn pole on a cart."""
 _FALLEN = 0.2
-"""Decrease of this share above which the film is refused [1]. Measured: 0.23 for a public film of a pole on a cart, up
-to 0.07 for real films on an axle."""
+"""Decrease of the explained share, as for `_FALLS`, above which the film is refused [1]. Measured: 0.23 for a public
+film of a pole on a cart, up to 0.07 for real films on an axle."""
 
 
 def fallen(searched: float, film: float) -> bool:

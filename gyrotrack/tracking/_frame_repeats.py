@@ -1,10 +1,10 @@
 """Confirmation of repeated frames by the motion of the bodies.
 
-Two pictures may be equal because nothing turns. A frame is a repetition, without a measurement, if a body should have
-moved by more than its scatter but has not moved. The next frame shows the origin of the repetition. If the body has
-then also moved by the step of the repeated frame, the repetition replaces a missing frame, and all other times are
-correct. Otherwise the repetition was inserted between two frames of the camera, for example by a conversion to a
-higher rate, and the frames are numbered without the repetition.
+Two pictures may be equal because nothing turns. A frame counts as a repetition, and is not measured, if a body should
+have moved by more than its scatter but has not moved. The next frame shows the origin of the repetition. If the body
+has then also moved by the step of the repeated frame, the repetition replaces a missing frame, and all other times are
+correct. Otherwise the repetition was inserted between two frames of the camera, for example by a conversion to a higher
+rate, and the frames are numbered without the repetition.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 AROUND = 20
-"""Frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number gives a
-noisy step, a larger one includes a change of the speed."""
+"""Number of frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number
+gives a noisy step, a larger one includes a change of the speed."""
 CLEAR = 6.0
 """Smallest step of a body for which a repetition can be detected, in standard deviations of its steps [1]. Derived:
 half a step, below which the body counts as unmoved, is then three standard deviations."""
 FEWEST = 4
 """Smallest number of steps for a scatter, and of runs of repeats for a period [1]. Chosen: a smaller number gives a
-scatter by chance, a larger one leaves repeats undetected."""
+random scatter, a larger one leaves repeats undetected."""
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,14 @@ markers are combined with their mount angles, weighted by the inverse variance o
 outliers are rejected.
 
 Systematic errors repeatable with angle are removed first. Reflections of lamps in the metal displace a marker in the
-same way at each passage of a place; the edge and the shadow of the bar do so at each passage of the bar. Such errors
-are functions of an angle. They are estimated from the residuals of the marker about the smooth motion of its body, as a
-smooth closed curve c that minimises
+same way at each passage of a place; the edge and the shadow of the bar of the casing do so at each passage of the bar.
+Such errors are functions of an angle. They are estimated from the residuals of the marker about the smooth motion of
+its body, as a smooth closed curve c that minimises
 
     sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
 
-where B are linear hat functions on equally spaced knots, s is the scatter, and D2 are cyclic second differences.
+where r are the residuals with weights w, B are linear hat functions on equally spaced knots, s is the scatter, D2 are
+cyclic second differences, and bend and size are prior standard deviations.
 
 Real motion of a body must not be removed. An unbalance or a tilted table changes the motion once or twice per turn of
 the body, equally for all its markers. This is negligible for a fast body: an amplitude A of its acceleration is an
@@ -120,7 +121,7 @@ class Residuals:
     weights: Weights
     place: PlaceErrors
     neighbour: LearntErrors
-    view: ViewErrors | None = None  # if known, its errors replace those of `place`
+    view: ViewErrors | None = None  # if known, its errors replace the errors in `place`
 
     @classmethod
     def of(
@@ -148,7 +149,7 @@ class Residuals:
         )  # fmt: skip
 
     def time_sigma(self) -> Floats | float:
-        """Return the uncertainty of the angle due to that of the time of a frame, (n,) [rad]."""
+        """Return the uncertainty of the angle due to the uncertainty of the time of a frame, (n,) [rad]."""
         if self.time_base is None or self.time_base.sigma == 0.0:
             return 0.0
         return np.abs(self.time_base.speed(self.path)) * self.time_base.sigma
@@ -161,7 +162,7 @@ class Residuals:
         return wrapped(off)
 
     def by_place(self, name: str) -> Floats:
-        """Return the estimated position-dependent error of a marker, or that of the view if it is known, (n,) [rad]."""
+        """Return the estimated position-dependent error of a marker, or its error of the view if known, (n,) [rad]."""
         return (self.view or self.place).error[name]
 
     def bias(self, name: str, part: slice = ALL) -> Floats:
@@ -198,7 +199,7 @@ class Residuals:
     def smooth(self, half: int, degree: int = 2) -> tuple[Floats, Floats]:
         """Fit a smooth curve to the angle of the body; return its difference from the path [rad] and leverages, (n,).
 
-        `half` is the half width of the window [frames], `degree` that of the local polynomials.
+        `half` is the half width of the window [frames], and `degree` is the degree of the local polynomials.
         """
         mean, sigma, _ = self.mean()
         if self.time_base is not None:
@@ -325,11 +326,11 @@ def _weight(sigma: Floats) -> Floats:
 
 
 KNOTS = 72
-"""Number of knots of a closed curve [1]. Chosen: every 5 degrees; with fewer, the edge of the bar is smoothed; with
-more, the curve is noisy."""
+"""Number of knots of a closed curve [1]. Chosen: every 5 degrees; with fewer, the edge of the bar of the casing is
+smoothed; with more, the curve is noisy."""
 _BEND = 4e-3
 """Standard deviation of the second differences of a closed curve [rad]. Chosen: a smaller value smooths the edge of the
-bar, a larger one fits noise."""
+bar of the casing, a larger one fits noise."""
 _SIZE = 3e-2
 """Standard deviation of a closed curve [rad]. Chosen: a smaller value leaves large errors, with a larger one the curve
 is arbitrary at unseen angles."""
@@ -418,11 +419,11 @@ LEAST_TURNING = 0.5
 """Smallest share of frames within whole turns for which position-dependent errors are known [1]. Chosen: a smaller
 value gives errors from few turns, a larger one gives none for short films."""
 MOST_FRAMES = 2000
-"""Number of frames from which errors of the view are estimated [frames]. Chosen: time; with fewer, the estimates are
-noisier."""
+"""Number of frames from which errors of the view are estimated [frames]. Chosen: a larger number costs time, a smaller
+one gives noisier estimates."""
 LEAST_FAST = 0.2
-"""Smallest share of fast frames for which curves are estimated from these alone [1]. Chosen: a smaller value uses few
-frames, a larger one uses slow frames, in which motion resembles errors."""
+"""Smallest share of fast frames for which curves are estimated from the fast frames alone [1]. Chosen: a smaller value
+uses few frames, a larger one uses slow frames, in which motion resembles errors."""
 
 
 def errors_by_place(state: Residuals, smooth: Floats) -> PlaceErrors:
@@ -460,11 +461,11 @@ def errors_by_neighbour(
     """Estimate the error of each marker as a function of its angle to the other body (see the module docstring).
 
     `smooth` is the curve of the motion, `other` the angle of the other body, (n,) [rad]. Markers below the other body
-    have errors where they are partly occluded, in its shadow, and at its blurred edge. Markers above it (`above`) have
-    errors where its markers pass next to them. Errors of unoccluded markers are estimated where the bodies pass each
-    other too fast for a real motion. If they pass nearly in step with the frames, the error may vary as slowly as a
-    motion: the part that a local polynomial (`window`: half width and degree) fits is treated as motion and not removed
-    from markers above.
+    have errors where they are partly occluded, in its shadow, and at its blurred edge. Markers above the other body
+    (`above`) have errors where markers of the other body pass next to them. Errors of unoccluded markers are estimated
+    where the bodies pass each other too fast for a real motion. If they pass nearly in step with the frames, the error
+    may vary as slowly as a motion: the part that a local polynomial (`window`: half width and degree) fits is treated
+    as motion and not removed from markers above.
     """
     with np.errstate(invalid="ignore"):
         passing = state.turning & (speed(other - state.path, state.fps, state.time_base) > FAST)
@@ -508,15 +509,15 @@ VIEW_ORDERS = range(1, 3)
 """Orders of the harmonics of errors of the view [periods per turn]. Derived: an offset of the axis causes order 1, a
 tilt of the camera order 2."""
 _VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Trial standard deviations of errors of the view, relative to the typical one [1]. Chosen: factors of two; finer steps
-cost time, a smaller range limits the errors."""
+"""Trial standard deviations of errors of the view, relative to the typical value [1]. Chosen: factors of two; finer
+steps cost time, a smaller range limits the errors."""
 
 
 def errors_of_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> ViewErrors | None:
     """Estimate errors of the view from differences between markers.
 
-    Within less than two turns position-dependent errors look like motion, but motion is common to all markers of a body
-    in each frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The
+    Within less than two turns, position-dependent errors look like motion. Motion, however, is common to all markers of
+    a body in each frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The
     coefficients of the harmonics `VIEW_ORDERS` of each marker's angle have a common part and a separate part. They are
     fitted, together with the mount angles, to the residuals minus their mean in each frame. Position-dependent errors
     of standard deviation `floor` [rad] have one independent value per `CELL`. The standard deviations of both parts are
@@ -534,7 +535,8 @@ def errors_of_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> V
     few = np.arange(0, n, max(n // MOST_FRAMES, 1))
     alike *= len(few) / n
     normal, right = np.zeros((size + count, size + count)), np.zeros(size + count)
-    normal[size:, size:] = np.eye(count)  # rad; a mount angle common to all markers has no effect
+    # prior of 1 rad, because a mount angle common to all markers has no effect
+    normal[size:, size:] = np.eye(count)
     total, summed, seen = np.zeros(len(few)), np.zeros((len(few), size + count)), np.zeros(len(few))
     for k, name in enumerate(names):
         own, residual, weight = _view_rows(state, name, few, alike * floor**2)
@@ -617,11 +619,11 @@ def variance_left(angle: Floats, orders: range, frames: int | None = None) -> fl
 
 
 def place_error(state: Residuals) -> float:
-    """Return the rms of the estimated position-dependent errors of the marker for which it is smallest [rad].
+    """Return the rms of the estimated position-dependent errors, for the marker with the smallest rms [rad].
 
-    Faint or blurred markers have larger errors for other reasons. A marker next to a bar that hardly moves has larger
-    errors at some places only; therefore a robust standard deviation is used if it is smaller. The noise of the
-    estimated errors is subtracted. NaN if no error could be estimated, or if the markers are seen at only a few angles.
+    Faint or blurred markers have larger errors for other reasons. A marker next to a slow bar has larger errors at some
+    places only; therefore a robust standard deviation is used if it is smaller. The noise of the estimated errors is
+    subtracted. NaN if no error could be estimated, or if the markers are seen at only a few angles.
     """
     if state.turning.mean() < LEAST_TURNING:
         return float("nan")
@@ -654,12 +656,13 @@ with this number; a smaller number understates the uncertainty, a larger one cos
 
 
 def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
-    """Return the variances of the angle of the body and of its residual, relative to that of the noise, (n,).
+    """Return the variances of the angle of the body and of its residual, divided by the variance of the noise, (n,).
 
     Within a few turns, a motion and a curve over the angle can hardly be distinguished, least of all at the ends of the
     film. Motion (cubic B-splines with `motion` >= 4 parameters) and curves are one linear model r = a x + e with the
-    covariance C of x, given the observed size of the curves. The angle minus the curves b x has the error e - b dx, and
-    the residual from the motion is e - a dx; cov(e, dx) = C a var(e).
+    covariance C of x, given the observed size of the curves. dx is the error of x, and cov(e, dx) = C a var(e). With b,
+    the part of a that belongs to the curves, the angle minus the curves b x has the error e - b dx, and the residual
+    from the motion is e - a dx.
     """
     names, n = list(state.candidates), len(state.path)
     if not state.turning.any() or np.nanmax(state.path) - np.nanmin(state.path) > MOST_TURNS * TURN:
@@ -710,8 +713,8 @@ def _without_common(mounts: dict[str, float]) -> Floats:
 
 
 ROUNDS = 5
-"""Passes of the fusion [iterations]. Chosen: a smaller number stops before curves and motion agree, a larger one costs
-time."""
+"""Number of passes of the fusion [iterations]. Chosen: a smaller number stops before curves and motion agree, a larger
+one costs time."""
 
 
 @dataclass(frozen=True)
@@ -736,8 +739,9 @@ class BodyAngles:
     count: npt.NDArray[np.int64]
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
-    # standard uncertainty [rad] and correlation time [frames] of a slowly varying error; uncertainty of an error once
-    # and twice per turn, and standard deviation of the amplitudes of an error of more periods per turn [rad]
+    # `slow`: standard uncertainty [rad] and correlation time [frames] of a slowly varying error. `periodic`:
+    # uncertainty of an error once and twice per turn [rad]. `harmonic`: standard deviation of the amplitudes of an
+    # error of more periods per turn [rad]
     slow: tuple[float, float] = (0.0, 0.0)
     # middle [frames] of each part of the film and the uncertainty of the slowly varying error in it [rad], (parts, 2)
     slow_parts: Floats = field(default_factory=lambda: np.zeros((0, 2)))
@@ -746,7 +750,7 @@ class BodyAngles:
     axis_off: dict[str, complex] = field(default_factory=dict)
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyAngles:
-        """Place the frames at `index` of `count` frames; the others have no angle."""
+        """Place the frames at `index` of `count` frames; the other frames have no angle."""
         number = np.zeros(count, dtype=np.int64)
         number[index] = self.count
         angle, sigma = (spread_out(a, index, count) for a in (self.angle, self.sigma))
@@ -780,11 +784,11 @@ def join(
 ) -> BodyAngles:
     """Combine the markers of one body; its zero is the angle of the first marker.
 
-    `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost; `other` is that of the body
-    that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are uncertainties
-    [rad] that do not appear as scatter outside whole turns: unobserved position-dependent errors, the displacement of
-    the axis, and the displacement of the orbits about it, which the markers determine together (`arcs`: see
-    `errors_of_view`).
+    `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost. `other` is the coarse angle
+    of the body that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are
+    uncertainties [rad] that do not appear as scatter outside whole turns: unobserved position-dependent errors, the
+    displacement of the axis, and the displacement of the orbits about it, which the markers determine together (`arcs`:
+    see `errors_of_view`).
     """
     state, arcs = Residuals.of(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
@@ -808,9 +812,9 @@ def join(
 
 
 WEAKEST_BODY = 10.0
-"""Smallest uncertainty, relative to the median of its neighbours, for which a frame is given no angle [1]. Chosen: such
+"""Smallest uncertainty, relative to the median of neighbouring frames, for which a frame has no angle [1]. Chosen: such
 a frame shows a small part of one marker and has 1/100 of the information; errors at the occluding edge are not normally
-distributed; a larger value admits these, a smaller one omits angles."""
+distributed; a larger value admits such errors, a smaller one omits angles."""
 _NEIGHBOURS = 101
 """Width of the running median of the uncertainty [frames]. Chosen: a smaller number follows a hand, a larger one
 ignores a change of light."""
@@ -820,7 +824,7 @@ not enough [1]. Chosen: a smaller value omits frames next to gaps, a larger one 
 
 
 def _mostly_hidden(sigma: Floats) -> Mask:
-    """Return the frames whose uncertainty exceeds that of their neighbours by the factor `WEAKEST_BODY`."""
+    """Return a mask of the frames whose uncertainty is at least `WEAKEST_BODY` times that of neighbouring frames."""
     reach = min(_NEIGHBOURS // 2, len(sigma))
     # reflected at the ends, where a hand may hide the markers
     usual = median_smooth(np.pad(sigma, reach, mode="symmetric"), _NEIGHBOURS)[reach : reach + len(sigma)]
@@ -845,7 +849,8 @@ def _result(
     off = np.where(state.turning, np.nan, residual - smooth)
     absorbed = float(np.nansum(np.where(count > 0, np.minimum(leverage, 1.0), 0.0)))
     floor *= share_of_floor(off, sigma, floor, places_passed(state) - absorbed)
-    # encoders keep a marker that hardly moves fixed in the picture: its error behaves as if it moved between two places
+    # encoders keep a marker that hardly moves fixed in the picture: its error behaves as if the marker moved between
+    # two places
     least = variance_left(np.linspace(0.0, CELL, KNOTS), PLACE_ORDERS)
     floor *= float(np.sqrt(max(variance_left(state.path, PLACE_ORDERS), least)))
     unlearnt = np.where(state.turning, 0.0, np.hypot(floor, axis))
@@ -854,7 +859,7 @@ def _result(
     def calibrated(residual: Floats, sigma: Floats, markers: int) -> Floats:
         """Scale uncertainties to the residuals about the smooth motion.
 
-        The smooth motion absorbs a part of correlated errors, given by its leverage times their correlation factor.
+        The smooth motion absorbs a part of correlated errors: its leverage times the correlation factor of the errors.
         """
         beside = np.hypot(unlearnt, from_time)
         off = np.where(state.turning, (residual - smooth) / np.hypot(sigma, beside), np.nan)

@@ -3,7 +3,8 @@
 In each batch, a polynomial and harmonics of the angle psi are fitted to psi. Harmonics caused by the camera (centre,
 tilt) have constant amplitudes. The shadow of a body is displaced from the body by a constant vector and merges with the
 blurred edges of the body. The shadow causes an amplitude of order 1 that grows with the blur, in proportion to the
-speed. A torque that is periodic in the turn, for example due to an unbalance, has the amplitude A / omega^2.
+speed. A torque that is periodic in the turn, for example due to an unbalance, causes the amplitude A / omega^2, where A
+is the amplitude of the angular acceleration.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _FIRST_STATED = 3
 """Smallest order of a harmonic that the camera does not cause [periods per turn]. Derived: offset and tilt of the
 camera cause orders 1 and 2, which fits estimate."""
 _LAWS_OF_SPEED = 4
-"""Number of laws of speed that describe an amplitude of a lower order [1]. Derived: powers 0, 1, 2 and -2 in
+"""Number of powers of the speed that describe an amplitude of order 1 or 2 [1]. Derived: powers 0, 1, 2 and -2 in
 `_beside_laws_of_speed`."""
 _DEGREE = 5
 """Degree of the slow change of the angle in a batch [1]. Chosen: a smaller value leaves motion in the harmonics, a
@@ -81,10 +82,10 @@ def harmonic_error(angle: Floats) -> float:
     """Return the standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
 
     In each batch of frames a polynomial and harmonics of the angle are fitted. With residuals of variance s^2 and the
-    covariance s^2 (A'A)^-1, the mean over batches of (a_cos^2 + a_sin^2) / 2 exceeds the variance of a_cos by the
-    variance of the error. The result is the largest error of all orders, because other orders may be as large at other
-    speeds. Orders that resemble the motion are omitted in their batches: there the frames are in step with the error,
-    which then varies slowly.
+    design matrix A, the coefficients have the covariance s^2 (A'A)^-1. The mean over batches of (a_cos^2 + a_sin^2) / 2
+    exceeds the variance of a_cos by the variance of the error. The result is the largest error of all orders, because
+    other orders may be as large at other speeds. An order is omitted in batches in which it resembles the motion: the
+    frames are in step with the error there, so the error varies slowly.
 
     Amplitudes of orders 1 and 2 may be constant (centre, tilt), proportional to the speed (rolling shutter), to its
     square (motion blur), or to its inverse square (a torque that depends on the angle, for example due to an
@@ -104,7 +105,7 @@ def harmonic_error(angle: Floats) -> float:
         *amplitudes, noise, speed = each.T
         left = _beside_laws_of_speed(np.stack(amplitudes), speed) if free else np.stack(amplitudes)
         mean = 0.5 * float(np.sum(left**2)) / (len(each) - free) - float(noise.mean())
-        # the mean square of two amplitudes has the variance of its expectation squared
+        # the variance of the mean square of two amplitudes is the square of its expectation
         limit = _FAR_FROM_NOISE * math.sqrt(float(np.sum(noise**2))) / (len(each) - free)
         largest = max(largest, mean if mean > limit else 0.0)
     return math.sqrt(largest)
@@ -118,13 +119,14 @@ def _beside_laws_of_speed(amplitudes: Floats, speed: Floats) -> Floats:
 
 
 _REFERENCE_SPEED = 100.0
-"""Reference speed of the standard deviations below [rad/s]. Derived: a casing in the scene of the paper."""
+"""Reference speed of the standard deviations below [rad/s]. Derived: a casing in the experiment of the paper (V.
+Tanrıverdi and A. Erbasan, arXiv:2605.06700)."""
 _CHANGE_SIGMA = 2e-3
 """Prior standard deviation of the change of an amplitude per `_REFERENCE_SPEED` [rad]. Measured: 1.5
 mrad in a rendered film with a shadow of 16 %; a smaller value keeps the error, a larger one amplifies noise."""
 _WIDE_SIGMA = 20e-3
 """Prior standard deviation of a constant amplitude, and of the amplitude due to a torque at `_REFERENCE_SPEED` [rad].
-Derived: no information; a torque of the acceleration 200 rad/s2 has 20 mrad."""
+Derived: wide enough to contain no information; an angular acceleration of 200 rad/s2 causes 20 mrad."""
 _BATCH_SIGMA = 0.1e-3
 """Standard deviation of an amplitude in a batch in addition to noise [rad]. Chosen: a smaller value trusts few
 batches."""

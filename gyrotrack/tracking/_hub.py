@@ -86,8 +86,8 @@ HOLE = 8
 """Correlation length of the errors of a compressed film [frames]. Chosen: a smaller value mistakes correlated errors
 for a path, a larger one smooths a fast path."""
 _HALVES = (24, 48, 96, 192)
-"""Half widths that cross-validation compares for the local parabolas of a path [frames]. Chosen: factors of two; a
-shorter one follows noise, a longer one smooths a precession."""
+"""Half widths that cross-validation compares for the local parabolas of a path [frames]. Chosen: factors of two;
+shorter windows follow noise, longer windows smooth a precession."""
 _SHORT_HALVES = (2, 6, 12, 0)
 """Half widths for a hub that moves fast, as in a hand-held film; 0 (no smoothing) if the camera shakes from frame to
 frame [frames]. Chosen: about factors of two; see `marked_paths`."""
@@ -101,7 +101,8 @@ _LINE_POWER = 7.0
 """Smallest power of a line, relative to the floor of the spectrum [1]. Derived: the power of noise is exponentially
 distributed and exceeds 7 with a probability of exp(-7) = 0.1 %."""
 _PIECES = 64
-"""Number of windows that are transformed together [1]. Chosen: memory; a smaller number costs time."""
+"""Number of windows that are transformed together [1]. Chosen: a larger number needs memory, a smaller one costs
+time."""
 LEAST_SIGMA = 0.05
 """Lower limit of the uncertainty of the centre [px]. Chosen: encoders keep a slowly moving disc fixed in the picture; a
 smaller value understates the resulting error."""
@@ -139,7 +140,7 @@ def marked_paths(measured: Floats) -> list[CentrePath]:
     """Return the path of a disc by `smooth_path`, and paths that follow it over windows of a few frames.
 
     The errors of a compressed film are correlated, so the measured path alone does not determine which of these paths
-    is right: a hand-held camera moves the disc as fast as the errors do. The radii of the markers select the path.
+    is right: a hand-held camera moves the disc as fast as the errors change. The radii of the markers select the path.
     """
     z, known = _without_gaps(measured)
     paths = [smooth_path(measured)]
@@ -335,7 +336,7 @@ _TURNS_PER_KNOT = 1.0
 """Distance of the knots of a path without a disc [turns]. Derived: half a turn determines both coordinates of the
 centre; one turn has a reserve."""
 _MOST_KNOTS = 400
-"""Largest number of knots [1]. Chosen: time; a smaller number smooths the path of a long film."""
+"""Largest number of knots [1]. Chosen: a larger number costs time, a smaller one smooths the path of a long film."""
 _RIDGE = 1e-9
 """Ridge of the normal equations [1]. Derived: above rounding errors; the ridge prevents changes of undetermined
 knots."""
@@ -351,10 +352,10 @@ def wandering_centre(
 ) -> CentrePath:
     """Find the path of the centre of an orbit from the `place` (n, 2) [px] of the marker and an initial value.
 
-    Gauss-Newton on |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), linear in knots, rho, p, q for given
-    theta. Outliers beyond 4 median absolute deviations are excluded. `weight` (n,) marks trusted observations, `still`
-    a centre at rest. The flattening is free here so that it does not bias the path; `fit_flattening` fits it again,
-    with the tilt.
+    The model |place - c(t)| = rho (1 + p cos 2 theta + q sin 2 theta), with the path c(t) through knots, is fitted by
+    the Gauss-Newton method; for given theta it is linear in the knots, rho, p and q. Outliers beyond 4 median absolute
+    deviations are excluded. `weight` (n,) is a mask of trusted observations; `still` states that the centre is at rest.
+    The flattening is free here so that it does not bias the path; `fit_flattening` fits it again, with the tilt.
     """
     n = len(place)
     path = np.tile(np.asarray(start, dtype=np.float64), (n, 1))
@@ -373,7 +374,7 @@ def wandering_centre(
 
 
 def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
-    """Return the number of knots for a spacing of about one turn; 1 if it would be less than three."""
+    """Return the number of knots for a spacing of about one turn; 1 if this number is less than three."""
     theta = np.unwrap(np.arctan2(-v[use, 1], v[use, 0]))
     turns = float(np.abs(np.diff(theta)).sum()) / (2.0 * np.pi)
     knots = int(np.clip(turns / _TURNS_PER_KNOT, 1, _MOST_KNOTS))
@@ -381,7 +382,7 @@ def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
 
 
 def _spans(n: int, knots: int) -> Iterator[tuple[slice, tuple[int, int], Floats]]:
-    """Yield the frames between neighbouring knots: slice, the two knots, and the weight of the second one."""
+    """Yield the frames between neighbouring knots: slice, the two knots, and the weight of the second knot."""
     if knots == 1:
         for part in row_blocks(n):
             yield part, (0, 0), np.zeros(part.stop - part.start)
@@ -468,8 +469,10 @@ a larger one ignores precise radii."""
 def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     """Correct the path of a centre by the radii of markers about it.
 
-    In a window about each frame, n minimises sum w (excess + n . r)^2 / s^2 + |n|^2 / `EXPECTED_ERROR`^2, with s the
-    scatter of a marker's radius and w a parabolic weight over the window. The uncertainty is that of this fit.
+    In a window about each frame, the error n of the centre minimises sum w (excess + n . r)^2 / s^2 + |n|^2 /
+    `EXPECTED_ERROR`^2, where r is the unit vector towards a marker, excess and s are the residual and the scatter of
+    its radius, and w is a parabolic weight over the window. The uncertainty is the standard uncertainty of n in this
+    fit.
     """
     count = len(path.centre)
     normal, right = np.zeros((3, count)), np.zeros((2, count))

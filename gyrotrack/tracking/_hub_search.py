@@ -29,13 +29,13 @@ _PAIRS = 40
 time."""
 _LAGS = (1, 4, 16)
 """Distances of the frames of a pair [frames]. Chosen: for fast and slow bodies; over longer distances features are
-lost, shorter ones show no rotation."""
+lost, shorter distances show no rotation."""
 _FIRST = 5
 """Spacing of the pairs that decide whether the other pairs are needed [pairs]. Chosen: with a larger value few pairs
 decide, a smaller one costs time."""
 _NO_COMMON_HUB = 0.8
-"""Median residual of the displacements about one hub, relative to their median, beyond which pairs have no common hub
-[1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
+"""Median residual of the displacements about one hub, divided by the median displacement, beyond which pairs have no
+common hub [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
 _FEWEST_PAIRS = 4
 """Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: with fewer, pairs agree by chance;
 with more, hubs are lost."""
@@ -187,8 +187,8 @@ _FLATTEST = 0.25
 def tilted_outline(motion: Motion, hub: tuple[float, float] | None = None) -> Proposal | None:
     """Return hub and stretch of the largest moving part of the picture, from the ellipse with its second moments.
 
-    A body that turns at least half a turn about a tilted axis sweeps an ellipse. None for a circle or a flat area. A
-    given `hub` replaces the centroid.
+    A body that turns at least half a turn about a tilted axis sweeps an ellipse. The result is None for a circle or a
+    flat area. A given `hub` replaces the centroid.
     """
     closed = cv2.morphologyEx(motion.moving.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     _, label, stats, middle = cv2.connectedComponentsWithStats(closed)
@@ -290,8 +290,8 @@ def similarity_hubs(
 
     A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b are suitable for a body around its
     hub (first result). For a small body far from the hub (second result), for example the ball of a pendulum, the
-    displacement d = (1 - a)(h - c) of the centroid c is precise, but the rotation is not: its errors bias the hub
-    towards the body. In this case h is fitted to a = 1 - d / (h - c).
+    displacement d = (1 - a)(h - c) of the centroid c is precise, but the rotation is not precise, and its errors bias
+    the hub towards the body. In this case h is fitted to a = 1 - d / (h - c).
     """
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:

@@ -41,16 +41,16 @@ _ROUGH = 0.5
 larger one leaves the pivot undetermined."""
 _REACH = 2.0
 """Largest distance of a body from the extrapolation of its last step [radii]. Chosen: a smaller value loses fast
-bodies, a larger one confuses them."""
+bodies, a larger one confuses bodies."""
 _LOST = 2
-"""Frames in a row in which a body may be occluded by another one [frames]. Chosen: a smaller number ends the paths
-early, a larger one confuses bodies."""
+"""Number of frames in a row in which a body may be occluded by another body [frames]. Chosen: a smaller number ends the
+paths early, a larger one confuses bodies."""
 _FEWEST = 20
 """Smallest number of positions of a moving body [1]. Chosen: with fewer, positions agree by chance; with more, short
 paths are refused."""
 _PARTS = 6
-"""Largest number of compact parts of a frame that are considered [1]. Chosen: time; a smaller number loses bodies among
-shadows."""
+"""Largest number of compact parts of a frame that are considered [1]. Chosen: a larger number costs time, a smaller one
+loses bodies among shadows."""
 _RIM = (0.8, 1.0)
 """Inner and outer radius between which the body itself is seen [radii]. Chosen: nearer to the hub all directions are
 covered, farther out the body ends."""
@@ -58,17 +58,17 @@ _BEYOND = (1.3, 1.5)
 """Inner and outer radius between which a link beyond the body is seen [radii]. Chosen: nearer to the rim blur is seen,
 farther out a short link ends."""
 _DIRECTION = 0.14
-"""Half width of a direction [rad]. Chosen: 8 degrees; a smaller value separates a part of the body from itself, a
-larger one joins a link to it."""
+"""Half width of the range of angles that counts as one direction [rad]. Chosen: 8 degrees; a smaller value separates a
+part of the body from itself, a larger one joins a link to it."""
 _SHOWN = 0.6
 """Smallest share of the frames in which a link is seen [1]. Chosen: a smaller value finds links in shadows, a larger
 one overlooks links that cross the body."""
 _TURNS_WITH = 0.75
-"""Largest share of the frames with a link in which one direction of the body shows it [1]. Measured: 0.4 to 0.6 for
-links of drawn double pendulums, 1 for a part of the body."""
+"""Largest share, among the frames that show a link, of those that show it in one direction relative to the body [1].
+Measured: 0.4 to 0.6 for links of drawn double pendulums, 1 for a part of the body."""
 _SEEN = 4
 """Smallest number of positions that show a body at rest [1]. Chosen: a smaller number takes a shadow for a body, a
-larger one overlooks one that is occluded."""
+larger one overlooks a body that is sometimes occluded."""
 _LEAVES = 3.0
 """Smallest extent of the path of a moving body [px]. Chosen: a smaller value takes noise for a motion, a larger one
 overlooks small oscillations."""

@@ -22,8 +22,8 @@ Angles are unwrapped within a part. If a frame number is not larger than the pre
 
 _sink: ContextVar[Sink | None] = ContextVar("sink", default=None)
 _TOGETHER = 16
-"""Frames that a tracker of single frames reports together [frames]. Chosen: a smaller number costs time, a larger one
-delays the display."""
+"""Number of frames that a tracker of single frames reports together [frames]. Chosen: a smaller number costs time, a
+larger one delays the display."""
 
 
 @contextmanager

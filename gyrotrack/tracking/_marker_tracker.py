@@ -1,15 +1,16 @@
 """One marker, measured in batches of frames: its tangential profile is matched with the mean of recent profiles.
 
-p(x) = a T(x - d) + b with gain a, offset b and displacement d free in every frame, fitted over the samples that are
-not occluded. T is the mean of the profiles of the frames, each shifted to zero displacement, and is made symmetric:
-T(x) = T(-x). A marker with parallel sides that moves uniformly during the exposure has a smeared profile that is
-symmetric about the middle of the marker at mid-exposure. Therefore d is the angle of the middle of the marker at the
-middle of the exposure, for any width of the smear.
+The model of a profile is p(x) = a T(x - d) + b. The gain a, the offset b and the displacement d are fitted in every
+frame to the samples that are not occluded. The gain is also called the height of the marker. T is the mean of the
+profiles of the frames, each shifted to zero displacement, and is made symmetric: T(x) = T(-x). A marker with parallel
+sides that moves uniformly during the exposure has a smeared profile that is symmetric about the middle of the marker at
+mid-exposure. Therefore d is the angle of the middle of the marker at the middle of the exposure, for any width of the
+smear.
 
 Glare, shadows and encoder blocks increase the misfit of a profile and displace it. The relation between misfit and
-displacement depends on the film and is estimated from the scatter of the marker. With x the squared misfit of an
-observation relative to the median, minus 1, the variance of the observation is s^2 (1 + share x). `share` is estimated
-by maximum likelihood.
+displacement depends on the film and is estimated from the scatter of the marker. The variance of an observation is s^2
+(1 + share x), where x is its squared misfit, divided by the squared misfit of a typical observation, minus 1. `share`
+is estimated by maximum likelihood.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class MarkerObservations:
     # shape (n, 2); polar coordinates of the near corners about the ring's centre
     corner_angle: Floats
     corner_radius: Floats
-    # shape (n,); height relative to the typical one, and rms residual from the template relative to the gain
+    # shape (n,); height relative to the typical height, and rms residual from the template relative to the gain
     gain: Floats
     misfit: Floats
     weakness: Floats  # shape (n,); factor on the uncertainty for occlusion and low gain; see `Match`
@@ -55,7 +56,7 @@ class MarkerObservations:
     centre: Floats  # shape (n, 2); centre of the ring in px
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> MarkerObservations:
-        """Place the frames at `index` of `count` frames; see `spread_out`."""
+        """Place the frames at `index` of `count` frames; see the function `spread_out`."""
         return MarkerObservations(
             **in_file(
                 {f.name: spread_out(getattr(self, f.name), index, count) for f in fields(MarkerObservations)}
@@ -95,7 +96,7 @@ class MarkerObservations:
 
 
 def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
-    """Place rows at `index` of `count` rows; the others are NaN or False."""
+    """Place rows at `index` of `count` rows; the other rows are NaN or False."""
     out = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
     if values.dtype != np.bool_:
         out[:] = np.nan
@@ -104,20 +105,20 @@ def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: in
 
 
 LARGEST = 24.0
-"""Upper limit of the excess of a squared misfit [1]. Derived: a misfit of 5 times the typical one, 5^2 - 1."""
+"""Upper limit of the excess of a squared misfit [1]. Derived: a misfit of 5 times the typical misfit, 5^2 - 1."""
 FEWEST = 30
-"""Smallest number of frames for a scatter [frames]. Chosen: the scatter of 30 frames is known within 13 %; a smaller
-number gives a share by chance."""
+"""Smallest number of frames for a scatter [frames]. Chosen: the scatter of 30 frames is known within 13 %; with a
+smaller number, the share estimated by `variance_inflation` is random."""
 _SHARES = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 21)])
-"""Grid of shares of the excess misfit in the variance [1]. Chosen: steps of 26 %; finer ones do not change the
+"""Grid of shares of the excess misfit in the variance [1]. Chosen: steps of 26 %; finer steps do not change the
 uncertainty by more than a few percent."""
 _FAULT = 5.0
-"""Largest residual of a valid angle, in standard deviations [1]. Chosen: a smaller value discards good angles, a
-larger one lets faults raise the share."""
+"""Largest residual of a valid angle, in standard deviations [1]. Chosen: a smaller value discards good angles; with a
+larger one, false angles raise the share of `variance_inflation`."""
 
 
 def excess_misfit(misfit: Floats, usual: float) -> Floats:
-    """Return the relative excess of squared misfits over the typical one, (n,), at least 0."""
+    """Return the relative excess of squared misfits over the typical squared misfit, (n,), at least 0."""
     ratio = np.nan_to_num(misfit, nan=0.0) / max(usual, 1e-9)
     return np.asarray(np.clip(ratio**2 - 1.0, 0.0, LARGEST))
 
@@ -134,7 +135,7 @@ def variance_inflation(off: Floats, excess: Floats) -> float:
 
 LARGEST_MISFIT = 0.12
 """Largest misfit of a profile, relative to its height, that illumination alone can cause [1]. Chosen: occlusion of a
-tenth of a marker causes more; a larger value accepts it, a smaller one rejects glare."""
+tenth of a marker causes a larger misfit; a larger value accepts this occlusion, a smaller one rejects glare."""
 WEAKEST = 4.0
 """Largest factor on the uncertainty of a partly occluded marker that is used [1]. Chosen: 1/16 of the information; a
 larger value admits the errors of an edge, a smaller one discards angles."""
@@ -154,13 +155,13 @@ class Candidate:
 
 _LOWEST = 0.5
 """Smallest plausible height of a marker, divided by its median height [1]. Chosen: a smaller value keeps half-covered
-markers, a larger one omits shaded ones."""
+markers, a larger one omits shaded markers."""
 _HIGHEST = 2.0
 """Largest plausible height of a marker, divided by its median height [1]. Chosen: a larger value keeps glare, a smaller
 one omits markers in bright light."""
 _POOR = 6.0
-"""Largest misfit of a plausible profile, in robust standard deviations above the typical misfit [1]. Chosen: a
-smaller value omits good angles, a larger one keeps disturbed ones."""
+"""Largest misfit of a plausible profile, in robust standard deviations above the typical misfit [1]. Chosen: a smaller
+value omits good angles, a larger one keeps disturbed angles."""
 
 
 def plausible(seen: MarkerObservations) -> Mask:
@@ -193,8 +194,8 @@ def _usual(seen: MarkerObservations, values: Floats) -> float:
 
 
 ROUNDS = 8
-"""Number of iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer; a larger number costs
-time."""
+"""Number of iterations of a match [iterations]. Chosen: Gauss-Newton steps converge in fewer iterations; a larger
+number costs time."""
 FINENESS = 8
 """Tabulated displacements of the template per sample [1]. Chosen: linear interpolation between 1/8 of a sample; a
 smaller number biases the angle, a larger one takes memory."""
@@ -307,25 +308,25 @@ def flat_top(half_width: float, length: int) -> Floats:
 
 
 MOST_SHAPES = 96
-"""Largest number of frames of a batch from which the template is learnt [frames]. Chosen: time; a smaller number gives
-a noisier template."""
+"""Largest number of frames of a batch from which the template is learnt [frames]. Chosen: a larger number costs time, a
+smaller one gives a noisier template."""
 
 
 _OFF_MIDDLE = 0.25
 """Largest distance of the middle of the corners from the fine angle, in half widths [1]. Chosen: a smaller value omits
-corners of blurred markers, a larger one keeps those of other edges."""
+corners of blurred markers, a larger one keeps corners of other edges."""
 _OFF_MIDDLE_BY = 0.01
 """Distance by which the middle of the corners may exceed `_OFF_MIDDLE` [rad]. Chosen: for narrow markers; a smaller
-value omits their corners, a larger one keeps those of other edges."""
+value omits their corners, a larger one keeps corners of other edges."""
 _OTHER_WIDTH = 0.3
-"""Largest relative difference of the half width of the corners from the typical one [1]. Chosen: a smaller value omits
-corners of blurred markers, a larger one keeps those of other edges."""
+"""Largest relative difference of the half width of the corners from the typical half width [1]. Chosen: a smaller value
+omits corners of blurred markers, a larger one keeps corners of other edges."""
 _OFF_EDGE = 0.35
 """Largest distance of the corners from the near edge, in lengths of the marker [1]. Chosen: a smaller value omits
-corners of an oblique view, a larger one keeps those of other edges."""
+corners of an oblique view, a larger one keeps corners of other edges."""
 _OFF_EDGE_BY = 2.0
 """Distance by which the corners may exceed `_OFF_EDGE` [px]. Chosen: one sample of the chroma; a smaller value omits
-corners of short markers, a larger one keeps those of other edges."""
+corners of short markers, a larger one keeps corners of other edges."""
 
 
 class MarkerTracker:
@@ -418,8 +419,8 @@ class MarkerTracker:
     def _without_neighbours(self, window: MarkerWindow, found: Match, open_: Mask) -> Match:
         """Match profiles with an implausible misfit again, without the disturbing samples beside the marker.
 
-        The markers of the rotor pass below the markers of the casing and do not change their profiles. An object
-        beside a marker of the rotor, for example the bar, may cover a part of this marker.
+        The markers of the rotor pass below the markers of the casing and do not change their profiles. An object beside
+        a marker of the rotor, for example the bar of the casing, may cover a part of this marker.
         """
         poor = window.known & (found.misfit > LARGEST_MISFIT)
         if self.marker.body != "casing" or not poor.any():
@@ -514,7 +515,7 @@ _OF_TYPICAL = 0.6
 shaded markers, a larger one leaves few profiles."""
 _OF_MISFIT = 1.2
 """Largest misfit of a profile that enters a template, divided by the median misfit [1]. Chosen: a larger value admits
-disturbed profiles, a smaller one leaves few."""
+disturbed profiles, a smaller one leaves few profiles."""
 
 
 def _good(found: Match, whole: Mask, known: Mask) -> Mask:

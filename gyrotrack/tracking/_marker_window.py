@@ -1,9 +1,9 @@
 """The window in which a marker is expected, and uneven illumination and occlusion as functions of the angle.
 
-Illumination and occlusion are learnt from the marker itself. When a marker with profile a T(x) passes an angle, the
-measured height divided by the expected height is h = sum(a T p) / sum((a T)^2), summed over all passages. As a function
-of the angle in the picture, h is the illumination; as a function of the angle relative to the other body, h shows an
-occlusion.
+Illumination and occlusion are learnt from the marker itself. When a marker with the expected profile a T(x) and the
+measured profile p passes an angle, the measured height divided by the expected height is h = sum(a T p) / sum((a T)^2),
+summed over all passages. As a function of the angle in the picture, h is the illumination. As a function of the angle
+relative to the other body, h shows an occlusion.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class MarkerStrip:
 
     A score is linear in the planes of the film; it is computed and unrolled only for the pixels of the windows. The
     background is the median of the samples at every pixel, or the median along each row if the marker hardly moves.
-    `keep_out` is the smallest radius [px] (the disc), `margin` the largest distance of a marker from its expected
-    angle [rad].
+    `keep_out` is the smallest radius, at the edge of the disc [px]. `margin` is the largest distance of a marker from
+    its expected angle [rad].
     """
 
     def __init__(
@@ -163,17 +163,18 @@ class MarkerStrip:
 
 
 LAYERS = 3
-"""Parts of the radius for which the occlusion is measured separately [1]. Chosen: a smaller number takes a partly
-covered marker for a dim one, a larger one gives noisy heights."""
+"""Number of parts of the radius for which the occlusion is measured separately [1]. Chosen: a smaller number takes a
+partly covered marker for a dim marker, a larger one gives noisy heights."""
 
 
 class MarkerWindow:
     """Scores (n, rows, m) and profiles in the windows of one marker, in n frames.
 
-    `known`: frames in which the body is tracked; `start`, `first`: middle column of the window, and first column of
-    the window within the full turn; `fraction`: expected displacement of the marker from the middle, in columns;
-    `raw`, `profile` (n, m): mean over the rows of the marker, without and with correction of the illumination;
-    `layers` (n, layers, m): means over parts of the radius, without the correction.
+    `known` is a mask of the frames in which the body is tracked. `start` is the middle column of the window, and
+    `first` is the first column of the window within the full turn. `fraction` is the expected displacement of the
+    marker from the middle, in columns. `raw` and `profile` (n, m) are means over the rows of the marker, without and
+    with correction of the illumination. `layers` (n, layers, m) are means over parts of the radius, without this
+    correction.
     """
 
     def __init__(self, strip: MarkerStrip, coarse: Floats) -> None:
@@ -225,8 +226,8 @@ class AngleMap:
     """Mean relative height of a marker at each angle and in parts of the radius (`layers`), learnt from its passages.
 
     `ground` is the subtracted background, in heights of the marker. A marker covers the reflections of lamps in the
-    metal beneath it. Its brightness therefore varies little and is averaged, whereas its height above the background
-    varies.
+    metal beneath it. The brightness of the marker therefore varies little and is averaged, whereas its height above the
+    background varies.
     """
 
     def __init__(self, layers: int, columns: int, ground: Floats | None = None) -> None:
@@ -255,7 +256,8 @@ class AngleMap:
     def heights(self, blur: int, prior: float = 0.0) -> Floats:
         """Return the heights relative to their 60 % quantile (layers, columns); NaN without passages.
 
-        `blur` is the half width of the moving average, `prior` the weight of a height of 1, in full passages.
+        `blur` is the half width of the moving average. `prior` is the weight, in full passages, of an assumed height of
+        1.
         """
         top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
@@ -268,14 +270,14 @@ class AngleMap:
 
 
 HIDDEN = 0.55
-"""Smallest height of an unoccluded marker relative to the expected height; lower limit of the illumination [1].
-Chosen: a smaller value keeps half-covered markers, a larger one discards shaded ones."""
+"""Smallest height of an unoccluded marker relative to the expected height, and lower limit of the illumination [1].
+Chosen: a smaller value keeps half-covered markers, a larger one discards shaded markers."""
 CLEAR = 0.95
 """Smallest relative height of a marker without shadow [1]. Chosen: a smaller value keeps blurred edges, a larger one
 discards markers in uneven light."""
 WIDEST_EDGE = 8
 """Largest width of the blurred edge or the shadow of an occluding object [columns]. Chosen: a smaller value keeps
-biased angles, a larger one discards open ones."""
+biased angles, a larger one discards unoccluded angles."""
 
 
 _SMOOTH = 0.2
@@ -302,7 +304,7 @@ def even_light(light: AngleMap, reach: int) -> Floats:
 
 
 def shaded_columns(light: AngleMap) -> npt.NDArray[np.bool_]:
-    """Return a mask of the angles at which an object at rest occludes the marker, or glare exceeds the marker."""
+    """Return a mask of the angles at which an object at rest occludes the marker, or glare outshines it."""
     height = light.heights(max(light.columns // 128, 1), prior=4.0)[0]
     return np.asarray(np.nan_to_num(height, nan=1.0) < HIDDEN)
 
@@ -342,14 +344,18 @@ def _blurred(rows: Floats, half: int) -> Floats:
 Mask = npt.NDArray[np.bool_]
 
 _COLUMNS = 360
-"""Columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar is
-blurred; with more, each column is seen less often."""
+"""Number of columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar
+of the casing is blurred; with more, each column is seen less often."""
 _SCALE = _COLUMNS / (2.0 * np.pi)
-"""Columns of the map per angle [columns per rad]. Derived: `_COLUMNS` divided by a turn."""
+"""Number of columns of the map per angle [columns per rad]. Derived: `_COLUMNS` divided by a turn."""
 
 
 class Occlusion:
-    """Map of the occlusion by the other body; `offset` [px] of the rings' centre from its axis; `step` [rad]."""
+    """Map of the occlusion by the other body.
+
+    `offset` is the position of the rings' centre relative to the axis of the other body [px]; `step` is the angle
+    between two columns of the rings [rad].
+    """
 
     def __init__(self, step: float, offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self._step, self._offset = step, offset

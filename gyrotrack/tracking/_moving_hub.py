@@ -47,11 +47,11 @@ _LEAST_RANGE = 0.01
 """Smallest range of the angles in which features are followed [rad]. Chosen: a smaller value follows noise, a larger
 one overlooks a suspended table."""
 _WIDEST = 2.0
-"""Largest range of the angles in which features are followed [rad]. Chosen: a wider one is left to registration about a
-hub; features are lost by larger rotations."""
+"""Largest range of the angles in which features are followed [rad]. Chosen: larger rotations are measured by
+registration about a hub, because features are lost during a larger rotation."""
 _LENIENT = 2.0
-"""Factor on the lower limits of range and travel in reduced frames [1]. Chosen: a smaller factor
-refuses films that the full frames show, a larger one examines more of them."""
+"""Factor on the lower limits of range and travel in reduced frames [1]. Chosen: a smaller factor refuses films that the
+full frames show, a larger one examines more films in full frames."""
 _EXPLAINED = 0.4
 """Smallest share of the change of brightness about the path that the rotation explains [1]. Chosen: a smaller value
 accepts bodies that only translate, a larger one refuses uneven light."""
@@ -69,8 +69,8 @@ _MIDDLE = 100.0
 """Largest resolution for the final angles [samples per radius]. Chosen: a larger value costs time, a smaller one loses
 detail."""
 _LEARNT = 150
-"""Frames from which the template is learnt [frames]. Chosen: a smaller number gives a noisier template, a larger one
-costs time."""
+"""Number of frames from which the template is learnt [frames]. Chosen: a smaller number gives a noisier template, a
+larger one costs time."""
 _ROUNDS = 10
 """Largest number of iterations between template and poses [iterations]. Chosen: a smaller number stops before path and
 template agree, a larger one costs time."""
@@ -81,9 +81,9 @@ _HIDDEN = 6.0
 """Largest mean square residual, divided by its median, of a frame that shows the body [1]. Chosen: a smaller value
 omits frames of uneven light, a larger one keeps frames with a hand."""
 _AS_WELL = 1.2
-"""Largest ratio of the misfit at the angle extrapolated from the last frames to that at the rough angle for which the
-first one is used [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one
-removes true jumps."""
+"""Largest misfit at the angle extrapolated from the last frames, divided by the misfit at the rough angle, for which
+the extrapolated angle is used [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a
+larger one removes true jumps."""
 _RECENT = 6
 """Number of the last frames that predict the next angle [frames]. Chosen: a smaller number follows a single wrong
 angle, a larger one lags behind a change of the speed."""
@@ -92,14 +92,15 @@ _LARGEST_STEP = 2.0
 follows wrong fits."""
 
 _BACKGROUND = 60
-"""Number of frames for the background, which is their median [frames]. Chosen: memory and time; a smaller number keeps
-a slow body in the background."""
+"""Number of frames for the background, which is their median [frames]. Chosen: a larger number costs memory and time, a
+smaller one keeps a slow body in the background."""
 _ONE_SIGN = 3.0
-"""Smallest ratio of lighter to darker differences from the background, or the inverse, for which a body has one sign
-[1]. Chosen: a smaller value takes marks of a body for the background, a larger one leaves a body at rest in it."""
+"""Smallest ratio of lighter to darker differences from the background, or the inverse, for which the whole body counts
+as lighter, or darker, than the background [1]. Chosen: a smaller value takes marks of a body for the background, a
+larger one leaves a body at rest in the background."""
 _RARE = 0.15
-"""Share of the frames in which the background is visible where a body covers it most of the time [1]. Chosen: a smaller
-value follows noise and shadows, a larger one leaves a body that stays longer in the background."""
+"""Smallest share of the frames in which the background is visible where a body covers it most of the time [1]. Chosen:
+a smaller value follows noise and shadows, a larger one takes a body that stays longer for the background."""
 _LAG = 4
 """Distance between two frames in which the pictures of a moving body differ measurably [frames]. Chosen: a smaller
 number shows less motion than noise, a larger one shifts the ends of the motion."""
@@ -115,33 +116,33 @@ loses fast bodies."""
 _SMALLEST = 24.0
 """Smallest area of a body [px2]. Chosen: a smaller value follows noise, a larger one loses small bodies."""
 _REGIONS = 50
-"""Largest number of regions of a frame that are considered, the largest first [1]. Chosen: time; a smaller number loses
-bodies in noisy films."""
+"""Largest number of regions of a frame that are considered, the largest first [1]. Chosen: a larger number costs time,
+a smaller one loses bodies in noisy films."""
 _LOST = 5
-"""Frames without the body after which a path ends [frames]. Chosen: colliding bodies start new paths; a smaller number
-splits a path at each occlusion, a larger one joins different bodies."""
+"""Number of frames without the body after which a path ends [frames]. Chosen: colliding bodies start new paths; a
+smaller number splits a path at each occlusion, a larger one joins different bodies."""
 _AREA = 0.3
 """Smallest relative change of the area of a body that touches another body or is occluded [1]. Chosen: a smaller value
 discards frames of uneven light, a larger one keeps touching bodies."""
 _RESCALED = 0.1
-"""Smallest share of the frames of a path in which only the distance from the camera explains the area of a body, for
-which its size is followed [1]. Chosen: a smaller value follows the noise of the areas, a larger one omits the ends of a
-path towards the camera."""
+"""Smallest share of the frames of a path in which only a changed distance from the camera explains the area of a body;
+above it, the size of the body is followed [1]. Chosen: a smaller value follows the noise of the areas, a larger one
+omits the ends of a path towards the camera."""
 _SIMILAR = 0.25
-"""Largest relative change of the moment of an outline, in units of its squared area, of a body whose distance changes
+"""Largest relative change of the moment of an outline, divided by its squared area, that a change of distance explains
 [1]. Derived: a disc of which half is hidden changes by 0.28; a larger value takes occlusion for distance, a smaller one
 omits bodies that wobble."""
 _TREND = 15, 31
-"""Lengths of the running medians of area and moment [frames]. Chosen: smaller values follow an occlusion, larger ones
+"""Lengths of the running medians of area and moment [frames]. Chosen: smaller values follow an occlusion, larger values
 do not follow the distance."""
 _GATE = 0.7
 """Largest distance of a body from its prediction [diameters]. Chosen: a smaller value loses fast bodies, a larger one
 confuses neighbours."""
 _TRAVEL = 0.5
-"""Smallest motion of a free body [diameters]. Chosen: a smaller value follows bodies on an axle, a larger one omits
-short paths."""
+"""Smallest distance that a free body moves [diameters]. Chosen: a smaller value follows bodies on an axle, a larger one
+omits short paths."""
 _OF_FILM = 0.25
-"""Smallest share of the change of the film that is in the frames of the path [1]. Chosen: a body that is seen for less
+"""Smallest share of the change of the film that is in the frames of the path [1]. Chosen: a body with a smaller share
 is not the subject of the film; a larger value omits one body of several."""
 _SLIDING = 1.0
 """Smallest displacement of a moving body in `_LAG` frames [px]. Chosen: a smaller value includes rest, a larger
@@ -150,8 +151,8 @@ _TURNING = 3.0
 """Smallest change (rms) of the picture of a moving body divided by the noise [1]. Chosen: a smaller value includes
 rest, a larger one cuts slow ends."""
 _TURNED = 0.2
-"""Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen:
-changes by the codec at rest exceed the noise; a smaller value includes them, a larger one cuts slow ends."""
+"""Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen: changes by the
+codec at rest exceed the noise; a smaller value includes these changes, a larger one cuts slow ends."""
 _STEADY = 9
 """Length of a window in which most frames show the motion [frames]. Chosen: a smaller number ends the motion at a
 single frame, a larger one blurs its ends."""
@@ -159,14 +160,14 @@ _WITHIN = 0.9
 """Share of the radius within which the picture shows the body alone [1]. Chosen: a larger value includes the
 background, a smaller one loses marks near the rim."""
 _BODIES = 4
-"""Largest number of paths for which the rotation is measured [1]. Chosen: time; a smaller number may omit the body that
-turns."""
+"""Largest number of paths for which the rotation is measured [1]. Chosen: a larger number costs time, a smaller one may
+omit the body that turns."""
 _FASTEST = 0.25 * TURN
 """Largest rotation per frame [rad per frame]. Derived: beyond a quarter of a turn a disc with two similar sides fits
 either sense."""
 _SUDDEN = 0.1 * TURN
-"""Largest difference of the rotation in one frame from that in its neighbours [rad]. Chosen: a smaller value refuses
-collisions, a larger one accepts another orientation of the template."""
+"""Largest difference between the rotation in one frame and the rotation in neighbouring frames [rad]. Chosen: a smaller
+value refuses collisions, a larger one accepts another orientation of the template."""
 _TURNS = 5.0
 """Smallest standard deviation of the angles of a rotating body, in standard uncertainties of one angle [1]. Chosen: a
 smaller value reports noise, a larger one omits small rotations."""
@@ -212,8 +213,8 @@ def track_by_features(
     tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
     if tracked.explained < _EXPLAINED:  # the features belong to several bodies
         return None
-    # features at the edge of the body are biased by the background: the result is from registration, and the
-    # difference between the two is a correlated uncertainty; new features inherit the error of the previous ones
+    # features at the edge of the body are biased by the background: the result is from registration, and the difference
+    # between the two is a correlated uncertainty; new features inherit the error of the previous features
     kept = np.isin(usable, tracked.frame)
     apart, followed = tracked.angle + theta[kept], followed[kept]
     for first in np.unique(followed):
@@ -239,7 +240,7 @@ def may_be_loose(frames: Iterable[Plane], motion: Motion) -> bool:
 def _loose_motion(
     frames: Iterable[Plane], motion: Motion, travel: float = 1.0, least: float = _LEAST_RANGE
 ) -> tuple[Floats, npt.NDArray[np.complex128], Frames, Ring] | None:
-    """Return the angles of the features of a body, the path of its hub, the feature generations, and a ring; or None.
+    """Return angles and hub path of a body from its features, the frames of their selection, and a ring; or None.
 
     The range of the angles must exceed `least` [rad], and the hub must move by less than `travel` times the arcs of
     the rim.
@@ -308,8 +309,8 @@ def track_free_body(
         # the last warning must be the doubt about the result
         notes.append(
             f"The body does not turn about a fixed axis: it moves across the picture by "
-            f"{np.hypot(*np.ptp(path.place, axis=0)):.0f} px. Its angle is that about the centroid of its outline, "
-            f"complete in {len(path.frame)} of {len(film)} frames; what acts on its path may also act on its rotation."
+            f"{np.hypot(*np.ptp(path.place, axis=0)):.0f} px. Its angle is measured about the centroid of its outline, "
+            f"complete in {len(path.frame)} of {len(film)} frames; forces on the body may also change its rotation."
         )
         return replace(_completed(film, tracked, correlated, "outline", notes), ambiguous=True)
     where = "" if near is None else f" and passes ({near[0]:.0f}, {near[1]:.0f}) px"
@@ -335,7 +336,7 @@ class Path:
 
 @dataclass
 class _Outline:
-    """A body in one frame: centroid (x, y) [px], area [px2], and polar moment of the area in units of its square."""
+    """A body in one frame: centroid (x, y) [px], area [px2], and polar moment divided by the squared area."""
 
     place: Floats
     area: float
@@ -416,9 +417,9 @@ def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats | None]:
 
     The size is None if it does not change.
 
-    `area` [px2] and `moment` (the polar moment divided by the squared area) are those of the outlines. The moment of a
-    body that touches another one, or is occluded, changes with its area. If only the area changes, and slowly, the
-    distance from the camera does.
+    `area` [px2] and `moment` (the polar moment divided by the squared area) are properties of the outlines. The moment
+    of a body that touches another one, or is occluded, changes with its area. If only the area changes, and slowly, the
+    distance from the camera changes.
     """
     ratio = area / np.median(area)
     usual = np.abs(ratio - 1.0) < _AREA
@@ -575,7 +576,7 @@ def _along_path(
         polar = polar_of(frame, k)
         pose = register(polar, template, theta[k], move=True)
         if area is None and k > 1:
-            # the rough angle of a free body may be that of an equal part, or be lost
+            # the rough angle of a free body may belong to an equal part of the body, or be lost
             recent = np.array([p.angle for p in every[-_RECENT:]])
             rate = median(np.diff(recent) / np.diff(frames[k - len(recent) : k]))
             step = rate * (frames[k] - frames[k - 1])

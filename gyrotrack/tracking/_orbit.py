@@ -7,9 +7,9 @@ disc. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc
 
     v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
 
-with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both change
-radius and angle: without correction, e causes an error of the angle of |e| / rho once per turn, and (p, q) an error of
-hypot(p, q) twice per turn.
+with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Offset and
+flattening change radius and angle: without correction, e causes an error of the angle of |e| / rho once per turn, and
+(p, q) an error of hypot(p, q) twice per turn.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Orbit:
 
 
 _FEWEST = 5
-"""Smallest number of blobs, of directions with a blob, and of inliers of a common centre [1]. Chosen: with fewer, they
+"""Smallest number of blobs, of directions with a blob, and of inliers of a common centre [1]. Chosen: with fewer, blobs
 agree by chance; with more, films with occlusions are refused."""
 _LEAST_SPREAD = 1.5
 """Smallest angle that the inliers of a common centre cover [rad]. Chosen: a quarter of a turn; a smaller value leaves
@@ -201,8 +201,8 @@ LEAST_COVER = 5.0
 """Smallest part of the turn that an orbit covers [rad]. Chosen: a smaller value confuses offset and radius of an arc, a
 larger one fits few orbits."""
 _ROUNDS = 6
-"""Iterations of a fit of offset and flattening [iterations]. Chosen: a smaller number stops before outliers and shape
-agree, a larger one costs time."""
+"""Number of iterations of a fit of offset and flattening [iterations]. Chosen: a smaller number stops before outliers
+and shape agree, a larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -262,9 +262,9 @@ NO_FLATTENING = Flattening({}, 0.0, 0.0)
 def fit_flattening(positions: dict[str, Floats]) -> Flattening:
     """Fit offsets and flattening to the orbits of markers, from positions (n, 2) relative to the centre, y up.
 
-    Gauss-Newton on the radii: |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta) to first order, with r the unit
-    vector of theta; points beyond four robust standard deviations are rejected in each round. Markers whose
-    observations cover less than 5 rad are not used.
+    The radii |v| = rho + e . r + rho (p cos 2 theta + q sin 2 theta), to first order, are fitted by the Gauss-Newton
+    method; r is the unit vector in the direction theta. Points beyond four robust standard deviations are rejected in
+    each round. Markers whose observations cover less than 5 rad are not used.
     """
     use = {
         name: v for name, v in positions.items() if len(v) >= LEAST_OBSERVATIONS and _cover(v) > LEAST_COVER
@@ -326,7 +326,7 @@ def flattening_of_arc(
 
     `shift` (2,) or (h, 2) is the expected offset of all markers [px], or h equally probable offsets, with standard
     deviation `size` [px]; `usual` is a typical position-dependent error [px]. An arc determines e in part;
-    `offset_covariance` is its covariance. Systematic errors, not noise, limit the fit: there is one independent
+    `offset_covariance` is the covariance of e. Systematic errors, not noise, limit the fit: there is one independent
     observation per `CELL`. For several expected offsets, the result is mean and covariance of the mixture of the
     posterior distributions.
     """

@@ -1,10 +1,10 @@
 """The pivot of a point that moves on a circle, and the angles about the pivot, with uncertainties.
 
 The circle is fitted to the geometric distances, with the parameters of N. Chernov (Circular and Linear Regression,
-2010, section 3.2): A (x^2 + y^2) + B x + C y + D = 0 with B^2 + C^2 - 4 A D = 1, which pass through a straight line (A
-= 0) without a singularity. A short arc determines the curvature 2 A = 1 / R with a symmetric uncertainty, but the hub
-and the radius with large, correlated uncertainties: the sagitta L^2 / (8 R) of an arc of length L must exceed the
-noise.
+2010, section 3.2): A (x^2 + y^2) + B x + C y + D = 0 with B^2 + C^2 - 4 A D = 1. These parameters also describe a
+straight line (A = 0) without a singularity. A short arc determines the curvature 2 A = 1 / R with a symmetric
+uncertainty, but the hub and the radius with large, correlated uncertainties. It determines a radius only if the sagitta
+L^2 / (8 R) of an arc of length L exceeds the noise.
 """
 
 from __future__ import annotations
@@ -74,11 +74,11 @@ def _in_plane(value: Floats, place: Floats) -> Floats:
 
 
 def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
-    """Fit the ellipse of positions (n, 2) with standard uncertainties (n,) [px] that cover most of it.
+    """Fit an ellipse to positions (n, 2) that cover most of it, with standard uncertainties (n,) [px].
 
     The residual is the deviation of the radius in the plane of the body, times the local scale of the picture, so that
     its standard uncertainty is the standard uncertainty of a position. The covariance is computed as in `fit_arc`. A
-    ValueError is raised if the fit does not converge: the positions do not determine an ellipse.
+    ValueError is raised if the fit does not converge because the positions do not determine an ellipse.
     """
     middle, size = place.mean(axis=0), float(np.hypot(*(place - place.mean(axis=0)).T).mean())
     values, axes = np.linalg.eigh(np.cov(place.T))
@@ -114,14 +114,14 @@ def fit_orbit(place: Floats, sigma: Floats, least: float = 0.0) -> Orbit:
 
 
 _MOST_TRIALS = 100
-"""Largest number of trial ellipses of the first fit of an orbit [1]. Derived: orbits of rendered films need 5 to 53;
-the fit of a short arc, which determines no ellipse, does not converge even after 500."""
+"""Largest number of trial ellipses of the first fit of an orbit [1]. Derived: orbits of rendered films need 5 to 53
+trials; the fit of a short arc, which determines no ellipse, does not converge even after 500 trials."""
 CELLS = 12
-"""Parts of an arc, each with one position-dependent error [1]. Derived: a full orbit has 12 independent
+"""Number of parts of an arc, each with one position-dependent error [1]. Derived: a full orbit has 12 independent
 position-dependent errors, see `_orbit.CELL`."""
 _FEWEST_IN_CELL = 3
 """Smallest number of positions in a part of an arc that determine its error [positions]. Chosen: a smaller number gives
-an error by chance, a larger one leaves short arcs without one."""
+a random error, a larger one leaves short arcs without an error."""
 STRAIGHT = 4.0
 """Smallest curvature of a path that determines a hub, in standard uncertainties [1]. Chosen: a smaller value gives
 hubs with an unbounded uncertainty, a larger one refuses short arcs."""
@@ -134,11 +134,11 @@ class Arc:
     Attributes
     ----------
     hub : ndarray, shape (2,)
-        Its centre (x, y) [px].
+        Centre of the circle (x, y) [px].
     covariance : ndarray, shape (2, 2)
         Covariance of the centre [px2].
     radius : float
-        Its radius [px].
+        Radius of the circle [px].
     curvature, curvature_u : float
         1 / radius and its standard uncertainty [1/px].
     noise : float
@@ -273,7 +273,7 @@ def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[n
 def _covariance(
     jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
 ) -> tuple[float, float, Floats]:
-    """Return the noise, the position-dependent error, and the covariance of the parameters due to both."""
+    """Return the noise, the position-dependent error, and the covariance of the parameters due to both errors."""
     count = max(len(rest) - 3, 1)
     weight = 1.0 / sigma**2
     inverse = np.linalg.pinv((jacobian * weight[:, None]).T @ jacobian)

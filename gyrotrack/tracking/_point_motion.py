@@ -25,8 +25,8 @@ HUB_U = 1.0
 """Standard uncertainty of a given hub, per axis [px]. Chosen: the accuracy of a click; a smaller value
 overrules the arc, a larger one ignores the given hub."""
 HUB_SHARE = 0.02
-"""Standard uncertainty of a given hub, relative to its distance [1]. Chosen: a hub outside the picture is
-extrapolated from the thread; it is the prior of a displaced hub in `apps._motion.VIEW`."""
+"""Standard uncertainty of a given hub, divided by its distance from the point [1]. Chosen: for a hub outside the
+picture, which is extrapolated from the thread; `apps._motion.VIEW` uses this value as the prior of a displaced hub."""
 TILT = 0.35
 """Standard deviation of the tilt of a camera held by hand [rad]. Chosen: 20 degrees; a smaller value understates the
 error of the angles of short arcs, a larger one overstates it."""
@@ -41,7 +41,7 @@ _TILT_U = 0.05
 angles, a larger one overstates it."""
 _WIDE = 0.5 * TURN
 """Smallest range of the angle in which an ellipse differs from a circle [rad]. Chosen: half a turn; a smaller value
-drops the error of the tilt too early, a larger one keeps it."""
+drops the error of the tilt too early, a larger one drops it too late."""
 _OFF = 8.0
 """Largest distance of a correct match from the arc, in standard deviations of the residuals [1]. Chosen: a smaller
 value discards good frames, a larger one keeps wrong matches."""
@@ -52,8 +52,8 @@ _ON = 0.8
 """Smallest share of frames on the arc [1]. Chosen: a smaller value accepts other paths, a larger one refuses films with
 occlusions."""
 _COMPARED = 300
-"""Number of frames in which another rotation about the pivot is searched for [frames]. Chosen: time; a smaller number
-shows little motion."""
+"""Number of frames in which another rotation about the pivot is searched for [frames]. Chosen: a larger number costs
+time, a smaller one shows little motion."""
 _STILL = 1.0
 """Smallest extent of a path [px]. Chosen: a smaller value measures a body at rest, a larger one refuses small
 oscillations."""
@@ -67,8 +67,8 @@ _LEARNT = 0.4
 """Smallest position-dependent error of a learnt picture and background divided by the noise of a position [1].
 Measured: 0.3 to 0.8 for rendered bobs."""
 _CONTRADICTS = 3.0
-"""Largest distance of the hub of the arc from the given hub without a warning, in standard deviations [1]. Chosen:
-three; a smaller value doubts accurate hubs, a larger one accepts biased angles."""
+"""Largest distance of the hub of the arc from the given hub without a warning, in standard deviations [1]. Chosen: a
+smaller value warns of accurate hubs, a larger one accepts biased angles."""
 _ALWAYS = 0.9
 """Smallest share of the frames with an automatically selected point [1]. Chosen: a smaller value accepts
 other objects, a larger one refuses films with occlusions."""
@@ -76,7 +76,7 @@ _ROUND = 0.03
 """Largest radial scatter of an automatically selected point, divided by the extent of its path [1]. Chosen: a smaller
 value refuses blurred bobs, a larger one accepts other paths."""
 _REVERSALS = 2
-"""Number of passages that the path of an automatically selected, oscillating point must exceed [1]. Chosen: a
+"""Number of passages above which the path of an automatically selected, oscillating point is accepted [1]. Chosen: a
 thrown ball does not retrace its path; a larger value refuses short films."""
 _TURNS = 1.2
 """Smallest number of turns of an automatically selected point about a pivot [turns]. Chosen: a thrown ball does not
@@ -94,7 +94,7 @@ class TrackedPoint:
     Attributes
     ----------
     frame : ndarray of int64, shape (m,)
-        Frames in which it was measured.
+        Frames in which the point was measured.
     place, place_sigma : ndarray, shape (m, 2)
         Position (x, y) and its standard uncertainty [px].
     angle, sigma : ndarray, shape (m,)
@@ -255,7 +255,8 @@ to the link [px]. Measured: 0.07 px at the joint and 0.03 px at the end, for 15 
 to 10 px."""
 _LINEAR_STEPS = 3
 """Number of linear fits of the displacement of a point from the joint [iterations]. Chosen: the displacement is not
-small compared with the first link; a smaller number stops before the fits agree, a larger one costs time."""
+small compared with the first link, so the model is not linear; a smaller number stops before the fits agree, a larger
+one costs time."""
 
 
 def follow_links(
@@ -378,7 +379,7 @@ def _on_second_link(
 
 
 def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats, float]:
-    """Fit the values (n,) linearly, the first two parameters with a normal prior of standard deviation `off`.
+    """Fit a linear model to values (n,); the first two parameters have a normal prior of standard deviation `off`.
 
     The results are the parameters, their covariance for correlated residuals, and the rms residual.
     """
@@ -399,9 +400,9 @@ def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tup
     """Return the correction across the second link [px] for a point beside the joint, and its standard uncertainty.
 
     With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
-    links, the distance is L - Re(d exp(-i phi)), and the end appears displaced by -Im(d exp(-i phi)) across the link
-    [px]. A linear fit of the distances (n,) with a normal prior of mean 0 determines d. The third result is the rms
-    residual [px].
+    links, the distance is L - Re(d exp(-i phi)), where L is the length of the second link. The end appears displaced by
+    -Im(d exp(-i phi)) across the link [px]. A linear fit of the distances (n,) with a normal prior of mean 0 determines
+    d. The third result is the rms residual [px].
     """
     cos, sin = np.cos(between), np.sin(between)
     found, covariance, rest = _with_prior(np.stack([-cos, -sin, np.ones_like(cos)], axis=1), length, off)
@@ -525,7 +526,7 @@ def about_pivot(
             warnings.append(
                 f"The arc of the path gives the pivot ({x:.0f}, {y:.0f}) px, at a distance of {arc.radius:.0f} px; all "
                 f"angles share a relative uncertainty of {100 * u:.2g} %, of which {100 * view:.2g} % is due "
-                "to a possible tilt of the camera. --hub X,Y gives the pivot, --tilt the tilt."
+                "to a possible tilt of the camera. Give the pivot with --hub X,Y, or the tilt with --tilt."
             )
     else:
         given = np.array(hub, dtype=np.float64)
@@ -551,7 +552,8 @@ def about_pivot(
                 centre, covariance = _combined(given, prior, arc.hub, arc.covariance)
                 way = "given and arc of a point"
             else:
-                # a tilt phi: distance of the hub a cos(phi), radius of curvature a / cos(phi), or exchanged
+                # with a tilt phi, the distance of the hub is a cos(phi) and the radius of curvature a / cos(phi), or
+                # vice versa
                 view = abs(math.log(ratio)) / 2.0 if ratio > 0 else view
                 view = math.hypot(view, arc.curvature_u / arc.curvature / 2.0)
                 if abs(math.log(ratio)) > 3.0 * arc.curvature_u / arc.curvature:
@@ -567,8 +569,8 @@ def about_pivot(
     outward = away / radius[:, None]
     across = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
     radial, along = (np.sqrt(np.einsum("ni,nij,nj->n", v, path.covariance, v)) for v in (outward, across))
-    # along the path, blur by the motion and an uneven clock add to the noise; errors that neighbouring frames share,
-    # of a codec for example, are seen across the path alone
+    # along the path, motion blur and jitter of the clock add to the noise; errors that neighbouring frames share, for
+    # example due to a codec, appear only across the path
     scatter = white_noise(angle, path.frame) * float(np.median(radius))
     along = along * max(scatter / float(np.median(along)), scale)
     place_sigma = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
@@ -590,14 +592,14 @@ def about_pivot(
 
 
 _GAP = 0.25 * TURN
-"""Largest gap of an orbit that shows a tilt [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse
-undetermined, a smaller one refuses few positions."""
+"""Largest gap of an orbit that shows a tilt [rad]. Chosen: a quarter of a turn; a larger gap leaves the ellipse
+undetermined, a smaller one refuses orbits of few positions."""
 _ELLIPSE = 0.03
 """Largest deviation (rms) of the points of an orbit from the ellipse, divided by its radius [1]. Chosen: a smaller
 value refuses blurred points, a larger one accepts other paths."""
 _BETTER = 0.5
-"""Largest ratio of the deviation of an orbit from the ellipse to that from a circle [1]. Chosen: a smaller value leaves
-small tilts uncorrected, a larger one fits noise."""
+"""Largest deviation of an orbit from the ellipse, divided by its deviation from a circle [1]. Chosen: a smaller value
+leaves small tilts uncorrected, a larger one fits noise."""
 
 
 def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
@@ -650,8 +652,8 @@ def _about_tilted_axis(
     tilt, short = (math.degrees(v) for v in orbit.tilt)
     text = (
         f"The axis of rotation is tilted by {tilt:.1f} +- {math.degrees(orbit.tilt_u):.1g} degrees relative to the "
-        f"line of sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are those in the "
-        "plane of the body. The film does not show which side is nearer; the sense of rotation is the one seen."
+        f"line of sight (the orbit is an ellipse, its short axis at {short:.0f} degrees): the angles are measured in "
+        "the plane of the body. The film does not show which side is nearer; the sense of rotation is stated as seen."
     )
     warnings = [text]
     ambiguous = False

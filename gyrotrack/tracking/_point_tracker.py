@@ -7,9 +7,9 @@ is at the position p and rotated by theta, the picture at the point u of the pat
     I(p + R(theta) u) = s(u) B(p + R(theta) u) + q(u)
 
 with the background B, the transparency s of the patch (0 on the body, 1 beside it), and q its brightness times (1 - s).
-The pictures are linear in s and q, which follow from a regression of the pictures on B. p follows from Gauss-Newton
-steps (S. Baker, I. Matthews, IJCV 56, 221, 2004) with the variance of each pixel, so that a string or a shadow has
-little weight. Places are (x, y) in px, x to the right, y down; the centre of the first pixel is (0, 0).
+The pictures are linear in s and q, which follow from a regression of the pictures on B. p is determined by Gauss-Newton
+steps (S. Baker, I. Matthews, IJCV 56, 221, 2004). Pixels are weighted by their inverse variances, so that a string or a
+shadow has little weight. Places are (x, y) in px, x to the right, y down; the centre of the first pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _REACH = 12.0
 misses the spot, a larger one takes another body."""
 _PATCHES = (6.0, 8.0, 11.0, 15.0, 20.0, 28.0)
 """Radii of a patch without an outline that are tried, the smallest first [px]. Chosen: by factors of about 1.4; larger
-ones include the background, smaller ones lack detail."""
+patches include the background, smaller patches lack detail."""
 _SHARP = 0.05
 """Largest standard uncertainty of the position of a patch [px]. Chosen: a smaller value selects large patches, a
 larger one follows patches without detail."""
@@ -72,17 +72,18 @@ _ANCHORED = 0.5
 """Largest mean square difference of a match, divided by its limit, for which the template is not renewed [1]. Chosen: a
 smaller value lets the template drift, a larger one loses a patch that turns."""
 _PRESENT = 0.4
-"""Smallest mean square difference of a match from the background, divided by that of the patch in the first frame [1].
-Chosen: a smaller value matches the background, a larger one loses a patch in shadow."""
+"""Smallest mean square difference of a match from the background, divided by the mean square difference of the patch
+from the background in the first frame [1]. Chosen: a smaller value matches the background, a larger one loses a patch
+in shadow."""
 _TEMPLATE = 12.0
-"""Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: time; a smaller one loses
-precision."""
+"""Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: a larger radius costs time,
+a smaller one loses precision."""
 _COARSE = 5.0
-"""Radius of a spot in the reduced picture that is searched as a whole [px]. Chosen: time; a smaller one loses the spot
-among similar ones."""
+"""Radius of a spot in the reduced picture that is searched as a whole [px]. Chosen: a larger radius costs time, a
+smaller one does not distinguish the spot from similar spots."""
 _FOLLOWED = 90
-"""Number of frames in which the paths of two bodies are tested for links [frames]. Chosen: time; a smaller number shows
-little motion."""
+"""Number of frames in which the paths of two bodies are tested for links [frames]. Chosen: a larger number costs time,
+a smaller one shows little motion."""
 _FOUND = 0.6
 """Smallest share of the frames in which a patch is found [1]. Chosen: a smaller value measures few frames, a larger one
 refuses films with occlusions."""
@@ -90,11 +91,11 @@ _LEARNT = 200
 """Largest number of frames for the average picture of the patch [frames]. Chosen: a smaller number gives a noisier
 picture, a larger one costs time."""
 _ROUNDS = 4
-"""Alternations of averaging a patch and measuring its positions [iterations]. Chosen: a smaller number stops before
-patch and positions agree, a larger one costs time."""
+"""Number of alternations of averaging a patch and measuring its positions [iterations]. Chosen: a smaller number stops
+before patch and positions agree, a larger one costs time."""
 _TURN_ROUNDS = 3
-"""Alternations of measuring the path and the rotation of a patch [iterations]. Chosen: a smaller number stops before
-path and rotation agree, a larger one costs time."""
+"""Number of alternations of measuring the path and the rotation of a patch [iterations]. Chosen: a smaller number stops
+before path and rotation agree, a larger one costs time."""
 _STEPS = 8
 """Largest number of Gauss-Newton steps of a patch [iterations]. Chosen: a smaller number stops early, a larger one
 costs time."""
@@ -115,8 +116,8 @@ _ROBUST = 4.0
 Math. Statist. 35, 73 (1964); a smaller limit costs precision, a larger one admits disturbed pixels."""
 _TURNS_WITH = 0.95
 """Largest residual with a rotation about the hub, divided by the residual without rotation, for which a patch is taken
-to rotate about the hub [1]. Chosen: a smaller value keeps the orientation of a bob on a rod, a larger one lets noise
-rotate round bobs."""
+to rotate about the hub [1]. Chosen: a smaller value keeps the orientation of a bob on a rod; with a larger one, noise
+makes round bobs rotate."""
 _UNSEEN = 1e9
 """Variance of a pixel that is visible in no frame [grey levels squared]. Chosen: large against any other variance, so
 that the pixel has no weight."""
@@ -130,20 +131,21 @@ HIDDEN = 6.0
 """Largest mean square residual of a frame that shows the patch, divided by the median of all frames [1]. Chosen: a
 smaller value omits frames of uneven light, a larger one keeps frames with a hand."""
 _SILHOUETTE = 15.0
-"""Largest radius of a patch that the silhouette about it suggests [px]. Chosen: a smaller value discards the edge of a
-large bob, a larger one includes the background."""
+"""Largest radius of a patch whose radius is taken from the silhouette about it [px]. Chosen: a smaller value discards
+the edge of a large bob, a larger one includes the background."""
 _TURN_SEEN = 0.05
 """Largest standard uncertainty of the rotation of a patch in one frame for which the rotation is followed, and prior
 standard deviation of a followed rotation [rad]. Chosen: a smaller value keeps the orientation of faint patches, a
 larger one follows noise."""
 _TURN_STEPS = 6
-"""Steps of the rotation of a patch [iterations]. Chosen: a smaller number stops early, a larger one costs time."""
+"""Number of steps of the rotation of a patch [iterations]. Chosen: a smaller number stops early, a larger one costs
+time."""
 _ROUND = 0.7
-"""Smallest area of a round patch divided by that of the circle about it [1]. Chosen: a smaller value takes a rod for a
-bob, a larger one refuses blurred bobs."""
+"""Smallest area of a round patch, divided by the area of the circle about it [1]. Chosen: a smaller value takes a rod
+for a bob, a larger one refuses blurred bobs."""
 _LEAST_ROUND = 8
-"""Smallest radius of a patch that has an interior [px]. Chosen: a smaller one has an edge only, a larger one ignores
-the detail of small bobs."""
+"""Smallest radius of a patch that has an interior [px]. Chosen: a smaller patch has an edge only; a larger value
+ignores the detail of small bobs."""
 _TURNED = 0.3
 """Rotation that must increase the residual of a patch with visible orientation [rad]. Chosen: the effect of a smaller
 value is below the noise; a larger one may reach the next period of a periodic patch."""
@@ -151,20 +153,21 @@ _TURN_STARTS = 5
 """Number of additional initial angles of a rotation on each side, tried if the residual is unusual [1]. Chosen: a
 smaller number loses a fast rotation, a larger one costs time."""
 _TURN_STEP = 1.5
-"""Distance between these angles, multiplied by the radius of the patch [px]. Chosen: the width of an edge; a larger one
-misses the minimum, a smaller one costs time."""
+"""Distance between the additional initial angles of a rotation, multiplied by the radius of the patch [px]. Chosen: the
+width of an edge; a larger distance misses the minimum, a smaller one costs time."""
 _UNUSUAL = 1.5
-"""Smallest residual, divided by its running mean, for which these angles are tried [1]. Chosen: a smaller value costs
-time, a larger one keeps a lost rotation."""
+"""Smallest residual, divided by its running mean, for which additional initial angles of a rotation are tried [1].
+Chosen: a smaller value costs time, a larger one keeps a lost rotation."""
 _UPDATE = 0.1
 """Weight of a frame in the running mean of the residual [1]. Chosen: a smaller value follows the light late, a larger
 one follows a lost rotation."""
 _NECK = 0.7
-"""Largest depth of a body at the distance `_NECK_AT` from the middle of a part, divided by the depth of the part, if
-only rods join the part [1]. Chosen: a smaller value joins the rod to the part, a larger one divides a compact body."""
+"""Largest depth (distance from the edge) of a body at the distance `_NECK_AT` from the middle of a part, divided by the
+depth of the part, if only rods join the part to the body [1]. Chosen: a smaller value joins the rod to the part, a
+larger one divides a compact body."""
 _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
-circle; a larger one reaches other parts."""
+circle; a larger distance reaches other parts."""
 _SLENDER = 1.6
 """Radius of the circle of the same area, divided by the radius of the inscribed circle, above which a body is not
 compact [1]. Derived: sqrt(8 / pi) = 1.6 for a rectangle twice as long as wide."""
@@ -185,7 +188,7 @@ class PointPath:
     radius : float
         Radius of the patch [px].
     searched : int
-        Number of frames in which the point was searched.
+        Number of frames in which the point was searched for.
     turns : bool
         Whether the patch rotates with the line from the hub to the patch.
     picture : ndarray
@@ -440,7 +443,7 @@ def _spot_at(
     away = np.hypot(u - at[0], v - at[1])
     if compact and float(depth[np.abs(away - _NECK_AT * inner) < 1.0].max(initial=0.0)) > _NECK * inner:
         return None  # the place is on a long or large body
-    # rods join the selected part to others: use the inscribed disc about its middle
+    # rods join the selected part to other parts: use the inscribed disc about the middle of the selected part
     core = (depth > _CORE * inner) & (away < inner)
     y, x = np.nonzero(core)
     weight = depth[core] - _CORE * inner
@@ -477,9 +480,10 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
 def _several(
     film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
 ) -> TrackingError:
-    """Return the error for a film of several bodies: two links if a rod joins them and their motion is that of links.
+    """Return the error for a film of several bodies: two links if a rod joins them and they move as links.
 
-    A part of the picture that appears or vanishes is not a body: if one of the two parts rests, the error has no kind.
+    A part of the picture that appears or vanishes is not a body: if one of the two parts is at rest, the error has no
+    `kind`.
     """
     one, other = spots[:2]
     (x, y), (u, v) = one.place, other.place
@@ -585,7 +589,7 @@ def _matched(
 def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Floats, Bools]:
     """Follow a patch by template matching; return positions (n, 2), rotations (n,) and a mask of found patches (n,).
 
-    The patch is searched at the position predicted by its last steps, then in a reduced picture of the whole frame.
+    The patch is searched for at the position predicted by its last steps, then in a reduced picture of the whole frame.
     The rotation is relative to the first frame, clockwise as seen [rad]; if the patch does not show its rotation, the
     last value is kept.
     """
@@ -811,7 +815,7 @@ class _Layers:
         return np.where(outside, np.float32(np.nan), found)
 
     def _pixels(self, shape: tuple[int, ...], place: Floats, turn: float) -> tuple[Picture, Picture, Bools]:
-        """Return the pixels x, y of the patch about a place, and a mask of those outside the frame."""
+        """Return the pixels x, y of the patch about a place, and a mask of the pixels outside the frame."""
         c, s = math.cos(turn), math.sin(turn)
         x = (place[0] + c * self.grid[0] - s * self.grid[1]).astype(np.float32)
         y = (place[1] + s * self.grid[0] + c * self.grid[1]).astype(np.float32)

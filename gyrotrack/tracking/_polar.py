@@ -94,12 +94,15 @@ def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.f
 
 Singles = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
-# left, right, top and bottom edge in px of a plane; right and bottom are one beyond
+# left, right, top and bottom edge in px of a plane; right and bottom are one px beyond the box
 Box = npt.NDArray[np.int32]
 
 
 class Score:
-    """Weighted sum of planes (luma if `white`, else chroma) that maximises the contrast of a marker; one buffer."""
+    """Weighted sum of planes (luma if `white`, else chroma) that maximises the contrast of a marker.
+
+    All frames use one buffer.
+    """
 
     def __init__(self, white: bool, weights: tuple[float, float], shape: tuple[int, ...]) -> None:  # noqa: FBT001
         self.white = white

@@ -124,7 +124,8 @@ class Blob:
     y: float
     area: int  # pixels above the threshold
     weight: float  # sum of the scores of these pixels
-    # ratio of the area to that of the smallest circle with the same extent: 1 for a disc, less for rectangles and arcs
+    # ratio of the area to the area of the smallest circle with the same extent: 1 for a disc, less for rectangles and
+    # arcs
     fill: float
 
 
@@ -170,9 +171,11 @@ class MarkerProfile(BaseModel):
 
     name: str = Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")  #: Name.
     colour: Colour  #: Colour.
-    body: Body  #: Body that carries it.
-    hue: float | None = Field(default=None, ge=0.0, lt=360.0)  #: Hue; null: that of the colour [degrees].
-    mount_angle: float | None = None  #: Angle on the body, which fixes its zero; null: measured [rad].
+    body: Body  #: Body that carries the marker.
+    #: Hue; null: the hue of the named colour [degrees].
+    hue: float | None = Field(default=None, ge=0.0, lt=360.0)
+    #: Angle of the marker on the body, which fixes the zero of the body; null: measured [rad].
+    mount_angle: float | None = None
 
 
 class Profile(BaseModel):
@@ -193,7 +196,7 @@ class Profile(BaseModel):
     capture_fps: float | None = Field(default=None, gt=0.0, lt=1.0e7)  #: Capture rate of the camera [s-1].
     sense: Literal[-1, 1] | None = None  #: Given sense of rotation; null: measured.
     wander: bool | None = None  #: Whether the centre of an orbit may move; null: only if it moves far.
-    tilt_correction: bool = True  #: Whether the view of the camera is corrected.
+    tilt_correction: bool = True  #: Whether the angles are corrected for the tilt of the camera.
 
     @field_validator("marker")
     @classmethod

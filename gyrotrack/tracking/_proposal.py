@@ -1,6 +1,6 @@
 """A marker profile proposed from the film alone.
 
-Moving colours of a film, and candidates for markers.
+The colours of a film that move are found first. In each of them, a candidate for a marker is found.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ Floats = npt.NDArray[np.float64]
 Images = npt.NDArray[np.float32]
 
 BINS = 120
-"""Bins of the histogram of the hue [1]. Chosen: 3 degrees each; a smaller number joins similar colours, a larger one
-gives noisy heights."""
+"""Number of bins of the histogram of the hue [1]. Chosen: 3 degrees each; a smaller number joins similar colours, a
+larger one gives noisy heights."""
 APART = np.deg2rad(24.0)
 """Smallest difference between two different hues [rad]. Chosen: a smaller value divides one marker, a larger one joins
 orange and red."""
@@ -141,11 +141,12 @@ TRIALS = 1500
 """Number of random triples of points for a centre [1]. Chosen: more than for a known profile, because most points may
 be outliers; a smaller number may not find the centre."""
 _AMBIGUOUS = 0.35
-"""Smallest product of contrast and share of samples for which a second patch of a hue is a rival, relative to the first
-patch [1]. Chosen: with a smaller value reflections are rivals, with a larger one two marks may be confused."""
+"""Smallest product of contrast and share of samples, divided by this product for the first patch of a hue, for which a
+second patch may be confused with the first [1]. Chosen: with a smaller value, reflections count as second patches; with
+a larger one, two marks may be confused."""
 _SAME_HUE = 18.0
-"""Largest difference of two equal hues [degrees]. Chosen: below `APART`; a smaller value separates shades of one paper,
-a larger one joins colours."""
+"""Largest difference of two hues that count as equal [degrees]. Chosen: below `APART`; a smaller value separates shades
+of one paper, a larger one joins colours."""
 _DISC_HUES = range(0, 360, 30)
 """Trial hues in the search for a disc [degrees]. Chosen: a finer step costs time, a coarser one loses contrast."""
 _LEAST_DISC = 14.0
@@ -253,7 +254,7 @@ def _candidate(rings: Rings, hue: float) -> Candidate | None:
 
 
 def _alike(one: Candidate, other: Candidate) -> bool:
-    """Return whether a second patch has the hue of the first and is significant."""
+    """Return whether a second patch has the hue of the first patch and is significant."""
     share = other.contrast / one.contrast * float(other.sampled.clear.mean())
     return share > _AMBIGUOUS and abs((one.hue - other.hue + 180.0) % 360.0 - 180.0) < _SAME_HUE
 
@@ -317,7 +318,7 @@ class Group:
 
 
 _IN_PHASE = 0.35
-"""Largest distance of an angle from a steady rotation that is in phase with it [rad]. Chosen: a smaller value rejects
+"""Largest deviation of an angle from a steady rotation with which it is in phase [rad]. Chosen: a smaller value rejects
 changes of the speed, a larger one accepts random angles."""
 
 
@@ -336,7 +337,7 @@ def rotation(angle: Floats, use: Mask) -> SteadyRotation:
 
 
 def group_bodies(candidates: list[Candidate], head: int) -> tuple[list[Group], list[Candidate]]:
-    """Group markers that move together, the strongest group first; also return those that do not move steadily."""
+    """Group markers that move together, the strongest group first; also return markers that do not move steadily."""
     groups: list[list[Candidate]] = []
     rotations = {id(c): rotation(c.sampled.angle[:head], c.sampled.clear[:head]) for c in candidates}
     uneven = [c for c in candidates if rotations[id(c)].share < EVEN]
@@ -380,7 +381,7 @@ def resting_casing(resting_groups: list[Group], groups: list[Group], circle: Cir
 def name_bodies(
     groups: list[Group], resting: Group | None, circle: Circle | None
 ) -> tuple[dict[Body, Group], list[str]]:
-    """Name the bodies; the faster one is the rotor."""
+    """Name the bodies; the faster body is the rotor."""
     notes = []
     if len(groups) > 2:
         colours = ", ".join(c.colour for g in groups[2:] for c in g.members)
@@ -406,7 +407,7 @@ def name_bodies(
         return {name: one}, notes
     slow, fast = sorted(groups[:2], key=lambda g: abs(g.rotation.step))
     if abs(fast.rotation.step) < 1.25 * abs(slow.rotation.step):
-        # Markers on the casing are never occluded; its bar passes over those on the rotor.
+        # Markers on the casing are never occluded; the bar of the casing passes over the markers on the rotor.
         slow, fast = sorted(
             (slow, fast), key=lambda g: (len(g.members), -min(c.sampled.clear.mean() for c in g.members))
         )
@@ -459,8 +460,8 @@ _FAINT = 0.3
 """Smallest contrast of a white patch that is reported, relative to the smallest contrast of a marker [1]. Chosen: a
 smaller value reports noise, a larger one leaves a faint marker unexplained."""
 SPREAD = 24
-"""Frames from the whole film in addition to the first frames [frames]. Chosen: a smaller number may overlook bodies
-that are at rest at the start, a larger one costs time."""
+"""Number of frames from the whole film in addition to the first frames [frames]. Chosen: a smaller number may overlook
+bodies that are at rest at the start, a larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -472,7 +473,7 @@ class Proposal:
     profile : Profile
         Profile for `extract`.
     markers : tuple of ProposedMarker
-        One for each marker of the profile.
+        Proposed markers, one for each marker of the profile.
     centre : tuple of float
         (x, y) in px.
     disc : Disc or None
@@ -582,7 +583,7 @@ shapes, a larger one accepts reflections."""
 
 
 def _white(samples: Samples, ring: Ring, bodies: dict[Body, Group]) -> ProposedMarker | Marker | None:
-    """Find a white marker on the rotor; a faint one is returned without a profile."""
+    """Find a white marker on the rotor; a faint marker is returned without a profile."""
     group = bodies.get("rotor")
     if group is None:
         return None

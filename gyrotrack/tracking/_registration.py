@@ -37,8 +37,8 @@ _ITERATIONS = 6
 """Largest number of Gauss-Newton steps of a frame [iterations]. Chosen: a smaller number stops early, a larger one
 costs time."""
 _ROUNDS = 2
-"""Alternating estimates of body and fixed picture [iterations]. Chosen: a smaller number leaves parts of one in the
-other, a larger one costs time."""
+"""Number of alternating estimates of the body and of the fixed picture [iterations]. Chosen: a smaller number leaves
+parts of the body in the fixed picture or the reverse, a larger one costs time."""
 _CLOSE = 1e-3
 """Gauss-Newton step that ends the registration of a frame [columns]. Chosen: a larger value stops early, a smaller one
 costs time."""
@@ -80,7 +80,7 @@ class Ring:
         return cls(hub, inner, outer, rows, columns, start, span, stretch)
 
     def trimmed(self, share: Floats, *, finest: float) -> Ring:
-        """Keep rows whose `share` is at least 0.3 of the best row's, with at most `finest` samples per radius."""
+        """Keep rows whose `share` is at least 0.3 of the largest share, with at most `finest` samples per radius."""
         good = np.flatnonzero(np.convolve(share, np.ones(3) / 3, mode="same") > 0.3 * share.max())
         if len(good) < 4:
             return self
@@ -318,9 +318,9 @@ def learn(
     """Estimate the picture of the body, the fixed part of the image, and the variances of both.
 
     The `polars` are read several times; `allowed` are samples within the picture. `separate`: the motion is large
-    enough (a turn and more) to distinguish the fixed picture from the body's. `counted` are weights of the frames.
-    `plain`: the same variance for all samples, because variances are too large at details while angles or hub are
-    wrong.
+    enough (a turn and more) to distinguish the fixed picture from the picture of the body. `counted` are weights of the
+    frames. `plain`: the same variance for all samples, because variances are too large at details while angles or hub
+    are wrong.
     """
     counted = np.ones(len(polars)) if counted is None else counted
     turns = np.asarray(angles, dtype=np.float64) / ring.step
@@ -426,18 +426,18 @@ _STEADY = 2
 more, the next spoke may be followed at the start."""
 _JUMP = 1.5
 """Relative change of the step beyond which a higher correlation is required [1]. Chosen: equal parts of a body, for
-example spokes, are indistinguishable by correlation; a smaller value refuses reversals, with a larger one the next
+example spokes, are indistinguishable by correlation; a smaller value refuses reversals; with a larger one, the next
 spoke may be followed."""
 _LEAST_JUMP = 6.0
 """Change of the step beyond which a higher correlation is required [columns]. Chosen: a smaller value refuses changes
-of slow bodies, with a larger one the next spoke may be followed."""
+of slow bodies; with a larger one, the next spoke may be followed."""
 _UNLIKELY = 0.3
 """Required increase of the correlation for a change of the step, relative to the maximum [1]. Chosen: with a smaller
 value the next spoke may be followed, a larger one refuses true jumps."""
 
 
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
-    """Return angles (n,) [rad] from weighted correlations, without `fixed`, with the mean of earlier frames."""
+    """Return angles (n,) [rad] from weighted correlations of frames, minus `fixed`, with the mean of earlier frames."""
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)
@@ -490,17 +490,18 @@ _RETURNS = 2.0
 for a slip [1]. Chosen: a smaller value tests frames of impacts, a larger one keeps slips if there are many equal
 parts."""
 _AS_WELL = 1.2
-"""Largest ratio of the misfit at the expected angle to that at the measured angle for which the expected angle is used
-[1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one removes true jumps."""
+"""Largest misfit at the expected angle, divided by the misfit at the measured angle, for which the expected angle is
+used [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one removes true
+jumps."""
 
 
 def without_slips(
     polars: Sequence[Picture], angle: Floats, at: npt.NDArray[np.int64], template: Template
 ) -> Floats:
-    """Return the angles (n,) [rad] without slips by one of several equal parts, for example a spoke, in single frames.
+    """Return the angles (n,) [rad] without slips, in single frames, by one of several equal parts, for example spokes.
 
-    In such a frame the angle deviates from the motion, and returns in the next frame. It is replaced if the picture
-    fits as well at the angle predicted by the neighbours. `at` (n,) are the numbers of the frames.
+    In such a frame the angle deviates from the motion, and returns in the next frame. The angle is replaced if the
+    picture fits as well at the angle predicted by the neighbours. `at` (n,) are the numbers of the frames.
     """
     angle = angle.copy()
     if len(angle) < 4:
@@ -528,8 +529,8 @@ def _off_line(angle: Floats, at: npt.NDArray[np.int64], k: int) -> float:
 
 
 _COMPARED = 100
-"""Largest number of frames for estimating a template for a comparison, and for comparing it [frames]. Chosen: time;
-with fewer, noise decides."""
+"""Largest number of frames for estimating a template for a comparison, and for comparing it [frames]. Chosen: a larger
+number costs time; with a smaller one, noise decides."""
 
 
 def every(count: int) -> int:

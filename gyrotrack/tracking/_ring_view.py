@@ -2,21 +2,22 @@
 
 The pictures I_t(r, theta) of a ring are sampled about a centre that is known to some tenths of a pixel, in coordinates
 that turn with the body. Let z = x + i y (y up) be the displacement of the centre. In an oblique view, circles are
-ellipses with the flattening f = p + i q. Both displace a sample at the angle a of the picture, by u_t across the radius
-and by u_r along the radius:
+ellipses with the flattening f = p + i q. z and f displace a sample at the angle a of the picture, by u_t across the
+radius and by u_r along the radius:
 
     u_t = Im(z exp(-i a)) + r Im(f exp(-2 i a)),    u_r = Re(z exp(-i a)) + r Re(f exp(-2 i a)),
 
 and change its grey level by -(u_r dB/dr + u_t dB/dtheta / r), with B the picture of the body. A near camera that is
-tilted displaces samples along the radius by r^2 Re(k* exp(i a)) / R, with R the outer radius, and shading with the
-gradient g = g_x + i g_y changes grey levels by B Re(g* r exp(i a)) / R. With a = theta + psi, z, g and k rotate once
-per turn relative to the body, and f twice; over an arc they are therefore distinguishable from the rotation of the
-body. They follow from linear least squares, together with rotation, offset and gain of each frame. dB/dr is measured in
-the frames, because edges are narrower than the distance of the rows. Over more than a turn, the static part of the
-picture, L(r, a) (the light, and the rim in front of the table), is the mean of the residuals at each place. L also
-contains the effect of a view on the circular mean of B. The circular mean is therefore not used to determine the view.
-Over less than a turn, a shadow beside a circular edge resembles a displacement of this edge. The circular mean is then
-used only in rows in which a view explains most of the static residuals (`ViewResponse.explains`).
+tilted displaces samples along the radius by r^2 Re(k* exp(i a)) / R, where k is the perspective and R the outer radius.
+Shading with the gradient g = g_x + i g_y changes grey levels by B Re(g* r exp(i a)) / R. The angle a is theta + psi,
+with the angle psi of the body. Therefore z, g and k rotate once per turn relative to the body, and f rotates twice.
+Over an arc, they are distinguishable from the rotation of the body. They are fitted by linear least squares, together
+with rotation, offset and gain of each frame. dB/dr is measured in the frames, because edges are narrower than the
+distance of the rows. Over more than a turn, the static part of the picture, L(r, a) (the light, and the rim in front of
+the table), is the mean of the residuals at each place. L also contains the effect of a view on the circular mean of B.
+The circular mean is therefore not used to determine the view. Over less than a turn, a shadow beside a circular edge
+resembles a displacement of this edge. The circular mean is then used only in rows in which a view explains most of the
+static residuals (`ViewResponse.explains`).
 
 The apparent rotation of one frame depends on z and f through the slopes of B in both directions. For example, the
 edges of a bar are oblique to the radius, so that a displacement along the radius resembles a rotation.
@@ -44,21 +45,21 @@ WHOLE_TURN = 1.0
 """Smallest arc over which all static light is distinguishable from the body [turns]. Derived: over less, some places of
 the picture show only a part of the body."""
 SHADING = 0.1
-"""Prior standard deviation of the shading over the outer radius of a ring, per axis [1]. Chosen: a
-lamp beside the table; it matters only where a ring does not determine it."""
+"""Prior standard deviation of the shading over the outer radius of a ring, per axis [1]. Chosen: for a lamp beside the
+table; the prior matters only where a ring does not determine its shading."""
 _ALTERNATIONS = 4
-"""Alternations of body and static light [iterations]. Chosen: for a body that rests in half of the frames, a quarter of
-the light remains after the first alternation, a hundredth after the fourth; a larger number costs time."""
+"""Number of alternations of body and static light [iterations]. Chosen: for a body that rests in half of the frames, a
+quarter of the light remains after the first alternation, a hundredth after the fourth; a larger number costs time."""
 DISPLACEMENT = 1.0
-"""Prior standard deviation of the centre [px]. Chosen: the difference between the disc and the ring of
-some films; it matters only where a ring does not determine its centre."""
+"""Prior standard deviation of the centre [px]. Chosen: the difference between the disc and the ring of some films; the
+prior matters only where a ring does not determine its centre."""
 FLATTENING = 0.01
-"""Prior standard deviation of a flattening [1]. Derived: a tilt t flattens by t^2 / 4, 0.2 rad by
-0.01; it matters only where a ring does not determine it."""
+"""Prior standard deviation of a flattening [1]. Derived: a tilt t causes the flattening t^2 / 4, 0.01 at 0.2 rad; the
+prior matters only where a ring does not determine its flattening."""
 
 PERSPECTIVE = 0.02
-"""Prior standard deviation of the perspective, per axis [1]. Derived: a camera at ten radii that is
-tilted by 0.2 rad; it matters only where a ring does not determine it."""
+"""Prior standard deviation of the perspective, per axis [1]. Derived: for a camera at ten radii that is tilted by 0.2
+rad; the prior matters only where a ring does not determine its perspective."""
 ORDERS = (1, 2, 1, 1)
 """Orders of centre, flattening, shading and perspective [periods per turn]. Derived: see the module docstring."""
 VIEW_SIZE = 2 * len(ORDERS)
@@ -213,7 +214,7 @@ class ViewResponse:
 
 @dataclass(frozen=True)
 class View:
-    """The view of a ring: centre (x, y) [px], y up, relative to the centre of the samples; flattening; shading [1]."""
+    """The view of a ring: displacement of the centre (x, y) [px], y up; flattening; shading; perspective."""
 
     value: Floats  # shape (VIEW_SIZE,)
     covariance: Floats  # shape (VIEW_SIZE, VIEW_SIZE)

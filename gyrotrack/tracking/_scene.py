@@ -55,7 +55,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Scene:
-    """A clip's scene."""
+    """The scene of a clip: centre of rotation, disc and markers."""
 
     centre: tuple[float, float]  # centre of rotation (x, y) [px] at the time of acquisition
     disc: Disc | None  # the disc at the centre; None where the centre is taken from the orbit
@@ -95,18 +95,18 @@ LATER = 32
 smaller one gives a poor background."""
 DECODED = 240
 """Largest number of frames of 1280 x 720 px that are decoded for the later samples; more if frames are smaller
-[frames]. Chosen: time; a smaller number samples the film less evenly."""
+[frames]. Chosen: a larger number costs time, a smaller one samples the film less evenly."""
 FEWEST = 8
 """Smallest number of frames of a film [frames]. Chosen: a smaller number does not show a motion, a larger one refuses
 excerpts."""
 _BLOB_WIDTH = 400
-"""Smallest width of the chroma plane for which blobs are searched for at half size [px]. Chosen: time; a smaller value
-loses small markers."""
+"""Smallest width of the chroma plane for which blobs are searched for at half size [px]. Chosen: a larger value costs
+time, a smaller one loses small markers."""
 
 
 _BLOCK = 8
-"""Number of frames in a temporary file [frames]. Chosen: memory; a larger number occupies more pages, a smaller one
-opens more files."""
+"""Number of frames in a temporary file [frames]. Chosen: a larger number occupies more memory, a smaller one opens more
+files."""
 
 
 class FrameStore:
@@ -158,7 +158,7 @@ class Samples:
 
     @cached_property
     def chroma(self) -> npt.NDArray[np.uint8]:
-        """Chroma of a spread of frames, shape (2, n, height, width), at a reduced resolution."""
+        """Chroma of the frames `spread`, shape (2, n, height, width), at a reduced resolution."""
         chosen = [self.frames[i] for i in self.spread]
         kept = np.ascontiguousarray if self.scale == 2 else _halved
         return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
@@ -180,7 +180,7 @@ class Samples:
         return (*head, *keys)
 
     def to_luma(self, x: float, y: float) -> tuple[float, float]:
-        """Turn px of `chroma` into luma px."""
+        """Convert px of `chroma` to luma px."""
         shift = (self.scale - 1) / 2.0
         return self.scale * x + shift, self.scale * y + shift
 
@@ -197,7 +197,7 @@ class Samples:
 
 
 def take_samples(path: Path, threads: int = 1) -> Samples:
-    """Decode the samples of a film in `threads`; a VideoError if no frame can be decoded."""
+    """Decode the samples of a film with `threads` threads; a VideoError if no frame can be decoded."""
     head: list[Frame] = []
     keep = FrameStore()
     with Reader(path) as reader:

@@ -25,14 +25,14 @@ Plane = npt.NDArray[np.uint8]
 Picture = npt.NDArray[np.float32]
 
 _BACKGROUND = 60
-"""Number of frames for the background, which is their median [frames]. Chosen: memory and time; a smaller number keeps
-a slow body in the background."""
+"""Number of frames for the background, which is their median [frames]. Chosen: a larger number costs memory and time, a
+smaller one keeps a slow body in the background."""
 _COMPARED = 30
-"""Number of frames that are compared with the background [frames]. Chosen: half of `_BACKGROUND`, for time; a smaller
-number gives uncertain shares."""
+"""Number of frames that are compared with the background [frames]. Chosen: half of `_BACKGROUND`, to save time; a
+smaller number gives uncertain shares."""
 _BAND = 32
-"""Rows of the picture for which the median is computed at a time [rows]. Chosen: memory; a larger number needs more
-memory."""
+"""Number of rows of the picture for which the median is computed at a time [rows]. Chosen: to limit memory; a larger
+number needs more."""
 _CONTRAST = 6.0
 """Smallest difference of a body from the background in standard deviations of the noise [1]. Chosen: a smaller value
 finds noise, a larger one loses faint bodies."""
@@ -48,8 +48,8 @@ AS_LARGE = 0.7
 """Smallest relative radius of the inscribed circle of a second spot that makes the choice ambiguous [1]. Chosen: a
 smaller value refuses films with other objects, a larger one may choose the wrong body."""
 _PARTS = 50
-"""Largest number of separate parts of a frame that are compared [1]. Chosen: time; a smaller number loses bodies in
-noisy films."""
+"""Largest number of separate parts of a frame that are compared [1]. Chosen: a larger number costs time, a smaller one
+loses bodies in noisy films."""
 ALIKE = 1.4
 """Largest ratio of the radii of one body in two frames [1]. Chosen: a smaller value loses blurred bodies, a larger one
 confuses bodies."""
@@ -155,7 +155,7 @@ def _disc(size: int) -> Plane:
 
 
 def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
-    """Return the compact parts of a region, the largest first, down to a share `least` of its inscribed radius.
+    """Return the compact parts of a region, the largest first, down to `least` times the largest inscribed radius.
 
     Two parts are merged if the centre of one is inside the other, as at the edge of a picture that moves as a whole.
     """
@@ -256,7 +256,7 @@ class Foreground:
 
     @property
     def few(self) -> Sequence[Plane]:
-        """Every second frame of a full sample, all frames of a shorter one."""
+        """Every second frame of a full sample, all frames of a shorter sample."""
         return self.sample[:: max(1, len(self.sample) // _COMPARED)]
 
     @cached_property
@@ -277,7 +277,7 @@ _FILLED = 1.4
 pi / 3 = 1.05; a larger value accepts bent bodies, a smaller one refuses interrupted bars."""
 _PIECE = 0.2
 """Smallest part of a silhouette that is used, relative to the largest part [1]. Chosen: a bar over the middle divides
-it; a smaller value includes noise, a larger one loses an end."""
+the silhouette; a smaller value includes noise, a larger one loses an end."""
 _TILTED = 0.4
 """Smallest tilt of the axis of a long body [rad]. Chosen: a smaller value takes a disturbed circle for a tilt, a larger
 one leaves a biased angle."""
@@ -285,8 +285,8 @@ _ELLIPSE = 0.06
 """Largest scatter about the ellipse, divided by the radius [1]. Chosen: a smaller value refuses blurred ends, a larger
 one accepts other motions."""
 _GAP = 0.25 * TURN
-"""Largest gap of the orbit [rad]. Chosen: a quarter of a turn; a larger one leaves the ellipse undetermined, a smaller
-one refuses few positions."""
+"""Largest gap of the orbit [rad]. Chosen: a quarter of a turn; a larger gap leaves the ellipse undetermined, a smaller
+one refuses orbits of few positions."""
 _SIDES = ("light", "dark")
 
 
@@ -349,8 +349,8 @@ def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float)
 
 
 _AXES = 60
-"""Number of frames in which the axes of a long body are compared [frames]. Chosen: time; a smaller number gives an
-uncertain point."""
+"""Number of frames in which the axes of a long body are compared [frames]. Chosen: a larger number costs time, a
+smaller one gives an uncertain point."""
 _FEWEST_AXES = 8
 """Smallest number of frames with an axis [frames]. Chosen: with fewer, axes meet by chance; with more, a rod that is at
 rest for most of a film is refused."""

@@ -8,11 +8,12 @@ of the markers has a fixed zero. In batch b the mean difference m_b of both angl
     var w_b = q^2 + p^2 (omega_b - omega_(b-1))^2,
 
 a local level model (A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, Cambridge (1989)).
-s_b is the scatter of the differences in the n_b frames. The error of a marker has harmonics k of the angle a of the
-marker, and of the angle relative to the other body, whose markers it passes. The amplitudes A_k are measured in
-batches in which the harmonics average out. If the frames are in step with a harmonic, it does not average out, and the
-markers contain little information about the zero. The blur of a template depends on the speed omega_b; p = 0 for a
-steady body. q, p and x maximise the likelihood, and the zeros are smoothed.
+s_b is the scatter of the differences in the n_b frames, and <>_b is the mean over these frames. x is an error common to
+the frames of a batch. The error of a marker has harmonics k of the angle a of the marker, and of the angle relative to
+the other body, whose markers it passes. The amplitudes A_k are measured in batches in which the harmonics average out.
+If the frames are in step with a harmonic, it does not average out, and the markers contain little information about the
+zero. The blur of a template depends on the speed omega_b; p = 0 for a steady body. q, p and x maximise the likelihood,
+and the zeros are smoothed.
 
 Within a batch the zero is z_b + c_b (omega - omega_b). c_b is the posterior mean of the slope of the differences, with
 p as the prior standard deviation, fitted together with the harmonics, whose coefficients have the prior variance A_k^2
@@ -37,7 +38,7 @@ Integers = npt.NDArray[np.int64]
 
 FEWEST_TEMPLATES = 5
 """Smallest number of templates from which the variance of the steps between zeros can be estimated [1]. Chosen: a
-smaller number gives a variance by chance, a larger one ignores the drift in short films."""
+smaller number gives a random variance, a larger one ignores the drift in short films."""
 _ORDERS = range(1, 13)
 """Orders of the harmonics of the error of a marker [periods per turn]. Chosen: as `_body_angles._HARMONICS`; a smaller
 number leaves errors of several equal marks in the zeros."""
@@ -58,9 +59,9 @@ _FAR = 5.0
 good frames, a larger one keeps slips."""
 _STEPS = np.concatenate([[0.0], np.geomspace(0.1, 50.0, 10)])
 """Grid of q, and of p times the change of speed (rms), divided by the typical uncertainty of a mean [1]. Chosen:
-factors of 2; finer ones cost time, a smaller range limits the drift."""
+factors of 2; finer steps cost time, a smaller range limits the drift."""
 _COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
-"""Grid of common errors x, divided by the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer ones cost
+"""Grid of common errors x, divided by the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer steps cost
 time, a smaller range limits the error."""
 
 

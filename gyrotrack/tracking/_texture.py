@@ -16,8 +16,8 @@ combined by the best linear unbiased mean, with non-negative weights w = C^-1 1 
 the angles of the zones about a smooth motion. The motion, which is common to all zones, adds a multiple of 1 1' to C,
 which does not change w.
 
-The zero of a template is arbitrary. The zero of each batch is related to the previous batch by registering the
-templates of both.
+The zero of a template is arbitrary. The zero of each batch is related to the zero of the previous batch by registering
+the templates of both batches.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ ZONES = 8
 """Number of zones in radius [1]. Chosen: with more zones, errors are separated more finely, but each zone determines
 the angle less well."""
 ROWS = 4
-"""Rows of a zone [rows]. Chosen: a bar or a rim extends over many pixels in radius; a smaller number loses texture, a
-larger one costs time."""
+"""Number of rows of a zone [rows]. Chosen: a bar or a rim extends over many pixels in radius; a smaller number loses
+texture, a larger one costs time."""
 COLUMNS = 360
-"""Columns of the ring [columns per turn]. Chosen: motion blur and the lens smooth details below a degree; a smaller
-number loses detail, a larger one costs time."""
+"""Number of columns of the ring [columns per turn]. Chosen: motion blur and the lens smooth details below a degree; a
+smaller number loses detail, a larger one costs time."""
 MARGIN = 6
-"""Additional columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: a smaller
-number loses frames with a poor prediction, a larger one costs time."""
+"""Number of additional columns beyond a turn on both sides, for rotations before the registration [columns]. Chosen: a
+smaller number loses frames with a poor prediction, a larger one costs time."""
 STEP = TURN / COLUMNS
 """Angle of a column [rad]. Derived: `COLUMNS` of a turn."""
 REACH = (MARGIN - 1) * STEP
@@ -93,7 +93,7 @@ LEAST_RESIDUAL = 0.01
 """Lower limit of the typical residual of a zone [grey levels]. Chosen: below the rounding of grey levels, 0.29, and
 above the rounding errors of sums in single precision, which are all that remains in a picture without noise."""
 FINENESS = 32
-"""Parts of a column to which rotations are rounded [1]. Source: OpenCV interpolates to 1/32 of a pixel."""
+"""Number of steps per column to which rotations are rounded [1]. Source: OpenCV interpolates to 1/32 of a pixel."""
 UNUSUAL = 4.0
 """Largest mean square residual of a zone, relative to the typical residual, of a frame that enters its template [1].
 Chosen: a smaller value discards good frames, a larger one admits a hand."""
@@ -101,21 +101,21 @@ LARGEST_MISFIT = 25.0
 """Largest mean square residual of a zone with an angle, relative to the typical residual [1]. Chosen: another body
 below that stands still for some frames changes a zone less than a hand does; a smaller value omits these frames."""
 LARGEST_TURN = 0.02
-"""Largest error of the rough angles [rad]. Derived: two pixels at a radius of a hundred; beyond it the picture is not
-linear in the angle."""
+"""Largest error of the rough angles [rad]. Derived: two pixels at a radius of a hundred; beyond this error the picture
+is not linear in the angle."""
 LEAST_CONTRAST = 0.5
 """Smallest contrast of a zone that is not covered, relative to its template [1]. Chosen: a smaller value fits a hand
 of one brightness, a larger one omits zones in shadow."""
 LEAST_KNOWN = 0.9
-"""Smallest share of the frames, relative to the best zone, of a zone that is used [1]. Chosen: a zone has no angle
-where it disagrees, so the rest seems too good; a smaller value admits such zones, a larger one omits zones that a
-cable covers."""
+"""Smallest number of frames in which a used zone has an angle, divided by this number for the best zone [1]. Chosen: a
+zone has no angle where it disagrees, so its other angles seem too good; a smaller value admits such zones, a larger one
+omits zones that a cable covers."""
 LEAST_ZONES = 2
 """Smallest number of informative zones for an estimate of their errors [1]. Derived: the differences of three angles
-determine three variances; the difference of two gives an upper limit of both."""
+determine three variances; the difference of two angles gives an upper limit of both variances."""
 TOGETHER = 16
-"""Frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do not
-average out; with fewer frames, these errors remain hidden in noise; with more, there are few averages."""
+"""Number of frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do
+not average out; with fewer frames, these errors remain hidden in noise; with more, there are few averages."""
 MANY_TURNS = 3.0
 """Smallest number of turns in which errors that repeat with the turn are distinguishable from a motion [turns]. Chosen:
 a smaller number removes motion, a larger one leaves such errors in the weights."""
@@ -128,13 +128,13 @@ a shadow that a bar casts beside itself displaces its edges; on ten films by two
 1.04, 0.82 and 0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
 _TEMPLATE_FRAMES = 256
 """Largest number of frames of a batch from which the templates of a fast body are learnt [frames]. Derived: the noise
-of a template is that of a frame divided by 16; a larger number costs time."""
+of a template is the noise of a frame divided by 16; a larger number costs time."""
 _BLOCK = 16
-"""Frames that are turned and measured together [frames]. Derived: their samples, 0.7 MB, remain in the cache of a
-processor; the result does not depend on it."""
+"""Number of frames that are turned and measured together [frames]. Derived: their samples, 0.7 MB, remain in the cache
+of a processor; the result does not depend on it."""
 _LIGHT_FRAMES = 128
-"""Number of frames of a batch for the estimate of static light [frames]. Chosen: a smaller number leaves noise in it, a
-larger one costs time."""
+"""Number of frames of a batch for the estimate of static light [frames]. Chosen: a smaller number leaves noise in the
+light, a larger one costs time."""
 FAST_TURNS = 10.0
 """Smallest number of turns of a batch for the subtraction of static light [turns]. Chosen: over more turns, errors
 once and twice per turn are determined from the angles; over fewer turns, a motion that is not uniform leaves light in
@@ -144,31 +144,31 @@ LOWEST_LIGHT_ORDER = 3
 displaced centre and an oblique view, which are measured with the markers."""
 _SLOPE_EVERY = 8
 """Distance between the frames in which the derivative with respect to the radius is measured [frames]. Chosen: a
-smaller one costs time, a larger one leaves noise in it."""
+smaller distance costs time, a larger one leaves noise in the derivative."""
 _FEWEST_SLOPES = 4
-"""Smallest number of frames from which this derivative is measured [frames]. Chosen: with fewer frames, the difference
-between the rows of the mean picture is less noisy."""
+"""Smallest number of frames from which the derivative with respect to the radius is measured [frames]. Chosen: with
+fewer frames, the difference between the rows of the mean picture is less noisy."""
 _ALIGNMENTS = 3
-"""Passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4 leave
-errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
+"""Number of passes of templates and angles of a slow body [iterations]. Measured: on a path-traced film, passes 1 to 4
+leave errors of 1.5, 1.2, 1.1 and 1.1 mrad."""
 _ROUNDS = 2
-"""Passes of the template [iterations]. Chosen: the second one uses the angles of the first; a larger number costs
-time."""
+"""Number of passes of the template [iterations]. Chosen: the second pass uses the angles of the first pass; a larger
+number costs time."""
 _LEAST_SHARE = 0.1
 """Smallest variance of a zone relative to the variance of its differences [1]. Chosen: a smaller value gives one zone
 all the weight, a larger one makes the zones equal."""
 DEGREES = (3, 6, 12)
-"""Degrees of the polynomial that describes the motion in a batch [1]. Chosen: the first sufficient degree, or the last
-one over many turns; a remaining motion would seem correlated with the errors of some zones."""
+"""Degrees of the polynomial that describes the motion in a batch [1]. Chosen: the smallest sufficient degree is used,
+over many turns the largest one; a remaining motion would seem correlated with the errors of some zones."""
 FAR = 5.0
 """Residual to which outliers are limited, in robust standard deviations [1]. Chosen: a smaller value discards good
-frames, a larger one keeps disturbed ones."""
+frames, a larger one keeps disturbed frames."""
 FINEST = 1e-7
 """Lower limit of the scatter of a zone [rad]. Derived: the rounding error of sums in single precision, which is all
 that remains of a body at rest in a picture without noise."""
 SHRINKAGE = 0.1
-"""Relative increase of variances estimated from a few hundred frames [1]. Chosen: a smaller value gives weights by
-chance, a larger one makes the zones equal."""
+"""Relative increase of variances estimated from a few hundred frames [1]. Chosen: a smaller value gives random weights,
+a larger one makes the zones equal."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class TextureObservations:
             found[:] = (zones.share @ each).real, (zones.share @ each).imag
 
     def spread_out(self, index: npt.NDArray[np.int64], count: int) -> TextureObservations:
-        """Place the frames at `index` of `count` frames; the others are NaN."""
+        """Place the frames at `index` of `count` frames; the other frames are NaN."""
         return TextureObservations(
             **{f.name: spread_out(getattr(self, f.name), index, count) for f in fields(self)}
         )
@@ -268,7 +268,7 @@ class _Zones:
         return self.fit_blocks([strips])
 
     def fit_blocks(self, blocks: Iterable[Singles]) -> tuple[Floats, Floats]:
-        """Return the same as `fit` from consecutive blocks of frames."""
+        """Return the results of `fit` for consecutive blocks of frames."""
         fits = [_Fit.of(z, self.picture[z], self.basis[z], self.weight[z]) for z in range(ZONES)]
         sums = [[fit.sums(strips) for fit in fits] for strips in blocks]
         both = [
@@ -487,7 +487,7 @@ class TextureTracker:
     ) -> npt.NDArray[np.uint8]:
         """Sample rings in the frames `use` about centres (n, 2) [px] at angles with cos and sin `turn` (n, 2).
 
-        Their radii are larger by `off` [px].
+        The radii of the rings are larger by `off` [px].
         """
         found = np.empty((len(use), *self._strips.shape[1:]), dtype=np.uint8)
         radius = (self._radius + off).astype(np.float32)
@@ -637,7 +637,7 @@ class _OwnView:
 
 
 def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats, float]:
-    """Return the weights of the zones in the mean of their angles (ZONES, n) [rad], sum 1, and its uncertainty [rad].
+    """Return the weights of the zones in the mean of their angles (ZONES, n) [rad], sum 1, and the mean's error [rad].
 
     See the module docstring. The smooth motion is a polynomial and, over many turns, harmonics of the angle, which
     include errors of the centre and of the view that are removed later. The covariance is the sum of three parts: the

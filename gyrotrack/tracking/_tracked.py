@@ -59,7 +59,7 @@ class Tracked:
 
 
 def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
-    """Return the standard deviation of the white noise in a series: the least from its differences of order 2 to 6.
+    """Return the standard deviation of the white noise in a series: the smallest for differences of order 2 to 6.
 
     A divided difference of order m over the increasing places `at` has the weights 1 / prod_k (x_j - x_k), which
     cancel polynomials up to order m - 1. Scaled to unit norm, this difference has the variance of the noise. The

@@ -1,7 +1,7 @@
 """Distinguish rotation about a hub from translation across the picture (a cart, a piston).
 
-Over a part of a turn, rotation about a hub resembles translation. The test compares both on the same pixels of the
-body: a few frames are aligned to a reference frame, first by rotation about the hub, then by translation alone.
+Over a part of a turn, rotation about a hub resembles translation. The test compares both motions on the same pixels of
+the body: a few frames are aligned to a reference frame, first by rotation about the hub, then by translation alone.
 """
 
 from __future__ import annotations

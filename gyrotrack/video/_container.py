@@ -1,4 +1,4 @@
-"""Opening a film file safely, and its packets.
+"""Open a film file safely, and read its packets.
 
 Colours are read from the planes of the decoder, because conversion to RGB takes longer than tracking. The arrays are
 views of the decoder's buffer, whose rows may be padded.
@@ -139,7 +139,8 @@ def _view(plane: Any) -> Plane:
 
 
 MAX_PIXELS = 64_000_000
-"""Largest picture that is decoded [pixels]. Chosen: memory; a small file can declare far more than memory holds."""
+"""Largest picture that is decoded [pixels]. Chosen: to limit memory, because a small file can declare a picture larger
+than the memory."""
 MIN_SIDE = 32
 """Smallest side of a picture in which markers can be distinguished [px]. Chosen: a smaller value accepts icons, a
 larger one refuses cropped films."""
@@ -150,7 +151,7 @@ _CONTAINER_OPTIONS = {
     "h264,hevc,mpegvideo,mjpeg,rawvideo",
     "protocol_whitelist": "file",
 }
-# streams without a container have no timestamps, and numbered pictures no rate
+# streams without a container have no timestamps, and numbered pictures have no rate
 _WITHOUT_RATE = {"h264", "hevc", "mpegvideo", "mjpeg", "image2"}
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _FILM_SUFFIXES = {suffix for suffixes in FILMS.values() for suffix in suffixes}
@@ -162,7 +163,7 @@ av.logging.set_level(None)
 
 @dataclass(frozen=True)
 class ClipInfo:
-    """Metadata of a film file; the number of frames is never taken from them."""
+    """Metadata of a film file; the number of frames is never taken from the metadata."""
 
     path: Path  # the file
     # size of the picture with square pixels, before any rotation
@@ -255,12 +256,12 @@ def _declared_duration(container: Any, stream: Any) -> float:
 
 
 _MISSING = 1.2
-"""Largest ratio of the nominal rate to the average rate that missing frames explain [1]. Chosen: a smaller value uses
-a rate biased by missing frames, a larger one the inverse of an unusual time base."""
+"""Largest ratio of the nominal rate to the average rate that missing frames explain [1]. Chosen: a smaller value uses a
+rate biased by missing frames, a larger one uses the inverse of an unusual time base."""
 
 
 def _nominal_rate(stream: Any) -> Any:
-    """Return the rate of a stream: missing frames bias the average rate, unusual time bases the nominal rate."""
+    """Return the rate of a stream: missing frames bias the average rate, unusual time bases bias the nominal rate."""
     average, nominal = stream.average_rate, stream.base_rate
     if average and nominal and 1.0 <= float(nominal / average) < _MISSING:
         return nominal
@@ -296,7 +297,7 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
     if lost:
         first = next(a + 1 for a, b in pairwise(numbers) if b != a + 1)
         raise VideoError(
-            f"{folder}: {lost} pictures are missing, first number {first}.",
+            f"{folder}: {lost} pictures are missing; the first missing number is {first}.",
             "Times are counted from the pictures: add the missing pictures.",
         )
     digits = f"%0{widths.pop()}d" if widths else "%d"
@@ -397,8 +398,8 @@ def _tagged_rate(metadata: Any) -> float | None:
 
 _SONY_RATE = re.compile(rb'<VideoFrame\b[^>]*\bcaptureFps="([0-9.]+)[pi]"')
 _LONGEST_XML = 2**20
-"""Largest part of a description that is read [bytes]. Chosen: memory; a longer description may contain the capture
-rate beyond this part."""
+"""Largest part of a description that is read [bytes]. Chosen: to limit memory; a longer description may contain the
+capture rate beyond this part."""
 
 
 def _sony_rate(path: Path) -> float | None:
@@ -452,9 +453,12 @@ def packets_of(packets: Any) -> Iterator[Any]:
 
 
 def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]:
-    """Decode packets in order, skipping damaged ones; stop if these exceed `most_bad` + 2 times the decoded frames.
+    """Decode packets in order, and skip damaged packets.
 
-    Yields (frame, number of damaged packets so far); at the end (None, total number of damaged packets).
+    The decoding stops if the number of damaged packets exceeds `most_bad` plus twice the number of decoded frames.
+
+    The function yields (frame, number of damaged packets so far), and at the end (None, total number of damaged
+    packets).
     """
     bad = good = 0
     while bad <= most_bad + 2 * good:
@@ -507,7 +511,7 @@ def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
 
 
 def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.copy) -> list[Frame]:
-    """Decode up to `count` key frames spread evenly over a film, copied by `keep`; their index is -1."""
+    """Decode up to `count` key frames spread evenly over a film, copied by `keep`; the index of these frames is -1."""
     with opened(path) as (container, stream):
         keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
     wanted = {keys[int(i)] for i in np.linspace(0, len(keys) - 1, min(count, len(keys)))} if keys else set()

@@ -40,12 +40,13 @@ from gyrotrack.video._time_base import stamp_warnings
 T = TypeVar("T")
 
 CHUNK = 8
-"""Frames that are transferred at a time [frames]. Chosen: waking a thread for each frame would take longer than
-decoding the frame; a larger number takes memory."""
+"""Number of frames that are transferred at a time [frames]. Chosen: waking a thread for each frame would take longer
+than decoding the frame; a larger number takes memory."""
 _CHUNK_BYTES = 5_000_000
-"""Largest size of the frames that are transferred at a time [bytes]. Chosen: memory; several chunks exist at a time."""
+"""Largest size of the frames that are transferred at a time [bytes]. Chosen: to limit memory, because several chunks
+exist at a time."""
 WAITING = 2
-"""Largest number of waiting chunks [1]. Chosen: memory; a smaller number lets the decoder wait."""
+"""Largest number of waiting chunks [1]. Chosen: a larger number takes memory, a smaller one lets the decoder wait."""
 _PATIENCE = 0.05
 """Time after which a waiting thread checks whether it must stop [s]. Chosen: a longer time delays the end, a shorter
 one costs time."""
@@ -107,8 +108,8 @@ class ReadAhead(Generic[T]):
 
 
 _STAMP_S = 2e-3
-"""Largest difference of the declared duration that rounding errors of timestamps explain [s]. Derived: twice the
-resolution of timestamps in whole ms."""
+"""Largest difference between the declared duration and the end of the last frame that rounding errors of timestamps
+explain [s]. Derived: twice the resolution of timestamps in whole ms."""
 _NO_STAMP = -(1 << 63)
 """Value for a missing timestamp [ticks]. Source: AV_NOPTS_VALUE of FFmpeg."""
 
@@ -118,8 +119,8 @@ class Part:
     """A part of a film that begins with a key frame and can be decoded separately."""
 
     first: int = 0  # index in the film of the first frame of the part
-    # timestamps of the key frame and of the first frame after the part, in units of the time base; None: ends of the
-    # film
+    # timestamps of the key frame and of the first frame after the part, in units of the time base; None: start or end
+    # of the film
     start: int | None = None
     stop: int | None = None
 
@@ -206,7 +207,7 @@ class Reader:
 
     @property
     def stamps(self) -> npt.NDArray[np.int64]:
-        """Timestamps of the decoded frames in units of the time base; frames without one have the smallest integer."""
+        """Timestamps of the decoded frames in units of the time base; missing timestamps are the smallest integer."""
         return np.array(self._pts, dtype=np.int64)
 
     def pts_seconds(self) -> npt.NDArray[np.float64]:
@@ -220,7 +221,7 @@ class Reader:
 
 
 def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.float64]:
-    """Return timestamps [s], NaN for frames without one; `tick` is the time base [s]."""
+    """Return timestamps [s], NaN for frames without a timestamp; `tick` is the time base [s]."""
     return np.where(stamps == _NO_STAMP, np.nan, stamps * tick)
 
 
@@ -271,7 +272,7 @@ def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> 
 def frames_at(
     path: Path, stamps: Iterable[int], keep: Callable[[Frame], Frame] = Frame.copy
 ) -> dict[int, Frame]:
-    """Decode the frames with the given timestamps (units of the time base), if they exist; their index is -1.
+    """Decode the frames with the given timestamps (units of the time base), if they exist, with the index -1.
 
     Other frames are decoded only if the requested frames refer to them.
     """
@@ -293,7 +294,11 @@ def frames_at(
 
 
 def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int, int, int]]:
-    """Return the runs of packets between key packets that contain the stamps: first, stop, stamps of the run."""
+    """Return the runs of packets, each from a key packet to the next one, that contain a timestamp in `wanted`.
+
+    Each run is (number of the first packet, number of the last packet plus 1, timestamp of the key packet, timestamp of
+    the next key packet).
+    """
     keys: list[tuple[int, int]] = []
     count = 0
     with opened(path) as (container, stream):
@@ -342,8 +347,8 @@ _LARGE = 80
 """Quantile of the sizes that is typical of new frames [percent]. Chosen: if most frames are repeated, a lower quantile
 is the size of repeats; a higher one is the size of scene changes."""
 _ROWS = 12
-"""Rows of a frame that are compared [rows]. Chosen: a smaller number overlooks a small motion, a larger one costs
-time."""
+"""Number of rows of a frame that are compared [rows]. Chosen: a smaller number overlooks a small motion, a larger one
+costs time."""
 _MOST = 0.8
 """Quantile of the differences that is typical of new frames [1]. Chosen: 3 in 4 frames may be repeated; a lower
 quantile is the difference of repeats, a higher one the difference at a cut."""
@@ -409,7 +414,7 @@ def _rows(frame: Frame) -> Rows:
 
 
 def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
-    """Return a mask of packets with little information: much smaller than their neighbours, or equal in size."""
+    """Return the numbers of packets with little information: much smaller than their neighbours, or equal in size."""
     if len(packets.size) < _AROUND:
         return np.zeros(0, dtype=np.int64)
     if packets.key.all():
@@ -425,8 +430,8 @@ def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
 
 
 REGULAR = 0.8
-"""Smallest share of equal distances between repeats that are periodic [1]. Chosen: a smaller value finds a period by
-chance, a larger one fails if a repeat is not detected."""
+"""Smallest share of equal distances between repeats for which the repeats are periodic [1]. Chosen: a smaller value
+finds a period by chance, a larger one fails if a repeat is not detected."""
 
 
 def _regular(start: npt.NDArray[np.int64]) -> bool:

@@ -1,7 +1,7 @@
 """Interlaced film: each frame contains two fields, the even and the odd lines, captured half a period apart.
 
 A field is a picture at its own time, interpolated to the size of the frame. The lines of the odd field are one line of
-the frame lower than the lines of the even field, which the interpolation takes into account.
+the frame lower than the lines of the even field. The interpolation takes this into account.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ The header has one entry per line, ``Image Width : 1024``. The frames follow eac
 little-endian. ``EffectiveBit Depth`` is the number of bits that contain the measured value: either the lower or the
 higher bits (``EffectiveBit Side``).
 
-Sources: headers written by PFV and by the PDC library of Photron; the packing is that of pyMRAW.
+Sources: headers written by PFV and by the PDC library of Photron; the bits are packed as in pyMRAW.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class GreyFrames(FrameStream):
 
 
 def grey_of(raw: npt.NDArray[np.uint8], bits: int, first_bit: int) -> npt.NDArray[np.uint8]:
-    """Return eight bits of each pixel, from `first_bit`, counted from the most significant bit; others are lost."""
+    """Return eight bits of each pixel, from `first_bit`, counted from the most significant bit; discard the others."""
     if bits == 8:
         return raw
     if bits == _WORDS:

@@ -1,8 +1,8 @@
 """Films in a TIFF file of many pictures (a stack), written by ImageJ, Micro-Manager and OME programs.
 
-Grey pictures of 8 to 32 bits are scaled to 8 bits by the darkest and the brightest pixel of some of them; colours of 8
-bits are kept. The time between two pictures is read from the description of ImageJ (``finterval`` [s]) or of OME
-(``TimeIncrement``), if present.
+Grey pictures of 8 to 32 bits are scaled to 8 bits, from the darkest to the brightest pixel of some of the pictures.
+Colours of 8 bits are not changed. The time between two pictures is read from the description of ImageJ (``finterval``
+[s]) or of OME (``TimeIncrement``), if present.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from gyrotrack.video._frame_stream import FrameStream
 
 SUFFIXES = (".tif", ".tiff")
 _SAMPLED = 20
-"""Number of pictures that determine the range of the brightness [pictures]. Chosen: time; a smaller number may saturate
-a brighter picture."""
+"""Number of pictures that determine the range of the brightness [pictures]. Chosen: a larger number costs time, a
+smaller one may saturate a brighter picture."""
 _INTERVAL = re.compile(r"finterval=([0-9.eE+-]+)")
 _INCREMENT = re.compile(r'TimeIncrement="([0-9.eE+-]+)"')
 _UNIT = re.compile(r'TimeIncrementUnit="([^"]+)"')
@@ -63,7 +63,7 @@ def read_stack(path: Path) -> TiffStack:
     colour = len(shape) == 3 and shape[2] in (3, 4) and kind == np.uint8
     if not alike or not (colour or (len(shape) == 2 and kind.kind in "uif")):
         size = "x".join(map(str, shape))
-        what = f"{path} contains pictures of the shape {size} and the type {kind}, or different ones."
+        what = f"{path} contains pictures of the shape {size} and the type {kind}, or pictures of different shapes."
         raise VideoError(what, "Save it as a stack of equal grey pictures, or of colours with 8 bits.")
     return TiffStack(path, pages, shape[1], shape[0], colour, _rate(text))
 

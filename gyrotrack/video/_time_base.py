@@ -1,6 +1,6 @@
 """The time base of a film: when each frame was captured.
 
-The timestamps of a film in real time are those of the camera. The timestamps of a film in slow motion are for playback,
+The timestamps of a film in real time come from the camera. The timestamps of a film in slow motion are for playback,
 and may have been changed by an editor. If timestamps are equally spaced, frames are counted, which is equivalent.
 
 In a film with a constant rate, the time of a frame is its index divided by the capture rate. Slow-motion films are
@@ -25,7 +25,7 @@ is stored at 24 to 60 fps; a smaller value takes playback for real time, a large
 
 @dataclass(frozen=True)
 class CaptureRate:
-    """Frames per second of the camera, the origin of that number, and warnings for the user."""
+    """Frames per second of the camera, the origin of this rate, and warnings for the user."""
 
     fps: float
     source: str
@@ -33,7 +33,7 @@ class CaptureRate:
 
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Return the requested rate [1/s], or that of the profile, the camera's tag, or a container of at least 100 fps."""
+    """Return the requested rate [1/s], or the rate of profile, camera tag, or a container of at least 100 fps."""
     for fps, source in (
         (requested, "--capture-fps"),
         (profile, "profile"),
@@ -51,8 +51,8 @@ def capture_rate(info: ClipInfo, requested: float | None = None, profile: float 
 
 
 _SAME_RATE = 1.0e-3
-"""Largest relative difference of two equal rates [1]. Chosen: a smaller value warns of rounded rates, a larger one
-hides a wrong rate."""
+"""Largest relative difference of two rates that count as equal [1]. Chosen: a smaller value warns of rounded rates, a
+larger one hides a wrong rate."""
 
 
 def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
@@ -134,8 +134,8 @@ Mask = npt.NDArray[np.bool_]
 SOURCES = ("auto", "stamps", "frames")
 LIVE = 0.05
 """Largest relative difference between the rate of the timestamps and the capture rate in a film that was not slowed
-down [1]. Chosen: a smaller value discards timestamps of a camera with a varying rate, a larger one uses those of an
-edited film."""
+down [1]. Chosen: a smaller value discards timestamps of a camera with a varying rate, a larger one uses timestamps of
+an edited film."""
 EVEN = 5e-3
 """Largest residual of equally spaced timestamps about a line, if their tick is finer [periods]. Chosen: a smaller value
 takes jitter for a varying rate, a larger one counts frames of such a camera."""
@@ -145,8 +145,8 @@ _ODD = 0.01
 """Largest share of wrong timestamps [1]. Chosen: a smaller value discards timestamps because of single errors, a larger
 one uses damaged timestamps."""
 _HALF = 20
-"""Timestamps on either side of a local fit [frames]. Chosen: a smaller number leaves jitter, a larger one smooths a
-change of the rate."""
+"""Number of timestamps on either side of a local fit [frames]. Chosen: a smaller number leaves jitter, a larger one
+smooths a change of the rate."""
 
 
 @dataclass(frozen=True)
@@ -154,12 +154,12 @@ class FrameTimes:
     """Times of the frames of a film."""
 
     number: Integers  # shape (n,); numbers of the frames; numbers of missing frames are skipped
-    # shape (n,); times of the frames multiplied by the capture rate, if they are from the timestamps; None if the
-    # places are the numbers
+    # shape (n,); times of the frames from the timestamps, multiplied by the capture rate; None if the frames are
+    # counted
     place: Floats | None = None
     # standard deviation of a place, due to the tick of the timestamps; independent between frames
     sigma: float = 0.0
-    # shape (n,); the places without jitter beyond rounding errors, for jitter that is not due to the camera
+    # shape (n,); the places without jitter beyond rounding errors, used if the jitter is not due to the camera
     smooth: Floats | None = None
     warnings: tuple[str, ...] = ()  # for the user
     again: Mask | None = None  # shape (n,); frames that repeat the previous frame; None if there are none
@@ -180,7 +180,7 @@ class FrameTimes:
         return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.warnings)
 
     def seconds(self, fps: float) -> Floats:
-        """Return the times [s] at a capture rate, (n,); an inserted frame is between its neighbours."""
+        """Return the times [s] at a capture rate, (n,); an inserted frame has a time between its neighbours."""
         time = np.asarray((self.number if self.place is None else self.place) / fps)
         if self.again is not None and self.place is None:
             same = self.again & (np.diff(self.number, prepend=-1) == 0)
@@ -265,7 +265,7 @@ def _growing(step: Floats) -> bool:
 
 
 def _real_tick(pts: Floats, tick: float) -> float:
-    """Return the unit of timestamps: 1 ms also in a finer container, if they were copied from a coarse one."""
+    """Return the unit of timestamps; 1 ms in a container with a finer unit if they were copied from a coarser one."""
     whole = (pts - pts[0]) / COARSEST_TICK
     copied = tick < COARSEST_TICK and bool(
         (np.abs(whole - np.rint(whole)) <= 0.51 * tick / COARSEST_TICK).all()
@@ -289,8 +289,8 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
 
     A place rounded to a tick d has the standard deviation d / sqrt(12). After smoothing by a parabola through its
     neighbours, the variance is multiplied by the leverage of the place; scatter beyond rounding errors is an error of
-    the parabola. If this error is larger than the rounding error, or a place would change by more than rounding error,
-    nothing changes.
+    the parabola. If this error is larger than the rounding error, or a place would change by more than the rounding
+    error, nothing changes.
     """
     rounding = tick**2 / 12.0
     smooth, share = _smoothed(number, place)

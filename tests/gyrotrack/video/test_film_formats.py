@@ -87,7 +87,7 @@ def test_numbered_pictures_in_a_folder(tmp_path):
     before = file_sha256(tmp_path)
     (tmp_path / "img%_0010.png").unlink()
     assert file_sha256(tmp_path) != before
-    with pytest.raises(VideoError, match="1 pictures are missing, first number 10"):
+    with pytest.raises(VideoError, match="1 pictures are missing; the first missing number is 10"):
         probe(tmp_path)
     cv2.imwrite(str(tmp_path / "other_0010.png"), picture(0))
     with pytest.raises(VideoError, match="several series"):

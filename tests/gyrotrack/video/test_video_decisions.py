@@ -355,7 +355,10 @@ def test_numbered_pictures_have_a_pattern(tmp_path, names, pattern, first):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["a_1.png", "a_2.png", "a_4.png", "a_6.png"], "2 pictures are missing, first number 3"),
+        (
+            ["a_1.png", "a_2.png", "a_4.png", "a_6.png"],
+            "2 pictures are missing; the first missing number is 3",
+        ),
         (["a_1.png", "b_2.png"], "several series"),
         (["a_1.png", "a_2.jpg"], "several series"),
         (["a_01.png", "a_002.png"], "several series"),
