@@ -6,8 +6,8 @@ shared parameters, and s the responses to the candidate effects. The information
 
     I = sum over runs of [J s]' C^-1 [J s],
 
-where the parameters of each run alone (initial angular rates, touch point, casing drag, phases of the films) are
-projected out. The information of present and planned runs is additive.
+where the parameters that belong to one run only (initial angular rates, touch point, casing drag, phases of the films)
+are projected out. The information of present and planned runs is additive.
 
 Rival explanations are sets of effects that the present recordings do not separate. Let I be the information about the
 strengths of all candidates, with the shared parameters projected out, and b the products of their responses with the
@@ -48,8 +48,8 @@ from fitting.inference._simulation import Experiment, simulate_path
 Array = NDArray[np.float64]
 
 _BLOCKS = 24
-"""Blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few; a smaller number does not resolve
-the start, a larger one costs time."""
+"""Blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few blocks; a smaller number does not
+resolve the start, a larger one costs time."""
 _PER_BLOCK = 64
 """Samples of a block of a planned recording [samples]. Chosen: a smaller number does not determine the polynomial of a
 block, a larger one costs time."""
@@ -112,7 +112,7 @@ class Information:
     def _of(self, fit: Fit, case: int) -> tuple[Array, Array]:
         """Return the information of one run, and the products of its columns with the residuals.
 
-        The parameters of this run alone are projected out.
+        The parameters that belong to this run only are projected out.
         """
         data, prediction, noise = fit.problem.data[case], fit.predictions[case], fit.noise[case]
         whitener = noise.whitener.at(noise.pure)
@@ -152,7 +152,7 @@ def schur(information: Array, kept: Sequence[int], free: Sequence[int]) -> Array
 
 
 def simulated(fit: Fit, run: Run) -> Fit:
-    """Return the noiseless recording of a planned run as a fit, with parameters and noise of the first case."""
+    """Return the noiseless recording of a planned run as a fit, with the parameters and noise of the first case."""
     template = fit.problem.data[0].record
     layout = fit.problem.layout
     numbers = layout.numbers(fit.theta, 0) | {INERTIA_CASING: template.I_casing * run.ring}
@@ -233,9 +233,9 @@ _COLLINEAR = 1e-6
 """Determinant of the correlation of candidates below which no data separate them [1]. Chosen: a smaller value keeps
 sets with undetermined strengths, a larger one drops rivals that data could separate."""
 _ABSORBED = 1e-12
-"""Information about a strength with free shared parameters, divided by that with fixed ones, below which these
-parameters absorb the candidate [1]. Chosen: the rounding error of the projection; a larger value drops weakly
-determined candidates, a smaller one keeps rounding errors."""
+"""Smallest ratio of the information about a strength with free shared parameters to the information with fixed shared
+parameters; below it, the shared parameters absorb the candidate [1]. Chosen: the rounding error of the projection; a
+larger value drops weakly determined candidates, a smaller one keeps rounding errors."""
 
 
 @dataclass(frozen=True)

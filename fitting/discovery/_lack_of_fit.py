@@ -1,8 +1,8 @@
 """Which tests contradict an answer, and which laws outside the library rival it.
 
-The smooth test (`fitting.inference._smooth_test`) and the periodogram (`fitting.inference._periodogram`) are those of
-every fit. A third test is for answers with an angle-dependent torque: harmonics of third or higher order in the angle
-of the casing. If a test contradicts the fit with the named effect, or without an effect, the answer is not complete.
+Every fit has a smooth test (`fitting.inference._smooth_test`) and a periodogram (`fitting.inference._periodogram`).
+Answers with an angle-dependent torque have a third test: harmonics of third or higher order in the angle of the casing.
+If a test contradicts the fit with the named effect, or without an effect, the answer is not complete.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 def nonparametric_law(fit: Fit, site: str, speed: str) -> float:
     """Return the fall of the deviance by any smooth function of a speed as a torque on a body or in a joint.
 
-    The function is the same in all cases. It is scored like a candidate, without a refit; the larger fall with 4 or 8
-    knots counts.
+    The function is the same in all cases. It is scored like a candidate, without a refit. It is a spline with 4 or 8
+    knots, whichever gives the larger fall.
     """
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
     context = ScoreContext(fit, 1)
@@ -128,7 +128,8 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
                 torque, phase = float(np.hypot(*gamma)), math.atan2(gamma[1], gamma[0])
         single = float(tail_probability(chi2, count, fit.noise, shares)) if count else 1.0
         p_value = min(1.0, len(_ORDERS) * single)
-        # a torque of high order hardly moves the body; to describe an error of the motion, it has to exceed all others
+        # a torque of high order hardly moves the body: it describes an error of the motion only if it exceeds all
+        # other torques
         if p_value < found.p_value and torque <= max(others):
             found = HarmonicTest(order, p_value, fit.torque_unit)
             start = {_HARMONIC_AMPLITUDE: min(torque, _FIRST_SHARE * max(others)), f"{law.name}.phi": phase}
@@ -168,7 +169,7 @@ def contradiction(
 ) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
     """Return the lack-of-fit test that contradicts an answer (the effect `chosen`, or no effect); None if no test does.
 
-    `end` is the fit with this effect.
+    `end` is the fit with `chosen`.
     """
     peak = end.significant_peak(criteria)
     if peak is not None:

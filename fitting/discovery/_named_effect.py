@@ -10,9 +10,9 @@ all free columns. The smooth test (`fitting.inference._smooth_test`) then has th
 
     lambda = h'S'S h.
 
-The limit is the rms of h, as a share of the torque, at which the test detects nine in ten deviations with a probability
-of at least 90 %. Deviations that the base absorbs are not detectable, for example a constant torque of the bearing in a
-narrow range of speeds.
+The limit is the rms of h, as a share of the torque. At this rms the test detects nine in ten random deviations h, each
+with a probability of at least 90 %. Deviations that the base absorbs are not detectable. An example is a constant
+torque of the bearing in a narrow range of speeds.
 
 *Active bounds.* If chi-square falls when parameters pass their bounds, the sum of the laws has another form. With the
 columns B of these parameters, orthogonal to all free columns, the fall of chi-square is
@@ -25,8 +25,8 @@ a linear refit.
 
 The *inertia* is a further test. Only ratios of torque to inertia are observable, and the torque between the bodies acts
 on both. The data therefore determine the ratio of the moments of inertia. If the given ratio is wrong, the base has a
-systematic error; then a wrong effect, or the right effect with a wrong form, may describe the data best. Therefore the
-list of candidates is scored again with a free ratio, and the best candidates are refitted with a free ratio.
+systematic error. A wrong effect, or the right effect with a wrong form, may then describe the data best. Therefore all
+candidates are scored again with a free ratio, and the best candidates are refitted with a free ratio.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ _INNER_KNOTS = 5
 """Inner knots of the spline in time [1]. Chosen: a smaller number does not follow a change of the torque, a larger one
 absorbs noise."""
 _POWER = 0.9
-"""Probability of detection at the limit, and share of the deviations detected with this probability [1]. Chosen: as
-`fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
+"""Probability of detection at the limit, and share of the random deviations that are detected with this probability
+[1]. Chosen: as `fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
 _DRAWS = 4000
 """Random deviations from which the limit is computed [1]. Chosen: a smaller number makes the limit random, a larger one
 costs time."""
@@ -149,7 +149,7 @@ def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, ...]:
 
 
 def _senses(effect: Effect, torques: Sequence[Array]) -> list[float]:
-    """Return, for each body, its share of a torque in time; 0 for a body that an effect neither drives nor brakes."""
+    """Return, for each body, its share of a torque in time; 0 for a body on which the effect does not act."""
     shares = effect.mechanism.shares(effect.site)
     return [share if own.any() else 0.0 for share, own in zip(shares, torques, strict=True)]
 
@@ -160,7 +160,7 @@ _OWN_SPEED = dict(GYROSCOPE.sites) | {"factor": "delta"}
 def _variable(effect: Effect, mechanism: Mechanism = GYROSCOPE) -> str:
     """Return the variable of a law: its speed, or the speed of its body or joint if it has none.
 
-    The variable is time for a law of time, of several speeds, with a state, or with an input.
+    The variable is time if the law depends on time, on several speeds, on a state or on an input.
     """
     names = symbols(effect.expression) - {p.symbol for p in effect.parameters}
     motion = dict(mechanism.sites)
@@ -193,9 +193,9 @@ def _orthogonal(columns: Array, free: Array) -> Array:
 def _limit(response: Array, square: float, criteria: Criteria) -> float:
     """Return the rms deviation, as a share of the torque, that is detected with 90 % probability.
 
-    `response` contains the responses to the piecewise linear functions of the knots. `square` is the sum of squares of
-    their torques divided by that of the torque of the effect. The limit is the rms at which nine in ten random
-    deviations have a noncentrality that the smooth test detects with 90 % probability.
+    `response` contains the responses to the piecewise linear functions of the knots. `square` is the sum of the squared
+    torques of these functions, divided by the sum of the squared torque of the effect. The limit is the rms at which
+    nine in ten random deviations have a noncentrality that the smooth test detects with 90 % probability.
     """
     from scipy.special import chdtri, chndtrinc
 
@@ -293,7 +293,7 @@ def _percent_off(share: Estimate) -> str:
 def with_free_inertia(
     base: Fit, selection: Selection, extra: tuple[Effect, ...], criteria: Criteria
 ) -> InertiaRival | None:
-    """Return the effect that, with a free ratio of inertias, describes the data as well as the selection or better.
+    """Return the effect that describes the data at least as well as the selection if the ratio of inertias is free.
 
     None if there is no such effect, if the error of the ratio is not credible, or if the chosen effect depends on an
     angle.

@@ -8,19 +8,21 @@ parameters. The noncentrality of the effect is
 Null data plus delta times the unit response go through the search's own score test: all candidates, all trials of their
 shape constants, the same null distributions, and the thresholds of `Criteria`. The power is the share of data sets in
 which at least one candidate is significant in the whole list and lowers BIC by the evidence required for an added
-effect. The detection limit is the strength at which it is 90 %.
+effect. The detection limit is the strength at which the power is 90 %.
 
 If no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) +
-1.64 se for a friction, which is not negative). The upper limit of an amplitude with a phase is the amplitude for which
-a score below the observed one has a probability of 5 %, from the noncentral chi-square (J. Neyman, Phil. Trans. R. Soc.
-A 236, 333 (1937)). For recordings that are only planned, the estimate is zero, which gives the expected limit.
+1.64 se for a friction coefficient, which is not negative). The upper limit of an amplitude with a phase is the
+amplitude for which a score below the observed one has a probability of 5 %, from the noncentral chi-square (J. Neyman,
+Phil. Trans. R. Soc. A 236, 333 (1937)). For recordings that are only planned, the estimate is zero, which gives the
+expected limit.
 
-If the effect shifts a parameter of the model to its bound, the search may find a strength below this limit with a
-probability of 95 %. An insignificant score then excludes this smaller strength.
+If the effect shifts a parameter of the model to its bound, the search may find even a strength below this limit with a
+probability of 95 %. An insignificant score then excludes this smaller strength, which becomes the limit.
 
-The threshold of a significant score depends on the uncertainty of the process noise, which varies between recordings:
-if a tenfold level cannot be excluded, the threshold is far higher. For recordings that are only planned, the thresholds
-are therefore computed for several simulated estimates of the noise, and the power is the mean over them.
+The threshold of a significant score depends on the uncertainty of the level of the process noise, which varies between
+recordings: if the data do not exclude a tenfold level, the threshold is far higher. For recordings that are only
+planned, the thresholds are therefore computed for several simulated estimates of the noise, and the power is the mean
+over these estimates.
 
 Several runs of the same kind multiply delta^2 by their number.
 """
@@ -66,8 +68,8 @@ _ONE_SIDED = 1.6448536
 """Distance of a one-sided limit of 95 % from the estimate [standard errors]. Derived: quantile 0.95 of the standard
 normal distribution, at `CONFIDENCE`."""
 _POWER_SIGMA = 1.2815516
-"""Distance above a threshold at which it is exceeded with 90 % probability [standard errors]. Derived: quantile 0.9 of
-the standard normal distribution, at `POWER`."""
+"""Distance of an expected value above a threshold at which the value exceeds the threshold with 90 % probability
+[standard errors]. Derived: quantile 0.9 of the standard normal distribution, at `POWER`."""
 _DRAWS = 1500
 """Number of null data sets for thresholds [1]. Chosen: a smaller number makes thresholds of a long list uncertain, a
 larger one costs time."""
@@ -75,13 +77,13 @@ _POWER_DRAWS = 600
 """Simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; a smaller number enlarges
 this error, a larger one costs time."""
 _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)])
-"""Strengths at which the power is simulated [standard errors]. Chosen: dense where a parameter reaches its bound; a
-smaller number rounds the limits, a larger one costs time."""
+"""Strengths at which the power is simulated [standard errors]. Chosen: dense at small strengths, where a parameter
+reaches its bound; a smaller number rounds the limits, a larger one costs time."""
 _SIZE = 0.01
 """Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value requires many
 runs, a larger one makes every plan sufficient."""
 _MOST_RUNS = 10_000
-"""Largest number of runs that are counted [1]. Chosen: a larger number is not practical, a smaller one hides large
+"""Largest number of needed runs that is stated [1]. Chosen: a larger number is not practical, a smaller one hides large
 numbers of runs."""
 _LARGEST_SCORE = 2000.0
 """Upper end of the search for thresholds [1]. Chosen: a smaller value is below high thresholds, a larger one costs
@@ -93,8 +95,8 @@ _RANK = 1e-6
 """Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value amplifies rounding errors,
 a larger one omits weakly determined strengths."""
 _RARE = 0.5
-"""Share of the data sets with a parameter at its bound, summed over the strengths, below which this case is neglected
-[1]. Chosen: a smaller value costs time for rare cases, a larger one biases the power."""
+"""Share of the data sets in which one parameter is at its bound, summed over the strengths, below which this bound is
+neglected [1]. Chosen: a smaller value costs time for rare bounds, a larger one biases the power."""
 
 
 @dataclass(frozen=True)
@@ -104,14 +106,16 @@ class EffectLimits:
     effect: Effect
     strength: str  # symbol
     unit: str  # of the strength
-    shape: dict[str, float]  # shape constants with the median detection limit; the limits below are for them
+    shape: dict[str, float]  # shape constants with the median detection limit; they apply to the limits below
     stderr: float  # of the strength when added to the model [unit]; infinite if the base absorbs it
-    torque: float  # rms torque for a strength of 1 [N m / unit], the larger one of the two bodies; NaN for a camera
+    torque: (
+        float  # rms torque for a strength of 1 on the body where it is larger [N m / unit]; NaN for a camera
+    )
     detection_limit: float  # strength found with 90 % probability [unit]
     detection_range: tuple[float, float]  # over the shapes tried, as rms torques [N m]
     upper_limit: float  # 95 % upper limit of the strength [unit]; NaN if the effect is significant
     power: float  # probability of finding an effect of `size`
-    size: float  # strength of this size [unit]
+    size: float  # strength for which `power` and `runs_needed` are computed [unit]
     runs_needed: float  # number of such runs, including these, that find it with 90 % probability
     indistinguishable_from: tuple[str, ...]  # not separated at the larger of `size` and `detection_limit`
     curve: Array = field(repr=False)  # (points, 2): noncentrality and power
@@ -147,8 +151,8 @@ class UpperLimit:
 class HiddenEffects:
     """Physical effects that could still be hidden in the recordings."""
 
-    limits: tuple[UpperLimit, ...] = ()  # those with the largest upper limits of the torque, largest first
-    without_limit: tuple[str, ...] = ()  # names of those that the recordings do not limit
+    limits: tuple[UpperLimit, ...] = ()  # effects with the largest upper limits of the torque, largest first
+    without_limit: tuple[str, ...] = ()  # names of the effects that the recordings do not limit
 
 
 @dataclass(frozen=True)
@@ -192,7 +196,7 @@ class _Responses:
 class _Test:
     """The score test of one candidate in null data."""
 
-    # one, or one for each case if each case has its own strength; the scores of the best shapes are then added
+    # one item, or one for each case if each case has its own strength; the scores of the best shapes are then added
     parts: tuple[_Responses, ...]
     # shape (rows of all bases, data sets); projections of the null data on the bases of all parts, stacked
     null: Array
@@ -224,9 +228,9 @@ class ShiftedToBound:
     """The parameter of the base that an effect shifts to its bound.
 
     A missing effect shifts the parameters of the base, and noise scatters them. The fit holds a parameter at the bound
-    that it would cross. The part of the effect that the parameter would absorb beyond the bound then contributes to the
-    score. If several parameters would cross their bounds, the one furthest beyond its bound, in standard errors, is
-    held.
+    that the parameter would otherwise cross. The part of the effect that the parameter would absorb beyond the bound
+    then contributes to the score. If several parameters would cross their bounds, only the parameter furthest beyond
+    its bound, in standard errors, is held.
     """
 
     free: Array  # shape (rows, columns); whitened derivatives with respect to the parameters, then nuisance columns
@@ -253,7 +257,10 @@ class ShiftedToBound:
         return cls(free, inverse, inverse @ context.draws[:, :draws], distance)
 
     def held(self, response: Array, strengths: Array) -> NDArray[np.intp]:
-        """Return twice the index of the parameter at its bound (+ 1: upper), or -1, (strengths, data sets)."""
+        """Return the active bound in each data set, shape (strengths, data sets), or -1 if there is none.
+
+        The number is twice the index of the parameter for its lower bound, and one more for its upper bound.
+        """
         error = np.sqrt((self.inverse**2).sum(axis=1))[:, None]
         shift = (self.inverse @ response)[:, None]
         found = []
@@ -334,7 +341,7 @@ class Search:
         self.effects = applicable_effects(fit, extra)
         self.cases = [CaseColumns(fit, i) for i in range(len(fit.problem.cases))]
         self._context = ScoreContext(fit, draws)
-        # the lack of fit of a model is not noise: after a further effect is added, the data have the pure level
+        # the lack of fit of a model is not noise: if the missing effect is added, the noise has its own level again
         self._level = self._context.levels[0 if fit.fails(criteria) else -1]
         self._trials = {e.name: self._all_trials(e) for e in self.effects}
         self._common = {e.name: self._responses(e, self._stacked(e), self._level.basis) for e in self.effects}
@@ -395,7 +402,7 @@ class Search:
         return tests
 
     def _nulls(self, effect: Effect, test: _Test, columns: int) -> list[NullDistribution]:
-        """Return the null distributions of a test, each with one estimate of the process noise in its tail."""
+        """Return the null distributions of a test, one for each estimate of the process noise."""
         directions = np.sum([p.direction(len(p.root) // 2) for p in test.parts], axis=0)
         direction = directions / max(float(np.linalg.norm(directions)), 1e-300)
         score = Score(
@@ -467,7 +474,7 @@ class Search:
 
         `size` is the rms torque [N m] for which power and runs are computed; by default 1 % of the rms torque of the
         bearing (for a single body, of the net torque). With `planned` data the upper limits are expected ones. `others`
-        are other simulations of the same recordings with new estimates of the noise: the power is the mean over all.
+        are other simulations of the same recordings with new estimates of the noise; the power is averaged over them.
         """
         common = self._common[effect.name]
         unit_torque = self._unit_torques(effect)
@@ -489,7 +496,7 @@ class Search:
         needed = delta_of_power(curve) if self._tests else np.nan
         wanted = self._size(torque, size)
         delta = wanted * root
-        # the noncentrality detected with 90 % probability, also if a parameter at its bound makes the effect visible
+        # the power curve also contains detections that are due to a parameter at its bound
         seen = (
             math.sqrt(min((t.threshold for t in self._tests.get(effect.name, ())), default=0.0))
             + _POWER_SIGMA
@@ -619,9 +626,10 @@ def largest_hidden(
 
 
 def _at_least_of_refit(limits: EffectLimits, refit: Fit | None) -> EffectLimits:
-    """Return the limits with at least the upper limit |k| + 1.64 se of the refit.
+    """Return the limits with an upper limit that is at least |k| + 1.64 se of the refit.
 
-    The motion of a slow body is not linear in an angle-dependent torque; the refit is not linearised.
+    The motion of a slow body is not linear in an angle-dependent torque, so the limit of first order may be too small.
+    The refit is not linearised.
     """
     if refit is None or limits.shape or limits.absorbed:
         return limits
@@ -663,7 +671,7 @@ def _smallest_score(
 
 
 def _median_shape(root: Array, torque: Array) -> tuple[int, tuple[float, float]]:
-    """Return the shape with the median limit, and the smallest and largest torque of unit noncentrality."""
+    """Return the index of the shape with the median limit, and the range of the torques of unit noncentrality."""
     with np.errstate(divide="ignore", invalid="ignore"):
         per_sigma = np.where(root > 0, (1.0 if np.isnan(torque).any() else torque) / root, np.inf)
     order = np.argsort(per_sigma)
@@ -699,6 +707,6 @@ def upper_limit(projections: Array, *, one_sided: bool) -> float:
         return (max(p, 0.0) if one_sided else abs(p)) + _ONE_SIDED
     from scipy.special import chndtrinc
 
-    # a score below the median of the null distribution would give a limit below the sensitivity of the data
+    # a score below the median of the null distribution would give a limit to which the data are not sensitive
     score = max(float(projections @ projections), 1.3862944)
     return float(np.sqrt(chndtrinc(score, len(projections), 1 - CONFIDENCE)))

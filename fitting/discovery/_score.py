@@ -1,11 +1,11 @@
 """Score test of all candidate effects at once, without a refit; null distributions of the scores.
 
-The covariance of the rows of a case is C = V (1 + s^2 L) V' with the same V at every level s of the process noise.
-Therefore rows are rotated by V' once, and whitened at each level by one factor per row.
+The covariance of the rows of a case is C = V (1 + s^2 L) V' with a diagonal matrix L, and with the same V at every
+level s of the process noise. Therefore rows are rotated by V' once, and whitened at each level by one factor per row.
 
 A small torque u(t) on a body changes the rows by W u. W is the response of the linearised motion to a torque in each of
-many short cells. One matrix product gives the rows of all candidates at all values of their shape constants. Only laws
-of an angle and camera effects are evaluated at the samples.
+many short cells, the intervals into which the record is divided. One matrix product gives the rows of all candidates at
+all values of their shape constants. Only laws of an angle and camera effects are evaluated at the samples.
 
 Let r be the whitened residuals, J the Jacobian (parameters and nuisance parameters) and s the columns of a candidate.
 Then
@@ -16,11 +16,10 @@ is the fall of chi-square that a refit would give to first order (C. R. Rao, Pro
 process noise can describe the same residuals as the effect, so its level is profiled: the score is the fall of the
 deviance, minimised over the level without and with the effect.
 
-Candidates are correlated, and some have many trial shapes. Therefore p-values are calibrated by simulated null data
-that are searched in the same way. A candidate with many shapes is equivalent to N independent trials,
-p = 1 - (1 - p1)^N; N reproduces the upper tail of its largest scores in null data. The whole list is equivalent to a
-number of independent candidates in the same sense (P. Westfall, S. Young, Resampling-Based Multiple Testing, Wiley
-(1993)).
+Candidates are correlated, and some have many trial shapes. Therefore p-values are calibrated with simulated null data
+that undergo the same search. A candidate with many shapes is equivalent to N independent trials, p = 1 - (1 - p1)^N; N
+reproduces the upper tail of its largest scores in null data. The whole list is equivalent to a number of independent
+candidates in the same sense (P. Westfall, S. Young, Resampling-Based Multiple Testing, Wiley (1993)).
 """
 
 from __future__ import annotations
@@ -51,8 +50,9 @@ _LEVELS = 9
 """Trial levels of the process noise [1]. Chosen: a smaller number makes the profiled score coarse, a larger one costs
 time and memory."""
 _ABSORBED = 1e-7
-"""Share of a column orthogonal to the free columns of the base, before whitening, below which the base absorbs it [1].
-Chosen: a smaller value scores rounding errors, a larger one drops weakly determined effects."""
+"""Norm of the part of a column that is orthogonal to the free columns of the base, before whitening, as a share of the
+norm of the column, below which the base absorbs the column [1]. Chosen: a smaller value scores rounding errors, a
+larger one drops weakly determined effects."""
 RANK = 1e-10
 """Relative singular value below which a direction of the free columns is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
@@ -75,7 +75,7 @@ class ScoreContext:
 
     The effects `without` are removed from the model: their parameters are not free, and their contribution
     `torque_rows` (rows,) to the prediction is added to the residual. With `release`, parameters at a bound are free as
-    well. The parameters `shared` have a value for each case in the fit, but each is one parameter here.
+    well. The parameters `shared` have separate values for the cases in the fit, but one common value here.
     """
 
     def __init__(
@@ -181,8 +181,8 @@ def _level_between(least: float, level: float, share: float) -> float:
 
 
 _PHASE_STEP = 1.5
-"""Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
-larger one overlooks narrow peaks."""
+"""Spacing of trial frequencies, as a phase difference at the end of the record [rad]. Chosen: a smaller value costs
+time, a larger one overlooks narrow peaks."""
 _FASTEST = 1.0
 """Highest trial frequency that the cells resolve [rad per cell]. Chosen: a larger value blurs the torque within a cell,
 a smaller one overlooks fast chirps."""
@@ -193,8 +193,8 @@ _FINER = 8
 """Ratio of the declared spacing of changepoints to the trial spacing [1]. Chosen: a smaller value overlooks narrow
 maxima of the score, a larger one costs time."""
 _CHOICES = 128
-"""Choices of shape constants that are evaluated at once [1]. Chosen: a smaller number makes small matrix products, a
-larger one needs memory; the result does not depend on this number."""
+"""Choices of shape constants that are evaluated at once [1]. Chosen: a smaller number makes the matrix products small
+and slow, a larger one needs memory; the result does not depend on this number."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ class CaseColumns:
         taus = zip(dynamics.joint_torques, torques, strict=True)
         self._known |= {symbol: np.asarray(tau) * np.ones(len(y)) for symbol, tau in taus}
         rates = dynamics.rates(self.response.centres, y, self.numbers)
-        # torque by which a factor of the torque of a joint, or of the acceleration of a body, is multiplied
+        # an effect that is a factor multiplies this torque: the torque of a joint, or inertia times acceleration
         self._scaled_torque = {c.name: self._known[c.tau] for c in mechanism.couplings}
         for i, (body, key) in enumerate(zip(mechanism.bodies, mechanism.inertias, strict=True)):
             self._scaled_torque[body] = self.numbers[key] * rates[:, i]
@@ -716,7 +716,8 @@ def _choose_shapes(
 ) -> tuple[list[Trial], Array]:
     """Return the best trial of each case and the null scores.
 
-    The case with the largest score is chosen first, then the others given the chosen ones, then all cases once more.
+    The shape of the case with the largest score is chosen first. The shapes of the other cases follow, each with the
+    chosen shapes held. Finally the shapes of all cases are chosen once more.
     """
     groups = [rows_of_case(context, t, i) for i, t in enumerate(trials)]
     singles = [best_group(context, effect, g, levels, null=null) for g in groups]

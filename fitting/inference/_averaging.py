@@ -1,14 +1,14 @@
 """Averaged equations of motion of an oscillation, and the initial values of a fit that follow from them.
 
-Over a period the deflection is A cos phi, with slowly varying amplitude A and frequency w. With the angular
-acceleration f of the laws on this motion, averages over a period (N. N. Bogoliubov, Y. A. Mitropolsky, Asymptotic
-Methods in the Theory of Non-Linear Oscillations, 1961) give
+Over a period the deflection is A cos phi, with slowly varying amplitude A and frequency w. Let f be the angular
+acceleration that the laws cause along this motion. Averages over a period, written <>, give (N. N. Bogoliubov, Y. A.
+Mitropolsky, Asymptotic Methods in the Theory of Non-Linear Oscillations, 1961)
 
     A' = -<f sin phi> / w,      phi' = w / 2 - <f cos phi> / (w A).
 
 Both are linear in the strengths of the laws, so their integrals along the measured amplitude are fitted to the measured
-amplitudes and phases by linear least squares. A relative error of the frequency is a phase that grows over the whole
-record: a search that starts here does not slip by periods.
+amplitudes and phases by linear least squares. The phases of the whole record determine the frequency so accurately that
+a search from these values does not slip by whole periods.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _DEGREE = 5
 """Degree of the polynomial between averaged points [1]. Chosen: a smaller value blurs the decay, a larger one
 oscillates at the ends."""
 _NEGLIGIBLE = 1e-6
-"""Share of the harmonics of a torque below which its averages vanish [1]. Chosen: a smaller value fits rounding errors,
-a larger one drops weak laws."""
+"""Smallest ratio of the averages of a torque to its harmonics; below it, the averages count as zero [1]. Chosen: a
+smaller value fits rounding errors, a larger one drops weak laws."""
 LARGEST_PHASE_ERROR = 0.7
 """Largest rms error of the phase with which a search over the whole record does not slip by a period [rad]. Chosen:
 well below half a period; a larger value starts searches at a wrong period, a smaller one refuses usable initial
@@ -91,7 +91,7 @@ def averaged(
         rows = []
         for case, (keys, design, target) in enumerate(equations):
             rest = (target - design @ theta[layout.places(case, keys)]).reshape(2, -1)
-            # the error of a phase is that of the deflection divided by the amplitude
+            # the error of a phase is the error of the deflection divided by the amplitude
             relative = slow[case].amplitude / slow[case].amplitude.max()
             rest -= np.array([rest[0].mean(), np.average(rest[1], weights=relative**2)])[:, None]
             amplitude = max(float(np.sqrt(np.mean(rest[0] ** 2))), 1e-9)

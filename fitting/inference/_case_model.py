@@ -1,9 +1,9 @@
 """One case under one model: predicted rows and their derivatives.
 
-If the argument of a torque that is periodic in the angle were the measured angle, its noise would make the torque
-random. Therefore the argument is the angle of the model, including the response to the torque itself, plus the smoothed
-deviation of the measured angle (for measured speeds, of their integral). The smoothing uses many pieces if the model
-has a large lack of fit, and few if it has none.
+If the argument of a torque that is periodic in the angle were the measured angle, the noise of this angle would make
+the torque random. Therefore the argument is the angle of the model, including the response to the torque itself, plus
+the smoothed difference between the measured and the modelled angle. If speeds were measured, their integral is the
+measured angle. The smoothing uses many pieces if the model has a large lack of fit, and few pieces if it has none.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ _MEMORY = 6
 """Number of iterations used to accelerate the convergence [1]. Chosen: with fewer, the convergence is slow; with more,
 the least-squares problem is degenerate."""
 _ERRORS = 6
-"""Number of parts of the error of an integrated angle, a random walk [1]. Derived: its Karhunen-Loeve series; two parts
-contain 90 % of the variance, six contain 97 %."""
+"""Number of terms of the Karhunen-Loeve series of the error of an integrated angle, a random walk [1]. Derived: two
+terms contain 90 % of the variance, six terms 97 %."""
 
 
 class AngleRows(NamedTuple):
@@ -71,9 +71,9 @@ def angle_dependent_rows(
 ) -> AngleRows:
     """Return the response of the rows to a law of an angle about the solution without it.
 
-    The law changes the angle that is its argument, which causes a mean torque of second order in the strength. With a
-    constant argument, a change of the phase would wrongly cause a mean torque of first order. `error` is an error of
-    the measured angle of the casing [rad] as a function of time, whose effect is computed.
+    The law changes the angle that is its own argument; this causes a mean torque of second order in the strength. If
+    the argument were held constant, a change of the phase would wrongly cause a mean torque of first order. `error` is
+    an error of the measured angle of the casing [rad] as a function of time, whose effect is computed.
     """
     record = data.record
     t = record.casing.time
@@ -125,7 +125,7 @@ def angle_dependent_rows(
     value = _observed(data, speed, angle) @ strength
     moved = np.stack([speed @ strength, angle @ strength])
     if measured is not None and error is None and strength.any():
-        # the part of the response that is not in the smoothed deviation changes the argument
+        # only that part of the response changes the argument which the smoothed deviation does not contain
         stiffness = torques(Tape([derivative(effect.expression, own_angle)])) @ strength
         for j in range(2):
             response, search = np.stack([speed[MAIN][:, j], angle[MAIN][:, j]]), _FixedPoint()
@@ -155,7 +155,7 @@ class _FixedPoint:
         self._values: list[Array] = []
 
     def next(self, x: Array, value: Array) -> Array:
-        """Return the next x from x and g(x): the weighted mean of values whose steps g(x) - x cancel best."""
+        """Return the next x from x and g(x): the weighted mean of earlier g(x) with the smallest mean step g(x) - x."""
         if not np.abs(value).max() < _DIVERGED:
             raise SimulationError(UNBOUNDED)
         self._steps.append((value - x).ravel())
@@ -218,8 +218,9 @@ _SPARE_EVENTS = 20
 """Largest number of stops and reversals of a trial in addition to twice those of the measured motion [1]. Chosen: a
 smaller value refuses trials that converge, a larger one delays the failure of trials that chatter."""
 _FEW_SINGLE = 40
-"""Largest number of stretches between reversals that are integrated one by one [1]. Chosen: one stretch takes as long
-as all of them simultaneously; a smaller value refuses trials that converge, a larger one costs time."""
+"""Largest number of stretches between reversals that are integrated one by one [1]. Chosen: the integration of one
+stretch takes as long as the simultaneous solution of all stretches; a smaller value refuses trials that converge, a
+larger one costs time."""
 _HALVINGS = 2
 """Largest number of bisections of the step between two solutions [1]. Chosen: a smaller number refuses long steps, a
 larger one delays failures."""
@@ -282,7 +283,7 @@ class CaseModel:
 
         Over hundreds of reversals a change of the frequency accumulates, and Newton's method converges only if each
         reversal is near its previous time. Integration from one reversal to the next takes a hundred times as long.
-        Therefore a trial that fails even in short steps raises an error.
+        Therefore a trial that fails even in short steps raises an error and is not integrated.
         """
         last = self._last
         known = self._measured(theta) if last is None else last[1]
@@ -349,7 +350,7 @@ class CaseModel:
         return Path(mesh, y, edges, self.dynamics.states[:n], sense, jumps=jumps, exact=False)
 
     def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
-        """Return the mesh with an edge at each measured reversal, the indices of these, and the senses of intervals."""
+        """Return the mesh with an edge at each measured reversal, indices of these edges, and senses of intervals."""
         motion = self.data.motion
         times: tuple[float, ...] = ()
         if "deflection" in self.dynamics.states:

@@ -41,7 +41,7 @@ def piecewise_linear(values: Array, knots: Array) -> Array:
 
 
 def cubic_spline(x: Array, y: Array, at: Array) -> Array:
-    """Return the cubic spline through four or more points with not-a-knot ends (that of scipy is slow to import)."""
+    """Return the cubic spline through four or more points with not-a-knot ends (scipy has one but imports slowly)."""
     h, n = np.diff(x), len(x)
     slope = np.diff(y) / h
     matrix, right = np.zeros((n, n)), np.zeros(n)
@@ -61,12 +61,12 @@ def cubic_spline(x: Array, y: Array, at: Array) -> Array:
 
 
 def r_factor(columns: Array) -> Array:
-    """Return a matrix with as many rows as columns and the same products of columns: R of the QR decomposition."""
+    """Return R of the QR decomposition: a square matrix whose columns have the same products as the given columns."""
     return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
 
 
 def covariance_of(j: Array, free: NDArray[np.bool_]) -> Array:
-    """Return (J'J)^-1 over the free columns of a Jacobian; zero for the others, infinite for a column of zeros."""
+    """Return (J'J)^-1 over the free columns of a Jacobian; zero for other columns, infinite for columns of zeros."""
     n = j.shape[1]
     covariance = np.zeros((n, n))
     size = np.linalg.norm(j, axis=0)

@@ -1,8 +1,8 @@
 """The parameter vector of a fit, and transformed variables that make its least-squares problem nearly linear.
 
-For a law d x^m and a power law f x^g on the same body, chi-square has a curved valley in (d, f, g): near g = m the two
-laws are the same. With X = x / x_ref their sum is T1 X^m + K (X^g - X^m) / (g - m), where T1 is the torque at x_ref and
-K its curvature:
+For a law d x^m and a power law f x^g of the same speed x on the same body, chi-square has a curved valley in (d, f, g),
+because the two laws are nearly the same for g near m. With X = x / x_ref their sum is T1 X^m + K (X^g - X^m) / (g - m),
+where T1 is the torque at x_ref and K is a measure of its curvature:
 
     T1 = d x_ref^m + f x_ref^g,    K = (g - m) f x_ref^g.
 
@@ -90,7 +90,7 @@ class ParameterLayout:
 
     @cached_property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The arguments `share` and `per_case` of `of`: parameters that differ from the defaults of the model."""
+        """The arguments `share` and `per_case` of `of`: the parameters that do not follow the defaults of the model."""
         if len(self.records) == 1:
             return (), ()
         usual = self.model.per_case
@@ -113,7 +113,7 @@ class ParameterLayout:
     def starts(self) -> tuple[str, ...]:
         """The initial values of each case: the speeds, and the deflection if a torque depends on it.
 
-        In a contact without slip the speed of the rotor follows from that of the casing.
+        In a contact without slip the speed of the rotor follows from the speed of the casing.
         """
         first = 0 if self.model.rigid_contact is None else 1
         speeds = tuple(map(start_of, self.model.mechanism.speeds[first:]))
@@ -244,7 +244,7 @@ valid changes, a larger one accepts inaccurate changes."""
 class PowerLaw:
     """A power law, alone (d is None) or with a law of fixed power m: indices of the variables, x_ref, and m.
 
-    `held` names the fixed one of d and f, if any.
+    `held` is "d" or "f" if this strength is fixed, otherwise empty.
     """
 
     d: int | None
@@ -440,7 +440,7 @@ class Sinusoid:
 
 
 def find_sinusoids(layout: ParameterLayout) -> tuple[Sinusoid, ...]:
-    """Return the pairs of free strength and phase with no bound other than a strength of zero.
+    """Return the pairs of a free strength and a free phase whose only bound is a strength of zero.
 
     Laws with a free shape are excluded: the data do not determine the shape while the strength is small. Laws whose
     strength has a value per case and whose phase is shared, or vice versa, are also excluded.

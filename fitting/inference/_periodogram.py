@@ -1,7 +1,7 @@
 """Periodogram of the residual torque: whether it contains a sinusoid in time.
 
-A sinusoidal torque in time (a vibrating table, a fan) is fast. Process noise of short correlation time
-therefore absorbs its variance, but not its single frequency. The model is extended by a cosine and a sine of each
+A sinusoidal torque in time (a vibrating table, a fan) is fast. Process noise of short correlation time therefore
+absorbs its variance, but cannot imitate a single frequency. The model is extended by a cosine and a sine of each
 frequency on the casing. With their whitened responses S, orthogonal to the free columns,
 
     chi2 = r'S (S'S)^-1 S'r
@@ -11,8 +11,9 @@ exceeds z at some frequency up to f is
 
     p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
 
-(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Torques with fewer than ten periods in the record are
-left to the test against slow torques.
+(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Here W is computed from the highest frequency f and the
+variance var t of the times. The lack-of-fit test against slow torques covers torques with fewer than ten periods in the
+record.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
     stiffness = (2 * np.pi / motion.period) ** 2
     angle = k / (record.I_casing * max(abs(stiffness - rate**2), _NEAR_RESONANCE * stiffness))
     credible = not record.tracked or angle > float(np.median(record.casing.sigma))
-    # if the model loses the phase, the residual is the whole motion, which no additional torque explains
+    # if the modelled phase is wrong, the residual is the whole motion, which no additional torque explains
     credible = credible and angle < motion.amplitude
     share = periodogram.share(rate)
     p_values = [

@@ -5,16 +5,16 @@ few stretches of time, with the camera's nuisance functions free. The estimate u
 rows orthogonal to these functions (H. Patterson, R. Thompson, Biometrika 58, 545 (1971)). The polynomials absorb a slow
 torque, fitted or missing.
 
-The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. Level and time are the
-posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is the
-positive half of a Student distribution with three degrees of freedom. Its scale is the camera's resolution: the
-spectral density 2 s^2 T of an acceleration that is white for the rows, and whose effect equals the noise in half of the
-rows. Therefore the level is never zero; if the data contain no process noise, it is a small fraction of this
-resolution. A random torque is not expected to exceed the mean torque that slows the body: the scale is at most the mean
-acceleration, which is relevant for records of a second or two. The prior of T is uniform in ln T from a thirty-second
-of a block, below which the noise is white for the rows, to three blocks, a twentieth of a long record. A stretch with a
-kink or a jump is far noisier than the others. Therefore the likelihood of a stretch is a mixture, with a prior
-probability of 1/20 for a separate level.
+The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. The estimated level and time
+are the posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is
+the positive half of a Student distribution with three degrees of freedom. Its scale is the resolution of the camera. At
+this resolution, an acceleration that is white for the rows, with the spectral density 2 s^2 T, has an effect as large
+as the noise in half of the rows. Therefore the level is never zero; if the data contain no process noise, it is a small
+fraction of this resolution. A random torque is not expected to exceed the mean torque that slows the body, so the scale
+is at most the mean acceleration; this limit matters for records of a second or two. The prior of T is uniform in ln T
+from 1/32 of a block, below which the noise is white for the rows, to three blocks, a twentieth of a long record. A
+stretch with a kink or a jump is far noisier than the other stretches. Therefore the likelihood of a stretch is a
+mixture, with a prior probability of 1/20 for a separate level.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _MOST_STRETCHES = 6
 """Largest number of stretches of a record, each with a level [1]. Chosen: with fewer, a kink distorts the level; with
 more, each stretch has few rows."""
 _GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
-"""Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower ones change nothing, higher ones do
-not occur; a coarser grid rounds the level."""
+"""Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower levels change nothing, higher
+levels do not occur; a coarser grid rounds the level."""
 _CELLS_PER_ROW = 2.5
 """Cells of the random torque per row [1]. Chosen: a smaller number blurs the response of the highest row, a larger one
 costs time."""
@@ -77,14 +77,14 @@ _FINER = 16
 """Levels of the finer grid per level of the coarse one [1]. Chosen: a smaller number makes the posterior mean coarse, a
 larger one costs time."""
 _REFINED_SHARE = 1e-4
-"""Smallest probability of a time about which the grid of times is refined, relative to the largest probability [1].
+"""The grid of times is refined about each time whose probability, relative to the largest one, exceeds this value [1].
 Chosen: a smaller value costs time, a larger one rounds the posterior."""
 _STUDENT_DOF = 3
 """Degrees of freedom of the prior of a level [1]. Derived: the smallest number with a finite variance; its tails are
 heavy."""
 _LEAST_QUANTILE = 1e-3
-"""Quantile of the posterior that is the lowest level allowed by the recording [1]. Chosen: a smaller value makes any
-level raised, a larger one excludes levels that the recording allows."""
+"""Quantile of the posterior that counts as the lowest level allowed by the recording [1]. Chosen: with a smaller value,
+any level counts as raised; a larger value excludes levels that the recording allows."""
 _NEGLIGIBLE = 1e-25
 """Probability below which a level is omitted [1]. Chosen: a smaller value costs time, a larger one changes integrals
 over far tails."""
@@ -135,7 +135,7 @@ def estimate_process_noise(
         fine = divided(blocks // _SHORT_BLOCKS, _SHORT_DEGREE)
         if not found.is_consistent_with(fine, times):
             found = fine
-    # longer stretches determine slower noise; use them where they describe the motion as well
+    # longer stretches determine slower noise; they are used if their polynomials also describe the motion
     while len(found.parts) > 1:
         pairs = list(zip(found.parts[::2], found.parts[1::2], strict=False))
         merged: list[WhitenedStretch] = []
@@ -301,7 +301,7 @@ class StretchLikelihood:
         return bool(2 * (here.max() - here[allowed].max()) < CONSISTENT)
 
     def _on_levels(self, times: Array) -> tuple[list[Array], Array]:
-        """Return levels [rad/s2] for each time, and their log-likelihoods, with which several others are compared."""
+        """Return levels [rad/s2] for each time, and their log-likelihoods; cached for several comparisons."""
         key = tuple(times.tolist())
         if key not in self._known:
             levels = [self.unit(t) * _LEVELS for t in times]

@@ -100,7 +100,7 @@ class FittedMotion:
         return self.expected_of(0 if rotor else MAIN, times, path)
 
     def expected_of(self, state: int, times: Array, path: Path | None = None) -> Array:
-        """Return angles, up to a constant, or speeds of the smooth motion of the body with an index in the state."""
+        """Return angles, up to a constant, or speeds of the smooth motion of the body with this index in the state."""
         path = path or self.prediction.path
         sampler = Sampler(path.mesh, times)
         if self.data.is_angle:

@@ -1,7 +1,7 @@
 """Simulated recordings: a model integrated exactly, sampled as the cameras do, with noise.
 
-The smooth torques are integrated with all others; a random torque is small and enters through the linearised motion
-about that solution.
+The smooth torques are integrated exactly. A random torque is small; its effect is computed from the motion linearised
+about this solution.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Experiment:
     """Speed of the casing at the start [rad/s]. Chosen: the casing has just been released; a smaller value starts near
     rest, a larger one shows less of the acceleration."""
     duration: float = 200.0
-    """Length of the casing's recording [s]. Chosen: both bodies slow down in it; a shorter one determines the laws less
-    precisely, a longer one adds a body at rest."""
+    """Length of the casing's recording [s]. Chosen: both bodies slow down within this time; a shorter one determines
+    the laws less precisely, a longer one adds a body at rest."""
     casing_fps: float = 260.0
     """Frame rate of the casing's camera [s-1]. Chosen: a casing of up to 160 rad/s turns by a tenth of a turn per
     frame; a smaller value aliases fast bodies, a larger one needs more light."""
@@ -132,7 +132,7 @@ def simulate(
     numbers : mapping of str to float
         Its parameters by key.
     experiment : Experiment
-        How it is filmed.
+        How the run is filmed.
     inertia_rotor, inertia_casing : float
         Moments of inertia [kg m2].
     seed : int
@@ -150,7 +150,7 @@ def simulate(
     Raises
     ------
     SimulationError
-        As `simulate_path`; or a window lies outside the recording.
+        As for `simulate_path`; or if a window is outside the recording.
     """
     model.refuse_chain("a simulation", "gyrotrack certify, or fitting.certify, simulates replicas of a fit")
     random = np.random.default_rng(seed)
@@ -161,7 +161,7 @@ def simulate(
     if any(w < 0 or w + experiment.window_length > experiment.duration for w in experiment.windows):
         raise SimulationError("a rotor window is outside the recording", "move it or record for longer")
     dynamics, path = simulate_path(model, values, experiment, inputs)
-    # harmonics of the angle hardly change the response to a torque: that of the smooth motion is used
+    # harmonics of the angle hardly change the response to a torque, so the response of the smooth motion is used
     smooth = (
         simulate_path(model.smooth, values, experiment, inputs) if model.angle_dependent else (dynamics, path)
     )

@@ -9,7 +9,7 @@ the bearing. Let S be the responses of one choice, orthogonal to the free column
 
 which has rank(S) degrees of freedom if no torque is missing. This is a smooth test at several resolutions (J. Hart,
 Nonparametric Smoothing and Lack-of-Fit Tests, Springer (1997), ch. 5-7). The smallest p-value of all choices is
-calibrated by null data that are tested with the same choices.
+compared with the smallest p-values of null data that are tested with the same choices.
 """
 
 from __future__ import annotations
@@ -108,7 +108,8 @@ def _smooth_rows(
 ) -> tuple[list[str], list[Array], Array, Array, list[float]]:
     """Return names, tested columns, free columns, residual, and shares of the process noise.
 
-    The columns and the residual are whitened rows of all cases; a name and its columns belong to one choice.
+    The columns and the residual are whitened rows of all cases. Each name and its tested columns belong to one choice
+    of speed, knots and body.
     """
     cases = list(zip(problem.data, predictions, noise, strict=True))
     record = problem.data[0].record

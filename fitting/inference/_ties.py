@@ -1,8 +1,8 @@
 """Parameters tied to expressions of other parameters: 2 * bearing.linear.d, or sqrt(d * e) with short names.
 
-A fit varies only the other parameters. With the values theta of all variables and the expressions theta_i = f_i(theta)
-of the tied ones, derivatives with respect to the free variables follow from the chain rule, and the covariance of all
-variables is propagated from that of the free variables.
+A fit varies only the parameters that are not tied, the free variables. Each tied variable has an expression
+theta_i = f_i(theta) of the values theta of other variables. Derivatives with respect to the free variables follow from
+the chain rule. The covariance of all variables is propagated from the covariance of the free variables.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 
 _NAME = re.compile(r"[A-Za-z_][\w.]*")
 _LARGEST = 5000
-"""Number of nodes above which an expression is taken to be circular and to grow by substitution [1]. Chosen: a smaller
-value refuses long expressions, a larger one delays the error for circular expressions."""
+"""Number of nodes above which an expression counts as circular, because it grows with each substitution [1]. Chosen: a
+smaller value refuses long expressions, a larger one delays the error for circular expressions."""
 
 
 def find_key(name: str, keys: Iterable[str]) -> str:
-    """Return the key of the parameter with this name, which is the key or the end of exactly one key.
+    """Return the key of the parameter with this name; a name is a complete key or the end of exactly one key.
 
-    An EffectError is raised if there is none, or if there are several.
+    An EffectError is raised if no key, or several keys, have this name.
     """
     known = list(keys)
     if name in known:
@@ -148,7 +148,7 @@ def follow(theta: Array, tied: Sequence[Follower]) -> Array:
 
 
 def chain(theta: Array, tied: Sequence[Follower]) -> Array:
-    """Return the derivatives of all variables with respect to the free ones, (n, n); columns of tied ones are zero."""
+    """Return the derivatives of all variables with respect to the free variables, (n, n); zero for tied columns."""
     slope = np.eye(len(theta))
     for one in tied:
         slope[one.place] = 0.0
