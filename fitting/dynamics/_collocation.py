@@ -16,8 +16,8 @@ With the Jacobian A of f at the nodes, deviations dy_k in an interval with the i
 This is one small dense linear system per interval. All systems are solved in one batch and chained by their transfer
 matrices.
 
-The time at which the casing comes to rest is one more unknown. Each step of Newton's method stretches the end of the
-mesh and extrapolates the states along their rates to the new node times.
+The time at which the casing comes to rest is an additional unknown. Each step of Newton's method stretches the end of
+the mesh and extrapolates the states along their rates to the new node times.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from fitting.effects._mechanism import MAIN
 Array = NDArray[np.float64]
 
 NODES = 10
-"""Gauss nodes of an interval [1]. Chosen: the method has twice this order; a smaller number needs more intervals, a
-larger one makes larger systems."""
+"""Number of Gauss nodes of an interval [1]. Chosen: the order of the method is twice this number; a smaller number
+needs more intervals, a larger one makes larger systems."""
 _MANY_PER_INTERVAL = 12
-"""Number of times per interval above which one matrix product per interval is faster than one per time [1]. Chosen:
-another value costs time and does not change the result."""
+"""Number of times per interval above which one matrix product for each interval is faster than one for each time [1].
+Chosen: another value costs time and does not change the result."""
 TOLERANCE = 1e-10
-"""Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value costs
+"""Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value needs more
 intervals, a larger one makes derivatives inaccurate."""
 _MAX_NEWTON = 25
 """Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; a smaller number
@@ -155,7 +155,7 @@ class Mesh:
         return Mesh(np.unique(np.concatenate([self.edges, inside]))) if inside else self
 
     def moved(self, anchors: Sequence[float], places: Sequence[float]) -> Mesh:
-        """Return the mesh stretched, linearly between anchors, so that each anchor moves to its place."""
+        """Return the mesh stretched linearly between anchors [s], so that each anchor moves to its place [s]."""
         if list(anchors) == list(places):
             return self
         edges = np.interp(self.edges, anchors, places)
@@ -192,7 +192,8 @@ class Path:
     def scale(self, y: Array | None = None) -> Array:
         """Return the scale of the errors of each state, (states,): its largest absolute value at the nodes.
 
-        For speeds it is at least least_scale. `y` are states at the nodes other than those of this path.
+        For speeds it is at least `least_scale`. If `y` is given, its states at the nodes replace the states of this
+        path.
         """
         least = [self.least_scale if name.startswith("omega_") else 0.0 for name in self.states]
         largest = np.abs(self.y if y is None else y).max(axis=(0, 1))
@@ -236,7 +237,7 @@ class Sampler:
         self.index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
         self._half = mesh.half[self.index, 0]
         self._vander = legendre.legvander((times - edges[self.index]) / self._half - 1.0, NODES)
-        # many ordered times in few intervals: one product for each interval
+        # many ordered times in few intervals: one product for each interval is faster
         few = len(times) > _MANY_PER_INTERVAL * (len(edges) - 1)
         self._runs = None
         if few and (self.index[1:] >= self.index[:-1]).all():
@@ -264,7 +265,7 @@ class Sampler:
 
 
 def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
-    """Return a known path on another mesh, as the initial solution for the initial states `start`."""
+    """Return a known path interpolated on another mesh, as the initial solution for the initial states `start`."""
     sampler = Sampler(guess.mesh, mesh.times.ravel())
     y = sampler.value(guess.y).reshape(*mesh.times.shape, -1)
     edges = Sampler(guess.mesh, mesh.edges).value(guess.y)
@@ -536,7 +537,7 @@ def _stepped(
 ) -> Array:
     """Return the states at the given times, with `parts` steps between two times.
 
-    The states end with the interval in which the casing comes to rest, or with the first state that is not finite;
+    The result ends with the interval in which the casing comes to rest, or with the first state that is not finite.
     `width` is the number of times per interval.
     """
     y = np.empty((len(times), len(start)))

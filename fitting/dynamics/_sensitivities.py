@@ -5,15 +5,16 @@ With the fundamental matrix Phi(t) of the linearised equations, the response to 
     d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
     d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi.
 
-The integrals are running sums over the times at which u is known, for any frequency of u. After the casing has come to
-rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an inverse.
+The integrals are running sums over the times at which u is known, so they are exact enough for any frequency of u.
+After the casing has come to rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an
+inverse.
 
 If one mode decays long before the end of the record, all columns of Phi become parallel to each other, and the inverse
-is inaccurate. In this case the columns are the modes from slow to fast decay. With the QR decompositions of the steps,
-Phi_(i+1) Q_i = Q_(i+1) R_i, the modes are Q_i C_i with triangular C_i = R_i^-1 C_(i+1). They are computed backwards
-from the end, because in this direction a mode grows faster than all slower ones. The integrals of decaying modes are
-also computed backwards. This is the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary
-Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
+is inaccurate. In this case the modes, ordered from slow to fast decay, are used as columns. With the QR decompositions
+of the steps, Phi_(i+1) Q_i = Q_(i+1) R_i, the modes are Q_i C_i with triangular C_i = R_i^-1 C_(i+1). They are computed
+backwards from the end, because in this direction each mode grows faster than all modes of slower decay. The integrals
+of decaying modes are also computed backwards. This is the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical
+Solution of Boundary Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
 
 All sensitivities solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the solution (`Propagator` of
 `fitting.dynamics._collocation`). The derivative with respect to the time of a jump is an impulse at that time.
@@ -104,8 +105,9 @@ class LinearMotion:
     def driven(self, times: Array, nodes: int, direction: Array) -> Callable[[Array], tuple[Array, Array]]:
         """Return the response of the bodies at n sample times to a torque on or between them.
 
-        It maps torques [N m] at the q Gauss nodes between samples, (n - 1, q, columns), to d omega and d psi, each
-        (bodies, n, columns), in the order of the speeds. `direction` (bodies,) are the rates that a unit torque gives.
+        The response maps torques [N m] at the q Gauss nodes between samples, shape (n - 1, q, columns), to d omega and
+        d psi, each of shape (bodies, n, columns), in the order of the speeds. `direction` (bodies,) are the
+        accelerations that a unit torque causes.
         """
         gauss = rule(nodes)
         half = 0.5 * np.diff(times)
@@ -183,8 +185,8 @@ def _independent(phi: Array) -> bool:
 class Sensitivity:
     """Derivatives of the states at nodes and edges, with the columns on the last axis.
 
-    The columns are the parameters of the dynamics, then the initial speeds (of the casing alone in a contact without
-    slip), then the initial deflection if the deflection is a state.
+    The columns are the parameters of the dynamics, then the initial speeds, then the initial deflection if the
+    deflection is a state. In a contact without slip, only the initial speed of the casing has a column.
     """
 
     nodes: Array
