@@ -5,9 +5,8 @@ With the fundamental matrix Phi(t) of the linearised equations, the response to 
     d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
     d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi.
 
-The integrals are running sums over the times at which u is known, so they are exact enough for any frequency of u.
-After the casing has come to rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an
-inverse.
+The integrals are running sums over the times at which u is known; u may therefore have any frequency. After the casing
+has come to rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an inverse.
 
 If one mode decays long before the end of the record, all columns of Phi become parallel to each other, and the inverse
 is inaccurate. In this case the modes, ordered from slow to fast decay, are used as columns. With the QR decompositions

@@ -146,7 +146,7 @@ def substitute(e: Expr, values: dict[str, Expr]) -> Expr:
 
 
 def divisors(e: Expr) -> list[Expr]:
-    """Return the divisors in an expression: the bases of powers with a negative number as exponent, without abs().
+    """Return the divisors in an expression: the bases of powers with a negative exponent, without an outer abs().
 
     Examples
     --------
