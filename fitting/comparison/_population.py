@@ -125,7 +125,9 @@ class PopulationParameterDocument(TypedDict):
     runs: int  #: Number of runs that determine the parameter and are not outlying.
     p_drift: float  #: Probability of such a drift if there is none [1].
     p_step: float  #: Probability of such a step if there is none [1].
-    p_adjusted: float  #: The smaller of both probabilities, adjusted for all parameters and both tests [1].
+    p_adjusted: (
+        float  #: The smaller of `p_drift` and `p_step`, adjusted for all parameters and both tests [1].
+    )
     change: ChangeDocument | None  #: Drift or step; null if not significant.
 
 
@@ -164,7 +166,7 @@ class PopulationParameter:
     runs: int  # number of runs that determine the parameter and are not outlying
     p_drift: float
     p_step: float
-    p_adjusted: float  # the smaller of both p-values, adjusted for all parameters and both tests (Holm)
+    p_adjusted: float  # the smaller of p_drift and p_step, adjusted for all parameters and both tests (Holm)
     change: Change | None  # None if not significant
 
 

@@ -142,8 +142,8 @@ _SHOWN = 6
 """Laws, and lines of the sentence, of a repr [1]. Chosen: a smaller number hides equivalent laws, a larger one fills
 the console."""
 _WIDTH = 100
-"""Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller
-one needs more lines."""
+"""Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; lines of a larger value wrap, a
+smaller value needs more lines."""
 
 
 @dataclass(frozen=True, repr=False)
