@@ -3,10 +3,10 @@
 External and soft links, external storage, virtual datasets, filters that load plugins, and sizes beyond the stored
 bytes are refused; the tree is checked without following links.
 
-The string heap (global heap collections, ``GCOL``) is a sequence of objects with their lengths; HDF5 2.0 never returns
-from an empty object of free space, and Python cannot interrupt it. HDF5 has checksums of data and most metadata but not
-of this heap. Every file therefore ends with a line with the SHA-256 of all bytes before it, which HDF5 ignores. A file
-that was changed by another program has no such line, or fails the check.
+The string heap (global heap collections, ``GCOL``) is a sequence of objects with their lengths. If an object of free
+space has the length zero, HDF5 2.0 never returns, and Python cannot interrupt it. HDF5 has checksums of data and most
+metadata, but not of this heap. Every file therefore ends with a line that contains the SHA-256 of all bytes before it;
+HDF5 ignores this line. A file that another program has changed has no such line or fails the check.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ MAX_BYTES = 2**31
 MAX_INFLATION = 1100
 """Largest ratio of the size of a dataset to its stored size [1]. Derived: deflate reaches 1032; the rest is margin."""
 SLACK = 2**22
-"""Size of a dataset that is admitted beyond the compression ratio [bytes]. Chosen: chunks are padded; a smaller value
-refuses small datasets, a larger one admits malicious files."""
+"""Size that a dataset may have in addition to its stored size times `MAX_INFLATION` [bytes]. Chosen: chunks are padded;
+a smaller value refuses small datasets, a larger one admits malicious files."""
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 CHECKSUM_MARK = b"\ngyrotrack sha256 "
 CHECKSUM_LENGTH = len(CHECKSUM_MARK) + 65
@@ -46,12 +46,12 @@ _BLOCK = 2**20
 
 @dataclass(frozen=True)
 class Guard:
-    """Checks of HDF5 files; `fail` makes the errors from a sentence and a hint."""
+    """Checks of HDF5 files; `fail` makes an error from a sentence and a hint."""
 
     fail: Callable[[str, str], Exception]
 
     def check_file(self, path: Path, recreate: str) -> None:
-        """Refuse a file that another program is writing, or a damaged file, for which `recreate` is the hint."""
+        """Refuse a file that another program is writing, or a damaged file with the hint `recreate`."""
         if is_open_elsewhere(path):
             raise self.fail(f"{path} is open in another program.", "Close it there.")
         if checksum_fails(path):
@@ -62,7 +62,7 @@ class Guard:
     def check_tree(self, file: Any) -> None:
         """Check a file for links, external storage and sizes beyond the stored bytes."""
         seen: set[Any] = set()
-        # identifiers instead of h5py's objects, which take ten times as long to open
+        # identifiers are used because the objects of h5py take ten times as long to open
         todo: list[tuple[Any, int]] = [(file.id, 0)]
         count = 0
         while todo:
