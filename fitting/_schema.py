@@ -149,9 +149,8 @@ class StoredEstimate(EstimateDocument):
     vary: bool = True  #: Whether the parameter was fitted, and not held.
     min: Number = -math.inf  #: Lower bound; null if there is none [`unit`].
     max: Number = math.inf  #: Upper bound; null if there is none [`unit`].
-    expr: str | None = (
-        None  #: Expression of other parameters that determines the parameter; null if it is free.
-    )
+    #: Expression of other parameters that determines the parameter; null if it is free.
+    expr: str | None = None
 
 
 class BodyDocument(Document):
@@ -213,9 +212,8 @@ class CaseDocument(MetricsDocument):
     noise_scale: Number = Field(validation_alias=AliasChoices("noise_scale", "scale"))
     #: Correlated angle noise of the casing; null if not significant.
     angle_noise: AngleNoiseDocument | None = None
-    rotor_angle_noise: AngleNoiseDocument | None = (
-        None  #: Correlated angle noise of the rotor; null if not significant.
-    )
+    #: Correlated angle noise of the rotor; null if not significant.
+    rotor_angle_noise: AngleNoiseDocument | None = None
     n_eff: Number = math.nan  #: Number of equivalent independent samples [1].
 
 

@@ -125,9 +125,8 @@ class PopulationParameterDocument(TypedDict):
     runs: int  #: Number of runs that determine the parameter and are not outlying.
     p_drift: float  #: Probability of such a drift if there is none [1].
     p_step: float  #: Probability of such a step if there is none [1].
-    p_adjusted: (
-        float  #: The smaller of `p_drift` and `p_step`, adjusted for all parameters and both tests [1].
-    )
+    #: The smaller of `p_drift` and `p_step`, adjusted for all parameters and both tests [1].
+    p_adjusted: float
     change: ChangeDocument | None  #: Drift or step; null if not significant.
 
 

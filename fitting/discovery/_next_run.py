@@ -76,9 +76,8 @@ class Bounds:
     """Bounds of the runs that are possible with this apparatus; each is a pair (smallest, largest)."""
 
     omega_rotor: tuple[float, float]  #: Initial angular velocity of the rotor [rad s-1].
-    omega_casing: tuple[
-        float, float
-    ]  #: Initial angular velocity of the casing; negative against the rotor [rad s-1].
+    #: Initial angular velocity of the casing; negative against the rotor [rad s-1].
+    omega_casing: tuple[float, float]
     duration: tuple[float, float]  #: Length of the recording [s].
     #: Moment of inertia of the casing with an inertia ring, divided by the present one [1].
     inertia_casing: tuple[float, float] = (1.0, _RING)

@@ -108,9 +108,7 @@ class EffectLimits:
     unit: str  # of the strength
     shape: dict[str, float]  # shape constants with the median detection limit; they apply to the limits below
     stderr: float  # of the strength when added to the model [unit]; infinite if the base absorbs it
-    torque: (
-        float  # rms torque for a strength of 1 on the body where it is larger [N m / unit]; NaN for a camera
-    )
+    torque: float  # largest rms torque on a body for a strength of 1 [N m / unit]; NaN for a camera
     detection_limit: float  # strength found with 90 % probability [unit]
     detection_range: tuple[float, float]  # over the shapes tried, as rms torques [N m]
     upper_limit: float  # 95 % upper limit of the strength [unit]; NaN if the effect is significant

@@ -218,9 +218,8 @@ class Failure:
     body: str
     t_start: float  # [s]
     t_stop: float  # [s]
-    kind: (
-        str  # "loses torque" or "gains torque" compared with the model; "ripple" for a harmonic of the angle
-    )
+    # "loses torque" or "gains torque" compared with the model; "ripple" for a harmonic of the angle
+    kind: str
     where: str  # in words, for example "while speeding up", "near the peak", "once a turn"
     size_sigma: float  # largest distance from zero in standard deviations
     residual_rad_s: float  # extreme (5 % or 95 %) speed residual with its sign; speed amplitude of a harmonic
