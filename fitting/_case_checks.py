@@ -17,7 +17,7 @@ MOST_AMPLITUDES = 400
 slow, a smaller one refuses recordings of many windows."""
 _ROUNDING = 1e-9
 """Largest asymmetry and largest negative eigenvalue of a correlation matrix that count as rounding errors [1]. Chosen:
-a smaller value refuses computed covariances, a larger one accepts invalid ones."""
+a smaller value refuses computed covariances, a larger one accepts invalid matrices."""
 
 
 _BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")

@@ -101,7 +101,7 @@ class Criteria:
     smaller one counts torques as noise."""
     doubt_named: float = 0.01
     """Smooth-test p-value that contradicts a named effect [1]. Source: Hart 1997 for the test; a larger value doubts
-    right forms, a smaller one accepts wrong ones."""
+    right forms, a smaller one accepts wrong forms."""
     doubt_adequate: float = 0.001
     """P-value of a test that contradicts an adequate fit [1]. Source: Baluev 2008 for one test; a larger value doubts
     right fits, a smaller one overlooks missing laws."""

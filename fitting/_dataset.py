@@ -173,7 +173,7 @@ class Reader(Guard):
         return {**self.table(group, table, lengths), **self.attributes(group, table.attributes)}
 
     def _check_shape(self, dataset: Any, f: Field, known: dict[str, int]) -> None:
-        """Refuse a dataset whose dimensions differ from the known ones; its new dimensions become known."""
+        """Refuse a dataset whose dimensions differ from `known`; its new dimensions are added to `known`."""
         shape, dims = tuple(dataset.shape), [d.removeprefix("other_") for d in f.dims]
         for dim, length in zip(dims, shape, strict=False):
             known.setdefault(dim, length)

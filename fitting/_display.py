@@ -98,7 +98,7 @@ def figure_of(ax: Axes) -> Figure:
 def draw_speed(
     ax: Axes, measured: Sequence[tuple[Array, Array]], modelled: Sequence[tuple[Array, Array, Array]]
 ) -> None:
-    """Draw modelled speeds (time, speed, sigma) [s, rad/s] with bands of 2 sigma over measured ones (time, speed)."""
+    """Draw modelled speeds (time, speed, sigma) [s, rad/s] with 2 sigma bands, and measured speeds (time, speed)."""
     for k, (time, omega) in enumerate(measured):
         ax.plot(time, omega, color=GREY, linewidth=3, label=None if k else "measured")
     for k, (time, omega, sigma) in enumerate(modelled):

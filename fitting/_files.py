@@ -143,7 +143,7 @@ class Files:
     def open_side_file(self, path: Path, flags: int = os.O_RDONLY) -> BinaryIO:
         """Open an auxiliary file in the folder of an output; an error is raised if it is a link or has several names.
 
-        `flags` are those of `os.open`.
+        `flags` are the flags of `os.open`.
         """
         self.refuse_special(path)
         flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)

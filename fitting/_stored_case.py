@@ -274,5 +274,5 @@ def _is_measured(time: Array, value: Array) -> Any:
 
 
 def _is_chain(bodies: list[_Body]) -> bool:
-    """Return whether the bodies have joints of their own, unlike a single body or those of a gyroscope."""
+    """Return whether the bodies form a chain with named joints, unlike a single body or a gyroscope."""
     return len(bodies) > 1 and bodies[0].stated["role"] == "body"

@@ -131,7 +131,7 @@ class PopulationParameterDocument(TypedDict):
 
 
 class OutlyingRun(TypedDict):
-    """A run whose parameters differ from those of the other runs."""
+    """A run whose parameters differ from the parameters of the other runs."""
 
     run: str  #: Name of the run.
     p_adjusted: float  #: Probability of such a run, adjusted for the number of runs [1].

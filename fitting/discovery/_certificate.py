@@ -273,12 +273,12 @@ class Certificate:
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Axes to draw on; by default those of a new figure.
+            Axes to draw on; by default the axes of a new figure.
 
         Returns
         -------
         matplotlib.figure.Figure
-            The new figure, or that of `ax`.
+            The new figure, or the figure of `ax`.
         """
         groups = [(effect or "no effect", _counted(found)) for effect, found in self._simulated]
         drawn = figure_of(ax) if ax is not None else figure(8.0, 1.4 + 0.5 * len(groups))
@@ -433,7 +433,7 @@ def certify(
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     criteria : Criteria, optional
-        Thresholds of the analysis; those of the fit by default.
+        Thresholds of the analysis; by default the criteria of the fit.
     known : sequence of Outcome
         Outcomes of an earlier run with the same answer and seed; these recordings are not simulated again.
     workers : WorkerPool, optional

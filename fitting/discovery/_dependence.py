@@ -74,8 +74,8 @@ _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 decade from far below the noise to far above it; the optimum may be outside a shorter range, a coarser grid rounds
 it."""
 _LENGTHS = np.geomspace(0.03, 3.0, 9)
-"""Trial correlation lengths, divided by the range of the variable [1]. Chosen: shorter ones are not resolved by the
-splines, longer ones do not differ from a straight line."""
+"""Trial correlation lengths, divided by the range of the variable [1]. Chosen: the splines do not resolve shorter
+lengths; with longer lengths, a law does not differ from a straight line."""
 _WORDS = {
     "omega_c": "the speed of the casing",
     "omega_r": "the speed of the rotor",
@@ -103,8 +103,8 @@ class Dependence:
     score: float  # fall of the deviance
     columns: int  # number of functions of the test that the base cannot represent
     value: Array = field(repr=False)  # values of the variable [s, rad/s or rad]; empty for two variables
-    torque: Array = field(repr=False)  # the part that the base cannot represent [N m]
-    sigma: Array = field(repr=False)  # its standard uncertainty [N m]
+    torque: Array = field(repr=False)  # the part of the torque that the base cannot represent [N m]
+    sigma: Array = field(repr=False)  # standard uncertainty of `torque` [N m]
     identified: Array = field(repr=False)  # matrix that projects a torque at `value` on the determined part
 
     @property
@@ -271,7 +271,7 @@ def _orders(about: Fit, angle: str) -> tuple[int, ...]:
 def _angle_test(cases: Sequence[CaseColumns], body: Joint, angle: str, orders: Sequence[int]) -> _Test:
     """Return the test of harmonics of an angle.
 
-    Harmonics of the rotor have separate amplitudes and phases in each case, and therefore no curve.
+    Harmonics of the rotor have separate amplitudes and phases in each case, so the test has no common curve.
     """
     phase = Parameter("phi", "rad", "phase", -np.inf, np.inf)
     psi = np.linspace(0, 2 * np.pi, _CURVE)

@@ -1,4 +1,4 @@
-"""Exchanges of an added law for one or two others, compared to first order without a refit.
+"""Exchanges of an added law for one or two other laws, compared to first order without a refit.
 
 Forward selection with backward elimination may end with one wrong law that imitates two missing laws, because no single
 further addition or removal lowers BIC. The remedy is sequential replacement (A. Miller, Subset Selection in Regression,
@@ -39,7 +39,7 @@ a larger number costs time and fits noise."""
 _EQUAL = 1e-9
 """One minus the cosine of the angle between the responses of two laws, below which the laws are equal in a recording
 and only the first law takes part [1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a
-larger one omits different ones."""
+larger one omits laws that differ."""
 _SINGULAR = 1e-9
 """Relative singular value of normal equations below which a combination of columns is rounding error [1]. Chosen: a
 smaller value fits rounding errors, a larger one ignores weakly determined combinations."""

@@ -85,7 +85,7 @@ class LawForm:
     """One law of the grammar."""
 
     effect: Effect  # the law with its parameters, units, bounds and trial values
-    form: str  # its form in a word: "power", "saturation", ...
+    form: str  # form of the law in a word: "power", "saturation", ...
     variables: tuple[str, ...]  # the variables on which it depends
     symbols: int  # length of the formula: variables, functions and operators
 
@@ -198,8 +198,8 @@ _SWITCHED = {
 }
 _DECAYING = _SWITCHED | {"casing": (*_SWITCHED["casing"], "omega_r")}
 _HARMONICS = (3, 4)
-"""Orders of the angle beyond those of the library [1]. Chosen: with more orders, each law is less significant; with
-fewer, laws of three or four periods per turn are overlooked."""
+"""Orders of harmonics of the angle that the library does not contain [1]. Chosen: with more orders, each law is less
+significant; with fewer, laws of three or four periods per turn are overlooked."""
 
 
 def grammar(

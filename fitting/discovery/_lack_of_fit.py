@@ -68,7 +68,7 @@ _FIRST_SHARE = 0.01
 wrong motion, a smaller one needs more steps."""
 _DETERMINED = 2.0
 """Smallest amplitude of a harmonic that counts as determined [standard errors]. Chosen: a smaller value reports
-harmonics of noise, a larger one omits weak ones; the p-value is tested first."""
+harmonics of noise, a larger one omits weak harmonics; the p-value is tested first."""
 _AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 

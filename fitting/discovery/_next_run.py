@@ -46,8 +46,8 @@ _RING = 1.5
 """Moment of inertia of the casing with an inertia ring, divided by the present one [1]. Chosen: such a ring is easily
 made; a larger value proposes heavy rings, a smaller one gains little information."""
 _SURFACE = 3.0
-"""Largest ratio of the friction of another surface to that of the present one [1]. Chosen: usual surfaces differ by
-about this factor; a larger value proposes unknown surfaces, a smaller one gains little information."""
+"""Largest ratio of the friction of another surface to the friction of the present surface [1]. Chosen: usual surfaces
+differ by about this factor; a larger value proposes unknown surfaces, a smaller one gains little information."""
 _APPARATUS_GAIN = 1.5
 """Smallest factor by which a change of the apparatus must raise the information to be proposed [1]. Chosen: a smaller
 value proposes changes of little use, a larger one hides useful changes."""
@@ -91,7 +91,7 @@ class Bounds:
 
         The initial rate of the spun body is between one third and all of its largest recorded rate. The initial rate of
         the other body is at most its largest recorded rate, in either sense of rotation. The duration is between half
-        and twice that of the longest recording.
+        and twice the duration of the longest recording.
         """
         speeds = [d.initial_speeds[1] for d in fit.problem.data]
         spans = [d.record.span for d in fit.problem.data]
@@ -119,8 +119,8 @@ class NextRun:
     separation: (
         float  # smallest expected difference of deviance of two rivals after the run; NaN without rivals
     )
-    present: float  # the same difference without the run
-    repeated: float  # the same difference after one more run like the present ones
+    present: float  # smallest expected difference of deviance without the run
+    repeated: float  # smallest expected difference of deviance after one more run like the present runs
     gains: dict[str, float]  # by effect: detection limit after the run, divided by the present limit
     times: Array = field(repr=False)  # of the predicted motion [s]
     omega_rotor: Array = field(repr=False)  # predicted [rad/s]

@@ -24,7 +24,7 @@ recordings: if the data do not exclude a tenfold level, the threshold is far hig
 planned, the thresholds are therefore computed for several simulated estimates of the noise, and the power is the mean
 over these estimates.
 
-Several runs of the same kind multiply delta^2 by their number.
+If several runs of one kind are made, delta^2 is multiplied by their number.
 """
 
 from __future__ import annotations
@@ -114,7 +114,8 @@ class EffectLimits:
     upper_limit: float  # 95 % upper limit of the strength [unit]; NaN if the effect is significant
     power: float  # probability of finding an effect of `size`
     size: float  # strength for which `power` and `runs_needed` are computed [unit]
-    runs_needed: float  # number of such runs, including these, that find it with 90 % probability
+    # number of runs, including the present ones, that find this size with 90 % probability
+    runs_needed: float
     indistinguishable_from: tuple[str, ...]  # not separated at the larger of `size` and `detection_limit`
     curve: Array = field(repr=False)  # (points, 2): noncentrality and power
 
@@ -142,7 +143,7 @@ class UpperLimit:
     symbol: str  # of the strength
     upper_limit: float  # 95 % upper limit of the strength [unit]
     unit: str  # of the strength
-    torque_Nm: float  # the same as an rms torque along the motion [N m]
+    torque_Nm: float  # upper limit as an rms torque along the motion [N m]
 
 
 @dataclass(frozen=True)
@@ -303,7 +304,7 @@ class ShiftedToBound:
         return largest
 
     def basis_without(self, parameter: int) -> Array:
-        """Return an orthonormal basis of the free columns without those of one parameter."""
+        """Return an orthonormal basis of the free columns without the columns of one parameter."""
         return orthonormal(np.delete(self.free, parameter, axis=1), RANK)
 
 
@@ -471,8 +472,9 @@ class Search:
         """Return detection limit, upper limit and power for one of `effects`.
 
         `size` is the rms torque [N m] for which power and runs are computed; by default 1 % of the rms torque of the
-        bearing (for a single body, of the net torque). With `planned` data the upper limits are expected ones. `others`
-        are other simulations of the same recordings with new estimates of the noise; the power is averaged over them.
+        bearing (for a single body, of the net torque). With `planned` data the upper limits are expected limits.
+        `others` are other simulations of the same recordings with new estimates of the noise; the power is averaged
+        over them.
         """
         common = self._common[effect.name]
         unit_torque = self._unit_torques(effect)
@@ -604,7 +606,7 @@ def largest_hidden(
 
     An effect has no limit if the model absorbs it. A limit above the torque of the bearing (for a single body: the net
     torque) contains no information. If an effect without shape constants was refitted as one of the `candidates`, its
-    limit is at least that of the refit.
+    limit is at least the limit that follows from the refit.
     """
     search = Search(fit, extra, criteria, draws=1)
     refits = {c.effect.name: c.fit for c in candidates if c.fit is not None}
@@ -697,8 +699,8 @@ def delta_of_power(curve: Array, power: float = POWER) -> float:
 def upper_limit(projections: Array, *, one_sided: bool) -> float:
     """Return the 95 % upper limit of the noncentrality from projections on an orthonormal basis.
 
-    A projection is the estimate divided by its standard error; an amplitude with a phase has two, those of sine and
-    cosine. A strength that cannot be negative is `one_sided`.
+    A projection is the estimate divided by its standard error; an amplitude with a phase has two projections, for sine
+    and cosine. A strength that cannot be negative is `one_sided`.
     """
     if len(projections) == 1:
         p = float(projections[0])

@@ -132,7 +132,7 @@ def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
 
 
 def _changed(fit: Fit, theta: Array) -> dict[str, float]:
-    """Return parameters by name; empty if they equal those of the fit."""
+    """Return parameters by name; empty if they equal the parameters of the fit."""
     if np.array_equal(theta, fit.theta):
         return {}
     return dict(zip(fit.problem.layout.names, theta.tolist(), strict=True))

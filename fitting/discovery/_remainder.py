@@ -71,7 +71,7 @@ class Remainder:
     p_value: (
         float  # smallest p-value of the likelihood ratio test of its parameters and of the lack-of-fit tests
     )
-    sentence: str  # its size, and the variable on which it depends
+    sentence: str  # size of the torque, and the variable on which it depends
     effects: tuple[str, ...] = ()  # further effects that describe it
 
 
@@ -193,7 +193,7 @@ class Torques:
         t, path = self._time[case], self._end.predictions[case].path
         fitted = fit.predictions[case].path
         motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
-        # speeds and deflection are those of the common motion; other states, for example a temperature, come from the
+        # speeds and deflection are taken from the common motion; other states, for example a temperature, come from the
         # fit
         for i, name in enumerate(fitted.states[: y.shape[1]]):
             if i < len(self._inertias):
@@ -256,7 +256,7 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
 
 @dataclass(frozen=True)
 class Grade:
-    """The size of an answer: form, explained share, remainder, and the rivals that explain the same share.
+    """The size of an answer: form, explained share, remainder, and the rivals that explain an equal share.
 
     `form` is "exact", "approximate", or None if the form is not established. `unknown` is the speed whose smooth law
     describes the data better than the named effect; empty if there is none. `unknown_bic` is the BIC of this law at the
@@ -280,7 +280,7 @@ _INNER_KNOTS = 4
 bend, a larger one absorbs noise."""
 _POWERS = {"casing": (2, 3), "rotor": (0, 1, 3), "bearing": (0, 2, 3)}
 """Powers of a speed that no effect of the usual base model contains, by body or joint [1]. Derived: from the laws of
-the reduced model; bodies and joints of a chain have those of the casing and of the bearing."""
+the reduced model; the powers of casing and bearing also apply to the bodies and joints of a chain."""
 
 
 def smooth_law(
@@ -514,7 +514,7 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
 
     The amplitudes (with their priors) and the free parameters are estimated together by generalised least squares, with
     the noise of the tests. An amplitude is the root of the sum of the squares of the cosine and sine coefficients; its
-    p-value is that of a chi-square with two degrees of freedom.
+    p-value follows from chi-square with two degrees of freedom.
     """
     from fitting.effects._library import LIBRARY
 

@@ -80,7 +80,7 @@ variances by rounding errors; a larger value hides well-determined torques, a sm
 class ResidualTorque:
     """Unmodelled torque on one body: time [s], torque and its standard deviation [N m], and speeds there.
 
-    `omega_c` is the speed of the casing or main body, `omega_r` that of the rotor or of the next body of a chain.
+    `omega_c` is the speed of the casing or main body, `omega_r` the speed of the rotor or of the next body of a chain.
     """
 
     label: str

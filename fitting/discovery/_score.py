@@ -598,7 +598,7 @@ _POINTS = 9
 time."""
 _MOST_SWEPT = 4
 """Largest number of cases whose shapes are optimised in turn [1]. Chosen: a larger value costs time, a smaller one
-scores joint fits with shapes that are not the best ones."""
+scores joint fits with shapes that are not optimal."""
 
 
 def score(
@@ -611,8 +611,8 @@ def score(
 ) -> list[Score]:
     """Return the scores of candidates that are not in the base, in the order of `effects`.
 
-    `cases` contains the columns of each case of the fit. `context` contains the linearised data; by default those of
-    the fit with all its effects and `draws` null data sets.
+    `cases` contains the columns of each case of the fit. `context` contains the linearised data; by default it is
+    computed from the fit with all its effects and `draws` null data sets.
     """
     context = ScoreContext(fit, draws) if context is None else context
     tried = {e.name: _all_trials(e, cases) for e in effects}

@@ -603,7 +603,7 @@ class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table.
 
     `stopped` is the reason for an early end: the message of a failed fit, or a statement that information on the data
-    is missing. `trace` lists every fit of the search, including failed ones.
+    is missing. `trace` lists every fit of the search, including failed fits.
     """
 
     stopped: str = ""
@@ -811,7 +811,7 @@ def improve(
 ) -> History:
     """Add the best effect while any is significant, free its shape constant if needed, and drop unnecessary effects.
 
-    Finally exchange an added effect for one or two others while this lowers BIC.
+    Finally exchange an added effect for one or two other effects while this lowers BIC.
 
     Parameters
     ----------
@@ -820,8 +820,8 @@ def improve(
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     criteria : Criteria, optional
-        Thresholds of every decision; by default those of the fit. If criteria of the noise differ, the fit is repeated
-        first, and `first` is not used.
+        Thresholds of every decision; by default the criteria of the fit. If criteria of the noise differ, the fit is
+        repeated first, and `first` is not used.
     max_steps : int, optional
         Maximum number of added effects; `Criteria.max_steps` if not given.
     progress : callable, optional

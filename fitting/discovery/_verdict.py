@@ -203,7 +203,7 @@ class Diagnosis:
         Returns
         -------
         matplotlib.figure.Figure
-            The new figure, or that of `ax`.
+            The new figure, or the figure of `ax`.
         """
         labels = list(dict.fromkeys(t.label for t in self.torques))
         if ax is not None:
@@ -309,8 +309,8 @@ def diagnose(
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     criteria : Criteria, optional
-        Thresholds of every decision; those of the fit by default. If the criteria of the noise differ from those of the
-        fit, the fit is repeated first, and `candidates` and `history` are ignored.
+        Thresholds of every decision; by default the criteria of the fit. If the criteria of the noise differ from those
+        of the fit, the fit is repeated first, and `candidates` and `history` are ignored.
     candidates : sequence of Candidate, optional
         The ranking of the candidates about the fit, if it exists.
     history : sequence of Step

@@ -53,7 +53,7 @@ _MAX_NEWTON = 25
 stops too early, a larger one delays the failure."""
 MAX_INTERVALS = 40_000
 """Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
-the failure of stiff ones."""
+the failure of stiff motions."""
 _SMALL = 1e-9
 """Relative step of Newton's method after which the remaining error is rounding error [1]. Derived: convergence is
 quadratic, so the next step is about the square of this step."""
@@ -82,8 +82,8 @@ result."""
 class Rule(NamedTuple):
     """Nodes x, weights w, integration matrix S, and linear maps of node values.
 
-    `to_legendre` gives Legendre coefficients, `antiderivative` those of the integral that vanishes at -1, `ends` the
-    values at -1 and 1.
+    `to_legendre` gives Legendre coefficients, `antiderivative` gives the Legendre coefficients of the integral that
+    vanishes at -1, and `ends` gives the values at -1 and 1.
     """
 
     x: Array
@@ -168,7 +168,7 @@ class Mesh:
 class Path:
     """A solution of the equations of motion."""
 
-    mesh: Mesh  # its intervals
+    mesh: Mesh  # intervals of the solution
     # states at the nodes (intervals, nodes, states) and at the edges (intervals + 1, states)
     y: Array
     edges: Array
@@ -286,7 +286,7 @@ class Propagator:
 
     `jumps` contains saltation matrices at edges where the torque jumps. If right-hand sides `defect` (intervals, nodes,
     n, columns) are given, `response` equals `nodes(defect)` at less cost. `constraint` (2, 2) converts accelerations of
-    free bodies to those of bodies in contact.
+    free bodies to accelerations of bodies in contact.
     """
 
     def __init__(

@@ -195,7 +195,7 @@ class Segments:
         """Return a known motion with its first reversal adapted to the initial speed.
 
         A body that is released nearly at rest may reverse immediately, depending on the sign of its small initial
-        speed; all later reversals are the same.
+        speed; this does not change the later reversals.
         """
         known = replace(known, kinks=known.breaks)
         at, edges = sorted(known.jumps), known.mesh.edges

@@ -131,7 +131,7 @@ class Input:
     def __call__(self, times: Array | float, late: float = 0.0) -> Array:
         """Return the value at times [s] with the additional dead time `late` [s].
 
-        Before the first and after the last sample, the value is that of the nearest sample.
+        Before the first and after the last sample, the value is the value of the nearest sample.
         """
         return self._interpolated(self.value, times, late)
 

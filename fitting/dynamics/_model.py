@@ -259,7 +259,7 @@ class Model:
         Parameters
         ----------
         bodies : set of str, optional
-            The bodies that the case has, for example "rotor" and "casing"; by default those of the mechanism.
+            The bodies that the case has, for example "rotor" and "casing"; by default the bodies of the mechanism.
         """
         mechanism = self.mechanism
         present = mechanism.bodies if bodies is None else bodies
@@ -552,7 +552,7 @@ class Dynamics:
         return decay, slopes
 
     def constraint(self, numbers: Mapping[str, float]) -> Array | None:
-        """Return the matrix (2, 2) that converts accelerations of free bodies to those of rolling bodies.
+        """Return the matrix (2, 2) that converts accelerations of free bodies to accelerations of rolling bodies.
 
         Torques tau_r and tau_c give omega_c' = (tau_c + n tau_r) / (I_c + n^2 I_r) and omega_r' = n omega_c'.
         n is the ratio of the contact. None if the bodies may slip.

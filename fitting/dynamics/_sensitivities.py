@@ -6,7 +6,8 @@ With the fundamental matrix Phi(t) of the linearised equations, the response to 
     d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi.
 
 The integrals are running sums over the times at which u is known; u may therefore have any frequency. After the casing
-has come to rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an inverse.
+has come to rest, earlier deviations have no influence. A millionth of these deviations is kept, so that Phi has an
+inverse.
 
 If one mode decays long before the end of the record, all columns of Phi become parallel to each other, and the inverse
 is inaccurate. In this case the modes, ordered from slow to fast decay, are used as columns. With the QR decompositions
@@ -94,7 +95,7 @@ class LinearMotion:
             return np.asarray((np.linalg.pinv(phi) @ accelerations[..., None])[..., 0])
 
     def accelerations(self, direction: Array) -> Array:
-        """Return the accelerations of the bodies from those of free bodies; they differ for bodies in contact."""
+        """Return the accelerations of the bodies, given those of free bodies; for bodies in contact they differ."""
         return direction if self._constraint is None else self._constraint @ direction
 
     def moving(self, times: Array) -> Array:

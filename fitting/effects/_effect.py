@@ -4,8 +4,8 @@ The unit of every torque law is the newton metre. A dimension is a vector of exp
 and pixels count as 1. The volt is a base unit here, so that the proposed unit of the constant of a motor is N m A-1 or
 N m V-1. If an exponent is a parameter (the g of a power law), its value must be given to determine the dimension.
 
-A law may depend on recorded inputs. Inputs have separate symbols (`input_symbol`), so that the name of an input may be
-equal to that of a variable or a parameter.
+A law may depend on recorded inputs. Inputs have separate symbols (`input_symbol`), so that an input may have the name
+of a variable or a parameter.
 """
 
 from __future__ import annotations
@@ -346,7 +346,7 @@ class Effect:
     words : str
         The name in words, for example "quadratic air drag of the casing".
     mechanism : Mechanism
-        The bodies and joints of the law: those of a gyroscope, or those of a case with other bodies.
+        The bodies and joints of the law: by default a gyroscope, or the bodies and joints of another case.
     place : str
         The body or joint of the mechanism on which the law acts, if `joint` does not name it.
     pattern : str
@@ -508,7 +508,7 @@ class Effect:
 
 
 def mechanism_of(effects: Iterable[Effect]) -> Mechanism:
-    """Return the mechanism of some effects: that of a gyroscope if there are none."""
+    """Return the mechanism of some effects; without effects, the mechanism of a gyroscope."""
     return next((e.mechanism for e in effects), GYROSCOPE)
 
 

@@ -164,7 +164,7 @@ def symbols(e: Expr) -> set[str]:
 
 MAX_LENGTH = 500
 """Longest formula [characters]. Chosen: a limit of time and memory; a smaller value refuses long laws, a larger one
-admits malicious ones."""
+admits malicious formulas."""
 MAX_DEPTH = 40
 """Largest number of nested levels of a formula [1]. Chosen: below the recursion limit of Python; a smaller value
 refuses long laws, a larger one may exceed the limit."""

@@ -547,7 +547,7 @@ def typical_of_model(
 ) -> dict[str, float]:
     """Return a value for each parameter of a model: the paper's value if there is one, otherwise a typical value.
 
-    The other arguments are those of `typical_values`.
+    The other arguments have the meanings that they have in `typical_values`.
     """
     values: dict[str, float] = {}
     for effect in effects:

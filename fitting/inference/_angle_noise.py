@@ -17,7 +17,8 @@ a random acceleration of rms 1, and s is the rms of this acceleration. a maximis
 level and correlation time of the process noise; angle noise is included if twice the log-likelihood ratio exceeds
 `Criteria.correlated_noise`. Rows that are slower than T depend only on a^2 T, and faster rows only on a^2 / T. T is
 therefore known much less well than the noise of the rows. Every fit uses the mean covariance over the posterior of a
-and T, with priors uniform in ln a and ln T; this adds their uncertainty to that of all parameters.
+and T, with priors uniform in ln a and ln T; this adds the uncertainty of a and T to the uncertainties of all
+parameters.
 
 In a short record both kinds of noise may fit equally well. Then the deviations are attributed to process noise as long
 as its torque is smaller than the mean torque on the body. A random torque larger than the torque that slows the body is
@@ -500,8 +501,8 @@ _LONGEST = 3.0
 """Length of a block divided by the longest correlation time in the windows [1]. Chosen: slower noise is a polynomial; a
 smaller value estimates noise that the rows do not contain, a larger one overlooks slow noise."""
 _RATIOS = np.geomspace(1e-3, 1e6, 91)
-"""Variances of angle noise divided by that of the white noise of a group [1]. Chosen: lower ones change nothing, higher
-ones do not occur; a coarser grid rounds the posterior mean."""
+"""Variances of angle noise divided by the variance of the white noise of a group [1]. Chosen: lower ratios change
+nothing, higher ratios do not occur; a coarser grid rounds the posterior mean."""
 _NEGLIGIBLE_SHARE = 1e-4
 """Share of the total posterior weight below which a correlation time is omitted [1]. Derived: four digits of the
 covariance remain."""
@@ -536,7 +537,7 @@ def estimate_window_noise(
 
     and the covariance of the rows is the mean over the posterior of s, rho and T, with priors uniform in ln rho and ln
     T. A window is too short to separate angle noise from process noise. The rms `level` [rad/s2] of the process noise
-    (one for all windows, or one for each) and its correlation `time` [s] follow from those of the casing.
+    (one for all windows, or one for each) and its correlation `time` [s] follow from the process noise of the casing.
     """
     levels = np.broadcast_to(level, len(windows))
     groups = [_WindowGroups(*one, time) for one in zip(windows, nuisance, levels, strict=True)]

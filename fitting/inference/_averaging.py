@@ -51,8 +51,8 @@ class Averaged(NamedTuple):
 
     theta: Array  # shape (variables,); values of all variables
     phase_error: float  # largest rms error of the phase [rad]
-    # for each case, the strengths, their columns and the residuals in units of the errors: first those of the
-    # amplitudes, then those of the phases
+    # for each case, the strengths, and their columns and the residuals in units of the errors; rows of the amplitudes
+    # come first, then rows of the phases
     rows: tuple[tuple[list[str], Array, Array], ...]
     scales: tuple[Array, ...]  # for each case, the errors of amplitudes and phases [rad]
 
@@ -67,10 +67,10 @@ def averaged(
 ) -> Averaged | None:
     """Fit the averaged equations of motion to the amplitudes and phases; None if a case has too few periods.
 
-    `linear` selects the parameters in which the equations are linear, `regress` fits the strengths of all cases within
-    their bounds; `errors` are `Averaged.scales` of another model, so that both are comparable (by default, they follow
-    from the residuals). A phase error above `LARGEST_PHASE_ERROR` shows that a law does not describe the frequency, or
-    that the amplitude is so large that higher harmonics change it.
+    `linear` selects the parameters in which the equations are linear. `regress` fits the strengths of all cases within
+    their bounds. `errors` are `Averaged.scales` of another model; they make both models comparable. By default, the
+    errors follow from the residuals. A phase error above `LARGEST_PHASE_ERROR` shows that a law does not describe the
+    frequency, or that the amplitude is so large that higher harmonics change it.
     """
     theta = theta.copy()
     found = [d.motion.slow_motion for d in data]
@@ -128,7 +128,7 @@ def _equations(
         b = dynamics.linearised(times, state, numbers)[2][:, :, 1]
         harmonics = [np.abs(np.tensordot(b, f(_ANGLES), axes=(1, 0))) for f in (np.sin, np.cos)]
         acts = np.maximum(*harmonics).max(axis=0) > _NEGLIGIBLE * np.abs(b).max(axis=(0, 1))
-        # a constant torque only shifts the equilibrium: its averages vanish, and its value remains that of `theta`
+        # a constant torque only shifts the equilibrium: its averages vanish, and its value in `theta` is kept
         keys = [k for k in keys if acts[dynamics.parameters.index(k)]]
         constant, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(keys, 0.0))
     columns = [dynamics.parameters.index(k) for k in keys]

@@ -54,7 +54,7 @@ _RANK = 1e-7
 rounding errors, a larger one leaves a part of the nuisance columns."""
 _ROUNDING = 1e-12
 """Share of the total below which a contribution is rounding error [1]. Chosen: a smaller value lists contributions that
-are zero, a larger one hides small ones."""
+are zero, a larger one hides small contributions."""
 
 
 @dataclass(frozen=True)

@@ -297,7 +297,7 @@ class CaseData:
         return replace(made, noiseless=self.noiseless, free_inertia=self.free_inertia)
 
     def has_noise_of(self, criteria: Criteria) -> bool:
-        """Return whether other criteria give the same noise of this recording (`NOISE`)."""
+        """Return whether other criteria leave the noise of this recording unchanged (`NOISE`)."""
         return all(getattr(criteria, name) == getattr(self.criteria, name) for name in NOISE)
 
     def with_start_u(self, u: float) -> CaseData:
@@ -317,7 +317,7 @@ class CaseData:
         return self if self.free_inertia == free else self._of_same_samples(free_inertia=free)
 
     def _of_same_samples(self, **changes: Any) -> CaseData:
-        """Return the data with other fields, reusing the known noise and motion of the same samples."""
+        """Return the data with other fields; noise and motion that depend only on the samples are reused."""
         changed = replace(self, **changes)
         kept = _OF_THE_SAMPLES
         if changed.record.I_casing * self.record.I_rotor != self.record.I_casing * changed.record.I_rotor:
@@ -495,7 +495,7 @@ class CaseData:
 
     @property
     def _nuisance_priors(self) -> int:
-        """Number of nuisance parameters with a prior: amplitudes of error modes, then those of the camera."""
+        """Number of nuisance parameters with a prior: amplitudes of error modes, then amplitudes of the camera."""
         return int(self.mode_columns[0].shape[1]) + len(self._camera_prior)
 
     @cached_property
@@ -912,7 +912,7 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
 
 
 def _reverses(record: Record) -> bool:
-    """Return whether the net rotation is less than `_ONE_SENSE` of the path, so that the body has no steady turns."""
+    """Return whether the body reverses so much that its net rotation is less than `_ONE_SENSE` of its path."""
     value = record.casing.value
     way = np.diff(value) if record.quantity == "angle" else value[1:] * np.diff(record.casing.time)
     path = float(np.abs(way).sum())

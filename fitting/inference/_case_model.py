@@ -215,7 +215,7 @@ _MANY_REVERSALS = 3
 """Smallest number of reversals that are solved simultaneously [1]. Chosen: equal to `fitting.dynamics._events._MANY`;
 with a smaller value the number of events may still change, a larger one costs time."""
 _SPARE_EVENTS = 20
-"""Largest number of stops and reversals of a trial in addition to twice those of the measured motion [1]. Chosen: a
+"""Largest number of stops and reversals of a trial, minus twice their number in the measured motion [1]. Chosen: a
 smaller value refuses trials that converge, a larger one delays the failure of trials that chatter."""
 _FEW_SINGLE = 40
 """Largest number of stretches between reversals that are integrated one by one [1]. Chosen: the integration of one
@@ -262,7 +262,7 @@ class CaseModel:
             for e in (*layout.model.angle_dependent, *layout.model.measurement)
             for p in e.free
         ]
-        # the variables on which this case depends, first those of the equations of motion
+        # the variables on which this case depends; variables of the equations of motion come first
         self.places = np.concatenate([moving, layout.places(case, added)])
         self._own = {int(k): i for i, k in enumerate(self.places)}
         self._moving = len(moving)

@@ -458,7 +458,7 @@ a smaller value keeps rounding errors, a larger one leaves a part of the respons
 
 
 def _independent(model: Array, responses: Array, higher: Array, skipped: int) -> tuple[Array, Array]:
-    """Return responses and higher polynomials of a block as independent columns; the last ones measure the noise.
+    """Return responses and higher polynomials of a block as independent columns; the last columns measure the noise.
 
     In a few turns, a response is nearly a polynomial, and rounding errors would determine the directions of a QR
     decomposition. Such a response is replaced by the first `skipped` higher polynomials.

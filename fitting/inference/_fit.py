@@ -60,7 +60,7 @@ _OTHER_POWERS = (0.7, 1.35)
 the exponent of the linear law; with fewer, a fit may end in the wrong minimum; with more, the search takes longer."""
 _AT_REST = 0.01
 """Share of its largest speed below which the casing counts as at rest [1]. Chosen: a smaller value overlooks stops in
-noise, a larger one takes slow bodies for stopped ones."""
+noise, a larger one takes slow bodies for stopped bodies."""
 _MOST_STEPS = 60
 """Iterations of a trial search [1]. Chosen: a fit that needs more is continued; a smaller number leaves trials that
 cannot be compared, a larger one costs time."""
@@ -450,8 +450,8 @@ _REST = 1e-12
 """Speed on either side of rest at which a law is evaluated [rad/s]. Chosen: continuous laws do not differ; a smaller
 value is rounding error, a larger one takes a steep law for a jump."""
 _JUMP = 1e-3
-"""Smallest jump of a law with parameters of 1 [1]. Chosen: that of dry friction is 2; a smaller value takes a steep law
-for a jump, a larger one overlooks a part of the torque that jumps."""
+"""Smallest jump of a law whose parameters are 1 [1]. Chosen: the jump of dry friction is 2; a smaller value takes a
+steep law for a jump, a larger one overlooks a part of the torque that jumps."""
 
 
 def _check(model: Model, data: Sequence[CaseData]) -> None:

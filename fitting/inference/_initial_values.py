@@ -4,7 +4,7 @@ The laws are linear in their strengths gamma_k, so along the rough speeds
 
     I_c [omega_c(t) - omega_c(0)] = sum_k gamma_k integral_0^t law_k dt,
 
-and the same for the rotor: a linear least-squares problem with bounds.
+and an analogous equation holds for the rotor. This is a linear least-squares problem with bounds.
 
 At strength zero, chi-square has no gradient with respect to the shape of a law, and with a wrong shape the search may
 end in a wrong minimum. Therefore the model is first fitted without the law. For every shape on a grid, a score test
@@ -289,7 +289,7 @@ def _equations(
         )
     integrals = integrated(times, rates)
     held = integrated(times, constant[:, :count])
-    # while friction holds the casing, its torque equals the others and contains no information
+    # while friction holds the casing, the torque of friction balances all others and contains no information
     everywhere = np.ones(len(times), dtype=bool)
     used = [everywhere] * count
     used[MAIN] = everywhere if oscillates else _longest_motion(speeds[:, MAIN])
@@ -326,7 +326,7 @@ def _means(groups: NDArray[np.intp], columns: Array) -> Array:
 
 
 def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
-    """Return the parameters in which the equations are linear, without nearly collinear ones."""
+    """Return the parameters in which the equations are linear, without nearly collinear parameters."""
     dead_times = _dead_times(layout)
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude" and k not in dead_times]
     # linear in its strength, but nearly collinear with the linear law while its exponent is free

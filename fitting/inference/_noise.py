@@ -302,8 +302,8 @@ def _deviance(rotated: Array, variance: Array) -> float:
 
 
 _CELLS_PER_ROW = 2.5
-"""Cells of the random torque per row [1]. Chosen: equal to that of `fitting.inference._process_noise`; a smaller number
-blurs the response of the highest row, a larger one costs time."""
+"""Cells of the random torque per row [1]. Chosen: equal to `_CELLS_PER_ROW` of `fitting.inference._process_noise`; a
+smaller number blurs the response of the highest row, a larger one costs time."""
 _GROUPS = 8
 """Number of groups of cells that skip the rows before their first response [1]. Chosen: another value costs time and
 does not change the result."""
@@ -400,7 +400,7 @@ class TorqueResponse:
     def _harmonic_variances(self, time: float, directions: Sequence[Array] | None = None) -> Array:
         """Return the variances of the rows of harmonics for torques of rms 1 N m, by default those of a gyroscope.
 
-        Such a row responds to the torque at its frequency, m times the speed. This torque is independent in
+        A row of harmonic m responds to the torque at its frequency, m times the speed. This torque is independent in
         neighbouring blocks.
         """
         record = self.data.record

@@ -233,8 +233,9 @@ def covers(name: str, key: str) -> bool:
 
 
 _NEAREST = 3e-3
-"""Smallest distance of an exponent from that of a fixed power law [1]. Chosen: at smaller distances the difference of
-the two terms loses digits and the torque hardly changes; a larger value excludes exponents that the data determine."""
+"""Smallest distance of a free exponent from the exponent of a fixed power law [1]. Chosen: at smaller distances the
+difference of the two terms loses digits and the torque hardly changes; a larger value excludes exponents that the data
+determine."""
 _SAME = 1e-9
 """Largest relative error of a change of coordinates [1]. Chosen: the size of rounding errors; a smaller value refuses
 valid changes, a larger one accepts inaccurate changes."""

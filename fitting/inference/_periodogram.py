@@ -54,16 +54,16 @@ _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
 _NEAR_RESONANCE = 0.01
-"""Smallest difference of the squared frequencies of a drive and an oscillator, divided by that of the oscillator [1].
-Chosen: a smaller value gives unlimited angles, a larger one understates a resonance."""
+"""Smallest difference of the squared frequencies of a drive and an oscillator, divided by the squared frequency of the
+oscillator [1]. Chosen: a smaller value gives unlimited angles, a larger one understates a resonance."""
 
 
 @dataclass(frozen=True)
 class PeriodogramPeak:
     """The highest peak of the periodogram of the residual torque on one body."""
 
-    rate: float  # its frequency, 2 pi divided by the period [rad/s]
-    torque: float  # its amplitude [N m]
+    rate: float  # frequency of the torque, 2 pi divided by the period [rad/s]
+    torque: float  # amplitude of the torque [N m]
     angle: float  # amplitude of the angle that the torque causes [rad]; k / (I w^2) far above a resonance
     label: str  # the case
     body: str  # name of the body for the user, for example "casing"

@@ -39,8 +39,8 @@ class Prior:
     """A Gaussian prior."""
 
     names: tuple[str, ...]  # parameters, ``effect.symbol``
-    mean: tuple[float, ...]  # their values [SI]
-    covariance: tuple[tuple[float, ...], ...]  # their covariance [SI]
+    mean: tuple[float, ...]  # values of the parameters [SI]
+    covariance: tuple[tuple[float, ...], ...]  # covariance of the parameters [SI]
     source: str = ""  # the study that determined them
 
     def __post_init__(self) -> None:

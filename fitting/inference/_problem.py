@@ -104,7 +104,7 @@ class Problem:
         return reference_speed(self.data, self.layout.model.mechanism)
 
     def predict(self, theta: Array) -> list[Prediction]:
-        """Return the prediction of each case at physical variables, with derivatives with respect to the free ones."""
+        """Return the prediction of each case at physical variables, with derivatives for the free variables."""
         tied = self.layout.tied
         if not tied:
             return [case.predict(theta) for case in self.cases]
@@ -194,7 +194,7 @@ _BEYOND = 3.0
 errors]. Chosen: a smaller value ignores the uncertainty at a bound, a larger one treats a fixed parameter as free."""
 _LEAST_CHANGE = 0.2
 """Smallest relative change that is part of a degenerate direction [1]. Chosen: a smaller value lists uninvolved
-parameters, a larger one omits involved ones."""
+parameters, a larger one omits involved parameters."""
 
 
 def surely_at_bound(

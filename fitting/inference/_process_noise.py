@@ -38,7 +38,7 @@ FLAT_PRIOR_SIGMA = 1e6
 CONSISTENT = 6.0
 """Largest value of twice the log-likelihood ratio of two consistent descriptions of the data [1]. Chosen: chi-square
 with two degrees of freedom is larger in 5 % of the cases; a smaller value refuses the right description, a larger one
-accepts wrong ones."""
+accepts wrong descriptions."""
 
 _MOST_STRETCHES = 6
 """Largest number of stretches of a record, each with a level [1]. Chosen: with fewer, a kink distorts the level; with
@@ -71,8 +71,8 @@ _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
 """Trial correlation times [lengths of a block]. Chosen: noise with a shorter time is white for the rows; three blocks
 are a twentieth of a long record; slower noise is absorbed by the polynomials."""
 _LEVELS = np.geomspace(1e-4, 1e6, 121)
-"""Trial levels, in units of the noise of the rows [1]. Chosen: twelve per decade; lower ones change nothing, higher
-ones do not occur, a coarser grid rounds the posterior mean."""
+"""Trial levels, in units of the noise of the rows [1]. Chosen: twelve per decade; lower levels change nothing, higher
+levels do not occur, a coarser grid rounds the posterior mean."""
 _FINER = 16
 """Levels of the finer grid per level of the coarse one [1]. Chosen: a smaller number makes the posterior mean coarse, a
 larger one costs time."""
@@ -89,8 +89,8 @@ _NEGLIGIBLE = 1e-25
 """Probability below which a level is omitted [1]. Chosen: a smaller value costs time, a larger one changes integrals
 over far tails."""
 _BINS = 60
-"""Bins of the marginal distribution of the level [1]. Chosen: a smaller number rounds the quantiles of the level, a
-larger one leaves few levels in each bin."""
+"""Number of bins of the marginal distribution of the level [1]. Chosen: a smaller number rounds the quantiles of the
+level, a larger one leaves few levels in each bin."""
 
 
 @dataclass(frozen=True)
@@ -333,11 +333,11 @@ class Stretch:
         powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
         nuisance = nuisance[self.rows]
         if nuisance.shape[1] > len(nuisance):
-            # as many orthogonal combinations as rows, because the others are not observed in this stretch; principal
-            # combinations remain separate although flat priors are far larger than the other priors
+            # there are only as many orthogonal combinations as rows, because other combinations are not observed in
+            # this stretch; principal combinations remain separate although flat priors far exceed the other priors
             directions, sizes, _ = np.linalg.svd(nuisance, full_matrices=False)
             nuisance = directions * sizes
-        # the last rows are those of the prior of the nuisance functions, whose measured value is zero
+        # the last rows belong to the prior of the nuisance functions; their measured value is zero
         free = np.block(
             [
                 [self._rows_of(powers), nuisance],

@@ -35,7 +35,7 @@ _MOST_STEPS = 300
 failure."""
 _WEAK = 0.3
 """Relative uncertainty above which a parameter is weakly determined [1]. Chosen: a smaller value profiles parameters
-with symmetric intervals, a larger one trusts linear ones."""
+with symmetric intervals, a larger one trusts linear intervals."""
 
 
 @dataclass(frozen=True)

@@ -408,7 +408,7 @@ def make_record(
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
         uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
-        periods per turn [rad]; missing ones are zero.
+        periods per turn [rad]; missing numbers are zero.
     correlated_profile : sequence of (float, float)
         Times [s] and the standard uncertainty [rad] of the slowly varying error at each of them, between which it is
         linear; empty if it is constant.
@@ -421,7 +421,7 @@ def make_record(
     mechanism : Mechanism
         The bodies and joints of a chain: `casing` is its second body, and `rotor` are the runs of all others.
     states : sequence of int
-        Index in the mechanism of the body of each run of `rotor`; if empty, all runs are those of the first body.
+        Index in the mechanism of the body of each run of `rotor`; if empty, all runs belong to the first body.
     further : sequence of (float, float)
         Moments of inertia of the third and later bodies of a chain, and their standard uncertainties [kg m2].
     harmonics : sequence of float
@@ -496,7 +496,7 @@ def _refuse_wrong(casing: object, rotor: object, quantity: object) -> None:
 
 
 def _covering(inputs: Sequence[Input], casing: Samples, windows: Sequence[Samples]) -> tuple[Input, ...]:
-    """Return the inputs of a record; a RecordError if two have the same name or one does not cover the record."""
+    """Return the inputs of a record; a RecordError if a name occurs twice or an input does not cover the record."""
     if not isinstance(inputs, Iterable) or not all(isinstance(i, Input) for i in inputs):
         raise RecordError("an input is not an Input", 'use fitting.Input("current", time, value, "A")')
     names = [i.name for i in inputs]

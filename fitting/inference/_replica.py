@@ -1,6 +1,6 @@
 """New recordings of a fitted motion: the same bodies, samples and windows, with new random errors.
 
-The expected values are those of the fit at every sample, with the fitted initial angles, camera errors, laws of an
+The expected values are the values of the fit at every sample, with the fitted initial angles, camera errors, laws of an
 angle and measurement effects. The random errors are those that the fit assumes (a parametric bootstrap; A. C. Davison,
 D. V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4): white noise at the measured level, correlated
 angle noise at a level drawn from its distribution, the random torque in the residuals of the fit, the errors that
@@ -187,7 +187,7 @@ def _random_torque(motion: FittedMotion, random: Random) -> list[Array]:
 
 
 def _state(number: int, run: Samples) -> int:
-    """Return the index in the state of the body of a run; the first run is that of the main body."""
+    """Return the index in the state of the body of a run; the first run belongs to the main body."""
     return run.state if number else MAIN
 
 

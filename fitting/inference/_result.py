@@ -429,7 +429,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         time : array_like, shape (n,), optional
-            Times within the record [s]; by default those of the samples (of all windows of a rotor, joined).
+            Times within the record [s]; by default the times of the samples (of all windows of a rotor, joined).
         body : str, optional
             "casing", "rotor", or the name of the body; by default the casing, the single or the main body.
         case : int
@@ -474,7 +474,7 @@ class Fit(FitSummary):
     def residual(self) -> Array:
         """Measured minus fitted value of every sample, divided by its stated standard uncertainty.
 
-        Samples of the casing or the single body come first, then those of the windows of the rotor, case by case.
+        The samples are sorted by case; the samples of the casing or the single body precede those of the rotor windows.
         """
         return residuals_of(self)
 
@@ -532,7 +532,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `doubt_adequate` is the limit of the p-value. By default those of the fit.
+            Its `doubt_adequate` is the limit of the p-value. By default the criteria of the fit.
         """
         peak, limit = self.periodogram_peak, (criteria or self.criteria).doubt_adequate
         return peak if peak is not None and peak.p_value < limit else None
@@ -554,7 +554,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            The limits of all tests. By default those of the fit.
+            The limits of all tests. By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         return (
@@ -591,7 +591,7 @@ class Fit(FitSummary):
         ----------
         criteria : Criteria
             Its `lack_of_fit` is the limit of the p-value of slow torques, and of the p-value of chi2 in each case that
-            exceeds `reduced_chi2`. By default those of the fit.
+            exceeds `reduced_chi2`. By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         return self.converged and (
@@ -609,7 +609,8 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `harmonic_sigma` is the amplitude that counts, in standard deviations. By default those of the fit.
+            Its `harmonic_sigma` is the amplitude that counts, in standard deviations. By default the criteria of the
+            fit.
         """
         least = (criteria or self.criteria).harmonic_sigma
         return any(
@@ -626,7 +627,7 @@ class Fit(FitSummary):
         ----------
         criteria : Criteria
             Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level. By
-            default those of the fit.
+            default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         return any(n.level > n.pure + criteria.excess_noise * n.pure_u for n in self.noise)
@@ -659,7 +660,8 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `random_torque_evidence` is the fall of the deviance by the random torque. By default those of the fit.
+            Its `random_torque_evidence` is the fall of the deviance by the random torque. By default the criteria of
+            the fit.
         """
         criteria = criteria or self.criteria
         return any(n.raised and n.excess > criteria.random_torque_evidence for n in self.noise)
@@ -670,7 +672,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Limits of level and correlation time. By default those of the fit.
+            Limits of level and correlation time. By default the criteria of the fit.
         """
         return most_likely_noise(
             self.problem, self.predictions, self.noise, self.theta, self.deviance, criteria or self.criteria
@@ -682,7 +684,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `doubt_adequate` is the limit of the p-value. By default those of the fit.
+            Its `doubt_adequate` is the limit of the p-value. By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         limit = criteria.doubt_adequate
@@ -704,7 +706,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `random_torque_evidence` and `lack_of_fit` decide. By default those of the fit.
+            Its `random_torque_evidence` and `lack_of_fit` decide. By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         moving = ~self.problem.layout.at_bound(self.theta)
@@ -868,7 +870,7 @@ class Fit(FitSummary):
         Returns
         -------
         matplotlib.figure.Figure
-            The new figure, or that of `ax`.
+            The new figure, or the figure of `ax`.
         """
         if ax is not None:
             self._draw(ax, case, MAIN, residual=residual)

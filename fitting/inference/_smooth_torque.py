@@ -42,14 +42,14 @@ _DEGREE = 2
 """Degree of the smooth torques in time [1]. Chosen: the parameters of the model nearly absorb a constant and a trend; a
 larger value describes more torques and needs more evidence."""
 _TIMES = 5
-"""Trial correlation times of the random torque in addition to that of the recording [1]. Chosen: with fewer, the
-maximum of the likelihood is missed; with more, the test takes longer."""
+"""Number of trial correlation times of the random torque, in addition to the correlation time of the recording [1].
+Chosen: with fewer, the maximum of the likelihood is missed; with more, the test takes longer."""
 _FEWEST_TIMES = 6.0
 """Smallest length of a record, in correlation times of the random torque [1]. Chosen: as in
 `fitting.discovery._random_torque`; with fewer the torque is a trend, a larger value leaves slow torques untried."""
 _LEVELS = np.geomspace(0.01, 4.0, 12)
-"""Trial levels of the random torque divided by that of the fit [1]. Chosen: lower levels have no effect, and additional
-free parameters never raise the level much; with more trial levels, the test takes longer."""
+"""Trial levels of the random torque, divided by the level of the fit [1]. Chosen: lower levels have no effect, and
+additional free parameters never raise the level much; with more trial levels, the test takes longer."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: as in
 `fitting.inference._metrics`; a smaller value projects out rounding errors, a larger one leaves a part of the free

@@ -110,7 +110,7 @@ class SpeedResidual:
     time: Array
     width: Array
     value: Array  # mean residual of the speed [rad/s]
-    sigma: Array  # its standard deviation if there is noise alone [rad/s]
+    sigma: Array  # standard deviation of `value` if there is noise alone [rad/s]
 
     def __repr__(self) -> str:
         return f"SpeedResidual: {span_of('speed', self.value, 'rad/s')}"

@@ -44,8 +44,8 @@ def find_key(name: str, keys: Iterable[str]) -> str:
 def parse_tie(text: str, keys: Sequence[str]) -> Expr:
     """Parse an expression of parameters into a tree whose symbols are the keys of the parameters.
 
-    Names of effects contain dots, which the grammar of formulas does not have: they are replaced first, the longest
-    name first, so that no name is taken for a part of another.
+    Names of effects contain dots, which the grammar of formulas does not have: they are replaced first. The longest
+    name is replaced first, so that no name is taken for a part of another name.
     """
     if not isinstance(text, str):
         raise EffectError(
@@ -77,7 +77,7 @@ class Follower:
     """One tied variable: its index, its expression, and the symbols in it with their indices or constants."""
 
     place: int
-    tape: Tape  # its value, then its derivatives with respect to the variables
+    tape: Tape  # value of the variable, then its derivatives with respect to other variables
     sources: tuple[tuple[str, int], ...]
     constants: Mapping[str, float]
 

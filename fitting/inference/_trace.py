@@ -1,6 +1,6 @@
 """The record of a search: every fit that it made, with its purpose and its result or the reason of its failure.
 
-`recording` collects the fits of a call of `diagnose` or `improve`, including those of nested calls and of workers.
+`recording` collects the fits of a call of `diagnose` or `improve`, including the fits of nested calls and of workers.
 `fit` adds an entry for each of its results, `attempt` one for each failure:
 
     with recording() as trace:

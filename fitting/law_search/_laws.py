@@ -152,7 +152,7 @@ class Law:
 
     formula: str  # terms as ``body: law``, joined by " + "; `fit --add` takes a single term
     form: str  # in words
-    effects: tuple[Effect, ...]  # its terms, one or two
+    effects: tuple[Effect, ...]  # terms of the law, one or two
     score: float  # fall of the deviance when the law is added to the base
     delta_bic: float  # BIC with the law minus BIC of the base
     description_length: float  # penalty of the length of the formula, added to BIC in the ranking
@@ -173,7 +173,7 @@ class Law:
 
     @property
     def body(self) -> str:
-        """The body or joint on which the law acts; both, joined by " and ", if two terms act on different ones."""
+        """The body or joint on which the law acts; if two terms act on different ones, both, joined by " and "."""
         return " and ".join(dict.fromkeys(e.joint for e in self.effects))
 
     @property
@@ -258,8 +258,8 @@ def laws(
     beyond_library : bool
         Search for laws although an effect of the library describes the data.
     criteria : Criteria, optional
-        Thresholds of every decision; those of the fit by default. If the criteria of the noise differ from those of the
-        fit, the fit is repeated first, and `diagnosis` is ignored.
+        Thresholds of every decision; by default the criteria of the fit. If the criteria of the noise differ from those
+        of the fit, the fit is repeated first, and `diagnosis` is ignored.
     workers : WorkerPool, optional
         Processes that share the refits.
     progress : callable, optional

@@ -350,9 +350,10 @@ def plan(
         Rms torque of an effect [N m] for `power` and `runs_needed`; by default 1 % of the rms torque of the bearing
         (for a single body, of the net torque).
     bounds : Bounds, optional
-        Smallest and largest values for the next run; by default those of the file, or derived from the recordings.
+        Smallest and largest values for the next run; by default the values of the file, or values derived from the
+        recordings.
     criteria : Criteria, optional
-        Thresholds of the search whose power is computed; those of the fit by default.
+        Thresholds of the search whose power is computed; by default the criteria of the fit.
     progress : callable, optional
         Called with the number of steps done and the total number.
 

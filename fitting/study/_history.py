@@ -288,7 +288,7 @@ class Ledger:
         share, per_case : sequence of str
             Parameters shared by all cases, and parameters with one value per case, if this is not the default.
         ranges : dict, optional
-            Bounds [unit of the parameter] that replace those of the effects.
+            Bounds [unit of the parameter] that replace the bounds of the effects.
         loss : str
             Robust loss of the fit.
         """

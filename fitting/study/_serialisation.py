@@ -261,7 +261,7 @@ class TorqueCurve(TypedDict):
     omega_c: list[float]  #: Angular velocity of the casing or single body [rad s-1].
     delta: list[float]  #: Difference `omega_r` - `omega_c` [rad s-1].
     torque_Nm: list[float]  #: Unmodelled torque [torque].
-    sigma_Nm: list[float]  #: Its standard uncertainty [torque].
+    sigma_Nm: list[float]  #: Standard uncertainty of the torque [torque].
 
 
 class HarmonicCurve(TypedDict):
@@ -270,7 +270,7 @@ class HarmonicCurve(TypedDict):
     label: str  #: Name of the case.
     angle: list[float]  #: Angles of one turn [rad].
     torque_Nm: list[float]  #: Unmodelled torque at these angles [torque].
-    sigma_Nm: list[float]  #: Its standard uncertainty [torque].
+    sigma_Nm: list[float]  #: Standard uncertainty of the torque [torque].
 
 
 class DiagnosisDocument(TypedDict):
