@@ -38,8 +38,8 @@ _HOW_TO_MAKE = {
 }
 _OTHER_LAYOUT = "The file is not in this layout."
 SHOWN = 20
-"""Characters of a wrong word that a message shows [1]. Chosen: a smaller number hides the word, a larger one fills the
-line."""
+"""Number of characters of a wrong word that a message shows [1]. Chosen: a smaller number hides the word, a larger one
+fills the line."""
 # errors that h5py raises for damaged files
 _FAULTS = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError)
 _KIND_NAMES: dict[type[Any], str] = {

@@ -168,8 +168,8 @@ class _Unpickler(pickle.Unpickler):
 
 
 _ATTEMPTS = 20
-"""Attempts to pickle a call whose arguments change in the meantime [1]. Chosen: a smaller number raises an error while
-another thread fills a cache, a larger one delays a permanent error."""
+"""Number of attempts to pickle a call whose arguments change in the meantime [1]. Chosen: a smaller number raises an
+error while another thread fills a cache, a larger one delays a permanent error."""
 
 
 def _packed(work: Callable[..., object], *args: object) -> bytes:

@@ -53,8 +53,8 @@ OUTLYING = 0.01
 """Probability of any false outlying run in a set of runs [1]. Chosen: a larger value omits regular runs, a smaller one
 keeps outlying runs."""
 _SETS = 20000
-"""Simulated sets for the null distribution of the largest step [1]. Chosen: a smaller number makes small p-values
-coarse, a larger one costs time."""
+"""Number of simulated sets for the null distribution of the largest step [1]. Chosen: a smaller number makes small
+p-values coarse, a larger one costs time."""
 _AT_A_TIME = 2**21
 """Random numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
 result."""

@@ -60,8 +60,8 @@ _INTERVAL = 1.96
 """Half width of an interval that contains the true value in 95 % of the cases [standard uncertainties]. Derived:
 quantile 0.975 of the standard normal distribution."""
 _PER_PROCESS = 4
-"""Recordings of each process between two calls of the function `keep` [recordings]. Chosen: with fewer, processes are
-idle for longer; with more, a killed run loses more work."""
+"""Number of recordings of each process between two calls of the function `keep` [recordings]. Chosen: with fewer,
+processes are idle for longer; with more, a killed run loses more work."""
 _FAILED = "failed"
 
 

@@ -62,13 +62,14 @@ _FASTEST = np.pi
 """Largest phase by which a harmonic of the rotor angle advances between two frames of the casing, if it is tested
 [rad]. Derived: the Nyquist limit, half a period per frame."""
 _DRAWS = 1000
-"""Null data sets [1]. Chosen: the smallest p-value is 0.001; a smaller number makes the p-value coarser, a larger one
-costs time."""
+"""Number of null data sets [1]. Chosen: the smallest p-value is 0.001; a smaller number makes the p-value coarser, a
+larger one costs time."""
 _RANK = 1e-5
 """Singular values, relative to the largest column, below which a direction is rounding error [1]. Chosen: a smaller
 value counts rounding errors as a degree of freedom, a larger one omits directions that the data determine weakly."""
 _CURVE = 120
-"""Points of a displayed curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
+"""Number of points of a displayed curve [1]. Chosen: a smaller number shows corners, a larger one makes larger
+files."""
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 """Trial standard deviations of a torque, divided by the standard deviation that the data suggest [1]. Chosen: four per
 decade from far below the noise to far above it; the optimum may be outside a shorter range, a coarser grid rounds

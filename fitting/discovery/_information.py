@@ -48,11 +48,11 @@ from fitting.inference._simulation import Experiment, simulate_path
 Array = NDArray[np.float64]
 
 _BLOCKS = 24
-"""Blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few blocks; a smaller number does not
-resolve the start, a larger one costs time."""
+"""Number of blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few blocks; a smaller number
+does not resolve the start, a larger one costs time."""
 _PER_BLOCK = 64
-"""Samples of a block of a planned recording [samples]. Chosen: a smaller number does not determine the polynomial of a
-block, a larger one costs time."""
+"""Number of samples of a block of a planned recording [samples]. Chosen: a smaller number does not determine the
+polynomial of a block, a larger one costs time."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one counts information twice."""

@@ -37,7 +37,7 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _LEVELS = 21
-"""Trial standard deviations of the start times, over two decades [1]. Chosen: a smaller number makes the mean
+"""Number of trial standard deviations of the start times, over two decades [1]. Chosen: a smaller number makes the mean
 likelihood coarse, a larger one costs time."""
 _REFITS = 3
 """Largest number of fits with increasingly accurate uncertainties of the starts [1]. Chosen: the second fit corrects

@@ -63,17 +63,17 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _KNOTS = 4
-"""Knots of the relative deviation of a law from the named one [1]. Chosen: a smaller number describes linear deviations
-only, a larger one raises the detection limit of broad deviations."""
+"""Number of knots of the relative deviation of a law from the named law [1]. Chosen: a smaller number describes linear
+deviations only, a larger one raises the detection limit of broad deviations."""
 _INNER_KNOTS = 5
-"""Inner knots of the spline in time [1]. Chosen: a smaller number does not follow a change of the torque, a larger one
-absorbs noise."""
+"""Number of inner knots of the spline in time [1]. Chosen: a smaller number does not follow a change of the torque, a
+larger one absorbs noise."""
 _POWER = 0.9
 """Probability of detection at the limit, and share of the random deviations that are detected with this probability
 [1]. Chosen: as `fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
 _DRAWS = 4000
-"""Random deviations from which the limit is computed [1]. Chosen: a smaller number makes the limit random, a larger one
-costs time."""
+"""Number of random deviations from which the limit is computed [1]. Chosen: a smaller number makes the limit random, a
+larger one costs time."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
 `fitting.inference._smooth_test`; a smaller value tests rounding errors, a larger one omits deviations that are nearly

@@ -204,8 +204,8 @@ def next_run(
 
 
 _FEW = 24
-"""Simulated runs of a search that is part of a diagnosis [1]. Chosen: a smaller number gives a worse proposal, a larger
-one delays the diagnosis."""
+"""Number of simulated runs of a search that is part of a diagnosis [1]. Chosen: a smaller number gives a worse
+proposal, a larger one delays the diagnosis."""
 
 
 def separating_run(

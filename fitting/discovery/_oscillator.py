@@ -39,8 +39,8 @@ _MOST_CORRELATED = 0.98
 """Upper limit of the correlation of adjacent amplitudes [1]. Chosen: at this limit 10,000 samples count as 100
 independent samples; a larger value makes chi-square vanish, a smaller one understates the errors of slow deviations."""
 _BLOCKS = 12
-"""Parts of the jackknife [1]. Chosen: a smaller number gives uncertain standard errors, a larger one gives correlated
-parts."""
+"""Number of parts of the jackknife [1]. Chosen: a smaller number gives uncertain standard errors, a larger one gives
+correlated parts."""
 _OF_AVERAGING = 5e-3
 """Relative error of a strength from the averaged equations, which are of first order [1]. Measured: up to 0.5 % for a
 pendulum of 94 degrees and for springs that soften by a tenth; the recordings are not stated."""

@@ -74,8 +74,8 @@ _DRAWS = 1500
 """Number of null data sets for thresholds [1]. Chosen: a smaller number makes thresholds of a long list uncertain, a
 larger one costs time."""
 _POWER_DRAWS = 600
-"""Simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; a smaller number enlarges
-this error, a larger one costs time."""
+"""Number of simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; a smaller
+number enlarges this error, a larger one costs time."""
 _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)])
 """Strengths at which the power is simulated [standard errors]. Chosen: dense at small strengths, where a parameter
 reaches its bound; a smaller number rounds the limits, a larger one costs time."""

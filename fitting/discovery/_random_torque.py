@@ -37,11 +37,11 @@ _RANGE = 4.0
 """Factor by which the trial times and levels reach above and below the true values [1]. Chosen: a smaller value
 understates the inflation, a larger one spreads the trials too far."""
 _NEAR_TIMES = 7
-"""Trial correlation times of a simulated recording [1]. Chosen: a smaller number understates the inflation, a larger
-one costs time."""
+"""Number of trial correlation times of a simulated recording [1]. Chosen: a smaller number understates the inflation, a
+larger one costs time."""
 _NEAR_LEVELS = 11
-"""Trial levels of a simulated recording [1]. Chosen: a smaller number understates the inflation, a larger one costs
-time."""
+"""Number of trial levels of a simulated recording [1]. Chosen: a smaller number understates the inflation, a larger one
+costs time."""
 
 
 @dataclass(frozen=True)

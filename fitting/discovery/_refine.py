@@ -40,8 +40,8 @@ _NEIGHBOURHOOD = 0.04
 """Neighbourhood of a changepoint that is scanned, as a share of the record [1]. Chosen: a smaller value leaves the
 refit in a local minimum, a larger one leaves the range in which the motion is linear."""
 _STEPS = 48
-"""Trial times in the neighbourhood of a changepoint [1]. Chosen: a smaller number overlooks the minimum, a larger one
-costs time."""
+"""Number of trial times in the neighbourhood of a changepoint [1]. Chosen: a smaller number overlooks the minimum, a
+larger one costs time."""
 _SEARCHES = 3
 """Largest number of searches for changepoints of cases whose process noise remains high [1]. Chosen: a smaller number
 leaves cases with a wrong time, a larger one costs time."""

@@ -58,8 +58,8 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _POINTS = 2000
-"""Points of a torque along the motion [1]. Chosen: a smaller number makes the explained share coarse, a larger one
-costs time."""
+"""Number of points of a torque along the motion [1]. Chosen: a smaller number makes the explained share coarse, a
+larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -276,8 +276,8 @@ class Grade:
 
 
 _INNER_KNOTS = 4
-"""Inner knots of a smooth law [1]. Chosen: the law represents any cubic and one bend; a smaller number leaves out the
-bend, a larger one absorbs noise."""
+"""Number of inner knots of a smooth law [1]. Chosen: the law represents any cubic and one bend; a smaller number leaves
+out the bend, a larger one absorbs noise."""
 _POWERS = {"casing": (2, 3), "rotor": (0, 1, 3), "bearing": (0, 2, 3)}
 """Powers of a speed that no effect of the usual base model contains, by body or joint [1]. Derived: from the laws of
 the reduced model; the powers of casing and bearing also apply to the bodies and joints of a chain."""

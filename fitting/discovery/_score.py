@@ -47,8 +47,8 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _LEVELS = 9
-"""Trial levels of the process noise [1]. Chosen: a smaller number makes the profiled score coarse, a larger one costs
-time and memory."""
+"""Number of trial levels of the process noise [1]. Chosen: a smaller number makes the profiled score coarse, a larger
+one costs time and memory."""
 _ABSORBED = 1e-7
 """Norm of the part of a column that is orthogonal to the free columns of the base, before whitening, as a share of the
 norm of the column, below which the base absorbs the column [1]. Chosen: a smaller value scores rounding errors, a
@@ -193,8 +193,8 @@ _FINER = 8
 """Ratio of the declared spacing of changepoints to the trial spacing [1]. Chosen: a smaller value overlooks narrow
 maxima of the score, a larger one costs time."""
 _CHOICES = 128
-"""Choices of shape constants that are evaluated at once [1]. Chosen: a smaller number makes the matrix products small
-and slow, a larger one needs memory; the result does not depend on this number."""
+"""Number of choices of shape constants that are evaluated at once [1]. Chosen: a smaller number makes the matrix
+products small and slow, a larger one needs memory; the result does not depend on this number."""
 
 
 @dataclass(frozen=True)
@@ -591,11 +591,11 @@ class FamilywiseNull:
 
 
 _ROUNDS = 3
-"""Refinements of a shape constant [1]. Chosen: a smaller number leaves the constant on the coarse grid, a larger one
-changes the score by less than the noise."""
+"""Number of refinements of a shape constant [1]. Chosen: a smaller number leaves the constant on the coarse grid, a
+larger one changes the score by less than the noise."""
 _POINTS = 9
-"""Points of a refinement of a shape constant [1]. Chosen: a smaller number may overlook the optimum, a larger one costs
-time."""
+"""Number of points of a refinement of a shape constant [1]. Chosen: a smaller number may overlook the optimum, a larger
+one costs time."""
 _MOST_SWEPT = 4
 """Largest number of cases whose shapes are optimised in turn [1]. Chosen: a larger value costs time, a smaller one
 scores joint fits with shapes that are not optimal."""

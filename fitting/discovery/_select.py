@@ -445,8 +445,8 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
 
 
 _TIE = 1
-"""Decimal places to which BIC is rounded when candidates are ordered [1]. Chosen: with fewer, different laws appear in
-the order of the library; with more, rounding errors order equal laws."""
+"""Number of decimal places to which BIC is rounded when candidates are ordered [1]. Chosen: with fewer, different laws
+appear in the order of the library; with more, rounding errors order equal laws."""
 
 
 def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:

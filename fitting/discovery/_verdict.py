@@ -97,8 +97,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_CANDIDATES = 10
-"""Candidates that a notebook shows [1]. Chosen: a smaller number hides alternatives, a larger one makes a long
-table."""
+"""Number of candidates that a notebook shows [1]. Chosen: a smaller number hides alternatives, a larger one makes a
+long table."""
 _IN_REPR = 8
 """Largest number of lines of the sentence, and of candidates, in a repr [1]. Chosen: a smaller number hides
 alternatives, a larger one fills the console."""

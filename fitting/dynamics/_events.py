@@ -496,7 +496,7 @@ solution [1]. Chosen: smaller shares allow larger errors of the frequency; with 
 with more, it takes longer."""
 _BRIEF = 0.1
 """Length of the first stretch, relative to the second, below which the first stretch is determined again [1]. Chosen: a
-smaller value keeps a first stretch that may not exist, a larger one discards a valid one."""
+smaller value keeps a first stretch that may not exist, a larger one discards a valid stretch."""
 _LONGEST_BEGINNING = 0.3
 """Largest length of a first stretch that is added to the known motion, relative to the time to the first reversal [1].
 Chosen: a smaller value solves a motion without its first reversal, a larger one extrapolates the first rate too far."""

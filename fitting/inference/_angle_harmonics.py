@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 _LAWS = ("casing.unbalance", "casing.asymmetry")
 _ANGLE_POINTS = 73
-"""Points of a curve over one turn [1]. Chosen: steps of 5 degrees; a smaller number shows corners, a larger one makes
-larger files."""
+"""Number of points of a curve over one turn [1]. Chosen: steps of 5 degrees; a smaller number shows corners, a larger
+one makes larger files."""
 _RANK = 1e-6
 """Singular values, relative to the largest, below which a free direction is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one leaves a part of the free columns."""

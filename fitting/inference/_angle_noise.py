@@ -81,8 +81,8 @@ _TORQUE_TIMES = (0.1, 0.3, 1.0)
 """Trial correlation times of the process noise [lengths of a block]. Chosen: a smaller number takes process noise for
 angle noise, a larger one costs time."""
 _FINER = 16
-"""Points of the finer grid per interval of the coarse one [1]. Chosen: a smaller number makes the posterior mean
-coarse, a larger one costs time."""
+"""Number of points of the finer grid per interval of the coarse grid [1]. Chosen: a smaller number makes the posterior
+mean coarse, a larger one costs time."""
 _NEGLIGIBLE = 0.01
 """Variance of a stated error, in units of the white noise of a row, below which it is neglected [1]. Chosen: 1 % of the
 variance; a smaller value costs time, a larger one understates uncertainties."""
@@ -94,14 +94,14 @@ TURNS_PER_BLOCK = 3.0
 """Largest number of turns per block with which noise periodic in the angle affects the rows [1]. Chosen: in longer
 blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
 _PERIODIC_TIMES = 5
-"""Trial correlation times of noise periodic in the angle [1]. Chosen: a smaller number passes over the maximum of the
-likelihood, a larger one costs time."""
+"""Number of trial correlation times of noise periodic in the angle [1]. Chosen: a smaller number passes over the
+maximum of the likelihood, a larger one costs time."""
 _FEWEST_BINS = 24
 """Smallest number of groups of samples in a block for noise periodic in the angle [1]. Chosen: a smaller number blurs a
 turn, a larger one costs time and memory."""
 _ALL_BINS = 1500
-"""Groups of samples of all blocks for noise periodic in the angle [1]. Chosen: a smaller number blurs a turn in few
-blocks, a larger one costs time and memory."""
+"""Number of groups of samples of all blocks for noise periodic in the angle [1]. Chosen: a smaller number blurs a turn
+in few blocks, a larger one costs time and memory."""
 _LOWER_LEVELS = (0.1, 0.2, 0.4, 0.8)
 """Trial levels of the exponential noise if periodic noise is included as well, divided by its most likely level without
 periodic noise [1]. Chosen: two kinds share the variance, so each level is lower; a smaller number passes over the
@@ -484,7 +484,8 @@ _WINDOW_DEGREE = 5
 """Degree of the polynomial of a window of one block [1]. Chosen: a smooth torque adds little to higher degrees; a
 smaller value takes motion for noise, a larger one absorbs noise."""
 _GROUPS = 128
-"""Groups of samples per block [1]. Chosen: a smaller number averages short correlations, a larger one costs time."""
+"""Number of groups of samples per block [1]. Chosen: a smaller number averages short correlations, a larger one costs
+time."""
 _FEWEST_IN_GROUP = 4
 """Fewest samples in a group [samples]. Chosen: a smaller value makes larger matrices, a larger one averages short
 correlations."""

@@ -32,8 +32,8 @@ _ANGLES = 2 * np.pi * (np.arange(128) + 0.5) / 128
 """Phases of a period at which laws are averaged [rad]. Chosen: 128 equal steps; a smaller number blurs the jump of dry
 friction, a larger one costs time."""
 _STEPS = 3
-"""Passes of the linear fit [1]. Chosen: the equations are linear about the strengths found before; a smaller number
-leaves the second order, a larger one costs time."""
+"""Number of passes of the linear fit [1]. Chosen: the equations are linear about the strengths found before; a smaller
+number leaves the second order, a larger one costs time."""
 _DEGREE = 5
 """Degree of the polynomial between averaged points [1]. Chosen: a smaller value blurs the decay, a larger one
 oscillates at the ends."""

@@ -137,8 +137,8 @@ Array = NDArray[np.float64]
 # relative error of I_casing/I_rotor, a parameter of the library
 INERTIA_RATIO = "setup.inertia.eps"
 _GENERATED_BLOCKS = 20
-"""Blocks of a generated curve [1]. Chosen: the curve is smooth; a smaller number does not resolve its start, a larger
-one costs time."""
+"""Number of blocks of a generated curve [1]. Chosen: the curve is smooth; a smaller number does not resolve its start,
+a larger one costs time."""
 _SHORT_WINDOW = 0.25
 """Share of the casing's record below which a window of the rotor is one block [1]. Chosen: the rotor hardly slows down
 within such a window; a smaller value divides windows needlessly, a larger one averages changing speeds."""
@@ -949,8 +949,8 @@ _RUN_PARTS = 50
 """Number of parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: a smaller number
 understates it, a larger one follows noise."""
 _PERIOD_PARTS = 16
-"""Parts of a period of an oscillation over which accelerations are averaged for the largest torque [1]. Chosen: a
-smaller number understates it, a larger one follows noise."""
+"""Number of parts of a period of an oscillation over which accelerations are averaged for the largest torque [1].
+Chosen: a smaller number understates it, a larger one follows noise."""
 _CENTRE = 0.15
 """Prior standard deviation of the displacement of a centre, relative to the radius [1]. Chosen: tracked films have
 errors of 0.5 to 5 mrad once per turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""

@@ -31,8 +31,8 @@ from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples, hermite
 
 _GAUSS = 3
-"""Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; a smaller number loses accuracy in long cells, a
-larger one costs time."""
+"""Number of nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; a smaller number loses accuracy in long
+cells, a larger one costs time."""
 _PASSES = 20
 """Largest number of iterations for a law of an angle whose response changes the angle [1]. Chosen: a smaller number
 stops before convergence, a larger one delays the failure."""
@@ -200,11 +200,12 @@ def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
 Array = NDArray[np.float64]
 
 _INTERVALS = 12
-"""Intervals of the first mesh [1]. Chosen: the mesh is refined to the tolerance; a smaller number needs more
+"""Number of intervals of the first mesh [1]. Chosen: the mesh is refined to the tolerance; a smaller number needs more
 refinements, a larger one costs time."""
 _PER_REVERSAL = 5
-"""Intervals of the first mesh between two reversals of an oscillation [1]. Derived: ten nodes resolve a sinusoid over a
-fifth of the half period to 1e-11, the Bessel function J_8 of pi / 10, so few intervals have to be halved."""
+"""Number of intervals of the first mesh between two reversals of an oscillation [1]. Derived: ten nodes resolve a
+sinusoid over a fifth of the half period to 1e-11, the Bessel function J_8 of pi / 10, so few intervals have to be
+halved."""
 _LEAST_INTERVALS = 600
 """Smallest limit of the number of intervals [1]. Chosen: the solution of stiff equations takes minutes to fail; a
 smaller value refuses short records, a larger one delays the failure."""

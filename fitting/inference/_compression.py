@@ -27,8 +27,8 @@ from fitting.inference._record import Samples
 Array = NDArray[np.float64]
 
 HARMONICS = 4
-"""Rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which a displaced centre and a
-tilt of the camera cause."""
+"""Number of rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which a displaced
+centre and a tilt of the camera cause."""
 _MIN_INDEPENDENCE = 0.2
 """A harmonic has rows if its part orthogonal to the polynomials has at least this share of its amplitude [1]. Chosen: a
 smaller value adds rows of slow blocks that contain motion, a larger one drops information about harmonics."""
@@ -186,14 +186,14 @@ NOISE_ROWS = 14
 """Number of further polynomials of a block, which measure the white noise [1]. Chosen: with fewer, the noise is known
 less precisely; with more, it is measured at irrelevant frequencies."""
 BLOCKS = 60
-"""Blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree, a larger one leaves few samples for
-the noise."""
+"""Number of blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree, a larger one leaves few
+samples for the noise."""
 _MIN_SAMPLES = 60
 """Smallest number of samples of a block [samples]. Chosen: a smaller number leaves no samples for the noise, a larger
 one blurs fast motion."""
 _SPEED_RATIO = 1.6
 """Ratio of the largest to the smallest speed in a block above which the block is cut [1]. Chosen: a smaller value makes
-short blocks, a larger one fits one polynomial to a changing angle."""
+short blocks, a larger one fits a single polynomial to an angle whose speed changes much."""
 _AT_REST = 0.003
 """Speed below which a body counts as at rest, as a share of the largest speed [1]. Source: the casing of the paper, 0.5
 rad/s of 160 rad/s."""

@@ -62,8 +62,8 @@ _AT_REST = 0.01
 """Share of its largest speed below which the casing counts as at rest [1]. Chosen: a smaller value overlooks stops in
 noise, a larger one takes slow bodies for stopped bodies."""
 _MOST_STEPS = 60
-"""Iterations of a trial search [1]. Chosen: a fit that needs more is continued; a smaller number leaves trials that
-cannot be compared, a larger one costs time."""
+"""Number of iterations of a trial search [1]. Chosen: a fit that needs more is continued; a smaller number leaves
+trials that cannot be compared, a larger one costs time."""
 
 
 def search_with_noise(

@@ -61,14 +61,14 @@ _END = 10
 """Number of equal parts of a run; the last part is the end of the run [1]. Chosen: with more parts, the end contains
 few speeds; with fewer, the end includes the middle of the run."""
 _DEAD_TIMES = 40
-"""Dead times of an input that are tried [1]. Chosen: with fewer, a fit starts far from the optimum; with more, the
-search takes longer."""
+"""Number of dead times of an input that are tried [1]. Chosen: with fewer, a fit starts far from the optimum; with
+more, the search takes longer."""
 _LONGEST_DEAD_TIME = 0.1
 """Longest dead time, divided by the length of a record [1]. Chosen: a smaller value overlooks slow drives, a larger one
 loses the start of the record."""
 _FIRST_PERIODS = 2.0
-"""Periods of the first search of an oscillation [1]. Chosen: a smaller number does not determine the frequency, a
-larger one may start with an error of a period."""
+"""Number of periods of the first search of an oscillation [1]. Chosen: a smaller number does not determine the
+frequency, a larger one may start with an error of a period."""
 _FEWEST_SAMPLES = 24
 """Smallest number of samples of the first search of an oscillation [samples]. Chosen: a smaller number does not
 determine all laws, a larger one may start with an error of a period."""

@@ -202,7 +202,7 @@ _LARGEST_SHARE = 3e5
 """Highest trial level, divided by the level at which the response of the median row equals the white noise [1]. Chosen:
 far above the level that any lack of fit needs; with a lower limit, the most likely level may be at this limit."""
 _PER_DECADE = 8
-"""Trial levels per decade [1]. Chosen: a coarser grid rounds the level, a finer one costs time."""
+"""Number of trial levels per decade [1]. Chosen: a coarser grid rounds the level, a finer one costs time."""
 _ROUNDING = 1e-20
 """Share of the largest response below which a row counts as not responding [1]. Chosen: rows of a casing at rest
 contain only rounding errors; a larger value excludes slow rows, a smaller one includes rows at rest."""
@@ -213,7 +213,7 @@ _LEAST_RESPONSE = 0.1
 """Lowest unresolved level, divided by the level at which the response of the most responsive row equals the white noise
 [1]. Chosen: a lower one changes nothing, a higher one leaves a gap above zero."""
 _LEAST_EXPECTED = 0.03
-"""Ratio of the lowest unresolved level to the expected level [1]. Chosen: a lower one changes nothing, a higher one
+"""Ratio of the lowest unresolved level to the expected level [1]. Chosen: a smaller ratio changes nothing, a larger one
 leaves a gap above zero."""
 _MOST_EXPECTED = 4.0
 """Ratio of the highest unresolved level to the expected level [1]. Chosen: a normal prior has a probability of 6e-5

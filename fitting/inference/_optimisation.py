@@ -154,11 +154,11 @@ _QUICK_STEPS = 40
 """Largest number of steps of a quick search [1]. Chosen: a smaller number stops before the minimum is known, a larger
 one costs time."""
 _EXPONENTS = 241
-"""Trial exponents of a law at a bound [1]. Chosen: a smaller number may omit the minimum, a larger one costs time; the
-rows are linear in the strengths."""
+"""Number of trial exponents of a law at a bound [1]. Chosen: a smaller number may omit the minimum, a larger one costs
+time; the rows are linear in the strengths."""
 _SAME = 1e-3
 """Relative difference of chi-square below which two searches have the same minimum [1]. Chosen: a smaller value repeats
-searches, a larger one takes neighbouring minima for one."""
+searches, a larger one takes neighbouring minima for a single minimum."""
 
 
 @dataclass(frozen=True)

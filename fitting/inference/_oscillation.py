@@ -49,8 +49,8 @@ _WINDOWS = 20
 """Smallest number of windows of three periods; a shorter record has shorter windows [1]. Chosen: a smaller number does
 not resolve the decay of short records, a larger one gives uncertain amplitudes."""
 _POINTS_PER_PERIOD = 24
-"""Rough speeds in each period of an oscillation [1]. Chosen: with fewer, the turning points are cut off; with more,
-each speed is noisy."""
+"""Number of rough speeds in each period of an oscillation [1]. Chosen: with fewer, the turning points are cut off; with
+more, each speed is noisy."""
 _ROUGH_SAMPLES = 3
 """Smallest number of samples of a rough speed of an oscillation [samples]. Derived: a line and its error."""
 _FEWEST_SAMPLES = 10

@@ -39,10 +39,10 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods in a record at which a frequency is tried [1]. Chosen: with fewer, the torque is a trend,
 which the test against slow torques covers; a larger value leaves a gap between the two tests."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller number
-overlooks peaks, a larger one costs time; the finer search follows."""
+"""Number of trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller
+number overlooks peaks, a larger one costs time; the finer search follows."""
 _FINER = 16
-"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: a smaller number
+"""Number of trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: a smaller number
 understates the peak, a larger one costs time."""
 _RETAINED = 1e-3
 """Smallest share of the response to a torque that is orthogonal to the free columns [1]. Chosen: a smaller value tests

@@ -74,8 +74,8 @@ _LEVELS = np.geomspace(1e-4, 1e6, 121)
 """Trial levels, in units of the noise of the rows [1]. Chosen: twelve per decade; lower levels change nothing, higher
 levels do not occur, a coarser grid rounds the posterior mean."""
 _FINER = 16
-"""Levels of the finer grid per level of the coarse one [1]. Chosen: a smaller number makes the posterior mean coarse, a
-larger one costs time."""
+"""Number of levels of the finer grid per level of the coarse grid [1]. Chosen: a smaller number makes the posterior
+mean coarse, a larger one costs time."""
 _REFINED_SHARE = 1e-4
 """The grid of times is refined about each time whose probability, relative to the largest one, exceeds this value [1].
 Chosen: a smaller value costs time, a larger one rounds the posterior."""

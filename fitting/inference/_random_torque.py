@@ -28,11 +28,11 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 _TIMES = 8
-"""Trial correlation times of a random torque [1]. Chosen: a smaller number overlooks the maximum of the likelihood, a
-larger one costs time."""
+"""Number of trial correlation times of a random torque [1]. Chosen: a smaller number overlooks the maximum of the
+likelihood, a larger one costs time."""
 _LEVELS = 16
-"""Trial levels of a random torque [1]. Chosen: a smaller number overlooks the maximum of the likelihood, a larger one
-costs time."""
+"""Number of trial levels of a random torque [1]. Chosen: a smaller number overlooks the maximum of the likelihood, a
+larger one costs time."""
 _FEWEST_TIMES = 6.0
 """Smallest ratio of the length of a record to the correlation time of the random torque [1]. Chosen: at a smaller value
 the torque is a trend, which absorbs any effect; a larger value leaves slow torques untried."""

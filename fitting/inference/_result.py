@@ -84,7 +84,7 @@ VERDICT_TEXT = {
 _SCREEN = 20
 """Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
 _POINTS = 600
-"""Points of a drawn curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
+"""Number of points of a drawn curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
 # printed with a fit to a generated curve
 GENERATED = (
     "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "

@@ -30,8 +30,8 @@ _FIRST_INTERVAL = 1e-6
 """First interval of a mesh for a boundary layer at the start, divided by the duration [1]. Chosen: a larger value does
 not resolve fast transients, a smaller one costs intervals."""
 _GRADED = 60
-"""Intervals of a mesh for a boundary layer at the start [1]. Chosen: with fewer, the intervals grow too fast; with
-more, the solution takes longer."""
+"""Number of intervals of a mesh for a boundary layer at the start [1]. Chosen: with fewer, the intervals grow too fast;
+with more, the solution takes longer."""
 _NOISE_STEP = 0.02
 """Step of a simulated random torque [s]. Chosen: short compared with its default correlation time of 1 s; a larger
 value makes it a sequence of steps, a smaller one costs time."""
@@ -69,8 +69,8 @@ class Experiment:
     """Rms random torque on the casing and in the bearing [N m]. Chosen: none by default; a larger value raises
     detection limits."""
     torque_time: float = 1.0
-    """Correlation time of the random torque [s]. Chosen: a shorter one is white noise for the blocks, a longer one a
-    trend."""
+    """Correlation time of the random torque [s]. Chosen: with a shorter time, the torque is white noise for the blocks;
+    with a longer time, it is a trend."""
     centre_offset: float = 0.0
     """Once-a-turn error of the casing's angle [rad]. Chosen: none by default; a larger value tests the nuisance
     functions."""

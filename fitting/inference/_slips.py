@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 _TURN = 2 * math.pi
 """One turn [rad]. Derived: 2 pi."""
 _NEIGHBOURS = 31
-"""Difference quotients from which a local speed is estimated [1]. Chosen: a smaller number follows noise and slips, a
-larger one blurs a changing speed."""
+"""Number of difference quotients from which a local speed is estimated [1]. Chosen: a smaller number follows noise and
+slips, a larger one blurs a changing speed."""
 _MAD = 1.4826
 """Standard deviation divided by the median absolute deviation of a normal variable [1]. Derived: the reciprocal of the
 quantile 0.75 of the standard normal distribution."""

@@ -45,8 +45,8 @@ projects out rounding errors, a larger one ignores some free columns."""
 _TINY = 1e-300
 """Smallest norm by which a column is divided [1]. Derived: it avoids a division by zero and is below any other norm."""
 _DRAWS = 2000
-"""Null data sets for the smallest of several p-values [1]. Chosen: a smaller number makes p-values coarser than
-`Criteria.doubt_adequate`, a larger one costs time."""
+"""Number of null data sets for the smallest of several p-values [1]. Chosen: a smaller number makes p-values coarser
+than `Criteria.doubt_adequate`, a larger one costs time."""
 
 
 @dataclass(frozen=True)

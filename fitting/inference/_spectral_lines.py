@@ -39,11 +39,11 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; a larger value
 leaves slow lines in the process noise."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller number passes
-over peaks, a larger one costs time; the finer search follows."""
+"""Number of trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller
+number passes over peaks, a larger one costs time; the finer search follows."""
 _FINER = 16
-"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: with fewer, the height of
-the peak is underestimated; with more, the search takes longer."""
+"""Number of trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: with fewer, the
+height of the peak is underestimated; with more, the search takes longer."""
 _FASTEST = 2.5
 """Highest frequency [rad per row]. Chosen: below the Nyquist limit, pi; a larger value is not resolved by the rows, a
 smaller one overlooks fast lines."""

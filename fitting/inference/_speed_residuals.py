@@ -96,10 +96,12 @@ _PARTS = {"casing": 2, "rotor": 5}
 """Parts of a block over which a residual speed is averaged, by body [1]. Chosen: with fewer, residuals are blurred;
 with more, they are noisy; a window of the rotor is one block."""
 _PERIOD_PARTS = 8
-"""Parts of a period of an oscillation over which a residual speed is averaged [1]. Chosen: errors of its amplitude and
-of its phase are both visible; with fewer, errors of the phase are hidden; with more, each residual is noisy."""
+"""Number of parts of a period of an oscillation over which a residual speed is averaged [1]. Chosen: errors of its
+amplitude and of its phase are both visible; with fewer, errors of the phase are hidden; with more, each residual is
+noisy."""
 _POINTS = 40
-"""Points of the mean over a block [1]. Chosen: a smaller number makes the mean coarse, a larger one costs time."""
+"""Number of points of the mean over a block [1]. Chosen: a smaller number makes the mean coarse, a larger one costs
+time."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -91,19 +91,20 @@ _DRAWS = 1000
 """Number of null data sets [1]. Chosen: ten of them are beyond the quantile of 1 %, so its probability has a relative
 error of a third; with fewer, this error is larger; with more, the search takes longer."""
 _FIRST = 5
-"""Laws that are refitted after the first search [1]. Chosen: a smaller number may omit the right form, a larger one
-costs time; the later searches refine the list."""
+"""Number of laws that are refitted after the first search [1]. Chosen: a smaller number may omit the right form, a
+larger one costs time; the later searches refine the list."""
 _LATER = 9
-"""Laws that are refitted after each later search [1]. Chosen: a smaller number may omit the best form, a larger one
-costs time."""
+"""Number of laws that are refitted after each later search [1]. Chosen: a smaller number may omit the best form, a
+larger one costs time."""
 _KEPT = 48
-"""Laws that take part in the later searches [1]. Chosen: a smaller number may omit the best form, a larger one costs
-time."""
+"""Number of laws that take part in the later searches [1]. Chosen: a smaller number may omit the best form, a larger
+one costs time."""
 _SEARCHES = 3
 """Searches; each later one scores about the best refit so far [1]. Chosen: a smaller number leaves scores about a wrong
 motion, a larger one costs time and changes little."""
 _POINTS = 1000
-"""Points of a curve along the motion [1]. Chosen: a smaller number blurs narrow laws, a larger one costs time."""
+"""Number of points of a curve along the motion [1]. Chosen: a smaller number blurs narrow laws, a larger one costs
+time."""
 _COMPARABLE_SHARE = 0.8
 """Smallest fall of deviance of an effect of the library, divided by the fall of the best law, for which the effect is
 fitted at the same noise [1]. Chosen: a smaller value costs time, a larger one names a formula although a known effect
@@ -112,11 +113,11 @@ _EXPLAINED_TIE = 0.01
 """Difference of explained shares below which two variables count as equal [1]. Chosen: with a smaller value, chance
 decides between them; a larger value hides the better variable."""
 _ROUNDS = 4
-"""Steps of the refinement of two shape constants [1]. Chosen: each narrows the grid; with fewer, the refit starts far
-from the optimum; with more, the refinement takes longer."""
+"""Number of steps of the refinement of two shape constants [1]. Chosen: each step narrows the grid; with fewer, the
+refit starts far from the optimum; with more, the refinement takes longer."""
 _GRID = 5
-"""Points of each shape constant in a step of the refinement [1]. Chosen: a smaller number may overlook the optimum, a
-larger one costs time."""
+"""Number of points of each shape constant in a step of the refinement [1]. Chosen: a smaller number may overlook the
+optimum, a larger one costs time."""
 _STEPS = 8
 """Number of steps of the progress bar [1]. Chosen: the usual number of searches and refits; with another value, the bar
 jumps or stops before its end."""
