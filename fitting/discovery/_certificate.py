@@ -234,15 +234,16 @@ class Certificate:
         low, high = self.interval
         name = str(effect_name(self.named[0], self.body)) if self.named else ""
         what = f"without the {name}" if self.named else "of the fitted model"
-        what = f"{what}, from rendered films on" if self.film else what
+        what = f"{what} (films, rendered and tracked)" if self.film else what
         interval = f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
         parts = [f"Of {null} simulated recordings {what}, {self.alarms} end in a false alarm ({interval})."]
         if self.named:
             parts.append(f"The empirical p-value of this answer is {self.p_empirical:.2g}.")
         if self.right_first is not None and self.in_class is not None:
             parts.append(
-                f"Of {len(self.of('truth'))} with this effect, {100 * self.right_first:.0f} % name it first and "
-                f"{100 * self.in_class:.0f} % name it or an indistinguishable one."
+                f"Of {len(self.of('truth'))} recordings with this effect, {100 * self.right_first:.0f} % lead to an "
+                f"answer that names it first, and {100 * self.in_class:.0f} % to an answer with it or an "
+                "indistinguishable effect."
             )
         return " ".join(parts)
 

@@ -19,9 +19,9 @@ Gaussian prior with the Matern covariance of order 3/2,
 
 at the centres x_i of the splines. s and l maximise the likelihood (C. Rasmussen, C. Williams, Gaussian Processes for
 Machine Learning, MIT Press (2006), ch. 5). A broad law gives a large l, which averages the noise; a narrow peak gives a
-small l. The base already contains some functions, for example a linear drag. The data hardly determine some others. The
-curve is therefore the least-squares estimate of the part of the torque that the data determine better than the prior;
-its band is the standard uncertainty. A law is compared with the curve after the same projection.
+small l. The base already contains some functions, for example a linear drag, and the data hardly determine some other
+functions. The curve is therefore the least-squares estimate of the part of the torque that the data determine better
+than the prior; its band is the standard uncertainty. A law is compared with the curve after the same projection.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ class DifferentParameter(ValuesPerRecording):
             + [f"{x} minus {first} {rounded(e.value, e.stderr, e.unit)}" for x, e in self.differences.items()]
         )
         return (
-            f"The recordings may differ in {alike} ({values}): with its own value in each recording the model "
+            f"The recordings may differ in {alike} ({values}): with a separate value for each recording, the model "
             f"describes the data without another law; fit with `{options}`."
         )
 

@@ -106,7 +106,7 @@ class OscillatorLaws:
             return self, (
                 f"The restoring torque of the fitted model is {' + '.join(exact[0]) or 'no law of the list'}, but "
                 f"amplitude and phase alone are described by {' + '.join(self.restoring)}: the data separate these "
-                "laws, and neither describes everything."
+                "laws, but none of them describes all data."
             )
         values = {k: Strength(e.value, e.stderr, e.unit, approximate=False) for k, e in fit.estimates.items()}
         wrong = next(

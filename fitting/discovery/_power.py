@@ -5,16 +5,16 @@ parameters. The noncentrality of the effect is
 
     delta = k |M s|,        standard error of k:  se = 1 / |M s|.
 
-Null data plus delta times the unit response go through the search's own score test: all candidates, all trials of their
-shape constants, the same null distributions, and the thresholds of `Criteria`. The power is the share of data sets in
-which at least one candidate is significant in the whole list and lowers BIC by the evidence required for an added
-effect. The detection limit is the strength at which the power is 90 %.
+Null data plus delta times the unit response are tested with the score test of the search: with all candidates, all
+trials of their shape constants, the null distributions of the search, and the thresholds of `Criteria`. The power is
+the share of data sets in which at least one candidate is significant in the whole list and lowers BIC by the evidence
+required for an added effect. The detection limit is the strength at which the power is 90 %.
 
 If no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) +
 1.64 se for a friction coefficient, which is not negative). The upper limit of an amplitude with a phase is the
-amplitude for which a score below the observed one has a probability of 5 %, from the noncentral chi-square (J. Neyman,
-Phil. Trans. R. Soc. A 236, 333 (1937)). For recordings that are only planned, the estimate is zero, which gives the
-expected limit.
+amplitude for which a score below the observed score has a probability of 5 %, from the noncentral chi-square (J.
+Neyman, Phil. Trans. R. Soc. A 236, 333 (1937)). For recordings that are only planned, the estimate is zero, which gives
+the expected limit.
 
 If the effect shifts a parameter of the model to its bound, the search may find even a strength below this limit with a
 probability of 95 %. An insignificant score then excludes this smaller strength, which becomes the limit.

@@ -13,13 +13,14 @@ Then
     S = gamma' (s'Ms) gamma,   gamma = (s'Ms)^-1 s'Mr,   M = 1 - J (J'J)^-1 J',
 
 is the fall of chi-square that a refit would give to first order (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The
-process noise can describe the same residuals as the effect, so its level is profiled: the score is the fall of the
-deviance, minimised over the level without and with the effect.
+process noise can describe the same residuals as the effect, so its level is profiled: the score is the smallest
+deviance over all levels without the effect, minus the smallest deviance over all levels with the effect.
 
 Candidates are correlated, and some have many trial shapes. Therefore p-values are calibrated with simulated null data
-that undergo the same search. A candidate with many shapes is equivalent to N independent trials, p = 1 - (1 - p1)^N; N
-reproduces the upper tail of its largest scores in null data. The whole list is equivalent to a number of independent
-candidates in the same sense (P. Westfall, S. Young, Resampling-Based Multiple Testing, Wiley (1993)).
+that undergo the same search. A candidate with many shapes is equivalent to N independent trials, each with the p-value
+p1 of a single shape: p = 1 - (1 - p1)^N. N reproduces the upper tail of the largest scores of the candidate in null
+data. The whole list is equivalent to a number of independent candidates in the same sense (P. Westfall, S. Young,
+Resampling-Based Multiple Testing, Wiley (1993)).
 """
 
 from __future__ import annotations

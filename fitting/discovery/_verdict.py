@@ -3,8 +3,8 @@
     rank (score, refine) -> select -> lack of fit -> grade -> verdict
 
 The input of each step is the result of the previous step. Two steps repeat the search once: `select` ranks the
-candidates again at the noise of the best one, and `with_free_inertia` ranks them with a free ratio of the moments of
-inertia.
+candidates again at the noise of the best candidate, and `with_free_inertia` ranks them with a free ratio of the moments
+of inertia.
 """
 
 from __future__ import annotations
@@ -902,10 +902,10 @@ def _untested(test: FormTest, criteria: Criteria) -> list[str]:
         pulled = f"the fit prefers {', '.join(test.bounds)} outside its bounds"
         return [f"The form is not established: {pulled} ({stated_probability(test.bounds_p)})."]
     if not math.isfinite(test.limit):
-        return ["The form is not established: the other parameters absorb every deviation from it."]
+        return ["The form is not established: the other parameters absorb every deviation from this law."]
     if test.limit >= 1:
         return ["The form is not established: any law of similar size and shape would fit equally well."]
-    limit = f"{100 * test.limit:.2g} % of its torque"
+    limit = f"{100 * test.limit:.2g} % of the torque of the law"
     return [f"The form is not established: only a deviation above {limit} would be detected."]
 
 

@@ -15,10 +15,10 @@ where P is the projection, and R is the correlation matrix of the samples. f is 
 the white noise is measured; its subtraction avoids that this part counts twice. K is the covariance of the response to
 a random acceleration of rms 1, and s is the rms of this acceleration. a maximises the likelihood after integration over
 level and correlation time of the process noise; angle noise is included if twice the log-likelihood ratio exceeds
-`Criteria.correlated_noise`. Rows that are slower than T depend only on a^2 T, and faster rows only on a^2 / T. T is
-therefore known much less well than the noise of the rows. Every fit uses the mean covariance over the posterior of a
-and T, with priors uniform in ln a and ln T; this adds the uncertainty of a and T to the uncertainties of all
-parameters.
+`Criteria.correlated_noise`. The noise of rows that are slower than T depends only on a^2 T, and the noise of faster
+rows only on a^2 / T. Therefore T is known much less precisely than the noise of the rows. Every fit uses the mean
+covariance over the posterior of a and T, with priors uniform in ln a and ln T; this adds the uncertainty of a and T to
+the uncertainties of all parameters.
 
 In a short record both kinds of noise may fit equally well. Then the deviations are attributed to process noise as long
 as its torque is smaller than the mean torque on the body. A random torque larger than the torque that slows the body is
@@ -33,7 +33,8 @@ slowly, the amplitude of the harmonics varies,
 The same likelihood decides whether these harmonics are included, instead of the noise above or in addition to it. In
 blocks of many turns, harmonics are orthogonal to the polynomials.
 
-The noise of all windows of the rotor is estimated together, with one (a, T), given the process noise of the casing.
+The noise of all windows of the rotor is estimated together, with a single pair (a, T) and with the process noise of the
+casing.
 """
 
 from __future__ import annotations

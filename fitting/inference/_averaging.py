@@ -6,9 +6,9 @@ Mitropolsky, Asymptotic Methods in the Theory of Non-Linear Oscillations, 1961)
 
     A' = -<f sin phi> / w,      phi' = w / 2 - <f cos phi> / (w A).
 
-Both are linear in the strengths of the laws, so their integrals along the measured amplitude are fitted to the measured
-amplitudes and phases by linear least squares. The phases of the whole record determine the frequency so accurately that
-a search from these values does not slip by whole periods.
+Both equations are linear in the strengths of the laws. Therefore their integrals along the measured amplitude are
+fitted to the measured amplitudes and phases by linear least squares. The phases of the whole record determine the
+frequency so accurately that a search from these values does not slip by whole periods.
 """
 
 from __future__ import annotations

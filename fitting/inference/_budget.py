@@ -6,12 +6,11 @@ the covariance V_i contributes G V_i G'. A nuisance parameter that is fitted to 
 of the variance that its freedom causes (type A). These contributions add up to the square of the standard error of the
 fit.
 
-A relative rate error eps of the clock changes the rows of the model by eps dm/d(eps) and the parameters by -eps
-(J'J)^-1 J' P W dm/d(eps) (type B). The same holds for a relative error eps of the scale of a sensor of angular
-velocity, which reads omega (1 + eps). A wrong moment of inertia also changes the residuals and thus the noise by which
-the data are weighted, so its influence need not be linear. Therefore the distribution of each moment of inertia is
-propagated by fits at the nodes of a Gauss-Hermite rule: the given value, and this value +- sqrt(3) standard
-uncertainties u.
+A relative rate error eps of the clock changes the rows of the model by eps dm/d(eps), and the parameters by -eps G
+dm/d(eps) (type B). The same holds for a relative error eps of the scale of a sensor of angular velocity, which reads
+omega (1 + eps). A wrong moment of inertia also changes the residuals and thus the noise by which the data are weighted,
+so its influence need not be linear. Therefore the distribution of each moment of inertia is propagated by fits at the
+nodes of a Gauss-Hermite rule: the given value, and this value +- sqrt(3) standard uncertainties u.
 """
 
 from __future__ import annotations

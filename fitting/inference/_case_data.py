@@ -1,16 +1,17 @@
 """The measurements of one case as rows of the least-squares problem.
 
 An error dt of the start time of a camera causes an error psi'(t) dt of its angles. Apart from the free phase of the
-window, this error is c dt with c = alpha (t - mean t), where alpha is the rotor's acceleration; for a measured speed c
-= alpha. For a standard uncertainty s of the start, the otherwise white rows of a window have the covariance 1 + s^2 c
-c'. Its symmetric inverse root A, which whitens the rows, changes only the direction u:
+window, this error is c dt with c = alpha (t - mean t), where alpha is the acceleration of the rotor. If the speed is
+measured, c = alpha. If the start has the standard uncertainty s, the otherwise white rows of a window have the
+covariance 1 + s^2 c c'. The symmetric inverse root A of this covariance whitens the rows. It changes only the
+direction u:
 
     A = 1 - (1 - 1 / sqrt(1 + |s c|^2)) u u',   u = c / |c|.
 
 Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor window, then the
-harmonic rows of the casing. Nuisance parameters are always fitted: the initial angle of the casing, the phase of each
-rotor window, and a constant centre offset, tilt, rolling shutter and motion blur of the camera of the casing; for an
-oscillation with measured speeds, the bias of the gyroscope.
+harmonic rows of the casing. Nuisance parameters are always fitted. They are the initial angle of the casing, the phase
+of each rotor window, and a constant centre offset, tilt, rolling shutter and motion blur of the camera of the casing.
+For an oscillation with measured speeds, the bias of the gyroscope is also a nuisance parameter.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Lossless compression of samples by projection on polynomials.
 
 The samples of a block are projected on polynomials in time, and on the first two harmonics of the measured angle, by a
-weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so its chi-square
-depends only on these projections; the orthogonal part of the samples is noise. Polynomials of the next higher degrees
-do not contain the model either. Their rows measure the noise at the relevant low frequencies, including any correlation
-between neighbouring samples.
+weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so the chi-square of the
+model depends only on these projections; the orthogonal part of the samples is noise. Polynomials of the next higher
+degrees do not contain the model either. Their rows measure the noise at the relevant low frequencies, including any
+correlation between neighbouring samples.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The fit: initial values, noise levels, minimum, uncertainties; and the fit with a robust loss.
 
-The search avoids minima of a wrong motion: stops at wrong times, active bounds far from the data, other exponents of
-power laws.
+The search avoids minima of a wrong motion, for example a motion with stops at wrong times, with active bounds far from
+the data, or with other exponents of power laws.
 
 Parameters are estimated at the level of random torque that the residuals of the model show. Otherwise a short interval
 in which the model fails by a thousand standard deviations would determine all parameters. Chi-square, cross-validation

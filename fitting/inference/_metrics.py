@@ -1,6 +1,8 @@
 """Figures of merit of a fitted case: smoothed velocities, cross-validation error, energy balance, lack of fit.
 
-K(t) + integral_0^t [ tau_cr D + (a1 w_r + a2 w_r^2) w_r + (b1 + b2 w_c) w_c ] dt = K(0),
+The energy balance is
+
+    K(t) + integral_0^t [ tau_cr D + (a1 w_r + a2 w_r^2) w_r + (b1 + b2 w_c) w_c ] dt = K(0),
 
 with the kinetic energy K and the losses of the paper's friction terms. For any model the loss is minus the power of its
 torques on both bodies, -(tau_r w_r + tau_c w_c). As in the paper, w_c is the *measured* speed of the casing, so that

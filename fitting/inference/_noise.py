@@ -211,7 +211,7 @@ _MORE = 1.5
 uncertainty of the level for a lack of fit, a larger one overlooks a raised level."""
 _LEAST_RESPONSE = 0.1
 """Lowest unresolved level, divided by the level at which the response of the most responsive row equals the white noise
-[1]. Chosen: a lower one changes nothing, a higher one leaves a gap above zero."""
+[1]. Chosen: a lower level changes nothing, a higher level leaves a gap above zero."""
 _LEAST_EXPECTED = 0.03
 """Ratio of the lowest unresolved level to the expected level [1]. Chosen: a smaller ratio changes nothing, a larger one
 leaves a gap above zero."""

@@ -11,8 +11,8 @@ single power law has the variable F = f x_ref^g instead of f. If one of d and f 
 replaced by T1, which the data determine well.
 
 A law of strength k and phase phi has the response k [cos(phi) s + sin(phi) c], with the unit responses s and c at phase
-0 and at a quarter period. The derivative with respect to phi vanishes at k = 0, and a search cannot leave the bound k =
-0 towards the opposite phase. In the variables
+0 and at a quarter period. At k = 0 the derivative with respect to phi vanishes, so a search cannot leave this bound of
+k towards the opposite phase. In the variables
 
     a = k cos(phi),   b = k sin(phi)
 

@@ -3,10 +3,12 @@
 A Gaussian prior with mean m and covariance C = L L' acts like a measurement of the parameters theta. It adds the
 following rows, in units of their noise, to the rows of a case:
 
-    L^-1 (theta - m). The sum of squares is then minus twice the logarithm of the posterior density, and (J'J)^-1 is the
-    covariance of the posterior distribution. In a linear model, the estimate is (J'J + C^-1)^-1 (J'z + C^-1 m), the
-combination of both studies by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8).
-Because the prior consists of rows, the score test, the test of lack of fit and every refit take it into account.
+    L^-1 (theta - m).
+
+The sum of squares is then minus twice the logarithm of the posterior density, and (J'J)^-1 is the covariance of the
+posterior distribution. In a linear model, the estimate is (J'J + C^-1)^-1 (J'z + C^-1 m), the combination of both
+studies by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8). Because the prior
+consists of rows, the score test, the test of lack of fit and every refit take it into account.
 
 If each case of a joint fit has its own value of a parameter, the prior applies to each of these values. The uncertainty
 of the prior must then include the spread between runs.

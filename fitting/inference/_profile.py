@@ -3,8 +3,8 @@
 The deviance is minimised with one parameter held and all others fitted again, at the noise of the fit. At the ends of
 the interval, this minimum exceeds the deviance of the fit by the quantile of chi-square with one degree of freedom,
 3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)). The square root of this rise is nearly linear in the
-parameter, so a few fits find each end. A side on which the deviance does not reach the quantile is open: the data do
-not limit the parameter there.
+parameter, so a few fits find each end. If the rise of the deviance does not reach the quantile on one side, this side
+is open: the data do not limit the parameter there.
 """
 
 from __future__ import annotations

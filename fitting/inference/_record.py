@@ -1,7 +1,8 @@
 """Measured angles or angular velocities of one experiment.
 
-A `Record` is made from arrays (`make_record`) or a case file (`fitting.inference._case_file`). Times are on one clock
-[s], angles in rad and unwrapped, speeds in rad/s. `quantity` states what was measured: angles or angular velocities.
+A `Record` is made from arrays (`make_record`) or a case file (`fitting.inference._case_file`). All times are on one
+clock [s]. Angles are unwrapped [rad], and speeds are in rad/s. `quantity` states what was measured: angles or angular
+velocities.
 
 Angular velocities are computed from angles and smoothed as in the paper. Between its windows, the speed of the rotor is
 interpolated with the slopes that are measured in the windows.

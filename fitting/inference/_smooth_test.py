@@ -3,7 +3,8 @@
 If a law has the wrong shape, the residual torque is a smooth function of the speed on which the true law
 depends. This function is the same in all cases, and few numbers describe it. The model is extended by torques that are
 piecewise linear in the speed of the casing, the rotor or the bearing, with 4 or 8 knots; they act on the casing or in
-the bearing. Let S be the responses of one choice, orthogonal to the free columns. Then chi-square falls by
+the bearing. Let S be the responses for one choice of speed, knots and body, orthogonal to the free columns. Then
+chi-square falls by
 
     chi2 = r'S (S'S)^-1 S'r,
 
