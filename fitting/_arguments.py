@@ -22,7 +22,7 @@ the message with arrays."""
 
 
 class Kind(NamedTuple):
-    """Requirement on an argument: its description, its test, and a hint for the error message."""
+    """Requirement on an argument: a description, a test, and a hint for the error message."""
 
     words: str
     fits: Callable[[Any], bool]
@@ -134,7 +134,7 @@ def checked(function: Callable[..., Any], name: str, kinds: Mapping[str, Kind]) 
                 require(key, value, kinds[key])
         return function(*args, **kwargs)
 
-    # found by its public name, also by pickle
+    # the function is found by its public name, also by pickle
     call.__module__, call.__qualname__ = "fitting", name
     return call
 

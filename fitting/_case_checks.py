@@ -38,7 +38,7 @@ _TAKEN = {
 
 
 class Defect(NamedTuple):
-    """What is wrong, and what to do."""
+    """The sentence of an error, and a hint on its correction."""
 
     what: str
     hint: str

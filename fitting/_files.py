@@ -91,8 +91,8 @@ class Files:
         end = monotonic() + timeout
         try:
             while True:
-                # another user's process creates the lock file first without permissions for all, and adds them
-                # immediately afterwards
+                # a process of another user creates the lock file without permissions for all users and adds these
+                # permissions immediately afterwards
                 try:
                     lock.acquire(timeout=timeout, poll_interval=_POLL)
                     break
@@ -113,7 +113,7 @@ class Files:
                     part.unlink()
             yield own
         finally:
-            # deleted while the lock is held; a waiting process notices this and creates a new lock file
+            # the file is deleted while the lock is held; a waiting process notices this and creates a new lock file
             with suppress(OSError):
                 own.unlink()
             lock.release()
@@ -130,7 +130,7 @@ class Files:
             with self.open_side_file(own) as stream:
                 content = stream.read(LOCK_SIZE)
         except (FileNotFoundError, PermissionError):
-            # another user's lock has no permissions for a moment, and Windows does not read a locked file
+            # the lock of another user has no permissions for a moment, and Windows does not read a locked file
             return []
         except OSError as error:
             raise self.refusal(path, error) from error

@@ -96,7 +96,7 @@ class Guard:
         return self.fail(what, "Links are not followed; copy the data into the file.")
 
     def check_bytes(self, dataset: Any) -> None:
-        """Refuse a dataset with external storage, an unknown filter, or more than its stored bytes."""
+        """Refuse a dataset with external storage, with an unknown filter, or larger than its stored bytes can be."""
         self._check_bytes(dataset.id)
 
     def _check_bytes(self, dataset: Any) -> None:

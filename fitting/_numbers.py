@@ -223,7 +223,7 @@ def per_inertia(unit: str) -> str:
 
 @dataclass(frozen=True)
 class Units:
-    """The units of the torques of a case and of what is computed from them.
+    """The units of the torques of a case and of quantities that are computed from torques.
 
     Parameters
     ----------

@@ -88,7 +88,7 @@ class Information:
         self._held = {k for k in self._shared if bound.get(k, False)}
         parts = [self._of(fit, i) for i in range(len(fit.problem.cases))]
         self.present = np.asarray(np.sum([p[0] for p in parts], axis=0))
-        # products of all columns with the residuals of the fit
+        # scalar products of all columns with the residuals of the fit
         self.right = np.asarray(np.sum([p[1] for p in parts], axis=0))
 
     def added(self) -> dict[str, tuple[int, float]]:
@@ -110,7 +110,7 @@ class Information:
         return len(self._shared)
 
     def _of(self, fit: Fit, case: int) -> tuple[Array, Array]:
-        """Return the information of one run, and the products of its columns with the residuals.
+        """Return the information of one run, and the scalar products of its columns with the residuals.
 
         The parameters that belong to this run only are projected out.
         """
@@ -130,7 +130,7 @@ class Information:
         return np.asarray(everything.T @ everything), np.asarray(everything.T @ residual)
 
     def places(self, candidate: int) -> list[int]:
-        """Return the columns of a candidate: two for a law with a phase."""
+        """Return the indices of the columns of a candidate; a law with a phase has two columns."""
         widths = [2 if any(p.role == "phase" for p in e.parameters) else 1 for e, _ in self.candidates]
         first = self.parameters + sum(widths[:candidate])
         return list(range(first, first + widths[candidate]))
@@ -257,9 +257,9 @@ def rivals(information: Information, threshold: Sequence[float], criteria: Crite
     """Return the explanations that the present recordings do not separate, to first order (score test).
 
     Every set of at most two effects is scored; the effects are the candidates and the effects of the model that are not
-    in the models of the paper. A set is a rival if its BIC is within the equivalence width of the best, and if no
-    subset has an equal or lower BIC. `threshold` contains the score above which each candidate is significant in the
-    whole list. The list is empty if nothing is significant or if there are fewer than two rivals.
+    in the models of the paper. A set is a rival if its BIC is within the equivalence width of the lowest BIC, and if no
+    subset of it has an equal or lower BIC. `threshold` contains the score above which each candidate is significant in
+    the whole list. The list is empty if nothing is significant or if there are fewer than two rivals.
     """
     added = information.added()
     names = [*added, *(e.name for e, _ in information.candidates)]

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 def nonparametric_law(fit: Fit, site: str, speed: str) -> float:
-    """Return the fall of the deviance by any smooth function of a speed as a torque on a body or in a joint.
+    """Return the fall of the deviance due to a torque on a body or in a joint that is any smooth function of a speed.
 
     The function is the same in all cases. It is scored like a candidate, without a refit. It is a spline with 4 or 8
     knots, whichever gives the larger fall.
@@ -178,7 +178,7 @@ def contradiction(
         harmonic = harmonic_test(end, criteria)
         if harmonic.p_value < criteria.doubt_adequate:
             return harmonic
-    # no law is named if there is no effect or an equivalence class
+    # without an effect, or with an equivalence class, no single law is named
     unnamed = chosen is None or bool(chosen.indistinguishable_from)
     test = end.smooth_test
     return test if test.p_value < (criteria.doubt_adequate if unnamed else criteria.doubt_named) else None

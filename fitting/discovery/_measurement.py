@@ -89,7 +89,7 @@ class StartErrors:
 
     @property
     def p_value(self) -> float:
-        """Probability of such a fall if the starts have no errors; in half of the null data, s is at its bound 0."""
+        """Probability of this fall if the starts have no errors; s is at its bound 0 in half of the null data."""
         from scipy.special import chdtrc
 
         return 0.5 * float(chdtrc(1, max(self.fall, 0.0)))
@@ -104,7 +104,7 @@ class StartErrors:
 
     @property
     def score(self) -> Score:
-        """The fall of the deviance and the errors, as the score of a candidate."""
+        """The fall of the deviance and the estimated errors, in the form of the score of a candidate."""
         none = np.zeros(0)
         shape: tuple[dict[str, float], ...] = ({},)
         size = max(self.fall, 0.0)

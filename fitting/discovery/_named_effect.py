@@ -100,7 +100,7 @@ class FormTest:
     any_in_time: bool  # whether any torque that changes slowly in time describes the data as well
 
     def is_strong(self, criteria: Criteria) -> bool:
-        """Return whether a deviation larger than that allowed for an approximate answer would be detected.
+        """Return whether the data would show any deviation that an approximate answer does not allow.
 
         False also if the fit significantly prefers values outside active bounds.
         """
@@ -128,7 +128,7 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     effects = [c.torque_rows(*(x[:, None] for x in own)) for c, own in zip(cases, torques, strict=True)]
     columns = [np.concatenate(parts, axis=1) for parts in zip(deviations, splines, effects, strict=True)]
     known = zip(found.problem.data, found.predictions, found.noise, columns, strict=True)
-    # a deviation may raise the process noise at which it is tested, but only up to the level of the recording
+    # a deviation may raise the process noise of its own test, but only up to the level of the recording
     rows = [FewRows.of(*case, level=case[2].pure) for case in known]
     free, residual = np.concatenate([r.free for r in rows]), np.concatenate([r.residual for r in rows])
     tested = [np.split(r.tested, [_KNOTS, -1], axis=1) for r in rows]
@@ -158,7 +158,7 @@ _OWN_SPEED = dict(GYROSCOPE.sites) | {"factor": "delta"}
 
 
 def _variable(effect: Effect, mechanism: Mechanism = GYROSCOPE) -> str:
-    """Return the variable of a law: its speed, or the speed of its body or joint if it has none.
+    """Return the variable of a law: the speed in the law or, without a speed, the speed of its body or joint.
 
     The variable is time if the law depends on time, on several speeds, on a state or on an input.
     """
@@ -260,7 +260,7 @@ class InertiaRival:
     stated: float  # stated relative standard uncertainty of this ratio; 0 if none is stated
     effect: str  # name of the effect
     fit: Fit  # the fit with effect and free ratio
-    better: bool  # True if the fit describes the data better than the selected effect, False if only as well
+    better: bool  # True if the fit describes the data better than the selected effect, False if equally well
 
     def is_allowed(self, criteria: Criteria) -> bool:
         """Return whether the stated uncertainty allows the error (`Criteria.inertia_sigma`)."""

@@ -147,7 +147,7 @@ class _Criterion:
         self._candidates = [information.places(i) for i in range(len(information.candidates))]
         self._present = information.present
         self._before = np.maximum(self.limits(self._present), 1e-300)
-        # a larger separation has no further value
+        # a separation above this limit has no further value
         self._enough = _AMPLE * criteria.experiment_sigma**2
 
     def pairs(self, total: Array) -> dict[tuple[int, int], float]:
@@ -220,7 +220,7 @@ def separating_run(
     if len(smooth) < 2:
         return ""
     if len(fit.problem.data[0].motion.reversals):
-        # a planned run starts with given speeds, an oscillation with a release from an angle
+        # a planned run starts with given speeds, but an oscillation starts with a release from an angle
         restoring = [x for x in smooth if any(e.restoring for e in x[1])]
         return _LARGER_AMPLITUDE if len(restoring) > 1 else ""
     if fit.model.rigid_contact is not None or fit.problem.data[0].record.is_chain:

@@ -59,7 +59,7 @@ class Strength:
     value: float  #: Value [`unit`].
     #: Standard uncertainty, with the error of the averaged equations if they are used [`unit`].
     stderr: float
-    unit: str  #: Unit of both.
+    unit: str  #: Unit of the value and its uncertainty.
     approximate: bool = True  #: Whether the value is from the averaged equations.
 
     def contradicts(self, exact: Strength) -> bool:
@@ -130,8 +130,8 @@ class OscillatorLaws:
 def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorLaws | None:
     """Return the laws of an oscillator from the recording of a single body.
 
-    None if the body does not oscillate through enough periods, or if no set of laws describes its phase. Sets are
-    separated by the data if their BIC differ by `Criteria.equivalence_width` or more.
+    None if the body does not oscillate through enough periods, or if no set of laws describes its phase. The data
+    separate two sets if their BIC differ by `Criteria.equivalence_width` or more.
     """
     general = averaged_fit(Model.of(_GENERAL), [data])
     if general is None:
@@ -226,7 +226,7 @@ def possible_restoring(
 
 
 def _information(general: Averaged) -> Array:
-    """Return the shares (1 - r) / (1 + r) of independent residuals of amplitude and of phase."""
+    """Return the shares (1 - r) / (1 + r) of independent residuals, for amplitude and for phase."""
     shares = []
     for rest in np.split(general.rows[0][2], 2):
         r = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)

@@ -107,7 +107,8 @@ class EffectLimits:
     strength: str  # symbol
     unit: str  # of the strength
     shape: dict[str, float]  # shape constants with the median detection limit; they apply to the limits below
-    stderr: float  # of the strength when added to the model [unit]; infinite if the base absorbs it
+    # of the strength if the effect is added to the model [unit]; infinite if the base absorbs it
+    stderr: float
     torque: float  # largest rms torque on a body for a strength of 1 [N m / unit]; NaN for a camera
     detection_limit: float  # strength found with 90 % probability [unit]
     detection_range: tuple[float, float]  # over the shapes tried, as rms torques [N m]
@@ -281,8 +282,8 @@ class ShiftedToBound:
     def largest_strength(self, response: Array, data: Array, limit: float, *, one_sided: bool) -> float:
         """Return an upper limit of a strength with the parameters of the base within their bounds.
 
-        The base can absorb an effect only as far as its parameters remain within their bounds: with r the data, F the
-        free columns and s the response, the limit is where
+        The base can absorb an effect only as far as its parameters remain within their bounds. Let r be the data, F the
+        free columns and s the response. The limit is the strength k at which
 
             min_b |r - F b - k s|^2,   b within the bounds,
 
@@ -438,7 +439,7 @@ class Search:
             tests, offset = self._tests, np.zeros(len(raw))
             if which >= 0:
                 tests, offset = self._tests_with_held(int(which) // 2), self._bounds.shift(int(which))
-            # the tests of the effect itself first: data sets in which one test has found something skip further tests
+            # the effect itself is tested first, because a data set needs no further test once one test is significant
             for name in sorted(tests, key=lambda name: name != effect.name):
                 for test in tests[name]:
                     signal, shift = test.basis.T @ raw, test.basis.T @ offset
@@ -505,8 +506,7 @@ class Search:
         upper = self._upper(effect, group, planned=planned)
         detected = delta_of_power(curve, CONFIDENCE) if self._tests else np.inf
         if detected < _ONE_SIDED and not math.isnan(upper):
-            # because of a parameter at its bound, the effect is detected at a strength that its estimate does not
-            # exclude
+            # if a parameter is at its bound, the search may detect the effect at a strength that the estimate allows
             upper = detected
         return EffectLimits(
             effect,
@@ -568,7 +568,7 @@ class Search:
         return self._bounds.largest_strength(response, data, limit, one_sided=common.one_sided)
 
     def _runs(self, effect: Effect, delta: float, needed: float) -> float:
-        """Return the number of runs that detect an effect with this noncentrality in all present runs together."""
+        """Return the number of runs that detect an effect of noncentrality `delta` in all present runs together."""
         if delta <= 0 or not math.isfinite(needed):
             return np.inf
         cases = len(self.cases)
@@ -582,7 +582,7 @@ class Search:
         return np.inf
 
     def _indistinguishable(self, effect: Effect, group: int, delta: float) -> tuple[str, ...]:
-        """Return the effects that are indistinguishable from one of this noncentrality."""
+        """Return the effects that are indistinguishable from an effect of this noncentrality."""
         u = self._common[effect.name].direction(group)
         names = []
         for e in self.effects:
@@ -690,7 +690,7 @@ def delta_of_power(curve: Array, power: float = POWER) -> float:
         return np.inf
     from scipy.special import ndtri
 
-    # the power is nearly a normal integral of delta
+    # the power is nearly a normal distribution function of delta
     a, b = (float(ndtri(np.clip(x, 1e-3, 1 - 1e-3))) for x in rising[i - 1 : i + 1])
     share = (float(ndtri(power)) - a) / (b - a) if b > a else 1.0
     return float(curve[i - 1, 0] + share * (curve[i, 0] - curve[i - 1, 0]))

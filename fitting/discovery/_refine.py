@@ -163,7 +163,7 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
 
 
 def scores_mislead(base: Fit, criteria: Criteria) -> bool:
-    """Return whether scores about a fit are unreliable: its model has a drive and a significant lack of fit.
+    """Return whether scores about a fit are unreliable because its model has a drive and a significant lack of fit.
 
     Drive and drag are strongly correlated. If a drag is missing, the fitted drive and drag are so wrong (measured: the
     drag by 40 %) that the linear score of the missing drag is small or prefers a negative strength. Oscillating bodies
@@ -173,7 +173,7 @@ def scores_mislead(base: Fit, criteria: Criteria) -> bool:
 
 
 def is_far_from_the_motion(base: Fit, criteria: Criteria) -> bool:
-    """Return whether a model fails because it keeps a moving body at rest, or lacks a law for a joint.
+    """Return whether a model keeps a moving body at rest, or lacks a law for a joint.
 
     Oscillating bodies, which friction repeatedly stops, are excluded.
     """

@@ -291,7 +291,7 @@ class CaseColumns:
             return np.linspace(fastest / max(count, 1), fastest, max(count, 1))
         grid = np.array(p.grid or (p.start,))
         if p.symbol == effect.breakpoint:
-            # the stronger the effect, the narrower the minimum of chi-square about the changepoint
+            # a stronger effect has a narrower minimum of chi-square about the changepoint
             finer = np.interp(np.arange((len(grid) - 1) * _FINER + 1) / _FINER, np.arange(len(grid)), grid)
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
@@ -394,7 +394,7 @@ class CaseColumns:
         increment = 0.5 * h * (source[1:] + source[:-1])
         if not decay.any():
             return np.asarray(first + np.concatenate([np.zeros((1, size[1])), np.cumsum(increment, axis=0)]))
-        # a state may decay within a cell, so the step is exact for a constant decay rate
+        # because a state may decay within a cell, the step is exact for a constant decay rate
         exponent = 0.5 * h * (decay[:-1] + decay[1:])
         factor = np.exp(exponent)
         safe = np.where(exponent == 0, 1.0, exponent)
@@ -495,7 +495,7 @@ def best_group(
 
 
 def score_of_columns(context: ScoreContext, columns: Array) -> float:
-    """Return the fall of the deviance by columns of any strength, the deviance being minimised over the levels."""
+    """Return the fall of the deviance due to columns of free strength; deviances are minimised over the levels."""
     rotated = context.rotated(columns)
     gains = []
     for level in context.levels:
@@ -658,7 +658,7 @@ def _shape_refined(
 
 
 def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
-    """Return the points of a grid below and above a value; beyond the grid, a value one step further."""
+    """Return the points of a grid below and above a value; at an end of the grid, one further step is added."""
     ordered = np.sort(np.array(grid))
     near = 1e-12 * abs(value)
     below, above = ordered[ordered < value - near], ordered[ordered > value + near]

@@ -178,7 +178,7 @@ def rank(
         near = _nearest(base, [c.effect for c in found if c.effect.mechanical], criteria)
         chosen = afresh = [c.effect.name in near[: criteria.refit_most] for c in found]
     if base.model.restoring:
-        # over many periods a refit takes long, and the refit of a law with a small score is degenerate
+        # over many periods a refit takes long; besides, the refit of a law with a small score is degenerate
         most = criteria.refit_oscillation_p
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
         chosen = [w and c.p_value < most and c.score >= least for w, c in zip(chosen, found, strict=True)]
@@ -460,7 +460,7 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
                 -c.score + (c.screened.columns + len(c.screened.shape[0])) * criteria.equivalence_width
             )
         penalised += 0.0 if c.physical else criteria.measurement_penalty
-        # laws that are equal in a recording differ by rounding errors; the more common one is first in the library
+        # laws that are equal in a recording differ by rounding errors; then the order of the library decides
         return (not c.significant, round(penalised, _TIE), place.get(c.effect.name, len(place)))
 
     def indistinguishable(a: Candidate, b: Candidate) -> bool:
@@ -731,10 +731,10 @@ def select(
 def _superseding(
     base: Fit, history: Sequence[Step], candidates: Sequence[Candidate], chosen: Candidate
 ) -> Candidate | None:
-    """Return the effect that made the chosen one unnecessary; None if the most complete fit contains the chosen one.
+    """Return the effect that made the chosen effect unnecessary; None if the most complete fit contains the chosen one.
 
     If the base does not describe the motion, scores are misleading, and the second effect may describe the data without
-    the first one. The result is the first effect of the history that was alone in one step and is part of the last
+    the first effect. The result is the first effect of the history that was alone in one step and is part of the last
     step.
     """
     last = history[-1].fit.model.names
@@ -855,7 +855,7 @@ def improve(
                 break
             history.append(step)
             if not step.fit.fails(criteria):
-                history.stopped = ""  # the reason applied to the model before the exchange
+                history.stopped = ""  # the stored reason applied to the model before the exchange
             if keep is not None:
                 keep(step)
     history.trace = tuple(trace.refits)

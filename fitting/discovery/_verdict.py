@@ -359,8 +359,8 @@ def _with_findings(found: Diagnosis) -> Diagnosis:
 def slipped(fit: Fit, slips: Sequence[Slip]) -> Candidate:
     """Return slipped turns as a candidate.
 
-    The score is half the sum of the squared steps (2 pi times the turns), each divided by the smallest white noise of a
-    sample.
+    A step is 2 pi times the number of slipped turns. The score is half the sum of the squared steps, each divided by
+    the smallest white noise of a sample.
     """
     sigma = min(
         r.scale * float(np.median(r.samples.sigma)) for d in fit.problem.data for r in (d.casing, *d.rotor)
@@ -732,7 +732,7 @@ def _sentence(
 ) -> str:
     """Return the answer in a few sentences."""
     if verdict == "adequate":
-        # if the measurement is faulty, the model alone is not adequate
+        # if the measurement has a fault, the sentence does not call the model adequate
         answer = "nothing else is missing" if fit.findings else "the model is adequate"
         parts = [f"The residuals are consistent with noise; {answer}."]
         if hidden.limits:

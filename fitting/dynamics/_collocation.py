@@ -121,7 +121,7 @@ class Mesh:
         return {}
 
     def sampler(self, times: Array) -> Sampler:
-        """Return the sampler at these times; it is cached by the identity of the array, which must not change."""
+        """Return the sampler at these times; it is cached by the identity of the array, which must stay unchanged."""
         known = self._samplers.get(id(times))
         if known is None:
             known = self._samplers[id(times)] = times, Sampler(self, times)
@@ -155,7 +155,7 @@ class Mesh:
         return Mesh(np.unique(np.concatenate([self.edges, inside]))) if inside else self
 
     def moved(self, anchors: Sequence[float], places: Sequence[float]) -> Mesh:
-        """Return the mesh stretched linearly between anchors [s], so that each anchor moves to its place [s]."""
+        """Return the mesh after each anchor [s] moves to its place [s]; between anchors it is stretched linearly."""
         if list(anchors) == list(places):
             return self
         edges = np.interp(self.edges, anchors, places)
@@ -568,7 +568,7 @@ def runge_kutta(
     """Return a rough solution by classical Runge-Kutta steps, the initial solution for Newton's method.
 
     The solution ends with the interval in which the casing comes to rest. Steps longer than 2.8 time constants of decay
-    are unstable; therefore steps are divided so that they are stable at the start. A SimulationError is raised if the
+    are unstable. Therefore the steps are divided until they are stable at the start. A SimulationError is raised if the
     number of steps is too large or a state is not finite.
     """
     if dynamics.relaxation:
@@ -581,7 +581,7 @@ def runge_kutta(
     times = np.append(times.ravel(), mesh.edges[-1])
     with np.errstate(all="ignore"):
         jacobian = dynamics.tangent(times[:1], start[None], numbers, sense)[1][0]
-    # the square root of a speed has no derivative at rest, but the rates are finite there
+    # a square root of a speed has no derivative at rest, but the rates at rest are finite
     known = np.isfinite(jacobian).all()
     decay = max(0.0, float(-np.linalg.eigvals(jacobian).real.min())) if known else 0.0
     parts = next((n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n), None)

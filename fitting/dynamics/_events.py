@@ -243,7 +243,7 @@ class Segments:
         raise SimulationError(UNBOUNDED)
 
     def _valid(self, pieces: list[Path]) -> list[Path]:
-        """Return the stretches before the first invalid one: the casing reverses within it, or friction cannot hold."""
+        """Return the stretches before the first invalid one, in which the casing reverses or is held wrongly."""
         largest = max(float(np.abs(p.y[..., MAIN]).max()) for p in pieces)
         for i, piece in enumerate(pieces):
             if piece.sense[0] == 0:
@@ -397,7 +397,7 @@ class Segments:
         return self._solved(transfer(path, part, path.edges[0], 0.0))
 
     def _release(self, path: Path) -> float | None:
-        """Return the time at which the other torques first exceed friction; None if they do not."""
+        """Return the time at which the other torques first exceed friction; None if they never exceed it."""
         edges = path.mesh.edges
         ends = [edges[1:], np.nextafter(edges[1:], -np.inf)]
         times = np.sort(np.concatenate([path.mesh.times.ravel(), *ends]))
@@ -526,10 +526,11 @@ def solve(
 ) -> Path:
     """Integrate the equations of motion, exact to about 1e-9 of the largest value of each state.
 
-    The intervals of `mesh` are halved where necessary, and divided at the model's changepoints, at the changes of its
-    inputs, and where the casing stops, reverses or starts. `guess` is a solution for similar numbers, or the measured
-    motion; if the sequence of events has changed, at most `most` stretches are integrated one by one, each in at most
-    `intervals`. A SimulationError is raised if these limits are exceeded, Newton's method diverges, or states overflow.
+    The intervals of `mesh` are halved where necessary. They are also divided at the changepoints of the model, at the
+    changes of its inputs, and where the casing stops, reverses or starts. `guess` is a solution for similar numbers, or
+    the measured motion. If the sequence of events differs from that of `guess`, at most `most` stretches are integrated
+    one by one, each with at most `intervals` intervals. A SimulationError is raised if these limits are exceeded,
+    Newton's method diverges, or states overflow.
     """
     span = float(mesh.edges[0]), float(mesh.edges[-1])
     own = (numbers[k] for k in dynamics.breakpoints if span[0] < numbers[k] < span[1])

@@ -414,7 +414,7 @@ class Dynamics:
     def _collect_delays(self, outputs: list[Expr], rates: list[Expr]) -> list[tuple[int, int, int]]:
         """Return the places (rate, parameter, output) of the derivatives with respect to the dead times T.
 
-        d(rate)/dT = -d(rate)/du du/dt, where the input u does not jump.
+        At times at which the input u does not jump, d(rate)/dT = -d(rate)/du du/dt.
         """
         places = []
         for symbol, key in self._delays.items():
@@ -475,7 +475,7 @@ class Dynamics:
         return [*rates.values(), *deflection, *own]
 
     def _in_one_sense(self, rate: Expr) -> Expr:
-        """Return a rate with the sign of the main speed as a separate number, so that it is smooth through rest."""
+        """Return a rate in which the sign of the main speed is a separate number; the rate is then smooth at rest."""
         sign = call("sign", sym(self.mechanism.speeds[MAIN]))
         new: dict[int, Expr] = {}
         for node in nodes(rate):
@@ -537,7 +537,7 @@ class Dynamics:
         """Return the decay rate of the main body's speed [1/s] and its acceleration per unit of each input.
 
         The response is linear and of first order: d(omega_c)/dt = -decay omega_c + sum of slope times input + terms
-        that depend on neither. None if the response has another form.
+        that depend neither on omega_c nor on an input. None if the response has another form.
         """
         motion = {*self.states, "t", *(i.symbol for i in self.inputs)}
         rate, main = self._equations[MAIN], self.mechanism.speeds[MAIN]

@@ -95,7 +95,7 @@ class LinearMotion:
             return np.asarray((np.linalg.pinv(phi) @ accelerations[..., None])[..., 0])
 
     def accelerations(self, direction: Array) -> Array:
-        """Return the accelerations of the bodies, given those of free bodies; for bodies in contact they differ."""
+        """Return the accelerations of the bodies, given the accelerations that they would have without a contact."""
         return direction if self._constraint is None else self._constraint @ direction
 
     def moving(self, times: Array) -> Array:
@@ -152,7 +152,7 @@ def _modes(propagator: Propagator) -> Array:
     """Return the modes of the speeds at the nodes, from slow to fast decay."""
     steps = propagator.with_regular_jumps(_KEPT).steps()
     count = steps.shape[-1]
-    # the first column contains the slowest mode, whichever body it moves
+    # the first column contains the slowest mode of all bodies
     q = np.empty((len(steps) + 1, count, count))
     q[0] = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), increasing=True))[0]
     r = np.empty_like(steps)

@@ -133,7 +133,7 @@ class AngleNoise:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the data show this noise, and do not merely allow it."""
+        """Whether the data show this noise, instead of only not excluding it."""
         return self.gain >= self.needed and not self.is_white
 
     @property
@@ -189,14 +189,14 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
     """
     needed = criteria.correlated_noise
     if len(run.lift) < _FEWEST_BLOCKS:
-        # a cubic does not describe the motion of a whole record: the rest would count as noise
+        # a cubic does not describe the motion of a whole record, so the deviations would count as noise
         return AngleNoise()
     stretches = split_into_stretches(run, nuisance)
     span = float(np.ptp(run.samples.time))
     block = span / len(run.lift)
     torque_times = [block * t for t in _TORQUE_TIMES]
     if not all(len(s.projected) for s in stretches):
-        return AngleNoise()  # the nuisance parameters describe all of a short recording
+        return AngleNoise()  # in a short recording, the nuisance parameters describe all rows
     white = sum(s.likelihood(None) for s in stretches)
     with_torque = StretchLikelihood.of(stretches, None).marginal(torque_times)
     credible = max(s.most_likely_level(torque_times) for s in stretches) < mean_acceleration(run)
@@ -231,7 +231,7 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
     total = np.eye(len(covariances[0]))
     for share, covariance in zip(shares @ (weights * squares), covariances, strict=True):
         total += share * covariance
-    # two levels for each, one standard deviation below and above
+    # two levels for each time, one standard deviation below and above the most likely level
     change = np.exp(relative_u)
     both = np.concatenate([levels / change, levels * change])
     found = AngleNoise.of_posterior(
@@ -241,7 +241,7 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
 
 
 class _Peak(NamedTuple):
-    """The most likely level of a noise of one correlation time [rad], its relative uncertainty, the gain there."""
+    """For one correlation time: the most likely level [rad], its relative uncertainty, and the gain at this level."""
 
     level: float
     relative_u: float
@@ -411,7 +411,7 @@ def _with_periodic_part(
 
 
 def _fine_posterior(kind: _Kind) -> tuple[Array, Array, Array, Array]:
-    """Return correlation times [s], levels [rad] and relative uncertainties at each, and the probability of each time.
+    """Return correlation times [s], and for each its level [rad], the relative uncertainty and the probability.
 
     The prior is uniform in the logarithms of time and level. The integral over the level assumes a normal distribution
     of its logarithm. Between the times of the grid, gain and level are interpolated by cubic splines.
@@ -446,7 +446,8 @@ def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
 def _row_covariance(run: Compressed, time: float, size: Callable[[Array], Array] = np.ones_like) -> Array:
     """Return P R P' of the polynomial rows of a run, for a process with the standard deviation `size(time)`.
 
-    Between two blocks the kernel is a product of functions of one time each, so its cost is linear in the samples.
+    For two different blocks the kernel is a product of two functions, each of a single time. The cost is therefore
+    linear in the number of samples.
     """
     blocks, k, _ = run.lift.shape
     forward, backward, first, last, diagonal = [], [], [], [], []

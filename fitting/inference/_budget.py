@@ -240,7 +240,7 @@ class _Linearised:
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
         r, _ = fit.problem.residuals(fit.predictions)
-        # as for the standard errors
+        # the level of the process noise is chosen as for the standard errors
         self.noise = [n.with_unresolved for n in fit.noise]
         self.problem = fit.problem.with_noise(self.noise)
         _, j = self.problem.residuals(fit.predictions)

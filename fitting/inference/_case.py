@@ -42,7 +42,7 @@ _VARIABLES = {"omega": "omega_c", "psi": "psi_c"}
 
 
 def outward(name: str, body: str) -> str:
-    """Return the name that a name of the library has for a single body; names for a gyroscope are not changed."""
+    """Return a name of the library as it is shown for a single body; for a gyroscope, the name is not changed."""
     if not body:
         return name
     joint, colon, law = name.partition(":")
@@ -59,7 +59,7 @@ def outward(name: str, body: str) -> str:
 
 
 def inward(name: str, body: str) -> str:
-    """Return the name in the library of an effect, a parameter or a formula of a single body."""
+    """Return the library's name of an effect, a parameter or a formula of a single body; the inverse of `outward`."""
     if not body:
         return name
     joint, colon, law = name.partition(":")

@@ -117,7 +117,7 @@ class StartTimeNoise:
 def start_response(window: Compressed, *, angle: bool) -> Array:
     """Return the response of a window's rows to an error of its start, per second, apart from its free phase.
 
-    An angle changes by the speed, and a speed by the acceleration.
+    Per second of the error, an angle changes by the speed, and a speed changes by the acceleration.
     """
     rate = rate_of_change(window.samples, window.node_times, degree=4 if angle else 3)
     return window.at_nodes(rate - rate.mean() if angle else rate)
@@ -345,7 +345,7 @@ class CaseData:
 
     @cached_property
     def prior(self) -> Prior | None:
-        """The prior of the parameters: of another study, and of the ratio of the moments of inertia if it is free."""
+        """The prior of parameters from another study, and of the ratio of the moments of inertia if it is free."""
         given, (main, *others) = self.record.prior, self.record.bodies
         u = sum(math.hypot(main.relative_u, other.relative_u) for other in others)
         if not self.free_inertia or u == 0 or (given and INERTIA_RATIO in given.names):
@@ -394,8 +394,8 @@ class CaseData:
     def harmonic_responses(self) -> Array:
         """Rows of the responses to torques of the first two harmonics of the angle, (rows, columns).
 
-        A torque that is periodic in the angle is not random: these functions are free when the level of process noise
-        or angle noise is estimated.
+        A torque that is periodic in the angle is not random. Therefore these functions are free when the level of
+        process noise or angle noise is estimated.
         """
         return self.casing_rows(self._harmonic_functions)
 
@@ -422,7 +422,7 @@ class CaseData:
 
     @cached_property
     def harmonic_row_responses(self) -> tuple[Array, Array]:
-        """Integral of the squared response of each row of a harmonic to an acceleration, and its frequency [rad/s].
+        """For each row of a harmonic: integral of its squared response to an acceleration, and frequency [rad/s].
 
         A random acceleration of the spectral density S, constant near this frequency, gives the row the variance S
         times the integral. In a block with few turns, the correlation with the polynomial rows is neglected; its
@@ -729,7 +729,7 @@ class CaseData:
     def initial_speeds(self) -> tuple[Array, Array]:
         """Times and rough speeds of the bodies, (times, bodies)."""
         if self.record.driving:
-            # the response to a step is a small part of a record
+            # rough speeds are dense, because the response to a step is a small part of a record
             return initial_speeds(self.record, _DRIVEN_POINTS, _DRIVEN_SAMPLES)
         return initial_speeds(self.record, *self.motion.rough)
 
@@ -798,7 +798,7 @@ class CaseData:
                 camera[first : first + len(self._camera_prior)] = np.diag(1 / self._camera_prior)
                 columns += list(camera.T)
         elif self.record.gradients:
-            # in the first slow turns camera errors are as slow as effects of torques
+            # in the first slow turns, camera errors vary as slowly as the effects of torques
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
         else:
             # zero-rate output of a gyroscope; its scale factor is not distinguishable from a factor of the deflections

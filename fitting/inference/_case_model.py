@@ -125,7 +125,7 @@ def angle_dependent_rows(
     value = _observed(data, speed, angle) @ strength
     moved = np.stack([speed @ strength, angle @ strength])
     if measured is not None and error is None and strength.any():
-        # only that part of the response changes the argument which the smoothed deviation does not contain
+        # the smoothed deviation contains a part of the response; only the other part changes the argument
         stiffness = torques(Tape([derivative(effect.expression, own_angle)])) @ strength
         for j in range(2):
             response, search = np.stack([speed[MAIN][:, j], angle[MAIN][:, j]]), _FixedPoint()
@@ -190,7 +190,7 @@ def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[d
 
 
 def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
-    # the bearing transmits slow changes; the harmonics of the angle of the rotor are below the noise
+    # the bearing transmits only slow changes; harmonics of the casing's angle are below the noise in the rotor's angle
     t = data.record.casing.time
     windows = [(w.samples.state, np.clip(w.node_times, t[0], t[-1])) for w in data.rotor]
     nodes = [hermite(t, angle[i], speed[i], w, slopes=not data.is_angle) for i, w in windows]

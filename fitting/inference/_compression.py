@@ -305,7 +305,8 @@ def compress(
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
-    # without noise, as in a computed table, only rounding errors and the error of the integration remain
+    # values without noise, for example in a computed table, contain only rounding errors and the error of the
+    # integration
     least = (TOLERANCE * float(np.abs(samples.value).max()) / float(np.median(samples.sigma))) ** 2
     variance, fast = max(variance, least), max(fast, least)
     scale = float(np.sqrt(variance)) if variance > 0 else 1.0

@@ -69,7 +69,7 @@ trials that cannot be compared, a larger one costs time."""
 def search_with_noise(
     problem: Problem, theta: Array, given: Mapping[str, float] | None, *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
-    """Return the minimum of a fit and the noise measured there; `given` are the values given by the user.
+    """Return the minimum of a fit and the noise measured at it; `given` are the values given by the user.
 
     With `quick` the search stops where chi-square is within about 0.01 of its minimum.
     """
@@ -88,7 +88,7 @@ def search_with_noise(
     others = _other_starts(problem, theta, given)
     found = search_widely(problem, theta, others, quick=quick, active=active)
     noise = measure_noise(problem, found.theta)
-    # an oscillation was fitted period by period, so its motion is not in a wrong minimum
+    # an oscillation was fitted period by period, so its fit is not in a wrong minimum
     return _with_less_noise(problem, found, noise, quick=quick) if is_smooth else (found, noise)
 
 
@@ -258,7 +258,7 @@ def _from_separate_fits(
 
 
 def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
-    """Return the value of a variable of a joint fit: of its own case, or the mean of all, weighted by 1 / u^2."""
+    """Return the value of a variable of a joint fit: that of its case, or the mean of all cases weighted by 1 / u^2."""
     key, _, label = name.partition("@")
     chosen = [f.estimates for f in alone if not label or f.labels == (label,)]
     own = [e for found in chosen if (e := found.get(name, found.get(key))) is not None]
@@ -564,9 +564,9 @@ _LOSSES: dict[str, tuple[Psi, ...]] = {"linear": (), "huber": (huber,), "cauchy"
 def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "linear", **options: Any) -> Fit:
     """Fit a model with a loss that limits the influence of outliers; the `options` are those of `fit`.
 
-    "linear" is least squares; "huber" limits the influence of a sample; with "cauchy", which starts at the result of
-    "huber", the influence of an outlier tends to zero. R2, rmse and energy refer to the measured data, chi-square and
-    cross-validation error to the pseudo-values.
+    "linear" is least squares. "huber" limits the influence of a sample. "cauchy" starts at the result of "huber"; the
+    influence of an outlier tends to zero. R2, rmse and energy refer to the measured data; chi-square and
+    cross-validation error refer to the pseudo-values.
     """
     if loss not in _LOSSES:
         raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "use linear, huber or cauchy")

@@ -293,7 +293,7 @@ def _equations(
     everywhere = np.ones(len(times), dtype=bool)
     used = [everywhere] * count
     used[MAIN] = everywhere if oscillates else _longest_motion(speeds[:, MAIN])
-    # the integral of a deflection from a wrong equilibrium drifts, so the initial speed of each period is free
+    # if the equilibrium is wrong, the integral of the deflection drifts, so the initial speed of each period is free
     free = _periods(deflection) if oscillates else None
     blocks, targets = [], []
     balances = [
@@ -329,7 +329,7 @@ def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
     """Return the parameters in which the equations are linear, without nearly collinear parameters."""
     dead_times = _dead_times(layout)
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude" and k not in dead_times]
-    # linear in its strength, but nearly collinear with the linear law while its exponent is free
+    # a power law is linear in its strength, but nearly collinear with the linear law while its exponent is free
     joints = [j.name for j in layout.model.mechanism.couplings]
     curved = (
         *(f"{j}.heating." for j in joints),
@@ -458,8 +458,8 @@ def initial_shapes(
 ) -> tuple[Problem, Array]:
     """Return variables with the shapes of effects at the best points of their grids, and the problem with its noise.
 
-    `fitted` states that the other variables are at the optimum without these effects, `noise` is the noise without
-    them.
+    `fitted` states that the other variables are at the optimum of the model without these effects. `noise` is the noise
+    of that model.
     """
     layout = problem.layout
     theta = theta.copy()

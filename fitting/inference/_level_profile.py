@@ -29,7 +29,7 @@ _EVALUATIONS = 8
 
 
 class LevelProfile:
-    """The deviance of the last of some columns at a level of random torque, with the other columns free."""
+    """The deviance of a residual, the last column, at a level of random torque, with the other columns free."""
 
     def __init__(self, whitener: Whitener, both: Array) -> None:
         self._whitener, self._rotated = whitener, whitener.rotated(both)

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def orthonormal(columns: Array, smallest: float) -> Array:
-    """Return an orthonormal basis of scaled columns, without directions of smaller relative singular value."""
+    """Return an orthonormal basis of scaled columns, without relative singular values below `smallest`."""
     size = np.linalg.norm(columns, axis=0)
     if not (size > 0).any():
         return np.zeros((len(columns), 0))
@@ -45,7 +45,8 @@ def cubic_spline(x: Array, y: Array, at: Array) -> Array:
     h, n = np.diff(x), len(x)
     slope = np.diff(y) / h
     matrix, right = np.zeros((n, n)), np.zeros(n)
-    # for the second derivatives: a continuous slope at interior points, a continuous third derivative next to the ends
+    # equations for the second derivatives: the slope is continuous at interior points, the third derivative next to the
+    # ends
     inner = np.arange(1, n - 1)
     matrix[inner, inner - 1], matrix[inner, inner + 1] = h[:-1], h[1:]
     matrix[inner, inner] = 2 * (h[:-1] + h[1:])

@@ -270,7 +270,7 @@ class BodyMetrics:
 class CaseMetrics:
     """Figures of merit of one case; `rows` is the number of rows that a model can describe.
 
-    For a chain, `casing` is the main body, `rotor` the first of the others, and `further` are the rest.
+    For a chain, `casing` is the main body, `rotor` is the next body, and `further` are the bodies after it.
     """
 
     label: str
@@ -316,7 +316,7 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
         r2, rmse = _speed_quality(case, prediction, theta, body)
         chi2 = sum(float(np.sum(square[rows])) for rows in folds)
         reduced = (chi2 + sum(w.rest for w in runs)) / max(1.0, sum(w.n_effective for w in runs))
-        if body.state != MAIN and data.record.generated:  # no noise to measure against
+        if body.state != MAIN and data.record.generated:  # a generated curve has no noise
             reduced = errors[name] = float("nan")
         bodies.append(BodyMetrics(r2, rmse, reduced, errors[name]))
     absent = BodyMetrics(*[float("nan")] * 4)
@@ -339,7 +339,7 @@ def _speed_quality(case: CaseModel, prediction: Prediction, theta: Array, body: 
 
 
 def _smoothed_model(case: CaseModel, prediction: Prediction, theta: Array, body: Body) -> Array:
-    """Return the modelled angular velocity of a body, smoothed as the measured one is.
+    """Return the modelled angular velocity of a body, smoothed like the measured angular velocity.
 
     Smoothing removes the response to a torque that is periodic in the angle. Therefore the model is smoothed as well.
     """

@@ -60,7 +60,7 @@ class Whitener:
         return rows
 
     def rotated(self, rows: Array) -> Array:
-        """Return rows along the principal axes of K."""
+        """Return the components of rows along the principal axes of K."""
         m = len(self.vectors)
         return np.concatenate([self.vectors.T @ rows[:m], rows[m:]])
 

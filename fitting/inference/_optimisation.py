@@ -32,7 +32,7 @@ _NO_DAMPING = 1e-20
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where the search ended: variables, residuals, Jacobian, sum of squares, and whether it converged."""
+    """The end of a search: variables, residuals, Jacobian, sum of squares, and whether the search converged."""
 
     x: Array
     residual: Array

@@ -72,7 +72,7 @@ class ParameterLayout:
         ranges: Mapping[str, tuple[float, float]] | None = None,
         ties: Mapping[str, str] | None = None,
     ) -> ParameterLayout:
-        """Return the layout: the paper's per-case parameters, changed by `share` and `per_case`."""
+        """Return the layout with the per-case parameters of the paper, changed by `share` and `per_case`."""
         for name in (*share, *per_case):
             if not any(covers(name, key) for key in model.free):
                 raise EffectError(
@@ -393,7 +393,7 @@ def _base(effect: Effect, known: dict[str, Array]) -> Array | None:
 
 
 def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | None:
-    """Return the exponent m for which a power law is equal to the other law; None if there is none."""
+    """Return the exponent m with which a power law equals the other law; None if there is no such exponent."""
     if straight.site != power.site or straight.state or straight.inputs:
         return None
     if straight.depends_on_angle or straight.restoring:

@@ -117,8 +117,8 @@ class Problem:
         """Return whitened, projected residuals and their Jacobian with respect to the physical variables.
 
         The rows of each case are reduced by a QR decomposition: a case with p variables has p + 1 rows. Sums of squares
-        and products of columns, which determine the least-squares problem, are unchanged. SimulationError: a sum of
-        squares is not finite.
+        and products of columns, which determine the least-squares problem, are unchanged. A SimulationError is raised
+        if a sum of squares is not finite.
         """
         r, j = [], []
         for data, project, p in zip(self.data, self.projections, predictions, strict=True):
@@ -200,7 +200,7 @@ parameters, a larger one omits involved parameters."""
 def surely_at_bound(
     layout: ParameterLayout, at_bound: NDArray[np.bool_], r: Array, j: Array
 ) -> NDArray[np.bool_]:
-    """Return which variables are known to equal their bound.
+    """Return a mask of the variables that are known to equal their bound.
 
     A friction whose unconstrained optimum is far below zero is zero. If the optimum is only slightly below zero, or an
     exponent is at a bound of its range, the parameter is treated as free in the standard errors of correlated
@@ -350,7 +350,7 @@ def free_columns(data: CaseData, prediction: Prediction, moving: NDArray[np.bool
 def refine_level(
     problem: Problem, theta: Array, noise: Sequence[Noise], *, fixed: bool = False
 ) -> tuple[Noise, ...]:
-    """Return the noise with the level of the residuals of the model at these variables.
+    """Return the noise of each case with the level that the residuals of the model show at these variables.
 
     The level of each case is estimated separately, with its variables free or `fixed`, because the optimum of a shared
     variable may differ between cases.

@@ -155,7 +155,7 @@ def estimate_process_noise(
 
 
 def _process_noise(likelihood: StretchLikelihood, times: Array, typical: float) -> ProcessNoise:
-    """Return the posterior of level and correlation time on a grid of times, refined where it is large."""
+    """Return the posterior of level and correlation time on a grid of times, refined at probable times."""
     resolution = 2 * times[0] * likelihood.unit(times[0]) ** 2
     levels, density = _posterior(likelihood, times, resolution, typical)
     total = density.sum(axis=1)
@@ -177,7 +177,7 @@ def _process_noise(likelihood: StretchLikelihood, times: Array, typical: float) 
 def _posterior(
     likelihood: StretchLikelihood, times: Array, resolution: float, typical: float
 ) -> tuple[Array, Array]:
-    """Return levels [rad/s2] and their probabilities, (times, levels): equally spaced in both logarithms."""
+    """Return levels [rad/s2] and their probabilities, (times, levels), on a grid with equal steps in logarithms."""
     levels, logs = [], []
     for time in times:
         coarse = likelihood.unit(time) * _LEVELS

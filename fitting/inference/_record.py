@@ -128,8 +128,8 @@ class Body:
 class Record:
     """One experiment on one clock.
 
-    In a chain of bodies, `casing` is the main body (the second one of the `mechanism`), and `rotor` contains the runs
-    of all other bodies, each with the index of its body in the state.
+    In a chain of bodies, `casing` is the main body (the second body of the `mechanism`). `rotor` contains the runs of
+    all other bodies, each with the index of its body in the state.
 
     Parameters
     ----------

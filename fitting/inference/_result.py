@@ -761,7 +761,7 @@ class Fit(FitSummary):
 
     @cached_property
     def rmse_noise(self) -> float:
-        """Rms residual speed of the casings that noise alone would give, after the same smoothing [rad/s]."""
+        """Rms residual speed of the casings that noise alone would give after the smoothing of the paper [rad/s]."""
         both = zip(self.problem.data, self.predictions, strict=True)
         return math.sqrt(float(np.mean([smoothing_noise(d, p.path) ** 2 for d, p in both])))
 
@@ -816,7 +816,7 @@ class Fit(FitSummary):
 
     @property
     def units(self) -> Units:
-        """Units of torques and of what follows from them."""
+        """Units of torques and of quantities that follow from torques."""
         return self.problem.layout.units
 
     @property

@@ -133,7 +133,7 @@ def followers(
 
 
 def follow(theta: Array, tied: Sequence[Follower]) -> Array:
-    """Return the variables, the tied ones set to their expressions; an ExpressionError if one is not finite."""
+    """Return the variables with tied variables set to their expressions; an ExpressionError if one is not finite."""
     if not tied:
         return theta
     theta = theta.copy()

@@ -93,7 +93,7 @@ class Entry:
 
     @cached_property
     def prior(self) -> Prior | None:
-        """The prior of the fit; None if it had no prior."""
+        """The prior of the fit; None without a prior."""
         stored = self.stored.prior
         if stored is None:
             return None
