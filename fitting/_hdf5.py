@@ -28,7 +28,8 @@ MAX_DEPTH = 32
 MAX_BYTES = 2**31
 """Largest size of a dataset [bytes]. Chosen: a smaller value refuses long films, a larger one fills the memory."""
 MAX_INFLATION = 1100
-"""Largest ratio of the size of a dataset to its stored size [1]. Derived: deflate reaches 1032; the rest is margin."""
+"""Largest ratio of the size of a dataset to its stored size [1]. Derived: the compression by deflate reaches 1032; the
+rest is a margin."""
 SLACK = 2**22
 """Size that a dataset may have in addition to its stored size times `MAX_INFLATION` [bytes]. Chosen: chunks are padded;
 a smaller value refuses small datasets, a larger one admits malicious files."""
@@ -41,7 +42,8 @@ _HEAP_MARK = b"GCOL\x01\x00\x00\x00"
 _HEAP_HEADER = 16
 """Length of the header of an object in a string heap [bytes]. Source: HDF5 file format, level 1E."""
 _BLOCK = 2**20
-"""Bytes that are read at once [bytes]. Chosen: with fewer, reading is slow; with more, it needs memory."""
+"""Number of bytes that are read at once [bytes]. Chosen: a smaller number makes reading slow, a larger one needs
+memory."""
 
 
 @dataclass(frozen=True)

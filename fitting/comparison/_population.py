@@ -41,8 +41,8 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 FEWEST_RUNS = 8
-"""Smallest number of runs of a population [runs]. Chosen: a smaller number does not determine a spread, a larger one
-refuses short studies."""
+"""Smallest number of runs of a population [runs]. Chosen: a smaller number of runs does not determine a spread, a
+larger limit refuses short studies."""
 FEWEST = 3
 """Smallest number of runs on each side of a step [runs]. Chosen: a smaller number takes an outlying run for a step, a
 larger one overlooks steps near the ends."""
@@ -65,14 +65,14 @@ _ROUNDS = 8
 """Largest number of rounds that omit outlying runs [1]. Chosen: a smaller number stops before the set is stable, a
 larger one delays the end."""
 _MOST_OUT = 0.2
-"""Largest share of omitted runs [1]. Chosen: a larger value takes a second population for outlying runs, a smaller one
-keeps outlying runs."""
+"""Largest share of runs that are omitted as outlying [1]. Chosen: a larger value takes a second population for outlying
+runs, a smaller one keeps outlying runs."""
 _PREFERRED = 2.0
 """Difference of BIC above which either drift or step is preferred [1]. Source: R. E. Kass, A. E. Raftery, JASA 90, 773
 (1995)."""
 _UNKNOWN = 1e10
-"""Variance of a parameter that a run does not determine, in units of its variance over the runs [1]. Derived: large
-enough to have no weight, small enough for the rounding error of the inverse."""
+"""Variance of a parameter that a run does not determine, in units of its variance over the runs [1]. Derived: so large
+that the parameter has no weight, but small enough for the rounding error of the inverse."""
 _LEAST_SHARE = 0.8
 """Share of the runs that must determine a parameter [1]. Chosen: a smaller value tests parameters of few runs, a larger
 one drops parameters for single runs."""

@@ -53,14 +53,14 @@ smaller number overlooks curved laws, a larger one lowers the power."""
 _CUBIC = 3
 """Degree of the splines [1]. Chosen: a smaller value gives curves with kinks, a larger one oscillates at the ends."""
 _HARMONICS = (1, 2, 3, 4)
-"""Harmonics of the angle of the casing in the test [1]. Chosen: a smaller number overlooks higher harmonics, a larger
-one lowers the power for the first two."""
+"""Harmonics of the angle of the casing in the test [1]. Chosen: with fewer harmonics, higher harmonics are overlooked;
+with more, the power for the first two is lower."""
 _ROTOR_HARMONICS = (1, 2)
-"""Harmonics of the angle of the rotor in the test [1]. Chosen: a smaller number overlooks the second harmonic; higher
+"""Harmonics of the angle of the rotor in the test [1]. Chosen: a single harmonic overlooks the second one; higher
 harmonics are aliased at the frame rate of the casing."""
 _FASTEST = np.pi
-"""Largest phase by which a harmonic of the rotor angle advances between two frames of the casing, if it is tested
-[rad]. Derived: the Nyquist limit, half a period per frame."""
+"""Largest phase by which a tested harmonic of the rotor angle may advance between two frames of the casing [rad].
+Derived: the Nyquist limit, half a period per frame."""
 _DRAWS = 1000
 """Number of null data sets [1]. Chosen: the smallest p-value is 0.001; a smaller number makes the p-value coarser, a
 larger one costs time."""

@@ -35,8 +35,8 @@ from fitting.inference._result import Fit
 from fitting.inference._trace import attempt
 
 _REFITTED = 2
-"""Number of shared parameters with the largest scores that are fitted with a value for each recording [1]. Chosen: a
-smaller number may omit the best one, because scores are first order; a larger one costs time."""
+"""Number of shared parameters with the largest scores that are fitted with a value for each recording [1]. Chosen:
+scores are of first order, so a smaller number may omit the best parameter; a larger one costs time."""
 
 
 @dataclass(frozen=True)

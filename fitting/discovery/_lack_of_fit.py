@@ -60,8 +60,8 @@ _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
 _ORDERS = (3, 4, 5, 6)
-"""Orders of the harmonics of the angle that no law of the library has [1]. Chosen: a larger number lowers the
-significance, a smaller one overlooks torques of several periods per turn."""
+"""Orders of the tested harmonics of the angle, which no law of the library has [1]. Chosen: with more orders, the
+significance is lower; with fewer, torques of several periods per turn are overlooked."""
 _HARMONIC_AMPLITUDE = "harmonic.k"
 _FIRST_SHARE = 0.01
 """Largest initial amplitude of a harmonic, as a share of the largest torque [1]. Chosen: a larger value starts in a

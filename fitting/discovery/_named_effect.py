@@ -70,7 +70,8 @@ _INNER_KNOTS = 5
 larger one absorbs noise."""
 _POWER = 0.9
 """Probability of detection at the limit, and share of the random deviations that are detected with this probability
-[1]. Chosen: as `fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
+[1]. Chosen: equal to `fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one gives a limit at
+which deviations often remain undetected."""
 _DRAWS = 4000
 """Number of random deviations from which the limit is computed [1]. Chosen: a smaller number makes the limit random, a
 larger one costs time."""
@@ -83,8 +84,8 @@ _RANK_FREE = 1e-7
 `fitting.inference._smooth_test`; a smaller value projects out rounding errors, a larger one ignores some free
 columns."""
 _TINY = 1e-300
-"""Smallest mean square torque by which a square is divided [1]. Derived: it avoids a division by zero and is below any
-other square."""
+"""Smallest mean square torque that is used as a divisor [1]. Derived: it avoids a division by zero and is below any
+other mean square."""
 
 
 @dataclass(frozen=True)

@@ -52,12 +52,12 @@ _APPARATUS_GAIN = 1.5
 """Smallest factor by which a change of the apparatus must raise the information to be proposed [1]. Chosen: a smaller
 value proposes changes of little use, a larger one hides useful changes."""
 _AMPLE = 4.0
-"""Separation above which a larger one has no further value, divided by the square of `Criteria.experiment_sigma` [1].
+"""Upper limit of the separation in the criterion of a run, divided by the square of `Criteria.experiment_sigma` [1].
 Chosen: a smaller value accepts a narrow separation, a larger one neglects the detection limits."""
 _CAP = 50.0
-"""Largest logarithm of a gain in information that counts [1]. Chosen: the gain of a strength that is undetermined
-without the run is unlimited; a larger value lets this strength decide alone, a smaller one hides differences between
-runs."""
+"""Upper limit of the logarithm of a gain in information in the criterion of a run [1]. Chosen: the gain of a strength
+that is undetermined without the run is unlimited; a larger value lets this strength decide alone, a smaller one hides
+differences between runs."""
 _RANDOM = 20
 """Largest number of quasi-random runs before the local search [1]. Chosen: a smaller number may start the local search
 at a local maximum, a larger one leaves fewer runs for it."""

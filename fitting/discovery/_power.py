@@ -80,8 +80,8 @@ _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)]
 """Strengths at which the power is simulated [standard errors]. Chosen: dense at small strengths, where a parameter
 reaches its bound; a smaller number rounds the limits, a larger one costs time."""
 _SIZE = 0.01
-"""Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value requires many
-runs, a larger one makes every plan sufficient."""
+"""Default size of an effect, as a share of the torque of the bearing [1]. Chosen: a smaller value requires many runs, a
+larger one makes every plan sufficient."""
 _MOST_RUNS = 10_000
 """Largest number of needed runs that is stated [1]. Chosen: a larger number is not practical, a smaller one hides large
 numbers of runs."""

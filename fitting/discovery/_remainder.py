@@ -505,7 +505,7 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
 
 
 _POWER_OF_SPEED = {"camera.shutter": 1, "camera.blur": 2}
-"""Power of the speed by which the amplitude of a camera error is multiplied to obtain an angle [1]. Derived: the laws
+"""Exponent n for each camera error: its amplitude times the n-th power of the speed is an angle [1]. Derived: the laws
 of these effects in the library."""
 
 

@@ -51,9 +51,9 @@ _LEVELS = 9
 """Number of trial levels of the process noise [1]. Chosen: a smaller number makes the profiled score coarse, a larger
 one costs time and memory."""
 _ABSORBED = 1e-7
-"""Norm of the part of a column that is orthogonal to the free columns of the base, before whitening, as a share of the
-norm of the column, below which the base absorbs the column [1]. Chosen: a smaller value scores rounding errors, a
-larger one drops weakly determined effects."""
+"""The base absorbs a column if the part of the column that is orthogonal to the free columns, before whitening, has a
+norm below this share of the norm of the column [1]. Chosen: a smaller value scores rounding errors, a larger one drops
+weakly determined effects."""
 RANK = 1e-10
 """Relative singular value below which a direction of the free columns is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""

@@ -103,8 +103,8 @@ _IN_REPR = 8
 """Largest number of lines of the sentence, and of candidates, in a repr [1]. Chosen: a smaller number hides
 alternatives, a larger one fills the console."""
 _WIDTH = 100
-"""Columns of a repr [characters]. Chosen: it fits into usual consoles; lines of a larger value wrap, a smaller value
-cuts sentences."""
+"""Width of a repr [characters]. Chosen: it fits into usual consoles; a larger width wraps there, a smaller one cuts
+sentences."""
 
 
 @dataclass(frozen=True, repr=False)

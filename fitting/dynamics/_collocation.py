@@ -70,13 +70,13 @@ _FEWEST = 12
 """Smallest number of intervals of a coarsened mesh [1]. Chosen: a smaller number overlooks changes between the nodes, a
 larger one costs time."""
 _CONSTANT_SLIP = 1e12
-"""Relaxation time at which a slip is constant [s]. Derived: longer than any record, so that the relaxation has no
-effect."""
+"""Relaxation time with which a slip counts as constant [s]. Derived: longer than any record, so that the relaxation has
+no effect."""
 UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
 TOO_SHARP = "the equations of motion change too sharply to be integrated"
 _FEW = 24
-"""Number of steps below which they are chained one by one [1]. Chosen: another value costs time and does not change the
-result."""
+"""Number of steps of the mesh below which the steps are chained one by one [1]. Chosen: another value costs time and
+does not change the result."""
 
 
 class Rule(NamedTuple):

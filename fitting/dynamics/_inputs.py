@@ -33,8 +33,8 @@ _ROUNDING = 1e-9
 """Step of a held input, divided by its largest value, below which the step is rounding error [1]. Chosen: a smaller
 value splits the integration at rounding errors, a larger one overlooks steps."""
 _ROUNDED = 1e-7
-"""A change of slope changes the next sample; below this change, divided by the range of the input, it is rounding error
-[1]. Derived: eight digits of a number in a file, with a margin of ten."""
+"""A change of slope counts as rounding error if it changes the next sample by less than this share of the range of the
+input [1]. Derived: eight digits of a number in a file, with a margin of ten."""
 
 
 @dataclass(frozen=True, repr=False)

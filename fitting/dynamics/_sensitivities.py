@@ -39,8 +39,8 @@ _KEPT = 1e-6
 """Share of a deviation that is kept when the casing comes to rest [1]. Chosen: Phi needs an inverse; a smaller value
 makes the inverse inaccurate, a larger one keeps deviations after the stop."""
 _DEPENDENT = 1e-9
-"""Smallest singular value of the scaled columns of Phi for an accurate inverse [1]. Chosen: half of the digits remain;
-a smaller value gives inaccurate responses, a larger one costs time for the dichotomy."""
+"""Smallest singular value of the scaled columns of Phi with which the inverse is used [1]. Chosen: half of the digits
+remain; a smaller value gives inaccurate responses, a larger one costs time for the dichotomy."""
 
 
 class LinearMotion:

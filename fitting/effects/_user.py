@@ -53,8 +53,8 @@ from fitting.effects._mechanism import GYROSCOPE, Mechanism, renamed, speed_of
 # unit of a strength whose unit cannot be derived, because other units were not given
 UNKNOWN_UNIT = "SI"
 _COARSE = 5
-"""Every how many trial changepoints one is tried if a law has other shape constants as well [1]. Chosen: a smaller
-value costs time; with a larger one, a fit starts far from the optimum."""
+"""If a law has other shape constants as well, only every n-th trial changepoint is tried, with this n [1]. Chosen: a
+smaller value costs time; with a larger one, a fit starts far from the optimum."""
 _GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Trial values of a shape constant, divided by its initial value [1]. Chosen: two per decade; with fewer, a fit starts
 far from the optimum; with more, the search takes longer."""

@@ -70,8 +70,8 @@ _LEVELS = np.geomspace(0.3, 300.0, 13)
 """Trial levels, in units of the white noise of the rows [1]. Chosen: lower levels change nothing, higher levels do not
 occur; a coarser grid rounds the most likely level."""
 _FIRST_LEVELS = (2, 5, 8)
-"""Indices in `_LEVELS` of a first, coarse search [1]. Chosen: a smaller number may overlook noise, a larger one costs
-time."""
+"""Indices in `_LEVELS` of the levels of a first, coarse search [1]. Chosen: with fewer levels, noise may be overlooked;
+with more, the search takes longer."""
 _HALF_WIDTH = 0.3
 """Half width of the parabola through the likelihood at its maximum, in the logarithm of the level [1]. Chosen: a
 smaller value is sensitive to rounding errors, a larger one to the asymmetry of the likelihood."""
@@ -101,8 +101,8 @@ _FEWEST_BINS = 24
 """Smallest number of groups of samples in a block for noise periodic in the angle [1]. Chosen: a smaller number blurs a
 turn, a larger one costs time and memory."""
 _ALL_BINS = 1500
-"""Number of groups of samples of all blocks for noise periodic in the angle [1]. Chosen: a smaller number blurs a turn
-in few blocks, a larger one costs time and memory."""
+"""Number of groups of samples in all blocks together, for noise periodic in the angle [1]. Chosen: a smaller number
+blurs a turn in few blocks, a larger one costs time and memory."""
 _LOWER_LEVELS = (0.1, 0.2, 0.4, 0.8)
 """Trial levels of the exponential noise if periodic noise is included as well, divided by its most likely level without
 periodic noise [1]. Chosen: two kinds share the variance, so each level is lower; a smaller number passes over the
@@ -297,8 +297,9 @@ def _peak(covariance: Array, gain: Callable[[Array], float]) -> _Peak:
 
 
 HARMONICS = range(3, 13)
-"""Orders of an error that repeats with the angle, beyond those that the camera's nuisance functions describe [1].
-Derived: the nuisance functions have the first two; tracking states errors of up to 12 periods per turn."""
+"""Orders of the errors that are periodic in the angle and that the nuisance functions of the camera do not describe
+[1]. Derived: the nuisance functions describe the first two orders; tracking states errors of up to 12 periods per
+turn."""
 _NEGLIGIBLE_ROWS = 0.1
 """Norm of a column below which it is neglected [1]. Derived: it adds less than 0.1^2, 1 %, to the variance of a row."""
 
@@ -489,11 +490,11 @@ _GROUPS = 128
 """Number of groups of samples per block [1]. Chosen: a smaller number averages short correlations, a larger one costs
 time."""
 _FEWEST_IN_GROUP = 4
-"""Fewest samples in a group [samples]. Chosen: a smaller value makes larger matrices, a larger one averages short
-correlations."""
+"""Smallest number of samples in a group [samples]. Chosen: a smaller value makes larger matrices, a larger one averages
+short correlations."""
 _FEWEST_GROUPS = 40
-"""Fewest groups of all windows from which angle noise is estimated [1]. Chosen: a smaller number does not determine a
-level, a larger one leaves short windows without a level."""
+"""Smallest number of groups in all windows together from which angle noise is estimated [1]. Chosen: a smaller number
+does not determine a level, a larger one leaves short windows without a level."""
 _WINDOW_TIMES = 15
 """Number of trial correlation times in the windows [1]. Chosen: a smaller number makes the posterior mean coarse, a
 larger one costs time."""
@@ -518,7 +519,7 @@ distribution."""
 _THIRD_DIFFERENCE = 20.0
 """Variance of the third difference of white noise of variance 1 [1]. Derived: 1 + 9 + 9 + 1."""
 _TINY = 1e-300
-"""Smallest variance by which another is divided [rad2]. Derived: it avoids a division by zero and is below any other
+"""Smallest variance that is used as a divisor [rad2]. Derived: it avoids a division by zero and is below any other
 variance."""
 
 

@@ -37,14 +37,14 @@ _PASSES = 20
 """Largest number of iterations for a law of an angle whose response changes the angle [1]. Chosen: a smaller number
 stops before convergence, a larger one delays the failure."""
 _NEGLIGIBLE = 0.01
-"""Change of the angle at convergence, relative to the uncertainty of a mean of all samples [1]. Chosen: a smaller value
-costs iterations, a larger one biases the angle."""
+"""Change of the angle below which the iteration has converged, relative to the uncertainty of a mean of all samples
+[1]. Chosen: a smaller value costs iterations, a larger one biases the angle."""
 _CHANGE = 1e-3
-"""Change of the derivative of the angle at convergence, relative to its fast part [1]. Chosen: a smaller value costs
-iterations, a larger one gives inaccurate derivatives."""
+"""Change of the derivative of the angle below which the iteration has converged, relative to its fast part [1]. Chosen:
+a smaller value costs iterations, a larger one gives inaccurate derivatives."""
 _MEMORY = 6
-"""Number of iterations used to accelerate the convergence [1]. Chosen: with fewer, the convergence is slow; with more,
-the least-squares problem is degenerate."""
+"""Number of earlier iterations that Anderson's acceleration uses [1]. Chosen: with fewer, the convergence is slow; with
+more, the least-squares problem is degenerate."""
 _ERRORS = 6
 """Number of terms of the Karhunen-Loeve series of the error of an integrated angle, a random walk [1]. Derived: two
 terms contain 90 % of the variance, six terms 97 %."""

@@ -542,8 +542,8 @@ _ITERATIONS = 12
 """Largest number of iterations of a robust fit [1]. Chosen: a smaller number stops before convergence, a larger one
 delays the failure."""
 _CONVERGED = 0.01
-"""Change of a parameter at convergence of a robust fit [standard errors]. Chosen: a smaller value costs iterations, a
-larger one leaves a bias."""
+"""Change of the parameters below which a robust fit has converged [standard errors]. Chosen: a smaller value costs
+iterations, a larger one leaves a bias."""
 
 
 def huber(x: Array) -> tuple[Array, Array]:

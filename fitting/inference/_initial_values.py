@@ -49,8 +49,8 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _FIRST_SHARE = 0.1
-"""Share of the bearing torque that the power law has at the start of the search [1]. Chosen: at zero the exponent has
-no gradient; a larger value prefers the power law."""
+"""Share of the power law in the bearing torque at the start of the search [1]. Chosen: at zero, chi-square has no
+gradient with respect to the exponent; a larger value prefers the power law."""
 _LEAST_SHARE = 1e-5
 """Smallest initial value of a bearing torque, divided by the torque that would stop the rotor within the record [1].
 Chosen: it prevents a start at zero strength; a larger value exceeds the torque of weak bearings."""
@@ -418,7 +418,7 @@ _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
 """Trial exponents of a power law [1]. Chosen: on both sides of 1, which is the linear law; with fewer, a fit may start
 in a wrong minimum; with more, the search takes longer."""
 _MOST = 80
-"""Largest number of trial shapes of a law [1]. Chosen: a smaller number may omit the best one, a larger one costs
+"""Largest number of trial shapes of a law [1]. Chosen: a smaller number may omit the best shape, a larger one costs
 time."""
 _COLLINEAR = 1e-7
 """Relative singular value below which columns are collinear [1]. Chosen: a smaller value gives large opposite steps, a

@@ -182,8 +182,8 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
 
 
 _SLOW_START = 0.1
-"""Initial kinetic energy, divided by the largest one, below which a motion begins at a turning point [1]. Chosen: a
-smaller value divides by a small energy, a larger one changes the scale of usual runs."""
+"""Initial kinetic energy, divided by the largest kinetic energy, below which a motion begins at a turning point [1].
+Chosen: a smaller value divides by a small energy, a larger one changes the scale of usual runs."""
 FOLDS = 6
 """Number of folds of the cross-validation [1]. Chosen: a smaller number leaves large gaps in the data, a larger one
 leaves neighbours that share slow torques."""
@@ -396,7 +396,7 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
 
 KNOTS = 21
 """Number of knots of the slow torques of the lack-of-fit test [1]. Chosen: a twentieth of the record apart; a smaller
-number overlooks short torques, a larger one lowers the power for slow ones."""
+number overlooks short torques, a larger one lowers the power for slow torques."""
 _RANK = 1e-4
 """Relative singular value below which a tested direction is absorbed by the model [1]. Chosen: a smaller value tests
 rounding errors, a larger one omits torques that are nearly absorbed."""

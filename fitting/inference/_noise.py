@@ -302,8 +302,8 @@ def _deviance(rotated: Array, variance: Array) -> float:
 
 
 _CELLS_PER_ROW = 2.5
-"""Cells of the random torque per row [1]. Chosen: equal to `_CELLS_PER_ROW` of `fitting.inference._process_noise`; a
-smaller number blurs the response of the highest row, a larger one costs time."""
+"""Number of cells of the random torque per row [1]. Chosen: equal to `_CELLS_PER_ROW` of
+`fitting.inference._process_noise`; a smaller number blurs the response of the highest row, a larger one costs time."""
 _GROUPS = 8
 """Number of groups of cells that skip the rows before their first response [1]. Chosen: another value costs time and
 does not change the result."""

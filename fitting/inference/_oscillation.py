@@ -52,7 +52,8 @@ _POINTS_PER_PERIOD = 24
 """Number of rough speeds in each period of an oscillation [1]. Chosen: with fewer, the turning points are cut off; with
 more, each speed is noisy."""
 _ROUGH_SAMPLES = 3
-"""Smallest number of samples of a rough speed of an oscillation [samples]. Derived: a line and its error."""
+"""Smallest number of samples of a rough speed of an oscillation [samples]. Derived: three samples determine a line and
+its error."""
 _FEWEST_SAMPLES = 10
 """Smallest number of samples in a window [samples]. Chosen: a smaller number does not determine amplitude and phase, a
 larger one refuses slow cameras."""

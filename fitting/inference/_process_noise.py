@@ -47,8 +47,8 @@ _GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
 """Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower levels change nothing, higher
 levels do not occur; a coarser grid rounds the level."""
 _CELLS_PER_ROW = 2.5
-"""Cells of the random torque per row [1]. Chosen: a smaller number blurs the response of the highest row, a larger one
-costs time."""
+"""Number of cells of the random torque per row [1]. Chosen: a smaller number blurs the response of the highest row, a
+larger one costs time."""
 _DEGREE = 11
 """Degree of the polynomial of a stretch [1]. Chosen: a smaller value takes motion for noise, a larger one absorbs slow
 noise."""
@@ -59,8 +59,8 @@ _SHORT_DEGREE = 14
 """Degree of the polynomial of a stretch that contains several periods of an oscillation [1]. Chosen: a smaller value
 takes the oscillation for noise, a larger one absorbs noise."""
 _MOST_ROWS = 170
-"""Largest number of rows of two stretches together [rows]. Chosen: the cost increases with the cube; a larger value
-costs time, a smaller one neglects the correlation between stretches."""
+"""Largest number of rows of two stretches together [rows]. Chosen: the cost increases with the cube of this number; a
+larger number costs time, a smaller one neglects the correlation between stretches."""
 _FEW_STRETCHES = 2
 """Largest number of stretches of which none may have a separate level [1]. Derived: it is unknown which of two
 stretches is the exception."""

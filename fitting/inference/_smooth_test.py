@@ -34,8 +34,8 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 SPEED_KNOTS = (4, 8)
-"""Knots of the piecewise linear torques of a speed, coarse and fine [1]. Chosen: a smaller number overlooks narrow
-deviations, a larger one lowers the power for broad ones."""
+"""Numbers of knots of the piecewise linear torques of a speed, coarse and fine [1]. Chosen: smaller numbers overlook
+narrow deviations, larger ones lower the power for broad deviations."""
 
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
@@ -44,7 +44,8 @@ _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
 _TINY = 1e-300
-"""Smallest norm by which a column is divided [1]. Derived: it avoids a division by zero and is below any other norm."""
+"""Smallest norm that is used as a divisor of a column [1]. Derived: it avoids a division by zero and is below any other
+norm."""
 _DRAWS = 2000
 """Number of null data sets for the smallest of several p-values [1]. Chosen: a smaller number makes p-values coarser
 than `Criteria.doubt_adequate`, a larger one costs time."""

@@ -43,10 +43,11 @@ _DEGREE = 2
 larger value describes more torques and needs more evidence."""
 _TIMES = 5
 """Number of trial correlation times of the random torque, in addition to the correlation time of the recording [1].
-Chosen: with fewer, the maximum of the likelihood is missed; with more, the test takes longer."""
+Chosen: with fewer, the maximum of the likelihood is overlooked; with more, the test takes longer."""
 _FEWEST_TIMES = 6.0
-"""Smallest length of a record, in correlation times of the random torque [1]. Chosen: as in
-`fitting.discovery._random_torque`; with fewer the torque is a trend, a larger value leaves slow torques untried."""
+"""Smallest ratio of the length of a record to the correlation time of the random torque [1]. Chosen: as in
+`fitting.inference._random_torque`; with a smaller ratio the torque is a trend, a larger one leaves slow torques
+untried."""
 _LEVELS = np.geomspace(0.01, 4.0, 12)
 """Trial levels of the random torque, divided by the level of the fit [1]. Chosen: lower levels have no effect, and
 additional free parameters never raise the level much; with more trial levels, the test takes longer."""
@@ -70,7 +71,7 @@ _MOST_PERIODS = 12.0
 larger number needs more trials."""
 _PERIOD_STEP = 0.25
 """Step of the trial numbers of periods [1]. Chosen: a sinusoid that differs by a quarter of a period at the end of the
-record keeps 0.95 of its power; a larger step misses sinusoids, a smaller one costs time."""
+record keeps 0.95 of its power; a larger step overlooks sinusoids, a smaller one costs time."""
 _CHIRPS = np.linspace(-0.4, 0.4, 9)
 """Trial changes of the frequency over half the record, divided by the mean frequency [1]. Chosen: a precession whose
 rotor loses half of its speed has 0.33; larger changes would be trials of another law."""

@@ -93,8 +93,8 @@ def holds_moving_body(fit: Fitted, case: int) -> bool:
 
 
 _PARTS = {"casing": 2, "rotor": 5}
-"""Parts of a block over which a residual speed is averaged, by body [1]. Chosen: with fewer, residuals are blurred;
-with more, they are noisy; a window of the rotor is one block."""
+"""Number of parts of a block over which a residual speed is averaged, by body [1]. Chosen: with fewer, residuals are
+blurred; with more, they are noisy; a window of the rotor is one block."""
 _PERIOD_PARTS = 8
 """Number of parts of a period of an oscillation over which a residual speed is averaged [1]. Chosen: errors of its
 amplitude and of its phase are both visible; with fewer, errors of the phase are hidden; with more, each residual is

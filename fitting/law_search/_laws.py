@@ -100,8 +100,8 @@ _KEPT = 48
 """Number of laws that take part in the later searches [1]. Chosen: a smaller number may omit the best form, a larger
 one costs time."""
 _SEARCHES = 3
-"""Searches; each later one scores about the best refit so far [1]. Chosen: a smaller number leaves scores about a wrong
-motion, a larger one costs time and changes little."""
+"""Number of searches; each later search scores about the best refit so far [1]. Chosen: a smaller number leaves scores
+about a wrong motion, a larger one costs time and changes little."""
 _POINTS = 1000
 """Number of points of a curve along the motion [1]. Chosen: a smaller number blurs narrow laws, a larger one costs
 time."""
@@ -140,11 +140,11 @@ class Difference:
 
 
 _SHOWN = 6
-"""Laws, and lines of the sentence, of a repr [1]. Chosen: a smaller number hides equivalent laws, a larger one fills
-the console."""
+"""Largest number of laws, and of lines of the sentence, in a repr [1]. Chosen: a smaller number hides equivalent laws,
+a larger one fills the console."""
 _WIDTH = 100
-"""Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; lines of a larger value wrap, a
-smaller value needs more lines."""
+"""Width of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger width wraps there, a
+smaller one needs more lines."""
 
 
 @dataclass(frozen=True, repr=False)

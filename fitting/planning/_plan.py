@@ -81,8 +81,8 @@ _EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
 _SHOWN = 8
 """Number of effects in a repr [1]. Chosen: a smaller number hides detection limits, a larger one fills the console."""
 _WIDTH = 100
-"""Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; lines of a larger value wrap, a
-smaller value needs more lines."""
+"""Width of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger width wraps there, a
+smaller one needs more lines."""
 
 
 class _Table(BaseModel):
