@@ -948,10 +948,10 @@ _SMOOTHED = 25
 blurs the motion."""
 _RUN_PARTS = 50
 """Number of parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: a smaller number
-understates it, a larger one follows noise."""
+understates the torque, a larger one follows noise."""
 _PERIOD_PARTS = 16
 """Number of parts of a period of an oscillation over which accelerations are averaged for the largest torque [1].
-Chosen: a smaller number understates it, a larger one follows noise."""
+Chosen: a smaller number understates the torque, a larger one follows noise."""
 _CENTRE = 0.15
 """Prior standard deviation of the displacement of a centre, relative to the radius [1]. Chosen: tracked films have
 errors of 0.5 to 5 mrad once per turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""
