@@ -72,24 +72,24 @@ def fit(
     Parameters
     ----------
     model : Model, str or sequence of str
-        The model; names of laws or formulas (``"support.constant + air.linear"``); or one of the paper's models:
-        "reduced", "general", "linear". For a record of a single body, only the laws that act on this body are used.
+        The model, names of laws or formulas (``"support.constant + air.linear"``), or one of the paper's models
+        "reduced", "general" and "linear". For a record of a single body, only the laws that act on this body are used.
     cases : Case or Record, or a sequence of them
         The experiments. For several cases, touch point, casing drag and initial angular rates have one value per case.
     params : Params, or mapping of str to mapping, optional
-        Settings of parameters by name: ``{"k": {"value": 0.7, "vary": False}}``, with the keys value (initial or
-        fixed), vary, min, max, and expr (an expression of other parameters that gives the value): ``{"k": {"expr":
-        "2*d"}}``. The `params` of an earlier fit are such settings.
+        Settings of parameters by name, for example ``{"k": {"value": 0.7, "vary": False}}``. The keys are value (the
+        initial or the fixed value), vary, min, max, and expr, an expression of other parameters that gives the value,
+        for example ``{"k": {"expr": "2*d"}}``. The `params` of an earlier fit are such settings.
     fixed : mapping of str to float, optional
         Parameters held at a value [SI]: ``{"bearing.power.g": 0.7}``.
     loss : {"linear", "huber", "cauchy"}
         Least squares, or a robust loss that limits the influence of outliers.
     share, per_case : iterable of str
-        Parameters with one value for all cases, or with a value for each.
+        Parameters with one value for all cases (`share`), or with a separate value for each case (`per_case`).
     start : mapping of str to float, optional
         Initial values [SI]; by default they are computed from the data.
     ranges : mapping of str to (float, float), optional
-        Bounds by name [SI], within the declared ones.
+        Bounds by name [SI], within the declared bounds.
     criteria : Criteria, optional
         Criteria of the noise in the recordings, and thresholds of the verdict and of searches that start from this fit.
 
@@ -125,7 +125,7 @@ def fit(
     names = Names.of(chosen, records)
     asked = Settings(
         {names(k): float(v) for k, v in (fixed or {}).items()},
-        # values of another fit are initial values of the parameters that both have
+        # values of another fit are initial values of the parameters that both models contain
         {k if names.missing(k) else names(k): float(v) for k, v in (start or {}).items()},
         {names(k): (float(a), float(b)) for k, (a, b) in (ranges or {}).items()},
     )

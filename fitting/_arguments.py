@@ -22,7 +22,7 @@ the message with arrays."""
 
 
 class Kind(NamedTuple):
-    """Requirement on an argument: its description, its test, and a hint for the error message."""
+    """Requirement on an argument: a description, a test, and a hint for the error message."""
 
     words: str
     fits: Callable[[Any], bool]
@@ -30,7 +30,7 @@ class Kind(NamedTuple):
 
     @property
     def optional(self) -> Kind:
-        """The same kind, or None."""
+        """The kind of values that are of this kind or None."""
         return Kind(f"{self.words} or None", lambda x: x is None or self.fits(x), self.hint)
 
     @property
@@ -83,7 +83,7 @@ NUMBERS = Kind(
     lambda x: isinstance(x, Mapping) and all(isinstance(k, str) and _is_number(v) for k, v in x.items()),
     'for example {"bearing.power.g": 0.7}',
 )
-# a fit loaded from a file has these attributes too, but no data
+# a fit that was loaded from a file has some of these attributes, but no data
 FIT = Kind(
     "a Fit",
     lambda x: all(hasattr(x, n) for n in ("model", "estimates", "converged")),
@@ -134,7 +134,7 @@ def checked(function: Callable[..., Any], name: str, kinds: Mapping[str, Kind]) 
                 require(key, value, kinds[key])
         return function(*args, **kwargs)
 
-    # found by its public name, also by pickle
+    # the function is found by its public name, also by pickle
     call.__module__, call.__qualname__ = "fitting", name
     return call
 

@@ -1,6 +1,6 @@
 """Checks of the values of a case, for both packages: before they are written, after they were read, and in memory.
 
-Each returns a `Defect`, the sentence and the hint of an error, or None.
+Each check returns None or a `Defect`, the sentence and the hint of an error.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ MOST_AMPLITUDES = 400
 """Largest number of amplitudes of a record [1]. Chosen: each is a parameter of every fit; a larger value makes fits
 slow, a smaller one refuses recordings of many windows."""
 _ROUNDING = 1e-9
-"""Asymmetry and negative eigenvalues of a correlation matrix that are rounding errors [1]. Chosen: a smaller value
-refuses computed covariances, a larger one accepts invalid ones."""
+"""Largest asymmetry and largest negative eigenvalue of a correlation matrix that count as rounding errors [1]. Chosen:
+a smaller value refuses computed covariances, a larger one accepts invalid matrices."""
 
 
 _BODY_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
@@ -38,14 +38,14 @@ _TAKEN = {
 
 
 class Defect(NamedTuple):
-    """What is wrong, and what to do."""
+    """The sentence of an error, and a hint on its correction."""
 
     what: str
     hint: str
 
 
 def defect_of_mode(basis: Any, covariance: Any, measured: Any) -> Defect | None:
-    """Check basis and covariance of an error mode; `measured` is the mask of the samples of its series that count."""
+    """Check basis and covariance of an error mode; `measured` is a mask of the samples of the series with a value."""
     basis, covariance = (np.asarray(a, dtype=float) for a in (basis, covariance))
     samples = len(measured)
     if basis.ndim != 2 or len(basis) != samples or not basis.size:

@@ -1,9 +1,9 @@
 """The layout of a case file: names, types, dimensions, units and meanings of its datasets and attributes.
 
 The tables in this module serve the writer (`gyrotrack.io`), the reader (`fitting._stored_case`), the validation
-(`fitting._dataset`) and the format page; `gyrotrack.io._schema` adds those of a recording. A `Field` is one HDF5
-dataset, an `Attribute` one attribute of its group. Dimensions become dimension scales: those that are also fields
-(time, frame) are coordinates, the others (side, xy) are indices.
+(`fitting._dataset`) and the format page; `gyrotrack.io._schema` adds the tables of a recording. A `Field` is one HDF5
+dataset, an `Attribute` one attribute of its group. Dimensions become dimension scales: dimensions that are also fields
+(time, frame) are coordinates, all others (side, xy) are indices.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ class Field:
 class Attribute:
     """One attribute of a group.
 
-    It is required unless it has a default. `field` is its name in memory. Its value is a scalar, or an array of pairs
-    of numbers if `kind` is tuple, or a list of strings if `kind` is list. `choices` are its allowed values; any value
-    is allowed if there are none. A number is finite. NaN is allowed if NaN is the default. NaN and () are not written.
-    With `nan_is_default`, a reader replaces NaN by the default.
+    An attribute is required unless it has a default. `field` is its name in memory. Its value is a scalar, or an array
+    of pairs of numbers if `kind` is tuple, or a list of strings if `kind` is list. `choices` are the allowed values; if
+    there are none, any value is allowed. A number must be finite; NaN is allowed only if NaN is the default. NaN and ()
+    are not written. With `nan_is_default`, a reader replaces NaN by the default.
     """
 
     name: str
@@ -249,7 +249,7 @@ PLACEMENT_ATTRIBUTES = (
 
 # datasets of `/casing` and `/rotor` with the value that was measured and its uncertainty, by `quantity`
 MEASURED = {"angle": ("angle", "sigma"), "omega": ("omega", "omega_sigma")}
-# the same quantities in `/body`
+# names of the measured quantity in `/body`, and in `MEASURED`
 QUANTITIES = {"angle": "angle", "speed": "omega"}
 # the series that the fit uses
 FITTED_SERIES = "fused"
@@ -335,7 +335,7 @@ GROUPS = (
     ("`/clock/<name>` of a case: the clock of a clip", CLOCK),
 )
 
-# all attributes of those groups of a case that are not tables, for docs/reference/format.md
+# attributes of the groups of a case that are not tables, for docs/reference/format.md
 ATTRIBUTES = (
     ("Attributes of a case", CASE_ATTRIBUTES),
     ("Further attributes of `/recording/<name>` in a case", PLACEMENT_ATTRIBUTES),

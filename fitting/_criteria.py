@@ -28,10 +28,10 @@ class Criteria:
     Probabilities and shares are at most 1. Differences of deviance and of BIC are twice the logarithm of a likelihood
     ratio and have no unit. The unit "sigma" is one standard error.
 
-    Sources: R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995): a BIC difference of 2 is positive evidence, of 10
-    very strong. P. Westfall, S. Young, Resampling-Based Multiple Testing (1993): p-values over a list from simulated
-    null data. J. Hart, Nonparametric Smoothing and Lack-of-Fit Tests (1997). N. Draper, H. Smith, Applied Regression
-    Analysis (1998). R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008).
+    Sources: R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995): a BIC difference of 2 is positive evidence, a
+    difference of 10 is very strong evidence. P. Westfall, S. Young, Resampling-Based Multiple Testing (1993): p-values
+    over a list from simulated null data. J. Hart, Nonparametric Smoothing and Lack-of-Fit Tests (1997). N. Draper, H.
+    Smith, Applied Regression Analysis (1998). R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008).
 
     Raises
     ------
@@ -50,10 +50,10 @@ class Criteria:
     evidence, because tracking errors are periodic as well."""
     equivalence_width: float = 10.0
     """BIC difference of indistinguishable candidates [1]. Source: Kass & Raftery 1995; a larger difference is very
-    strong evidence against the worse one."""
+    strong evidence against the worse candidate."""
     collinearity: float = 0.9999
     """Smallest cosine between responses that no data can separate [1]. Chosen: a smaller value joins effects that more
-    data separate, a larger one separates equal ones by rounding errors."""
+    data would separate, a larger one separates equal effects by rounding errors."""
     measurement_penalty: float = 3.2
     """BIC added to measurement effects [1]. Derived: prior odds 1:5, 2 ln 5; a smaller value takes torques for camera
     errors, a larger one takes camera errors for torques."""
@@ -70,7 +70,7 @@ class Criteria:
     one costs time."""
     named_sigma: float = 3.0
     """Smallest strength of a named effect, divided by its standard uncertainty [sigma]. Chosen: a smaller value names
-    undetermined effects, a larger one leaves weak ones unnamed."""
+    undetermined effects, a larger one leaves weak effects unnamed."""
     follow_up: int = 1
     """Largest number of further effects that `diagnose` adds [1]. Chosen: a smaller value leaves the remainder
     unexplained, a larger one costs time."""
@@ -81,14 +81,15 @@ class Criteria:
     """P-value of slow torques below which a fit fails [1]. Source: Draper 1998 for the test; errors of the noise model
     do not reach this value; with a larger value, these errors make fits fail, a smaller one overlooks missing laws."""
     reduced_chi2: float = 1.4
-    """Reduced chi2 of rows above which a fit fails, at p < `lack_of_fit` [1]. Chosen: noise has 1.00 +- 0.03 in 2000
-    rows; a smaller value fails fits whose deviations are without consequence, a larger one accepts a lack of fit."""
+    """Reduced chi2 of rows above which a fit fails, at p < `lack_of_fit` [1]. Chosen: noise alone gives 1.00 +- 0.03 in
+    2000 rows; a smaller value rejects fits with irrelevant deviations, a larger one accepts a lack of fit."""
     undetermined: float = 100.0
     """Relative standard uncertainty above which a parameter is undetermined [1]. Chosen: a smaller value refuses
     parameters near zero, a larger one reports values without meaning."""
     correlated_noise: float = 8.0
-    """Smallest fall of the deviance due to correlated angle noise [1]. Derived: chi2, 2 dof; noise exceeds it in 2 % of
-    the recordings; a smaller value adds noise that is absent, a larger one understates uncertainties."""
+    """Smallest fall of the deviance due to correlated angle noise [1]. Derived: chi2, 2 dof; with white noise, chi2
+    exceeds this value in 2 % of the recordings; a smaller value adds noise that is absent, a larger one understates
+    uncertainties."""
     excess_noise: float = 4.0
     """Excess process noise of a fit above which its form is not established [sigma]. Chosen: a smaller value doubts
     right forms, a larger one lets noise absorb a wrong form."""
@@ -100,7 +101,7 @@ class Criteria:
     smaller one counts torques as noise."""
     doubt_named: float = 0.01
     """Smooth-test p-value that contradicts a named effect [1]. Source: Hart 1997 for the test; a larger value doubts
-    right forms, a smaller one accepts wrong ones."""
+    right forms, a smaller one accepts wrong forms."""
     doubt_adequate: float = 0.001
     """P-value of a test that contradicts an adequate fit [1]. Source: Baluev 2008 for one test; a larger value doubts
     right fits, a smaller one overlooks missing laws."""
@@ -117,7 +118,7 @@ class Criteria:
     """Smallest amplitude of a reported harmonic [sigma]. Derived: p = 1e-4, 2 dof; exp(-4.3^2 / 2); a smaller value
     reports noise, a larger one omits weak torques."""
     experiment_sigma: float = 5.0
-    """Separation of rivals by a run below which repeating the run is advised [sigma]. Chosen: a smaller value
+    """Separation of rivals by a proposed run below which its repetition is advised [sigma]. Chosen: a smaller value
     proposes runs that may not decide, a larger one recommends needless repetitions."""
     shape_share: float = 0.1
     """Share of the best score above which shapes are refined [1]. Chosen: a smaller value costs time, a larger one may
@@ -138,7 +139,7 @@ class Criteria:
     """Share of the best score above which a poor refit is repeated [1]. Chosen: a smaller value costs time, a larger
     one ranks rivals by refits in a wrong minimum."""
     refit_shortfall: float = 10.0
-    """Score minus fall of deviance above which a refit is poor [1]. Source: Kass & Raftery 1995; a larger shortfall
+    """Score minus fall of deviance above which a refit is poor [1]. Source: Kass & Raftery 1995; a larger difference
     changes the ranking."""
     own_phase: float = 10.0
     """Fall of deviance per case that separate phases need [1]. Source: Kass & Raftery 1995; very strong evidence."""
@@ -149,8 +150,8 @@ class Criteria:
     """Largest error of the equation of motion of a fitted spring, relative to the best [1]. Chosen: a smaller value
     may omit the right spring, a larger one costs time."""
     refit_reversals: int = 500
-    """Largest number of reversals in all refits of a step [1]. Chosen: 15 s of one core; a smaller value may omit the
-    right effect, a larger one costs time."""
+    """Largest number of reversals in all refits of a step [1]. Chosen: refits take 15 s of one core; a smaller value
+    may omit the right effect, a larger one costs time."""
     refit_oscillation_p: float = 0.1
     """Family-wise p-value above which candidates of an oscillation are not refitted [1]. Chosen: a larger value costs
     time, a smaller one may omit the right effect."""
@@ -171,14 +172,14 @@ class Criteria:
     """Fall of deviance that a random torque above noise needs [1]. Source: Kass & Raftery 1995; very strong
     evidence."""
     random_torque_shortest: float = 0.05
-    """Shortest correlation time of a random torque [s]. Chosen: a shorter one is part of the measured process noise, a
-    longer one leaves times untried."""
+    """Shortest correlation time of a random torque [s]. Chosen: a torque of a shorter time is part of the measured
+    process noise; a larger value leaves times untried."""
     random_torque_longest: float = 10.0
-    """Longest correlation time of a random torque [s]. Chosen: a longer one absorbs any slow law, a shorter one leaves
-    times untried."""
+    """Longest correlation time of a random torque [s]. Chosen: a torque of a longer time absorbs any slow law; a
+    smaller value leaves times untried."""
     start_u: float = 3e-3
     """Typical error of a start whose uncertainty is not stated [s]. Chosen: a few frames; a smaller value overlooks
-    start errors, a larger one explains effects by them."""
+    start errors, a larger one explains effects by start errors."""
     slip_tolerance: float = 0.1
     """Largest deviation of a slip from a whole turn [turns]. Chosen: a smaller value overlooks slips in noise, a larger
     one takes other steps for slips."""

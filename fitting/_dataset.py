@@ -38,8 +38,8 @@ _HOW_TO_MAKE = {
 }
 _OTHER_LAYOUT = "The file is not in this layout."
 SHOWN = 20
-"""Characters of a wrong word that a message shows [1]. Chosen: a smaller number hides the word, a larger one fills the
-line."""
+"""Number of characters of a wrong word that a message shows [1]. Chosen: a smaller number hides the word, a larger one
+fills the line."""
 # errors that h5py raises for damaged files
 _FAULTS = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError)
 _KIND_NAMES: dict[type[Any], str] = {
@@ -53,13 +53,14 @@ _KIND_NAMES: dict[type[Any], str] = {
 
 @dataclass(frozen=True)
 class Reader(Guard):
-    """Reads files of the layout; `fail` makes its errors from a sentence and a hint."""
+    """Reads files of the layout; `fail` makes an error from a sentence and a hint."""
 
     @contextmanager
     def open(self, path: Path, kind: str | None = None) -> Iterator[h5py.File]:
-        """Validate and open a file: a recording, a case, or either; faults of HDF5 while it is read become errors.
+        """Validate and open a file of a `kind`, by default a recording or a case.
 
-        The context must contain only code that reads, because any other error would be reported as damage to the file.
+        Faults of HDF5 while the file is read become errors of the reader. The context must contain only code that
+        reads, because any other error would be reported as damage to the file.
         """
         path = Path(path)
         self._check_signature(path, kind)
@@ -145,7 +146,7 @@ class Reader(Guard):
     def table(
         self, group: Any, table: Table, lengths: Mapping[str, int] | None = None
     ) -> dict[str, NDArray[Any]]:
-        """Read the datasets of `table` from `group`, checked against it; `lengths` are those of known dimensions."""
+        """Read the datasets of `table` from `group` and check them; `lengths` are the lengths of known dimensions."""
         known = {**layout.LENGTHS, **(lengths or {})}
         values: dict[str, NDArray[Any]] = {}
         for f in table.fields:
@@ -172,7 +173,7 @@ class Reader(Guard):
         return {**self.table(group, table, lengths), **self.attributes(group, table.attributes)}
 
     def _check_shape(self, dataset: Any, f: Field, known: dict[str, int]) -> None:
-        """Refuse a dataset whose dimensions differ from the known ones; its new dimensions become known."""
+        """Refuse a dataset whose dimensions differ from `known`; its new dimensions are added to `known`."""
         shape, dims = tuple(dataset.shape), [d.removeprefix("other_") for d in f.dims]
         for dim, length in zip(dims, shape, strict=False):
             known.setdefault(dim, length)
@@ -218,7 +219,7 @@ class Reader(Guard):
     def attribute(self, group: Any, name: str, kind: type[Any], default: Any = None) -> Any:
         """Return an attribute as `kind`: int, float, str, pairs for tuple, texts for list.
 
-        One without a `default` must exist.
+        An attribute without a `default` must exist.
         """
         if name not in group.attrs:
             if default is not None:

@@ -98,7 +98,7 @@ def figure_of(ax: Axes) -> Figure:
 def draw_speed(
     ax: Axes, measured: Sequence[tuple[Array, Array]], modelled: Sequence[tuple[Array, Array, Array]]
 ) -> None:
-    """Draw modelled speeds (time, speed, sigma) [s, rad/s] with bands of 2 sigma over measured ones (time, speed)."""
+    """Draw modelled speeds (time, speed, sigma) [s, rad/s] with 2 sigma bands, and measured speeds (time, speed)."""
     for k, (time, omega) in enumerate(measured):
         ax.plot(time, omega, color=GREY, linewidth=3, label=None if k else "measured")
     for k, (time, omega, sigma) in enumerate(modelled):
@@ -123,7 +123,7 @@ def draw_torque(
 ) -> None:
     """Draw unmodelled torques with bands of 2 sigma, and shade intervals of significant lack of fit.
 
-    `curves` are (body, time [s], torque, sigma [unit]); where sigma exceeds three times its minimum nothing is drawn.
+    `curves` are (body, time [s], torque, sigma [unit]). Where sigma exceeds three times its minimum, nothing is drawn.
     `intervals` are (start, stop) [s].
     """
     for (body, time, torque, sigma), colour in zip(curves, (VERMILLION, BLUE), strict=False):
@@ -146,9 +146,9 @@ def draw_candidates(
     significant: Sequence[bool],
     physical: Sequence[bool],
 ) -> None:
-    """Draw a bar per candidate effect, as long as the root of its score.
+    """Draw one bar for each candidate effect; its length is the root of the score.
 
-    Effects are given best first; grey bars are not significant, hatched ones are artefacts of the measurement.
+    Effects are given best first. Grey bars are not significant; hatched bars are effects of the measurement.
     """
     colours = [BLUE if s else GREY for s in significant]
     hatches = ["" if p else "////" for p in physical]
@@ -162,9 +162,9 @@ def draw_candidates(
 
 
 def draw_answers(ax: Axes, groups: Sequence[tuple[str, Mapping[str, int]]], words: Mapping[str, str]) -> None:
-    """Draw a bar per simulated effect, divided into the shares of its answers.
+    """Draw one bar for each simulated effect, divided into the shares of the answers.
 
-    `groups` are names of the bars with counts by answer, `words` the answers as they are shown.
+    `groups` are the names of the bars with the counts of each answer. `words` are the texts of the answers.
     """
     colours = dict(zip(words, _ANSWERS * (1 + len(words) // len(_ANSWERS)), strict=False))
     labelled: set[str] = set()
@@ -186,10 +186,10 @@ def draw_answers(ax: Axes, groups: Sequence[tuple[str, Mapping[str, int]]], word
 def draw_history(
     ax: Axes, changes: Sequence[str], values: Sequence[float], label: str, limit: float | None = None
 ) -> None:
-    """Draw one bar per fit of a history, the first on top.
+    """Draw one bar for each fit of a history, the first on top.
 
-    `changes` and `values` are what each fit changed and its error, `label` the error's name and unit, `limit` the error
-    of noise alone.
+    `changes` and `values` are the change and the error of each fit. `label` is the name of the error with its unit, and
+    `limit` is the error of noise alone.
     """
     ax.barh(range(len(values)), values, color=[VERMILLION, *[BLUE] * (len(values) - 1)])
     for i, v in enumerate(values):

@@ -1,4 +1,4 @@
-"""Exceptions of the package `fitting`, one tree.
+"""Exceptions of the package `fitting`, all derived from one class.
 
 ::
 

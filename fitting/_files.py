@@ -2,9 +2,9 @@
 
 An output is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target.
 After a kill or an interrupt, or if the disk is full, the old file is unchanged. The lock of a file is ``.<name>.lock``
-in the same folder, so that it holds for all users and hosts; it exists only while it is held. The lock file contains
-the name of the temporary file, which the next writer removes if the present writer is killed. Files beside an output
-are opened without following links.
+in the same folder, so that it is valid for all users and hosts; it exists only while it is held. The lock file contains
+the name of the temporary file. If a writer is killed, the next writer removes this temporary file. Other files in the
+folder of an output are opened without following links.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from typing import BinaryIO
 
 LOCK_TIMEOUT = 10.0
 """Time after which waiting for a lock ends with an error [s]. Chosen: writing takes milliseconds; a smaller value fails
-on slow network disks, a larger one delays the message about a lock that stays."""
+on slow network disks, a larger one delays the message about a lock that is not released."""
 _POLL = 0.02
 """Time between two attempts to get a lock [s]. Chosen: a smaller value loads the disk, a larger one delays writers that
 wait."""
 LOCK_LINE = b"gyrotrack lock\n"
 LOCK_SIZE = 1024
-"""Bytes of a lock file that are read [bytes]. Derived: more than the longest name of a file."""
+"""Largest number of bytes that are read from a lock file [bytes]. Derived: more than the longest name of a file."""
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 _SPECIAL = (
     (stat.S_ISFIFO, "a named pipe"),
@@ -51,7 +51,7 @@ def new_part(path: Path) -> Path:
 
 
 def flush(part: Path) -> None:
-    """Write a temporary file to the disk, before the last checks of its target: this may take long, or fail."""
+    """Write a temporary file to the disk, before the last checks of the target because this may be slow or fail."""
     with part.open("rb+") as stream:
         os.fsync(stream.fileno())
 
@@ -78,7 +78,7 @@ class Files:
     def locked(self, path: Path, timeout: float = LOCK_TIMEOUT) -> Iterator[Path]:
         """Hold the lock of `path`, which need not exist, against other processes; yield the lock file.
 
-        An error is raised after `timeout` [s], and if the file system has no locks.
+        An error is raised if the lock is not free within `timeout` [s], or if the file system has no locks.
         """
         from filelock import FileLock, Timeout
 
@@ -91,8 +91,8 @@ class Files:
         end = monotonic() + timeout
         try:
             while True:
-                # another user's process creates the lock file first without permissions for all, and adds them
-                # immediately afterwards
+                # a process of another user creates the lock file without permissions for all users and adds these
+                # permissions immediately afterwards
                 try:
                     lock.acquire(timeout=timeout, poll_interval=_POLL)
                     break
@@ -113,7 +113,7 @@ class Files:
                     part.unlink()
             yield own
         finally:
-            # deleted while the lock is held; a waiting process notices this and creates a new lock file
+            # the file is deleted while the lock is held; a waiting process notices this and creates a new lock file
             with suppress(OSError):
                 own.unlink()
             lock.release()
@@ -130,7 +130,7 @@ class Files:
             with self.open_side_file(own) as stream:
                 content = stream.read(LOCK_SIZE)
         except (FileNotFoundError, PermissionError):
-            # another user's lock has no permissions for a moment, and Windows does not read a locked file
+            # the lock of another user has no permissions for a moment, and Windows does not read a locked file
             return []
         except OSError as error:
             raise self.refusal(path, error) from error
@@ -141,9 +141,9 @@ class Files:
         return [path.with_name(name)] if own_part else []
 
     def open_side_file(self, path: Path, flags: int = os.O_RDONLY) -> BinaryIO:
-        """Open a file that is made beside an output; an error if it is a link or has several names.
+        """Open an auxiliary file in the folder of an output; an error is raised if it is a link or has several names.
 
-        `flags` are those of `os.open`.
+        `flags` are the flags of `os.open`.
         """
         self.refuse_special(path)
         flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)

@@ -3,10 +3,10 @@
 External and soft links, external storage, virtual datasets, filters that load plugins, and sizes beyond the stored
 bytes are refused; the tree is checked without following links.
 
-The string heap (global heap collections, ``GCOL``) is a sequence of objects with their lengths; HDF5 2.0 never returns
-from an empty object of free space, and Python cannot interrupt it. HDF5 has checksums of data and most metadata but not
-of this heap. Every file therefore ends with a line with the SHA-256 of all bytes before it, which HDF5 ignores. A file
-that was changed by another program has no such line, or fails the check.
+The string heap (global heap collections, ``GCOL``) is a sequence of objects with their lengths. If an object of free
+space has the length zero, HDF5 2.0 never returns, and Python cannot interrupt it. HDF5 has checksums of data and most
+metadata, but not of this heap. Every file therefore ends with a line that contains the SHA-256 of all bytes before it;
+HDF5 ignores this line. A file that another program has changed has no such line or fails the check.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ MAX_DEPTH = 32
 MAX_BYTES = 2**31
 """Largest size of a dataset [bytes]. Chosen: a smaller value refuses long films, a larger one fills the memory."""
 MAX_INFLATION = 1100
-"""Largest ratio of the size of a dataset to its stored size [1]. Derived: deflate reaches 1032; the rest is margin."""
+"""Largest ratio of the size of a dataset to its stored size [1]. Derived: the compression by deflate reaches 1032; the
+rest is a margin."""
 SLACK = 2**22
-"""Size of a dataset that is admitted beyond the compression ratio [bytes]. Chosen: chunks are padded; a smaller value
-refuses small datasets, a larger one admits malicious files."""
+"""Size that a dataset may have in addition to its stored size times `MAX_INFLATION` [bytes]. Chosen: chunks are padded;
+a smaller value refuses small datasets, a larger one admits malicious files."""
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 CHECKSUM_MARK = b"\ngyrotrack sha256 "
 CHECKSUM_LENGTH = len(CHECKSUM_MARK) + 65
@@ -41,17 +42,18 @@ _HEAP_MARK = b"GCOL\x01\x00\x00\x00"
 _HEAP_HEADER = 16
 """Length of the header of an object in a string heap [bytes]. Source: HDF5 file format, level 1E."""
 _BLOCK = 2**20
-"""Bytes that are read at once [bytes]. Chosen: with fewer, reading is slow; with more, it needs memory."""
+"""Number of bytes that are read at once [bytes]. Chosen: a smaller number makes reading slow, a larger one needs
+memory."""
 
 
 @dataclass(frozen=True)
 class Guard:
-    """Checks of HDF5 files; `fail` makes the errors from a sentence and a hint."""
+    """Checks of HDF5 files; `fail` makes an error from a sentence and a hint."""
 
     fail: Callable[[str, str], Exception]
 
     def check_file(self, path: Path, recreate: str) -> None:
-        """Refuse a file that another program is writing, or a damaged file, for which `recreate` is the hint."""
+        """Refuse a file that another program is writing, or a damaged file with the hint `recreate`."""
         if is_open_elsewhere(path):
             raise self.fail(f"{path} is open in another program.", "Close it there.")
         if checksum_fails(path):
@@ -62,7 +64,7 @@ class Guard:
     def check_tree(self, file: Any) -> None:
         """Check a file for links, external storage and sizes beyond the stored bytes."""
         seen: set[Any] = set()
-        # identifiers instead of h5py's objects, which take ten times as long to open
+        # identifiers are used because the objects of h5py take ten times as long to open
         todo: list[tuple[Any, int]] = [(file.id, 0)]
         count = 0
         while todo:
@@ -96,7 +98,7 @@ class Guard:
         return self.fail(what, "Links are not followed; copy the data into the file.")
 
     def check_bytes(self, dataset: Any) -> None:
-        """Refuse a dataset with external storage, an unknown filter, or more than its stored bytes."""
+        """Refuse a dataset with external storage, with an unknown filter, or larger than its stored bytes can be."""
         self._check_bytes(dataset.id)
 
     def _check_bytes(self, dataset: Any) -> None:

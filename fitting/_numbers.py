@@ -1,4 +1,4 @@
-"""Numbers, uncertainties and units as printed: (7.16 ± 0.04) × 10⁻⁷ N m s."""
+"""Numbers, uncertainties and units as text, for example (7.16 ± 0.04) × 10⁻⁷ N m s."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AVN](?=-\d))\^?(-?\d
 _POWER = re.compile(r"x 10\^(-?\d+)")
 # a number in a sentence, followed by its uncertainty, its unit or a bracket; not a number in a formula
 _SCIENTIFIC = re.compile(r"(?<![\w.*])(\d+(?:\.\d+)?)e([+-]\d+)(?=\)| \+-| N m| m?rad| urad| s\b)")
-# spaces within a number: before its uncertainty, its power of ten, and inside a unit
+# spaces within a number: before its uncertainty and its power of ten, and inside its unit
 _JOINED = re.compile(r"(?<=\d) [±×] (?=\d)|(?<=\)) × (?=10)|\bN m(?: s[⁻⁰-⁹¹²³]*)?(?![\w])")
 _AFTER_NUMBER = re.compile(r"(?<=[\d)⁰-⁹¹²³]) (?=(?:m?rad|N|kg|J|K|s|ms|px|%|σ|sigma|times)(?![\w.]))")
 POWERS = {"": "", "m": "$10^{-3}$", "µ": "$10^{-6}$", "n": "$10^{-9}$", "p": "$10^{-12}$"}
@@ -152,7 +152,7 @@ def stated_probability(p: float) -> str:
 
 
 def scaled(largest: float, prefixes: Iterable[tuple[float, str]] = _PREFIXES) -> tuple[float, str]:
-    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500; no prefix if there is none."""
+    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500, or 1 and no prefix if none does."""
     return next((p for p in prefixes if largest * p[0] >= 0.5), _PREFIXES[0])
 
 
@@ -185,7 +185,8 @@ def speed(value: float) -> float:
 def rounded(value: float, error: float, unit: str = "") -> str:
     """Return ``(7.16 +- 0.04) x 10^-7 N m s``; an angular velocity in the unit of `speeds_in`.
 
-    The uncertainty keeps two digits if they are between 10 and 29, else one; the value is rounded to the same digit.
+    The uncertainty has two digits if they are between 10 and 29, and otherwise one digit. The value is rounded to the
+    same digit.
     """
     if unit in _RAD_PER_S and _SPEED.get() == "rpm":
         value, error, unit = speed(value), speed(error), "rpm"
@@ -222,18 +223,18 @@ def per_inertia(unit: str) -> str:
 
 @dataclass(frozen=True)
 class Units:
-    """The units of the torques of a case and of what is computed from them.
+    """The units of the torques of a case and of quantities that are computed from torques.
 
     Parameters
     ----------
     torque, energy, inertia : str
-        Units of a torque, an energy and a moment of inertia; the last is empty if the moment of inertia is unknown.
+        Units of a torque, an energy and a moment of inertia; `inertia` is empty if the moment of inertia is unknown.
     gain : str
         Unit of the ratio of a torque to a recorded torque.
     note : str
         Explanation for the reader; empty for SI units.
     of : callable
-        Return the unit of a constant of a torque law from its SI unit.
+        Function that returns the unit of a constant of a torque law, given its SI unit.
     steps : tuple
         Smallest torque, factor and unit of each prefix in sentences, largest first.
     prefixes : tuple
@@ -251,12 +252,12 @@ class Units:
 
     @classmethod
     def common(cls, several: Iterable[Units]) -> Units:
-        """Return the units of a joint fit of cases: SI units if any case has them."""
+        """Return the units of a joint fit of cases: SI units if any case has SI units."""
         return max(several, key=lambda u: u == SI)  # by value: a record may come from another process
 
     @classmethod
     def by_torque(cls, unit: str) -> Units:
-        """Return the units whose unit of torque is `unit`; SI units if there are none."""
+        """Return the units whose unit of torque is `unit`; SI units if no units have this unit."""
         return {PER_INERTIA: WITHOUT_INERTIA}.get(unit, SI)
 
 

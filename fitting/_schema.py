@@ -1,8 +1,8 @@
 """JSON files of fits, diagnoses and histories: one schema for reading and writing; atomic writing.
 
 Numbers are in SI units. JSON has neither nan nor infinity: nan is written as null, infinity as "inf" (see
-`fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, keys with a default may be missing, so
-that files of older versions stay readable.
+`fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, and keys with a default may be missing;
+files of older versions therefore remain readable.
 
 A comment `#:` at a key states its meaning, with the unit in brackets; docs/reference/json.md is made from these
 comments.
@@ -124,7 +124,7 @@ class IntervalDocument(Document):
 
     level: Number  #: Confidence level [1].
     lower: Number  #: Lower end; the bound of the parameter, or the last value that was tried, if it is open [`unit`].
-    upper: Number  #: Upper end, likewise [`unit`].
+    upper: Number  #: Upper end; the bound of the parameter, or the last value that was tried, if it is open [`unit`].
     lower_open: bool  #: Whether the data give no lower limit.
     upper_open: bool  #: Whether the data give no upper limit.
 
@@ -144,12 +144,13 @@ class EstimateDocument(WithOptionalKeys):
 
 
 class StoredEstimate(EstimateDocument):
-    """A parameter with its bounds, whether it is varied, and the expression that it follows."""
+    """A parameter with its bounds, and with the expression that determines it, if there is one."""
 
-    vary: bool = True  #: Whether it was fitted, and not held.
-    min: Number = -math.inf  #: Lower bound; null if it has none [`unit`].
-    max: Number = math.inf  #: Upper bound; null if it has none [`unit`].
-    expr: str | None = None  #: The expression of other parameters that it follows; null if it is free.
+    vary: bool = True  #: Whether the parameter was fitted, and not held.
+    min: Number = -math.inf  #: Lower bound; null if there is none [`unit`].
+    max: Number = math.inf  #: Upper bound; null if there is none [`unit`].
+    #: Expression of other parameters that determines the parameter; null if it is free.
+    expr: str | None = None
 
 
 class BodyDocument(Document):
@@ -172,8 +173,8 @@ class MetricsDocument(Document):
     further: list[BodyDocument] = []  #: The third and the following bodies of a chain.
     #: Chi-square, divided by the number of rows that a model can describe [1].
     chi2_per_row: Number = Field(validation_alias=AliasChoices("chi2_per_row", "misfit"))
-    # the default is for fits that were stored without it
-    #: Number of these rows, which are combinations of the samples.
+    # the default is for fits that were stored without this number
+    #: Number of rows that a model can describe; a row is a combination of samples.
     rows: int = Field(1000, validation_alias=AliasChoices("rows", "misfit_rows"))
 
 
@@ -211,7 +212,8 @@ class CaseDocument(MetricsDocument):
     noise_scale: Number = Field(validation_alias=AliasChoices("noise_scale", "scale"))
     #: Correlated angle noise of the casing; null if not significant.
     angle_noise: AngleNoiseDocument | None = None
-    rotor_angle_noise: AngleNoiseDocument | None = None  #: The same for the rotor.
+    #: Correlated angle noise of the rotor; null if not significant.
+    rotor_angle_noise: AngleNoiseDocument | None = None
     n_eff: Number = math.nan  #: Number of equivalent independent samples [1].
 
 
@@ -220,8 +222,8 @@ class PriorDocument(Document):
 
     source: str  #: Name of the other study.
     names: list[str]  #: Keys of the parameters.
-    mean: list[Number]  #: Their values [SI units].
-    covariance: list[list[Number]]  #: Their covariance [SI units].
+    mean: list[Number]  #: Values of the parameters [SI units].
+    covariance: list[list[Number]]  #: Covariance of the parameters [SI units].
 
 
 class FirstOrderDocument(Document):
@@ -231,22 +233,22 @@ class FirstOrderDocument(Document):
     body: str  #: Name of the body.
     time_constant: EstimateDocument  #: Moment of inertia divided by the coefficient of linear drag.
     gains: dict[str, EstimateDocument]  #: Change of the final speed per unit of an input, by input.
-    delays: dict[str, EstimateDocument]  #: Dead time of an input, by input for which one is fitted.
+    delays: dict[str, EstimateDocument]  #: Dead time of each input whose dead time is fitted, by input.
 
 
 class NameDocument(Document):
     """The name of an effect in words, and the symbol of its strength."""
 
     words: str  #: Name in words.
-    symbol: str  #: Symbol of the strength; empty if it has none.
+    symbol: str  #: Symbol of the strength; empty if there is no strength.
 
 
 class PredictedDocument(Document):
-    """One recording, predicted from a fit of the others."""
+    """One recording, predicted from a fit of the other recordings."""
 
     label: str  #: Name of the case.
     casing: Number  #: Rms error of the casing divided by the noise; 1 is the noise limit [1].
-    rotor: Number  #: The same for the rotor [1].
+    rotor: Number  #: Rms error of the rotor divided by the noise [1].
     r2: Number  #: Coefficient of determination of the smoothed angular velocity of the casing [1].
     rmse: Number  #: Rms error of the smoothed angular velocity of the casing [rad s-1].
 
@@ -255,9 +257,9 @@ class CurveBiasDocument(Document):
     """A parameter from a generated rotor curve and from the rotor windows."""
 
     generated: Number  #: Value from the curve [unit of the parameter].
-    claimed: Number  #: Its standard error [unit of the parameter].
+    claimed: Number  #: Standard error of `generated`, without the error of the curve [unit of the parameter].
     measured: Number  #: Value from the windows [unit of the parameter].
-    stderr: Number  #: Its standard error [unit of the parameter].
+    stderr: Number  #: Standard error of `measured` [unit of the parameter].
     errors: Number  #: Difference of the values divided by the standard error from the curve [1].
 
 
@@ -273,7 +275,7 @@ class FitDocument(WithOptionalKeys):
     #: `initial.omega_c@label` for the initial speeds.
     parameters: dict[str, EstimateDocument]
     cases: list[CaseDocument] = []  #: Figures of merit of each case.
-    misfit: Number = math.nan  #: Rms residual divided by that of the noise; 1 is the noise limit [1].
+    misfit: Number = math.nan  #: Rms residual divided by the rms of the noise; 1 is the noise limit [1].
     n_eff: Number = math.nan  #: Number of equivalent independent samples of all cases [1].
     bic: Number = math.nan  #: Bayesian information criterion [1].
     verdict: str = ""  #: `lack_of_fit`, `no_lack_of_fit`, `not_determined` or `not_converged`.
@@ -284,7 +286,7 @@ class FitDocument(WithOptionalKeys):
     not_determined_together: list[dict[str, Number]] = []
     first_order: list[FirstOrderDocument] = []  #: Response of bodies that recorded inputs drive.
     prior: PriorDocument | None = None  #: The prior of the parameters, with `--prior`.
-    #: Prediction of each case from the others, with `--hold-out`.
+    #: Prediction of each case from a fit of the other cases, with `--hold-out`.
     predicted: list[PredictedDocument] | None = None
     #: Shift of each parameter by the generated curve, with `--rotor generated`.
     generated_rotor: dict[str, CurveBiasDocument] | None = None
@@ -325,8 +327,8 @@ class CandidateDocument(Document):
     p_value: Number  #: False-alarm probability of such a score anywhere in the list [1].
     significant: Flag  #: Whether `p_value` is below the level of the search.
     held_out_gain: Number  #: Decrease of the cross-validation error / noise; null without a refit [1].
-    indistinguishable_from: list[str]  #: Candidates that the data cannot separate from this one.
-    indistinguishable_words: list[str]  #: Their names in words.
+    indistinguishable_from: list[str]  #: Candidates that the data cannot separate from this candidate.
+    indistinguishable_words: list[str]  #: Names of these candidates in words.
     parameters: dict[str, EstimateDocument]  #: Parameters of the effect, by key as in a fit.
     law: str  #: Body or joint, and formula.
 
@@ -338,7 +340,7 @@ class RemainderDocument(Document):
     share: Number  #: Share of the mean square unmodelled torque, 0 to 1 [1].
     p_value: Number  #: Probability that noise alone causes such a remainder [1].
     sentence: str  #: Size, and the variable on which it depends.
-    effects: list[str] = []  #: Further effects that describe it.
+    effects: list[str] = []  #: Further effects that describe the remainder.
 
 
 class NuisanceDocument(Document):
@@ -347,8 +349,8 @@ class NuisanceDocument(Document):
     effect: str  #: Name of the effect.
     label: str  #: Name of the case.
     value: Number  #: Amplitude [`unit`].
-    stderr: Number  #: Its standard error [`unit`].
-    unit: str  #: Unit of both.
+    stderr: Number  #: Standard error of the amplitude [`unit`].
+    unit: str  #: Unit of the amplitude.
     p_value: Number  #: Probability that noise alone causes such an amplitude [1].
 
 
@@ -359,14 +361,14 @@ class UpperLimitDocument(Document):
     symbol: str  #: Symbol of the strength.
     upper_limit: Number  #: 95 % upper limit of the strength [`unit`].
     unit: str  #: Unit of the strength.
-    torque_Nm: Number  #: The same as an rms torque along the motion [torque].
+    torque_Nm: Number  #: Upper limit as an rms torque along the motion [torque].
 
 
 class ValuesInRecordings(Document):
     """The value of a parameter in each recording."""
 
     parameter: str  #: Key of the parameter.
-    values: dict[str, EstimateDocument]  #: Its values, by name of the case.
+    values: dict[str, EstimateDocument]  #: Values of the parameter, by name of the case.
     #: Differences from the value in the first case, by name of the case.
     differences: dict[str, EstimateDocument]
 
@@ -391,14 +393,14 @@ class StepDocument(Document):
     samples: int = 0  #: Number of samples of all cases.
     n_eff: Number = math.nan  #: Number of equivalent independent samples [1].
     rmse_casing: Number  #: Rms residual of the smoothed angular velocity of the casings [rad s-1].
-    rmse_noise: Number = math.nan  #: The same for noise alone [rad s-1].
+    rmse_noise: Number = math.nan  #: Rms residual that noise alone would give [rad s-1].
     reduced_chi2: Number  #: Chi-square of the casings, divided by the effective number of samples [1].
-    misfit: Number = math.nan  #: Rms residual divided by that of the noise; null in older files [1].
+    misfit: Number = math.nan  #: Rms residual divided by the rms of the noise; null in older files [1].
     held_out: Number  #: Cross-validation error of the casings divided by the noise; 1 is the noise limit [1].
     bic: Number = math.nan  #: Bayesian information criterion [1].
     #: BIC that a model with the same number of parameters would have if its residuals were noise [1].
     bic_noise: Number = math.nan
-    delta_bic: Number  #: BIC minus that of the fit before; 0 for the first one [1].
+    delta_bic: Number  #: BIC minus the BIC of the previous fit; 0 for the first fit [1].
     energy_drift: Number  #: Largest energy balance error of a case, as a share of the kinetic energy [1].
     torque_left_Nm: Number  #: Largest rms of the random torque in the residuals of a case [torque].
     moved: list[str]  #: Parameters that changed by more than three standard errors.
@@ -408,15 +410,17 @@ class StepDocument(Document):
 class ListedStep(StepDocument):
     """One fit of a history, with the fit on which it is based, and the name and note of the user."""
 
-    parent: str  #: Name of the fit on which it is based; empty for a first fit.
+    parent: str  #: Name of the fit on which this fit is based; empty for a first fit.
     name: str  #: Name, from `--name`.
     note: str  #: Note, from `--note`.
 
 
 class NoiseDocument(Document):
-    """Noise of one case: scale of the white noise, process noise, its uncertainty, and that of the model [N m].
+    """Noise of one case.
 
-    `unresolved` is the random torque that the residuals do not exclude.
+    `scale` is the white noise divided by the stated uncertainty. `pure` and `pure_u` are the process noise of the
+    recording and its standard uncertainty [N m]. `level` is the random torque in the residuals of the model [N m].
+    `unresolved` is the random torque that the residuals do not exclude [N m].
     """
 
     scale: Number
@@ -427,7 +431,7 @@ class NoiseDocument(Document):
 
 
 class StoredNoise(NoiseDocument):
-    """Noise with its correlation time [s], its excess, and the variables about which it is linearised."""
+    """Noise with its correlation time [s], its log-likelihood ratio, and the variables of its linearisation."""
 
     time: Number
     excess: Number
@@ -506,7 +510,7 @@ class OutcomeDocument(Document):
 
 
 class StoredCertificate(Document):
-    """The outcomes of a certificate, complete or not, with what they depend on."""
+    """The outcomes of a certificate, also of an incomplete one, with the inputs on which they depend."""
 
     code: str
     n: int
@@ -523,7 +527,7 @@ class EntryDocument(FitDocument):
     """One fit of a ledger.
 
     `restored_from` (`StoredFit`), `diagnosis` (`StoredDiagnosis`), `certificate` and `certificate_of_films`
-    (`StoredCertificate`) save time only: they are checked where they are used, and ignored if they are damaged.
+    (`StoredCertificate`) only save time: they are checked when they are used, and ignored if they are damaged.
     """
 
     parent: str = ""
@@ -559,7 +563,7 @@ class LedgerDocument(Document):
 
 
 class SavedFitDocument(Document):
-    """What `Fit.save` writes: a fit without its data."""
+    """The document that `Fit.save` writes: a fit without its data."""
 
     format: str = "gyrotrack fit"
     version: int = 1
@@ -587,7 +591,7 @@ def own_effects(effects: Iterable[Effect]) -> list[Effect]:
 
 
 def effects_of(names: Iterable[str], own: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return effects by name: the user's own, all others from the library."""
+    """Return effects by name, from the effects `own` of the user or else from the library."""
     known = LIBRARY | {e.name: e for e in own}
     found = {n: known.get(n) for n in names}
     if missing := [n for n, e in found.items() if e is None]:

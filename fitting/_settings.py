@@ -32,7 +32,7 @@ Value: TypeAlias = "float | tuple[Value, ...] | Mapping[str, Value]"
 ORIGINS = ("derived", "measured", "source", "chosen")
 _SHOWN = 20
 """Largest number of values of a grid that is printed in full [1]. Chosen: a larger value fills the table, a smaller one
-hides short lists; of a longer grid only the ends are printed; the JSON contains all values."""
+hides short lists; of a longer grid only the ends are printed, but the JSON contains all values."""
 _DESCRIPTION = re.compile(rf"(.+?) \[([^\]]+)\]\. ({'|'.join(map(str.capitalize, ORIGINS))}): (.+)\.")
 
 
@@ -40,7 +40,7 @@ _DESCRIPTION = re.compile(rf"(.+?) \[([^\]]+)\]\. ({'|'.join(map(str.capitalize,
 class Setting:
     """One or several numbers on which the results of a module depend."""
 
-    module: str  #: Module that uses it.
+    module: str  #: Module that uses the setting.
     name: str  #: Name in the module.
     value: Value  #: A number, an array, or an object by name; infinity is the text `inf` [`unit`].
     unit: str  #: Unit; `1` for a ratio or a count.
@@ -83,7 +83,7 @@ def fitting_settings() -> Settings:
 
 
 def settings_in(*packages: str) -> Settings:
-    """Collect the settings of all modules of packages; a LookupError names one without a description."""
+    """Collect the settings of all modules of packages; a LookupError names a setting without a description."""
     found: list[Setting] = []
     for package in map(importlib.import_module, packages):
         names = sorted(m.name for m in pkgutil.walk_packages(package.__path__, f"{package.__name__}."))

@@ -1,8 +1,8 @@
 """The reader of a case file, layout 1 or 2, for both packages.
 
 `/casing` and `/rotor` are the groups of layout 1, which older scripts read and change: if they exist, their values are
-used. A file without them has its series in `/body`, as a chain of bodies always has. Clocks, inputs and error modes are
-read from the same places in both.
+used. A file without them has its series in `/body`; so does every file of a chain of bodies. Clocks, inputs and error
+modes are at the same places in both layouts.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class _Body(NamedTuple):
 
 
 def read_stored_case(file: Any, reader: Reader, *, every_column: bool = False) -> StoredCase:
-    """Read an open case file; of `/casing` and `/rotor` only what is fitted, or every column."""
+    """Read an open case file; of `/casing` and `/rotor` only the fitted columns, or with `every_column` all columns."""
     return _CaseReader(file, reader, every_column).case()
 
 
@@ -178,7 +178,7 @@ class _CaseReader:
         quantities, found = set(), []
         for name, body, of_body in bodies:
             group = self._fitted(body)
-            # the hint of the table is not specific
+            # this hint is more specific than the hint of the table
             quantity = self.reader.attribute(group, "quantity", str, "angle")
             if quantity not in layout.QUANTITIES:
                 raise self.reader.fail(
@@ -274,5 +274,5 @@ def _is_measured(time: Array, value: Array) -> Any:
 
 
 def _is_chain(bodies: list[_Body]) -> bool:
-    """Return whether the bodies have joints of their own, unlike a single body or those of a gyroscope."""
+    """Return whether the bodies form a chain with named joints, unlike a single body or a gyroscope."""
     return len(bodies) > 1 and bodies[0].stated["role"] == "body"

@@ -29,7 +29,7 @@ than the gain in time justifies."""
 def single_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread; a context manager that can also be used as a decorator.
 
-    The matrices of a fit have a few hundred rows: more threads are slower.
+    The matrices of a fit have a few hundred rows; several threads would be slower.
     """
     from threadpoolctl import threadpool_limits
 
@@ -63,11 +63,12 @@ class Task(Generic[T]):
 
 @dataclass
 class WorkerPool:
-    """A process pool (started with "spawn", entered with ``with``) that degrades to serial execution.
+    """A process pool (started with "spawn", entered with ``with``) that can fall back to serial execution.
 
-    Without ``with``, on one core, where no process can be started and after a worker was killed, all calls run in the
-    calling process. The workers end with the process that started them; by default there is one fewer than available
-    cores, at most 4. Each worker begins with ``start(*arguments)``, a module-level function.
+    All calls run in the calling process if the pool is used without ``with``, if there is only one core, if no process
+    can be started, or after a worker was killed. The workers end with the process that started them. By default their
+    number is one less than the number of available cores, at most 4. Each worker begins with ``start(*arguments)``, a
+    module-level function.
     """
 
     processes: int = field(default_factory=lambda: min(available_cores() - 1, _MOST_PROCESSES))
@@ -89,7 +90,7 @@ class WorkerPool:
         executor, self._executor = self._executor, None
         if executor is None:
             return
-        if fault is not None:  # an interrupt does not wait for work that is not needed
+        if fault is not None:  # an interrupt does not wait for work that is no longer needed
             for process in list((getattr(executor, "_processes", None) or {}).values()):
                 process.terminate()
         executor.shutdown(cancel_futures=True)
@@ -107,8 +108,8 @@ class WorkerPool:
     ) -> list[T]:
         """Return ``work(common, item)`` for each item; workers start with the first items, the caller with the last.
 
-        ``shared(common)``, a module-level function, returns the parts of `common` to which results refer instead of
-        holding copies of them.
+        ``shared(common)``, a module-level function, returns parts of `common`. Results refer to these parts instead of
+        containing copies of them.
         """
         waiting, futures, lock = deque(range(len(items))), dict[int, Future[bytes]](), RLock()
 
@@ -138,7 +139,7 @@ class WorkerPool:
         return [results[i] for i in range(len(items))]
 
     def begin(self, work: Callable[..., T], *args: Any) -> Future[T] | None:
-        """Start a call in a worker; None if there is no worker, and after one was killed."""
+        """Start a call in a worker; None if there is no worker, or after a worker was killed."""
         if self._executor is not None:
             try:
                 return self._executor.submit(_unpacked, _packed(work, *args))
@@ -167,15 +168,16 @@ class _Unpickler(pickle.Unpickler):
 
 
 _ATTEMPTS = 20
-"""Attempts to pickle a call whose arguments change in the meantime [1]. Chosen: a smaller number raises an error while
-another thread fills a cache, a larger one delays a permanent error."""
+"""Number of attempts to pickle a call whose arguments change in the meantime [1]. Chosen: a smaller number raises an
+error while another thread fills a cache, a larger one delays a permanent error."""
 
 
 def _packed(work: Callable[..., object], *args: object) -> bytes:
     """Return a pickled call.
 
-    The executor would pickle it in a separate thread, at a time at which the calling thread may add a cached property
-    to one of the arguments; this ends in a RuntimeError, also where the next call is submitted by such a thread.
+    The executor would pickle the call in a separate thread. Meanwhile the calling thread may add a cached property to
+    one of the arguments, and pickling ends with a RuntimeError. The same can happen if such a thread submits the next
+    call.
     """
     for _ in range(_ATTEMPTS - 1):
         try:

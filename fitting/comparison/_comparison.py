@@ -5,19 +5,20 @@ uncertainties. The random-effects model of k repeats is
 
     x_i = mu + b_i + e_i,
 
-where b_i has the standard deviation tau between the runs, and e_i the standard uncertainty u_i of the run. The weights
-are w_i = 1 / (u_i^2 + tau^2), and tau follows from Q(tau) = sum w_i (x_i - mu)^2 = k - 1 (R. Paule, J. Mandel, J. Res.
-Natl. Bur. Stand. 87, 377 (1982)); tau = 0 if Q(0) < k - 1. Because tau is estimated from the same few runs, the
-standard uncertainty of mu is the larger of sqrt(Q / (k - 1) / sum w_i) and 1 / sqrt(sum w_i), with k - 1 degrees of
-freedom (J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The interval of tau contains all values whose Q is between
-two quantiles of the chi-square distribution with k - 1 degrees of freedom (W. Viechtbauer, Stat. Med. 26, 37 (2007)).
-The p-value of equal parameters is the tail probability of Q(0) in this distribution.
+where mu is the mean of all runs, b_i is the deviation of run i with the standard deviation tau, and e_i is the error of
+its fit with the standard uncertainty u_i. The weights are w_i = 1 / (u_i^2 + tau^2), and tau follows from Q(tau) = sum
+w_i (x_i - mu)^2 = k - 1 (R. Paule, J. Mandel, J. Res. Natl. Bur. Stand. 87, 377 (1982)); tau = 0 if Q(0) < k - 1.
+Because tau is estimated from the same few runs, the standard uncertainty of mu is the larger of sqrt(Q / (k - 1) / sum
+w_i) and 1 / sqrt(sum w_i), with k - 1 degrees of freedom (J. Hartung, G. Knapp, Stat. Med. 20, 1771 (2001)). The
+interval of tau contains all values whose Q is between two quantiles of the chi-square distribution with k - 1 degrees
+of freedom (W. Viechtbauer, Stat. Med. 26, 37 (2007)). The p-value of equal parameters is the tail probability of Q(0)
+in this distribution.
 
-A single run does not show how far its parameters scatter from run to run. As a statement about the body instead of the
-run, a value has the total standard uncertainty sqrt(u_i^2 + tau^2). Times at which a law sets in belong to a run and
-are not compared.
+A single run does not show how much its parameters vary from run to run. If the value of one run is used as a value of
+the body, its total standard uncertainty is sqrt(u_i^2 + tau^2). Changepoints, the times at which a law sets in, belong
+to a run and are not compared.
 
-Runs are treated as independent. A common error, above all of an inertia, cancels in a difference.
+Runs are treated as independent. A common error of all runs, above all of a moment of inertia, cancels in a difference.
 """
 
 from __future__ import annotations
@@ -63,11 +64,11 @@ class ParameterComparison:
 
     name: str
     unit: str  # SI
-    repeats: tuple[Repeat, ...]  # its value in each run that determines the parameter
+    repeats: tuple[Repeat, ...]  # value in each run that determines the parameter
     difference_sigma: float | None  # second minus first value [standard uncertainties]; None unless two runs
     p_value: float  # probability of such differences if the values are equal in all runs
     mean: float  # of the random-effects model [unit]
-    mean_u: float  # its standard uncertainty [unit]
+    mean_u: float  # standard uncertainty of the mean [unit]
     spread: float  # standard deviation tau between the runs, in addition to the uncertainties [unit]
     spread_interval: tuple[float, float]  # 68 % interval of the spread [unit]
 
@@ -89,15 +90,15 @@ class SpreadDocument(TypedDict):
     """The standard deviation between the runs, in addition to the uncertainties of the fits."""
 
     value: float  #: Standard deviation [unit of the parameter].
-    interval_68: list[float]  #: Its 68 % interval [unit of the parameter].
+    interval_68: list[float]  #: 68 % interval of the standard deviation [unit of the parameter].
 
 
 class ComparedParameter(TypedDict):
     """One parameter over several runs."""
 
     unit: str  #: Unit of the parameter.
-    values: list[RunValue]  #: Its value in each run that determines it.
-    #: Second minus first value; null unless there are two [standard uncertainties].
+    values: list[RunValue]  #: Value in each run that determines the parameter.
+    #: Second value minus first value; null unless there are two runs [standard uncertainties].
     difference_sigma: float | None
     p_value: float  #: Probability of such differences if the values are equal in all runs [1].
     mean: MeanDocument  #: Mean of the runs.
@@ -196,7 +197,8 @@ class Comparison:
 
 
 _LISTED = 12
-"""Names of runs in a sentence [1]. Chosen: a smaller number hides runs, a larger one makes the sentence unreadable."""
+"""Largest number of names of runs in a sentence [1]. Chosen: a smaller number hides runs, a larger one makes the
+sentence unreadable."""
 
 
 def _listed(runs: Sequence[str]) -> str:
@@ -303,9 +305,9 @@ def _q(x: Array, u: Array, spread: float) -> float:
 
 
 def _spread(x: Array, u: Array, target: float) -> float:
-    """Return the spread at which Q equals `target`; 0 if Q is at most `target` without a spread.
+    """Return the spread at which Q equals `target`; 0 if Q is not larger than `target` even without a spread.
 
-    Q decreases with the spread.
+    Q decreases as the spread increases.
     """
     if _q(x, u, 0.0) <= target:
         return 0.0

@@ -1,19 +1,21 @@
 """Many runs of one machine: population of the parameters, outlying runs, drifts and steps with run time.
 
-**Population.** Run i has estimates y_i of p parameters with the covariance C_i of its fit. The true values are
-mu + X_i beta + b_i with b_i ~ N(0, T). Mean and T follow from restricted maximum likelihood (D. A. Harville, J. Am.
-Stat. Assoc. 72, 320 (1977)) with V_i = C_i + T and T = L L':
+**Population.** Run i has estimates y_i of p parameters with the covariance C_i of its fit. The true values are mu + X_i
+beta + b_i. Here X_i beta is a drift or a step with the time of the run, and b_i is a random deviation with the
+distribution N(0, T). Mean and T follow from restricted maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 320
+(1977)) with V_i = C_i + T and T = L L':
 
     -2 log L_R = sum log|V_i| + log|sum X_i' V_i^-1 X_i| + sum r_i' V_i^-1 r_i.
 
-A parameter that a run does not determine has a very large variance in this run. The variances of T follow from the
-expected information 1/2 sum tr(V^-1 E_j V^-1 E_k).
+A parameter that a run does not determine has a very large variance in this run. The uncertainties of the elements of T
+follow from the expected information 1/2 sum tr(V^-1 E_j V^-1 E_k), where E_j is the derivative of T with respect to its
+element j.
 
 **Outlying runs.** Let T be estimated from m runs. If the spread dominates the uncertainties of the fits, the statistic
 (m - p) / (p (m - 1)) r_i' V_i^-1 r_i has an F distribution with p and m - p degrees of freedom (H. Hotelling, Ann.
 Math. Statist. 2, 360 (1931)); if the uncertainties dominate, the statistic is smaller. A run is outlying if its p-value
-is below the level divided by the number of runs (Bonferroni). Outlying runs are omitted, and the estimate is repeated
-until the set is stable. The first mean is a median of neighbouring runs.
+is below the level divided by the number of runs (Bonferroni). Outlying runs are omitted, and T is estimated again until
+the set of outlying runs no longer changes. The mean of the first round is a median of neighbouring runs.
 
 **Changes.** Each parameter is tested for a drift (regression on the run time, Student's t) and for a step at any time.
 The statistic of the step is the largest F over all changepoints with at least `FEWEST` runs on each side; its null
@@ -39,8 +41,8 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 FEWEST_RUNS = 8
-"""Smallest number of runs of a population [runs]. Chosen: a smaller number does not determine a spread, a larger one
-refuses short studies."""
+"""Smallest number of runs of a population [runs]. Chosen: a smaller number of runs does not determine a spread, a
+larger limit refuses short studies."""
 FEWEST = 3
 """Smallest number of runs on each side of a step [runs]. Chosen: a smaller number takes an outlying run for a step, a
 larger one overlooks steps near the ends."""
@@ -51,31 +53,32 @@ OUTLYING = 0.01
 """Probability of any false outlying run in a set of runs [1]. Chosen: a larger value omits regular runs, a smaller one
 keeps outlying runs."""
 _SETS = 20000
-"""Simulated sets for the null distribution of the largest step [1]. Chosen: a smaller number makes small p-values
-coarse, a larger one costs time."""
+"""Number of simulated sets for the null distribution of the largest step [1]. Chosen: a smaller number makes small
+p-values coarse, a larger one costs time."""
 _AT_A_TIME = 2**21
 """Random numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
 result."""
 _NEIGHBOURS = 7
-"""Runs on each side over which the first mean is a median [runs]. Chosen: a smaller number follows outlying runs, a
-larger one blurs a drift."""
+"""Number of runs on each side whose median is the mean of the first round [runs]. Chosen: a smaller number follows
+outlying runs, a larger one blurs a drift."""
 _ROUNDS = 8
 """Largest number of rounds that omit outlying runs [1]. Chosen: a smaller number stops before the set is stable, a
 larger one delays the end."""
 _MOST_OUT = 0.2
-"""Largest share of omitted runs [1]. Chosen: a larger value takes a second population for outlying runs, a smaller one
-keeps outlying runs."""
+"""Largest share of runs that are omitted as outlying [1]. Chosen: a larger value takes a second population for outlying
+runs, a smaller one keeps outlying runs."""
 _PREFERRED = 2.0
 """Difference of BIC above which either drift or step is preferred [1]. Source: R. E. Kass, A. E. Raftery, JASA 90, 773
 (1995)."""
 _UNKNOWN = 1e10
-"""Variance of a parameter that a run does not determine, in units of its variance over the runs [1]. Derived: large
-enough to have no weight, small enough for the rounding error of the inverse."""
+"""Variance of a parameter that a run does not determine, in units of its variance over the runs [1]. Derived: so large
+that the parameter has no weight, but small enough for the rounding error of the inverse."""
 _LEAST_SHARE = 0.8
 """Share of the runs that must determine a parameter [1]. Chosen: a smaller value tests parameters of few runs, a larger
 one drops parameters for single runs."""
 _SHOWN = 12
-"""Outlying runs in a sentence [1]. Chosen: a smaller number hides runs, a larger one makes the sentence unreadable."""
+"""Largest number of outlying runs in a sentence [1]. Chosen: a smaller number hides runs, a larger one makes the
+sentence unreadable."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,12 @@ class Change:
 
     kind: str  # "drift", "step", or "drift or step" if BIC does not prefer one
     slope: float  # of the drift [unit per unit of time]
-    slope_u: float  # its standard uncertainty
+    slope_u: float  # standard uncertainty of the slope
     time: float  # of the step, midway between the runs before and after the step
     before: str  # the last run before the step
     after: str  # the first run after the step
     size: float  # of the step [unit]
-    size_u: float  # its standard uncertainty
+    size_u: float  # standard uncertainty of the size
     delta_bic: float  # BIC of the step minus BIC of the drift
 
 
@@ -97,7 +100,7 @@ class MeanDocument(TypedDict):
     """A number with its standard error."""
 
     value: float  #: Value [unit of the parameter].
-    stderr: float  #: Its standard error [unit of the parameter].
+    stderr: float  #: Standard error of the number [unit of the parameter].
 
 
 class ChangeDocument(TypedDict):
@@ -122,12 +125,13 @@ class PopulationParameterDocument(TypedDict):
     runs: int  #: Number of runs that determine the parameter and are not outlying.
     p_drift: float  #: Probability of such a drift if there is none [1].
     p_step: float  #: Probability of such a step if there is none [1].
-    p_adjusted: float  #: The smaller of the two, adjusted for all parameters and both tests [1].
+    #: The smaller of `p_drift` and `p_step`, adjusted for all parameters and both tests [1].
+    p_adjusted: float
     change: ChangeDocument | None  #: Drift or step; null if not significant.
 
 
 class OutlyingRun(TypedDict):
-    """A run whose parameters differ from those of the others."""
+    """A run whose parameters differ from the parameters of the other runs."""
 
     run: str  #: Name of the run.
     p_adjusted: float  #: Probability of such a run, adjusted for the number of runs [1].
@@ -156,14 +160,12 @@ class PopulationParameter:
     unit: str
     mean: float
     mean_u: float
-    spread: (
-        float  # standard deviation between runs in addition to their uncertainties, about the change if any
-    )
+    spread: float  # standard deviation between runs in addition to their uncertainties, about a significant change
     spread_u: float
     runs: int  # number of runs that determine the parameter and are not outlying
     p_drift: float
     p_step: float
-    p_adjusted: float  # the smaller of the two, adjusted for all parameters and both tests (Holm)
+    p_adjusted: float  # the smaller of p_drift and p_step, adjusted for all parameters and both tests (Holm)
     change: Change | None  # None if not significant
 
 
@@ -425,7 +427,7 @@ def population_of(
 
 
 def _filled(y: Array, c: Array, known: Flags) -> tuple[Array, Array]:
-    """Return values and covariances with mean values, huge variances and no correlation for undetermined parameters."""
+    """Return values and covariances; undetermined parameters have the mean value, a huge variance, no correlation."""
     y, c = np.where(known, y, np.nanmean(y, axis=0)), c.copy()
     both = known[:, :, None] & known[:, None, :]
     c[~both] = 0.0
@@ -495,7 +497,7 @@ class _Tests:
     p_drift: float
     p_step: float
     kind: str  # the mean model of smaller BIC: "drift" or "step"
-    label: str  # the same, or "drift or step" if BIC does not prefer one
+    label: str  # `kind`, or "drift or step" if BIC does not prefer one
     place: int  # index of the first run after the step, among the runs inside
     slope: float
     slope_u: float
@@ -514,7 +516,7 @@ def _weights(y: Array, u2: Array, design: Array) -> tuple[Array, float]:
         r = y - design @ np.linalg.solve(gram, design.T @ (w * y))
         return float(-np.log(w).sum() + np.linalg.slogdet(gram)[1] + w @ r**2)
 
-    # tau^2 is between a hundred-thousandth of the squared uncertainty and more than the whole variance
+    # range of tau^2: from 1e-5 of the squared uncertainty to more than the whole variance
     low, high = (
         math.log(1e-5 * float(np.median(u2)) + 1e-300),
         math.log(float(np.var(y)) + float(np.median(u2))),
@@ -610,8 +612,8 @@ def _step_statistics(y: Array, w: Array) -> tuple[Array, Array]:
 def _p_step(largest: float, w: Array, rng: np.random.Generator) -> float:
     """Return the probability of a larger F statistic at any place if there is no step.
 
-    The probability is simulated. If no simulated set has a larger statistic, the Bonferroni bound over all places
-    replaces the resolution of the simulation if it is smaller.
+    The probability is simulated. If no simulated set has a larger statistic, the result is the resolution of the
+    simulation or the Bonferroni bound over all places, whichever is smaller.
     """
     from scipy.special import fdtrc
 
@@ -622,7 +624,7 @@ def _p_step(largest: float, w: Array, rng: np.random.Generator) -> float:
         sets = rng.standard_normal((count, n)) / np.sqrt(w)
         beyond += int((_step_statistics(sets, w)[1] >= largest).sum())
         done += count
-        # a large probability need not be known to four digits
+        # a large probability need not be known precisely
         if beyond > _ENOUGH:
             break
     simulated = (beyond + 1) / (done + 1)
@@ -709,7 +711,7 @@ def _spread_u(c: Array, spread: Array) -> Array:
     covariance = np.linalg.pinv(information, hermitian=True)
     variance_u = np.array([math.sqrt(max(covariance[k, k], 0.0)) for k, (a, b) in enumerate(pairs) if a == b])
     size = np.sqrt(np.diag(spread))
-    # near zero the spread is not linear in its square: its uncertainty is the root of the uncertainty of the square
+    # near zero, where the spread is not linear in its square, its uncertainty is the root of that of the square
     return np.asarray(
         np.where(size**2 > variance_u, variance_u / np.maximum(2 * size, 1e-300), np.sqrt(variance_u))
     )

@@ -8,8 +8,8 @@ the same base model:
   of the answer is the empirical p-value of the answer.
 - "truth": the base model with the named effect. The results are how often this effect is named first, how often it is
   in the named equivalence class, and how often the 95 % intervals contain the simulated values.
-- "rival": the base model with an effect that could be mistaken for the named one: a member of its equivalence class, or
-  the next candidate. The result is how often each effect is named.
+- "rival": the base model with an effect that could be mistaken for the named effect, either a member of its equivalence
+  class or the next candidate. The result is how often each effect is named.
 
 The rates have Clopper-Pearson intervals (C. Clopper, E. Pearson, Biometrika 26, 404 (1934)). An empirical p-value of n
 recordings is at least 1 / (n + 1) (A. Davison, D. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4).
@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 Kind = Literal["null", "truth", "rival"]
 
 _MOST_RIVALS = 3
-"""Largest number of simulated rivals [1]. Chosen: a smaller number leaves confusions unknown, a larger one costs
-time."""
+"""Largest number of simulated rivals [1]. Chosen: with fewer, some confusions of effects remain unknown; with more, the
+certificate takes longer."""
 _RIVAL_SHARE = 0.25
 """Simulated recordings of each rival per null recording [1]. Chosen: a smaller value widens the intervals of the rates,
 a larger one costs time."""
@@ -60,8 +60,8 @@ _INTERVAL = 1.96
 """Half width of an interval that contains the true value in 95 % of the cases [standard uncertainties]. Derived:
 quantile 0.975 of the standard normal distribution."""
 _PER_PROCESS = 4
-"""Recordings per process between two calls of `keep` [recordings]. Chosen: with fewer, processes are idle for longer;
-with more, a killed run loses more work."""
+"""Number of recordings of each process between two calls of the function `keep` [recordings]. Chosen: with fewer,
+processes are idle for longer; with more, a killed run loses more work."""
 _FAILED = "failed"
 
 
@@ -76,7 +76,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The answer to one simulated recording (of all cases of a joint fit together).
+    """The answer to one simulated recording; for a joint fit, to one simulated recording of every case.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Certificate:
     seed : int
         Seed of the random errors.
     body : str
-        The name of the body of the first case, used for effects in words.
+        The name of the body of the first case, used in the names of effects.
     """
 
     n: int
@@ -234,15 +234,16 @@ class Certificate:
         low, high = self.interval
         name = str(effect_name(self.named[0], self.body)) if self.named else ""
         what = f"without the {name}" if self.named else "of the fitted model"
-        what = f"{what}, from rendered films on" if self.film else what
+        what = f"{what} (films, rendered and tracked)" if self.film else what
         interval = f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
         parts = [f"Of {null} simulated recordings {what}, {self.alarms} end in a false alarm ({interval})."]
         if self.named:
             parts.append(f"The empirical p-value of this answer is {self.p_empirical:.2g}.")
         if self.right_first is not None and self.in_class is not None:
             parts.append(
-                f"Of {len(self.of('truth'))} with this effect, {100 * self.right_first:.0f} % name it first and "
-                f"{100 * self.in_class:.0f} % name it or an indistinguishable one."
+                f"Of {len(self.of('truth'))} recordings with this effect, {100 * self.right_first:.0f} % lead to an "
+                f"answer that names it first, and {100 * self.in_class:.0f} % to an answer with it or an "
+                "indistinguishable effect."
             )
         return " ".join(parts)
 
@@ -273,12 +274,12 @@ class Certificate:
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Axes to draw on; by default those of a new figure.
+            Axes to draw on; by default the axes of a new figure.
 
         Returns
         -------
         matplotlib.figure.Figure
-            The new figure, or that of `ax`.
+            The new figure, or the figure of `ax`.
         """
         groups = [(effect or "no effect", _counted(found)) for effect, found in self._simulated]
         drawn = figure_of(ax) if ax is not None else figure(8.0, 1.4 + 0.5 * len(groups))
@@ -331,7 +332,8 @@ def rate_interval(count: int, n: int) -> tuple[float, float]:
 def hypotheses(found: Diagnosis) -> list[Hypothesis]:
     """Return the hypotheses that test an answer: null and, if an effect is named, truth and rivals.
 
-    Measurement errors that are not a law (a slipped turn, starts of windows) are tested under the null hypothesis only.
+    Only the null hypothesis is simulated if the answer is a measurement error that no law describes (a slipped turn,
+    wrong start times of windows).
 
     Parameters
     ----------
@@ -387,7 +389,7 @@ def planned(found: Diagnosis, n: int) -> list[Item]:
 
 def _planned(simulated: Iterable[Hypothesis], n: int) -> list[Item]:
     items = [(w.kind, w.effect, k) for w in simulated for k in range(_count(w, n))]
-    # by number, so that an interrupted run has recordings of every hypothesis
+    # sorted by number, so that an interrupted run has recordings of every hypothesis
     return sorted(items, key=lambda item: item[2])
 
 
@@ -432,7 +434,7 @@ def certify(
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     criteria : Criteria, optional
-        Thresholds of the analysis; those of the fit by default.
+        Thresholds of the analysis; by default the criteria of the fit.
     known : sequence of Outcome
         Outcomes of an earlier run with the same answer and seed; these recordings are not simulated again.
     workers : WorkerPool, optional
@@ -455,7 +457,7 @@ def certify(
     done: dict[Item, Outcome] = {(o.kind, o.effect, o.number): o for o in known}
     missing = [item for item in wanted if item not in done]
     several = workers.processes + 1
-    # the first round is short: its duration predicts that of the others
+    # the first round is short: its duration predicts the duration of the later rounds
     edges = {0, *range(several, len(missing), _PER_PROCESS * several), len(missing)}
     for first, last in pairwise(sorted(edges)):
         part = missing[first:last]
@@ -486,7 +488,7 @@ def outcomes_of(
     Raises
     ------
     EstimationError
-        If an item has a kind and an effect that are not among the hypotheses.
+        If the kind and the effect of an item do not belong to a hypothesis.
     """
     work = _Work.of(found, extra, criteria or found.fit.criteria, seed)
     if not {item[:2] for item in items} <= work.hypotheses.keys():

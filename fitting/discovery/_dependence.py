@@ -8,9 +8,9 @@ the nuisance parameters. Then
     chi2 = r'M S (S'M S)^+ S'M r
 
 has rank(M S) degrees of freedom if no torque is missing. The level of the process noise is profiled. The p-value is
-calibrated by null data that are tested with all variables: the smallest p of many correlated tests (P. Westfall, S.
-Young, Resampling-Based Multiple Testing (1993)). The explained share refers to the excess of chi-square over its
-degrees of freedom at the noise of the data.
+family-wise: it is compared with the smallest p-value of all these correlated tests in null data (P. Westfall, S. Young,
+Resampling-Based Multiple Testing (1993)). The lack of fit is the excess of chi-square over its degrees of freedom at
+the noise level of the data; the explained share is the part of this excess that the function removes.
 
 The curve has finer splines than the test, so that it resolves a resonance. The coefficients b of the splines have a
 Gaussian prior with the Matern covariance of order 3/2,
@@ -19,9 +19,9 @@ Gaussian prior with the Matern covariance of order 3/2,
 
 at the centres x_i of the splines. s and l maximise the likelihood (C. Rasmussen, C. Williams, Gaussian Processes for
 Machine Learning, MIT Press (2006), ch. 5). A broad law gives a large l, which averages the noise; a narrow peak gives a
-small l. The base represents some functions, for example a linear drag, and the data hardly determine others. The curve
-is therefore the least-squares estimate of the part of the torque that the data determine better than the prior; its
-band is the standard uncertainty. A law is compared with the curve after the same projection.
+small l. The base already contains some functions, for example a linear drag, and the data hardly determine some other
+functions. The curve is therefore the least-squares estimate of the part of the torque that the data determine better
+than the prior; its band is the standard uncertainty. A law is compared with the curve after the same projection.
 """
 
 from __future__ import annotations
@@ -42,40 +42,41 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _COLUMNS = 10
-"""Splines of a torque of one variable in the test [1]. Chosen: a smaller number overlooks narrow laws, a larger one
-lowers the power for broad ones."""
+"""Number of splines in the test of a torque that depends on one variable [1]. Chosen: a smaller number overlooks narrow
+laws, a larger one lowers the power for broad ones."""
 _FINE = 36
-"""Splines of the displayed curve [1]. Chosen: a smaller number does not resolve a resonance, a larger one costs time;
-the prior smooths the splines."""
+"""Number of splines of the displayed curve [1]. Chosen: a smaller number does not resolve a resonance, a larger one
+costs time; the prior smooths the splines."""
 _PAIR = 4
-"""Splines along each of two variables [1]. Chosen: the test has the square of this number; a smaller number overlooks
-curved laws, a larger one lowers the power."""
+"""Number of splines along each of two variables [1]. Chosen: the test has the square of this number of splines; a
+smaller number overlooks curved laws, a larger one lowers the power."""
 _CUBIC = 3
 """Degree of the splines [1]. Chosen: a smaller value gives curves with kinks, a larger one oscillates at the ends."""
 _HARMONICS = (1, 2, 3, 4)
-"""Harmonics of the angle of the casing in the test [1]. Chosen: a smaller number overlooks higher harmonics, a larger
-one lowers the power for the first two."""
+"""Harmonics of the angle of the casing in the test [1]. Chosen: with fewer harmonics, higher harmonics are overlooked;
+with more, the power for the first two is lower."""
 _ROTOR_HARMONICS = (1, 2)
-"""Harmonics of the angle of the rotor in the test [1]. Chosen: a smaller number overlooks the second harmonic; higher
+"""Harmonics of the angle of the rotor in the test [1]. Chosen: a single harmonic overlooks the second one; higher
 harmonics are aliased at the frame rate of the casing."""
 _FASTEST = np.pi
-"""Angle between two frames of the casing below which a harmonic of the rotor is tested [rad]. Derived: the Nyquist
-limit, half a period per frame."""
+"""Largest phase by which a tested harmonic of the rotor angle may advance between two frames of the casing [rad].
+Derived: the Nyquist limit, half a period per frame."""
 _DRAWS = 1000
-"""Null data sets [1]. Chosen: the smallest p-value is 0.001; a smaller number makes the p-value coarser, a larger one
-costs time."""
+"""Number of null data sets [1]. Chosen: the smallest p-value is 0.001; a smaller number makes the p-value coarser, a
+larger one costs time."""
 _RANK = 1e-5
 """Singular values, relative to the largest column, below which a direction is rounding error [1]. Chosen: a smaller
 value counts rounding errors as a degree of freedom, a larger one omits directions that the data determine weakly."""
 _CURVE = 120
-"""Points of a displayed curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
+"""Number of points of a displayed curve [1]. Chosen: a smaller number shows corners, a larger one makes larger
+files."""
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 """Trial standard deviations of a torque, divided by the standard deviation that the data suggest [1]. Chosen: four per
-decade from far below the noise to far above it; in a shorter range the optimum may be outside, a coarser grid rounds
+decade from far below the noise to far above it; the optimum may be outside a shorter range, a coarser grid rounds
 it."""
 _LENGTHS = np.geomspace(0.03, 3.0, 9)
-"""Trial correlation lengths, divided by the range of the variable [1]. Chosen: shorter ones are not resolved by the
-splines, longer ones do not differ from a straight line."""
+"""Trial correlation lengths, divided by the range of the variable [1]. Chosen: the splines do not resolve shorter
+lengths; with longer lengths, a law does not differ from a straight line."""
 _WORDS = {
     "omega_c": "the speed of the casing",
     "omega_r": "the speed of the rotor",
@@ -101,10 +102,10 @@ class Dependence:
     p_value: float  # family-wise: probability of such a dependence on any tested variable if there is none
     explained: float  # share of the lack of fit (excess of chi-square over its degrees of freedom), 0-1
     score: float  # fall of the deviance
-    columns: int  # functions of the spline that the base cannot represent
+    columns: int  # number of functions of the test that the base cannot represent
     value: Array = field(repr=False)  # values of the variable [s, rad/s or rad]; empty for two variables
-    torque: Array = field(repr=False)  # the part that the base cannot represent [N m]
-    sigma: Array = field(repr=False)  # its standard uncertainty [N m]
+    torque: Array = field(repr=False)  # the part of the torque that the base cannot represent [N m]
+    sigma: Array = field(repr=False)  # standard uncertainty of `torque` [N m]
     identified: Array = field(repr=False)  # matrix that projects a torque at `value` on the determined part
 
     @property
@@ -119,7 +120,7 @@ class Dependence:
 
 
 def torque_rows(effects: Sequence[Effect], cases: Sequence[CaseColumns]) -> Array:
-    """Return the change of the rows of all cases by the torque of some effects at their fitted strengths."""
+    """Return the change of the rows of all cases that the torques of some effects cause at their fitted strengths."""
     rows = [np.zeros(len(c.case.data.z)) for c in cases]
     for e in effects:
         for i, case in enumerate(cases):
@@ -148,9 +149,10 @@ def context_without(
 
 
 class _Test(NamedTuple):
-    """Rows of the functions of a test and of its curve (`fine`).
+    """Responses of the rows to the functions of a test (`columns`) and of its curve (`fine`).
 
-    The functions of the curve have the values `basis` at `value`, and prior covariances `priors` for s = 1.
+    At the points `value` the functions of the curve have the values `basis`. `priors` are the prior covariances of
+    their coefficients for s = 1, one for each correlation length.
     """
 
     body: Joint
@@ -270,7 +272,7 @@ def _orders(about: Fit, angle: str) -> tuple[int, ...]:
 def _angle_test(cases: Sequence[CaseColumns], body: Joint, angle: str, orders: Sequence[int]) -> _Test:
     """Return the test of harmonics of an angle.
 
-    Harmonics of the rotor have separate amplitudes and phases in each case, and therefore no curve.
+    Harmonics of the rotor have separate amplitudes and phases in each case, so the test has no common curve.
     """
     phase = Parameter("phi", "rad", "phase", -np.inf, np.inf)
     psi = np.linspace(0, 2 * np.pi, _CURVE)
@@ -343,7 +345,7 @@ def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Arr
         return np.zeros(0), np.zeros(0), np.zeros((0, 0))
     white = level.gain[:, None] * context.rotated(test.fine)
     response = orthogonal_to(level.basis, white)
-    # the scatter exceeds the noise if the law has a finer shape than the curve, or depends on another variable
+    # the residuals scatter more than the noise if the law is finer than the curve or depends on another variable
     free = orthonormal(response, RANK)
     rest = orthogonal_to(free, level.residual)
     scatter = max(1.0, float(rest @ rest) / max(len(rest) - level.basis.shape[1] - free.shape[1], 1))
@@ -367,6 +369,6 @@ def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Arr
     shown = test.basis @ vectors[:, known]
     s, data, u = s[known], data[known], u[:, known]
     sigma = np.sqrt(shown**2 @ (1 / s**2))
-    # response along the determined directions to a torque, whose coefficients are B^+ torque
+    # response, along the determined directions, to a torque; the coefficients of the torque are B^+ torque
     rows = (u.T @ response) @ np.linalg.pinv(test.basis, rcond=1e-6) / np.sqrt(scatter)
     return shown @ (data / s), sigma, (shown / s) @ rows

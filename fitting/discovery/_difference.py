@@ -7,8 +7,8 @@ imitate. The hypothesis replaces one value theta for K recordings by
     theta_k, k = 1...K    (K - 1 additional parameters).
 
 It is scored like an effect (`_score`), and the parameters with the largest scores are refitted. Two set-ups may differ
-in several parameters. Then all parameters first have separate values, and those that need no separate values are shared
-again.
+in several parameters. In this case all parameters first get separate values; then the parameters that do not need
+separate values are shared again.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from fitting.inference._result import Fit
 from fitting.inference._trace import attempt
 
 _REFITTED = 2
-"""Shared parameters with the largest scores that are fitted with a value for each recording [1]. Chosen: a smaller
-number may omit the best one, because scores are first order; a larger one costs time."""
+"""Number of shared parameters with the largest scores that are fitted with a value for each recording [1]. Chosen:
+scores are of first order, so a smaller number may omit the best parameter; a larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class DifferentParameter(ValuesPerRecording):
 
     @property
     def sentence(self) -> str:
-        """A sentence with the parameters that may differ, their values, and the options of the fit."""
+        """A sentence with the parameters that may differ, their values, and the options that separate them in a fit."""
         options = " ".join(f"--per-case {n}" for n in self.names)
         if self.others:
             values = "; ".join(f"{effect_name(p.name)}: {p.text}" for p in (self, *self.others))
@@ -93,7 +93,7 @@ class DifferentParameter(ValuesPerRecording):
             + [f"{x} minus {first} {rounded(e.value, e.stderr, e.unit)}" for x, e in self.differences.items()]
         )
         return (
-            f"The recordings may differ in {alike} ({values}): with its own value in each recording the model "
+            f"The recordings may differ in {alike} ({values}): with a separate value for each recording, the model "
             f"describes the data without another law; fit with `{options}`."
         )
 
@@ -115,8 +115,10 @@ def different_parameter(
 ) -> SeparateValues | None:
     """Return the shared parameter whose separate values describe the data best; None if separate values do not help.
 
-    `rival` contains the fit of an alternative explanation and its penalised BIC. The difference must then describe the
-    data as well as the rival, at the noise of the rival; without a rival, it must describe them better than the base.
+    `rival` contains the fit of an alternative explanation and its penalised BIC. With a rival, the fit with separate
+    values must describe the data as well as the rival does, at the noise of the rival. Without a rival, it must
+    describe the data better than the base.
+
     A parameter is refitted only if its score is at least `least`. If no single parameter suffices, several parameters
     may differ; this is tested only without a rival.
     """
@@ -178,9 +180,9 @@ def _one_that_differs(
 def _several_that_differ(base: Fit, keys: Sequence[str], criteria: Criteria) -> SeparateValues | None:
     """Return parameters whose separate values describe the data; None if separate values of all do not suffice.
 
-    The values of the base are a compromise between the recordings, and its noise contains their difference. Therefore
-    the first fit has its own initial values and noise. Then parameters are shared again one by one, in ascending order
-    of their difference, if this lowers the BIC and causes no lack of fit.
+    The shared values of the base are a compromise between the recordings, and its noise contains the differences of the
+    recordings. Therefore the first fit has its own initial values and noise. Then parameters are shared again one by
+    one, in ascending order of their difference, if this lowers the BIC and causes no lack of fit.
     """
     found = None
     with attempt("all parameters per recording"):
@@ -252,8 +254,9 @@ def improves_on_difference(
 ) -> bool:
     """Return whether an effect or a law describes the data better than separate values of shared parameters.
 
-    The comparison is of first order about the fit with separate values, whose difference is added to the residuals.
-    `lengths` contains the description length of each law, and 0 for effects of the library.
+    The comparison is of first order about the fit with separate values. The contribution of the differences to the
+    motion is added to the residuals. `lengths` contains the description length of each law, and 0 for effects of the
+    library.
     """
     about = separate.fit
     cases = [CaseColumns(about, i) for i in range(len(about.predictions))]

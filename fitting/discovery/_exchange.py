@@ -1,11 +1,12 @@
-"""Exchanges of an added law for one or two others, compared to first order without a refit.
+"""Exchanges of an added law for one or two other laws, compared to first order without a refit.
 
-Forward selection with backward elimination may end with a law that replaces two missing ones, because no single
-addition or removal from there lowers BIC. The remedy is sequential replacement (A. Miller, Subset Selection in
-Regression, 2nd ed., Chapman & Hall (2002), ch. 3). An added law is removed from the model, with its torque added to the
-residuals, and every law and pair of laws in its place is fitted by linear least squares, together with all other
-parameters. The models describe nearly the same motion, so that the first order is accurate where a fit needs no more
-process noise than its recording; otherwise the fall of BIC is an upper limit, because the level is optimised.
+Forward selection with backward elimination may end with one wrong law that imitates two missing laws, because no single
+further addition or removal lowers BIC. The remedy is sequential replacement (A. Miller, Subset Selection in Regression,
+2nd ed., Chapman & Hall (2002), ch. 3). An added law is removed from the model, and its torque is added to the
+residuals. Every law and every pair of laws in its place is then fitted by linear least squares, together with all other
+parameters. The compared models describe nearly the same motion. Therefore the first order is accurate if a fit needs no
+more process noise than its recording shows. Otherwise the fall of BIC is an upper limit, because the level of the
+process noise is optimised.
 """
 
 from __future__ import annotations
@@ -33,18 +34,19 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _LAWS = 2
-"""Largest number of laws in the place of one [1]. Chosen: 1 keeps a law that replaces two, a larger number costs time
-and fits noise."""
+"""Largest number of laws that replace one law [1]. Chosen: with 1, a wrong law that imitates two missing laws remains;
+a larger number costs time and fits noise."""
 _EQUAL = 1e-9
-"""One minus the cosine of the responses, below which laws are equal in a recording and only the first one takes part
-[1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a larger one omits different ones."""
+"""One minus the cosine of the angle between the responses of two laws, below which the laws are equal in a recording
+and only the first law takes part [1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a
+larger one omits laws that differ."""
 _SINGULAR = 1e-9
 """Relative singular value of normal equations below which a combination of columns is rounding error [1]. Chosen: a
 smaller value fits rounding errors, a larger one ignores weakly determined combinations."""
 
 
 class Exchange(NamedTuple):
-    """A law that leaves the model, the laws in its place, and the change of BIC, to first order."""
+    """A law that is removed from the model, the laws in its place, and the first-order change of BIC."""
 
     removed: Effect
     scores: tuple[Score, ...]  # of the laws in its place, with their strengths; empty if it is only removed
@@ -84,17 +86,17 @@ class Exchange(NamedTuple):
 def exchanges(
     about: Fit, removed: Effect, effects: Sequence[Effect], cases: Sequence[CaseColumns], criteria: Criteria
 ) -> list[Exchange]:
-    """Return the removal of an effect of a fit and its exchanges for one or two others, if BIC falls enough.
+    """Return the removal of an effect of a fit and its exchanges for one or two other effects, if BIC falls enough.
 
-    An exchange for two laws must also be better than the addition of a law, because a search adds all laws that are
-    significant.
+    An exchange for two laws must also lower BIC more than the addition of one law to the fit, because a search adds
+    every significant law anyway.
     """
     context = context_without(about, [removed], cases)
     own = torque_rows([removed], cases)[:, None]
     layout, prefix = about.problem.layout, removed.name + "."
     of_removed = np.array([n.startswith(prefix) for n in layout.names])
-    # laws that are equal in these recordings take part once, and not in the place of each other, except for a law with
-    # fewer parameters: the removed law itself without its free shape constant, or one that it resembles at a bound
+    # laws that are equal in these recordings take part once and do not replace each other; an exception is a law with
+    # fewer parameters than the removed one: the same law without a free shape constant, or its limit at a bound
     laws = [best_group(context, removed, [(({},), own)], context.levels, null=False)]
     for s in score(about, effects, cases, criteria, context=context):
         equal = [i for i, other in enumerate(laws) if 1 - abs(s.direction @ other.direction) <= _EQUAL]
@@ -129,7 +131,7 @@ def exchanges(
 
 
 class _LinearFits:
-    """The deviance of linear fits of some of several groups of columns to the linearised data."""
+    """Linear fits of any selection of groups of columns to the linearised data, and their deviance."""
 
     def __init__(self, context: ScoreContext, groups: Sequence[Array]) -> None:
         ends = np.cumsum([0, *(g.shape[1] for g in groups)])
@@ -141,7 +143,7 @@ class _LinearFits:
             self._normal.append((columns.T @ columns, columns.T @ level.residual, level.deviance))
 
     def least(self, groups: Sequence[int]) -> tuple[float, list[Array]]:
-        """Return the deviance with some groups, minimised over the levels of noise, and their coefficients."""
+        """Return the deviance of the fit of some groups, minimised over the levels of noise, and their coefficients."""
         places = [self._places[i] for i in groups]
         which = np.concatenate([np.zeros(0, int), *places])
         found = []

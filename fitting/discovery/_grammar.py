@@ -9,11 +9,11 @@ strength k has the unit that makes the law a torque; `Effect.check` confirms the
 own speed change sign with this speed.
 
 Long formulas have a penalty. A formula of n symbols (variables, functions, operators) from a vocabulary of 2^b symbols
-has b n bits, and the two-part code (J. Rissanen, Automatica 14, 465 (1978)) adds
+has b n bits. The two-part code (J. Rissanen, Automatica 14, 465 (1978)) therefore adds
 
     L = 2 ln 2 b n
 
-to BIC; the penalty of the constants is part of BIC.
+to BIC. BIC itself contains the penalty of the constants.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
 """Trial thresholds of a law, divided by the largest speed [1]. Chosen: in steps of 0.05; with fewer, narrow laws are
 overlooked; with more, the search takes longer."""
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
-"""Trial time constants, divided by the length of the record [1]. Chosen: shorter ones affect few rows, longer ones give
-a straight line."""
+"""Trial time constants, divided by the length of the record [1]. Chosen: a shorter time constant affects few rows, a
+longer one gives a straight line."""
 _NEAR_ZERO = 0.01
 """Smallest speed of a law with a negative power, divided by the largest speed [1]. Chosen: a smaller value admits
 torques that diverge, a larger one excludes laws of slow bodies."""
@@ -72,9 +72,9 @@ _PHASE_STEP = 2.0
 """Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
 larger one passes over narrow peaks."""
 _HIGHEST = 1000.0
-"""Highest trial frequency of a law, as its phase over the record [rad]. Chosen: 5 rad/s in the 200 s of the paper,
-because the periodogram finds faster oscillations; a larger value tests these twice, a smaller one overlooks slow
-oscillations."""
+"""Highest trial frequency of a law, as the phase that it accumulates over the record [rad]. Chosen: 5 rad/s in the
+recordings of 200 s of the paper, because the periodogram finds faster oscillations; a larger value tests the fast
+oscillations twice, a smaller one overlooks slow oscillations."""
 _MOST_FREQUENCIES = 800
 """Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; with
 more, the search takes longer."""
@@ -85,7 +85,7 @@ class LawForm:
     """One law of the grammar."""
 
     effect: Effect  # the law with its parameters, units, bounds and trial values
-    form: str  # its form in a word: "power", "saturation", ...
+    form: str  # form of the law in a word: "power", "saturation", ...
     variables: tuple[str, ...]  # the variables on which it depends
     symbols: int  # length of the formula: variables, functions and operators
 
@@ -198,8 +198,8 @@ _SWITCHED = {
 }
 _DECAYING = _SWITCHED | {"casing": (*_SWITCHED["casing"], "omega_r")}
 _HARMONICS = (3, 4)
-"""Orders of the angle beyond those of the library [1]. Chosen: with more orders, each law is less significant; with
-fewer, laws of three or four periods per turn are overlooked."""
+"""Orders of harmonics of the angle that the library does not contain [1]. Chosen: with more orders, each law is less
+significant; with fewer, laws of three or four periods per turn are overlooked."""
 
 
 def grammar(

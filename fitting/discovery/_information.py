@@ -6,8 +6,8 @@ shared parameters, and s the responses to the candidate effects. The information
 
     I = sum over runs of [J s]' C^-1 [J s],
 
-where the parameters of each run alone (initial angular rates, touch point, casing drag, phases of the films) are
-projected out. The information of present and planned runs is additive.
+where the parameters that belong to one run only (initial angular rates, touch point, casing drag, phases of the films)
+are projected out. The information of present and planned runs is additive.
 
 Rival explanations are sets of effects that the present recordings do not separate. Let I be the information about the
 strengths of all candidates, with the shared parameters projected out, and b the products of their responses with the
@@ -48,11 +48,11 @@ from fitting.inference._simulation import Experiment, simulate_path
 Array = NDArray[np.float64]
 
 _BLOCKS = 24
-"""Blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few; a smaller number does not resolve
-the start, a larger one costs time."""
+"""Number of blocks of a planned recording [1]. Chosen: a smooth motion without noise needs few blocks; a smaller number
+does not resolve the start, a larger one costs time."""
 _PER_BLOCK = 64
-"""Samples of a block of a planned recording [samples]. Chosen: a smaller number does not determine the polynomial of a
-block, a larger one costs time."""
+"""Number of samples of a block of a planned recording [samples]. Chosen: a smaller number does not determine the
+polynomial of a block, a larger one costs time."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one counts information twice."""
@@ -88,7 +88,7 @@ class Information:
         self._held = {k for k in self._shared if bound.get(k, False)}
         parts = [self._of(fit, i) for i in range(len(fit.problem.cases))]
         self.present = np.asarray(np.sum([p[0] for p in parts], axis=0))
-        # products of all columns with the residuals of the fit
+        # scalar products of all columns with the residuals of the fit
         self.right = np.asarray(np.sum([p[1] for p in parts], axis=0))
 
     def added(self) -> dict[str, tuple[int, float]]:
@@ -110,9 +110,9 @@ class Information:
         return len(self._shared)
 
     def _of(self, fit: Fit, case: int) -> tuple[Array, Array]:
-        """Return the information of one run, and the products of its columns with the residuals.
+        """Return the information of one run, and the scalar products of its columns with the residuals.
 
-        The parameters of this run alone are projected out.
+        The parameters that belong to this run only are projected out.
         """
         data, prediction, noise = fit.problem.data[case], fit.predictions[case], fit.noise[case]
         whitener = noise.whitener.at(noise.pure)
@@ -130,7 +130,7 @@ class Information:
         return np.asarray(everything.T @ everything), np.asarray(everything.T @ residual)
 
     def places(self, candidate: int) -> list[int]:
-        """Return the columns of a candidate: two for a law with a phase."""
+        """Return the indices of the columns of a candidate; a law with a phase has two columns."""
         widths = [2 if any(p.role == "phase" for p in e.parameters) else 1 for e, _ in self.candidates]
         first = self.parameters + sum(widths[:candidate])
         return list(range(first, first + widths[candidate]))
@@ -152,7 +152,7 @@ def schur(information: Array, kept: Sequence[int], free: Sequence[int]) -> Array
 
 
 def simulated(fit: Fit, run: Run) -> Fit:
-    """Return the noiseless recording of a planned run as a fit, with parameters and noise of the first case."""
+    """Return the noiseless recording of a planned run as a fit, with the parameters and noise of the first case."""
     template = fit.problem.data[0].record
     layout = fit.problem.layout
     numbers = layout.numbers(fit.theta, 0) | {INERTIA_CASING: template.I_casing * run.ring}
@@ -233,9 +233,9 @@ _COLLINEAR = 1e-6
 """Determinant of the correlation of candidates below which no data separate them [1]. Chosen: a smaller value keeps
 sets with undetermined strengths, a larger one drops rivals that data could separate."""
 _ABSORBED = 1e-12
-"""Information about a strength with free shared parameters, divided by that with fixed ones, below which these
-parameters absorb the candidate [1]. Chosen: the rounding error of the projection; a larger value drops weakly
-determined candidates, a smaller one keeps rounding errors."""
+"""Smallest ratio of the information about a strength with free shared parameters to the information with fixed shared
+parameters; below it, the shared parameters absorb the candidate [1]. Chosen: the rounding error of the projection; a
+larger value drops weakly determined candidates, a smaller one keeps rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -257,9 +257,9 @@ def rivals(information: Information, threshold: Sequence[float], criteria: Crite
     """Return the explanations that the present recordings do not separate, to first order (score test).
 
     Every set of at most two effects is scored; the effects are the candidates and the effects of the model that are not
-    in the models of the paper. A set is a rival if its BIC is within the equivalence width of the best, and if no
-    subset has an equal or lower BIC. `threshold` contains the score above which each candidate is significant in the
-    whole list. The list is empty if nothing is significant or if there are fewer than two rivals.
+    in the models of the paper. A set is a rival if its BIC is within the equivalence width of the lowest BIC, and if no
+    subset of it has an equal or lower BIC. `threshold` contains the score above which each candidate is significant in
+    the whole list. The list is empty if nothing is significant or if there are fewer than two rivals.
     """
     added = information.added()
     names = [*added, *(e.name for e, _ in information.candidates)]

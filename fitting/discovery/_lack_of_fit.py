@@ -1,8 +1,8 @@
 """Which tests contradict an answer, and which laws outside the library rival it.
 
-The smooth test (`fitting.inference._smooth_test`) and the periodogram (`fitting.inference._periodogram`) are those of
-every fit. A third test is for answers with an angle-dependent torque: harmonics of third or higher order in the angle
-of the casing. If a test contradicts the fit with the named effect, or without an effect, the answer is not complete.
+Every fit has a smooth test (`fitting.inference._smooth_test`) and a periodogram (`fitting.inference._periodogram`).
+Answers with an angle-dependent torque have a third test: harmonics of third or higher order in the angle of the casing.
+If a test contradicts the fit with the named effect, or without an effect, the answer is not complete.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ Array = NDArray[np.float64]
 
 
 def nonparametric_law(fit: Fit, site: str, speed: str) -> float:
-    """Return the fall of the deviance by any smooth function of a speed as a torque on a body or in a joint.
+    """Return the fall of the deviance due to a torque on a body or in a joint that is any smooth function of a speed.
 
-    The function is the same in all cases. It is scored like a candidate, without a refit; the larger fall with 4 or 8
-    knots counts.
+    The function is the same in all cases. It is scored like a candidate, without a refit. It is a spline with 4 or 8
+    knots, whichever gives the larger fall.
     """
     cases = [CaseColumns(fit, i) for i in range(len(fit.predictions))]
     context = ScoreContext(fit, 1)
@@ -60,15 +60,15 @@ _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
 _ORDERS = (3, 4, 5, 6)
-"""Orders of the harmonics of the angle that no law of the library has [1]. Chosen: a larger number lowers the
-significance, a smaller one overlooks torques of several periods per turn."""
+"""Orders of the tested harmonics of the angle, which no law of the library has [1]. Chosen: with more orders, the
+significance is lower; with fewer, torques of several periods per turn are overlooked."""
 _HARMONIC_AMPLITUDE = "harmonic.k"
 _FIRST_SHARE = 0.01
 """Largest initial amplitude of a harmonic, as a share of the largest torque [1]. Chosen: a larger value starts in a
 wrong motion, a smaller one needs more steps."""
 _DETERMINED = 2.0
 """Smallest amplitude of a harmonic that counts as determined [standard errors]. Chosen: a smaller value reports
-harmonics of noise, a larger one omits weak ones; the p-value is tested first."""
+harmonics of noise, a larger one omits weak harmonics; the p-value is tested first."""
 _AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 
@@ -128,7 +128,8 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
                 torque, phase = float(np.hypot(*gamma)), math.atan2(gamma[1], gamma[0])
         single = float(tail_probability(chi2, count, fit.noise, shares)) if count else 1.0
         p_value = min(1.0, len(_ORDERS) * single)
-        # a torque of high order hardly moves the body; to describe an error of the motion, it has to exceed all others
+        # a torque of high order hardly moves the body: it describes an error of the motion only if it exceeds all
+        # other torques
         if p_value < found.p_value and torque <= max(others):
             found = HarmonicTest(order, p_value, fit.torque_unit)
             start = {_HARMONIC_AMPLITUDE: min(torque, _FIRST_SHARE * max(others)), f"{law.name}.phi": phase}
@@ -168,7 +169,7 @@ def contradiction(
 ) -> SmoothTest | PeriodogramPeak | HarmonicTest | None:
     """Return the lack-of-fit test that contradicts an answer (the effect `chosen`, or no effect); None if no test does.
 
-    `end` is the fit with this effect.
+    `end` is the fit with `chosen`.
     """
     peak = end.significant_peak(criteria)
     if peak is not None:
@@ -177,7 +178,7 @@ def contradiction(
         harmonic = harmonic_test(end, criteria)
         if harmonic.p_value < criteria.doubt_adequate:
             return harmonic
-    # no law is named if there is no effect or an equivalence class
+    # without an effect, or with an equivalence class, no single law is named
     unnamed = chosen is None or bool(chosen.indistinguishable_from)
     test = end.smooth_test
     return test if test.p_value < (criteria.doubt_adequate if unnamed else criteria.doubt_named) else None

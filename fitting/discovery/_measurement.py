@@ -8,9 +8,8 @@ whitened by the noise of the fit and orthogonal to its free columns. Then
     -2 log L(s) = r'r - r'C (C'C + 1/s^2)^-1 C'r + log det(1 + s^2 C'C).
 
 The evidence is twice the logarithm of the mean of L(s) / L(0) over s, with ln s uniform from a tenth to ten times
-`Criteria.start_u`. In the evidence all parameters are integrated out with their priors, so the evidence is directly
-comparable with the fall of BIC of an effect. The errors are estimated by the conditional means
-(C'C + 1/s^2)^-1 C'r.
+`Criteria.start_u`. The evidence integrates over all parameters with their priors, so it is directly comparable with the
+fall of BIC of an effect. The errors are estimated by the conditional means (C'C + 1/s^2)^-1 C'r.
 """
 
 from __future__ import annotations
@@ -38,14 +37,15 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _LEVELS = 21
-"""Trial standard deviations of the start times, over two decades [1]. Chosen: a smaller number makes the mean
+"""Number of trial standard deviations of the start times, over two decades [1]. Chosen: a smaller number makes the mean
 likelihood coarse, a larger one costs time."""
 _REFITS = 3
 """Largest number of fits with increasingly accurate uncertainties of the starts [1]. Chosen: the second fit corrects
 the bias of the base; a smaller number leaves this bias, a larger one costs time."""
 _SAME_SIZE = math.log(2.0)
-"""Change of the logarithm of the size of the start errors below which the fit is not repeated [1]. Derived: the size of
-n errors is known to 1 / sqrt(2 n), 40 % of three; a smaller value repeats fits that do not differ."""
+"""Change of the logarithm of the size of the start errors below which the fit is not repeated [1]. Derived: n errors
+determine their size with a relative uncertainty of 1 / sqrt(2 n), 40 % for three errors; a smaller value repeats fits
+that do not differ."""
 
 
 class StartErrors:
@@ -89,7 +89,7 @@ class StartErrors:
 
     @property
     def p_value(self) -> float:
-        """The probability of such a fall if the starts have no errors; half of the null data have s = 0, its bound."""
+        """Probability of this fall if the starts have no errors; s is at its bound 0 in half of the null data."""
         from scipy.special import chdtrc
 
         return 0.5 * float(chdtrc(1, max(self.fall, 0.0)))
@@ -104,7 +104,7 @@ class StartErrors:
 
     @property
     def score(self) -> Score:
-        """The fall of the deviance and the errors, as the score of a candidate."""
+        """The fall of the deviance and the estimated errors, in the form of the score of a candidate."""
         none = np.zeros(0)
         shape: tuple[dict[str, float], ...] = ({},)
         size = max(self.fall, 0.0)
@@ -115,8 +115,8 @@ class StartErrors:
     def evidence_of(self, refitted: Fit) -> float:
         """Return the evidence from `refitted`, a fit with starts of uncertainty `u` and the noise of its own residuals.
 
-        Errors of the starts bias the base, so that its noise is too large and the linear fall too small. The loss by
-        averaging over s is the same as in the linear evidence.
+        Errors of the starts bias the base: its noise is too large, and the linear fall is too small. The average over s
+        lowers this evidence by the same amount as the linear evidence.
         """
         more, base = (
             sum(d.start_time_noise.log_determinant for d in f.problem.data) for f in (refitted, self.base)
@@ -129,8 +129,9 @@ class StartErrors:
 
         Errors of the starts bias the parameters of the base. An error that is common to all windows resembles a change
         of friction, so its linear estimate about such a base may be wrong by many standard uncertainties (measured: 72
-        +- 9 ms for 1 ms). About the refit, errors and their size `u` are estimated again, and the fit is repeated with
-        this size while the size changes. The fit is None, and the errors are these, if the first refit fails.
+        +- 9 ms for 1 ms). The errors and their size `u` are estimated again about the refit. The fit is repeated with
+        the new size until the size no longer changes. If the first refit fails, the fit is None, and the errors of this
+        object are returned.
         """
         refitted, found, u = None, self, self.u
         for _ in range(_REFITS):
@@ -144,7 +145,7 @@ class StartErrors:
 
 
 def _with_parameters(base: Fit, other: Fit) -> Fit:
-    """Return the fit of the data of a base, whose starts are exact, at the parameters and the noise of another fit."""
+    """Return the data of a base, whose starts are exact, evaluated at the parameters and the noise of another fit."""
     problem = base.problem
     predictions = problem.predict(other.theta)
     noise = [

@@ -10,23 +10,23 @@ all free columns. The smooth test (`fitting.inference._smooth_test`) then has th
 
     lambda = h'S'S h.
 
-The limit is the rms of h, as a share of the torque, at which the test detects nine in ten deviations with a probability
-of at least 90 %. Deviations that the base absorbs are not detectable, for example a constant torque of the bearing in a
-narrow range of speeds.
+The limit is the rms of h, as a share of the torque. At this rms the test detects nine in ten random deviations h, each
+with a probability of at least 90 %. Deviations that the base absorbs are not detectable. An example is a constant
+torque of the bearing in a narrow range of speeds.
 
-*Active bounds.* If chi-square falls when parameters pass their bounds, the sum of the laws has another form. With the
-columns B of these parameters, orthogonal to all free columns, the fall of chi-square is
+*Active bounds.* If chi-square falls when parameters pass their bounds, the true torque differs in form from the sum of
+the laws. With the columns B of these parameters, orthogonal to all free columns, the fall of chi-square is
 
     chi2 = r'B (B'B)^-1 B'r   with rank(B) degrees of freedom.
 
 *Time.* A law of time, or a law with a state variable, that has a fitted time constant can imitate any torque that
-changes slowly in time. It is compared with a cubic spline in time on the same body: the spline replaces the effect in
-a linear refit.
+changes slowly in time. Such a law is compared with a cubic spline in time on the same body: the spline replaces the
+effect in a linear refit.
 
 The *inertia* is a further test. Only ratios of torque to inertia are observable, and the torque between the bodies acts
 on both. The data therefore determine the ratio of the moments of inertia. If the given ratio is wrong, the base has a
-systematic error; then a wrong effect, or the right effect with a wrong form, may describe the data best. Therefore the
-list of candidates is scored again with a free ratio, and the best candidates are refitted with a free ratio.
+systematic error. A wrong effect, or the right effect with a wrong form, may then describe the data best. Therefore all
+candidates are scored again with a free ratio, and the best candidates are refitted with a free ratio.
 """
 
 from __future__ import annotations
@@ -63,17 +63,18 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _KNOTS = 4
-"""Knots of the relative deviation of a law from the named one [1]. Chosen: a smaller number describes linear deviations
-only, a larger one raises the detection limit of broad deviations."""
+"""Number of knots of the relative deviation of a law from the named law [1]. Chosen: a smaller number describes linear
+deviations only, a larger one raises the detection limit of broad deviations."""
 _INNER_KNOTS = 5
-"""Inner knots of the spline in time [1]. Chosen: a smaller number does not follow a change of the torque, a larger one
-absorbs noise."""
+"""Number of inner knots of the spline in time [1]. Chosen: a smaller number does not follow a change of the torque, a
+larger one absorbs noise."""
 _POWER = 0.9
-"""Probability of detection at the limit, and share of the deviations detected with this probability [1]. Chosen: as
-`fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one promises too much."""
+"""Probability of detection at the limit, and share of the random deviations that are detected with this probability
+[1]. Chosen: equal to `fitting.discovery._power.POWER`; a larger value raises the limit, a smaller one gives a limit at
+which deviations often remain undetected."""
 _DRAWS = 4000
-"""Random deviations from which the limit is computed [1]. Chosen: a smaller number makes the limit random, a larger one
-costs time."""
+"""Number of random deviations from which the limit is computed [1]. Chosen: a smaller number makes the limit random, a
+larger one costs time."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
 `fitting.inference._smooth_test`; a smaller value tests rounding errors, a larger one omits deviations that are nearly
@@ -83,8 +84,8 @@ _RANK_FREE = 1e-7
 `fitting.inference._smooth_test`; a smaller value projects out rounding errors, a larger one ignores some free
 columns."""
 _TINY = 1e-300
-"""Smallest mean square torque by which a square is divided [1]. Derived: it avoids a division by zero and is below any
-other square."""
+"""Smallest mean square torque that is used as a divisor [1]. Derived: it avoids a division by zero and is below any
+other mean square."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class FormTest:
     any_in_time: bool  # whether any torque that changes slowly in time describes the data as well
 
     def is_strong(self, criteria: Criteria) -> bool:
-        """Return whether a deviation larger than that allowed for an approximate answer would be detected.
+        """Return whether the data would show any deviation that an approximate answer does not allow.
 
         False also if the fit significantly prefers values outside active bounds.
         """
@@ -128,7 +129,7 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     effects = [c.torque_rows(*(x[:, None] for x in own)) for c, own in zip(cases, torques, strict=True)]
     columns = [np.concatenate(parts, axis=1) for parts in zip(deviations, splines, effects, strict=True)]
     known = zip(found.problem.data, found.predictions, found.noise, columns, strict=True)
-    # a deviation may raise the process noise at which it is tested, but only up to the level of the recording
+    # a deviation may raise the process noise of its own test, but only up to the level of the recording
     rows = [FewRows.of(*case, level=case[2].pure) for case in known]
     free, residual = np.concatenate([r.free for r in rows]), np.concatenate([r.residual for r in rows])
     tested = [np.split(r.tested, [_KNOTS, -1], axis=1) for r in rows]
@@ -149,7 +150,7 @@ def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, ...]:
 
 
 def _senses(effect: Effect, torques: Sequence[Array]) -> list[float]:
-    """Return, for each body, its share of a torque in time; 0 for a body that an effect neither drives nor brakes."""
+    """Return, for each body, its share of a torque in time; 0 for a body on which the effect does not act."""
     shares = effect.mechanism.shares(effect.site)
     return [share if own.any() else 0.0 for share, own in zip(shares, torques, strict=True)]
 
@@ -158,9 +159,9 @@ _OWN_SPEED = dict(GYROSCOPE.sites) | {"factor": "delta"}
 
 
 def _variable(effect: Effect, mechanism: Mechanism = GYROSCOPE) -> str:
-    """Return the variable of a law: its speed, or the speed of its body or joint if it has none.
+    """Return the variable of a law: the speed in the law or, without a speed, the speed of its body or joint.
 
-    The variable is time for a law of time, of several speeds, with a state, or with an input.
+    The variable is time if the law depends on time, on several speeds, on a state or on an input.
     """
     names = symbols(effect.expression) - {p.symbol for p in effect.parameters}
     motion = dict(mechanism.sites)
@@ -193,9 +194,9 @@ def _orthogonal(columns: Array, free: Array) -> Array:
 def _limit(response: Array, square: float, criteria: Criteria) -> float:
     """Return the rms deviation, as a share of the torque, that is detected with 90 % probability.
 
-    `response` contains the responses to the piecewise linear functions of the knots. `square` is the sum of squares of
-    their torques divided by that of the torque of the effect. The limit is the rms at which nine in ten random
-    deviations have a noncentrality that the smooth test detects with 90 % probability.
+    `response` contains the responses to the piecewise linear functions of the knots. `square` is the sum of the squared
+    torques of these functions, divided by the sum of the squared torque of the effect. The limit is the rms at which
+    nine in ten random deviations have a noncentrality that the smooth test detects with 90 % probability.
     """
     from scipy.special import chdtri, chndtrinc
 
@@ -260,7 +261,7 @@ class InertiaRival:
     stated: float  # stated relative standard uncertainty of this ratio; 0 if none is stated
     effect: str  # name of the effect
     fit: Fit  # the fit with effect and free ratio
-    better: bool  # True if the fit describes the data better than the selected effect, False if only as well
+    better: bool  # True if the fit describes the data better than the selected effect, False if equally well
 
     def is_allowed(self, criteria: Criteria) -> bool:
         """Return whether the stated uncertainty allows the error (`Criteria.inertia_sigma`)."""
@@ -293,7 +294,7 @@ def _percent_off(share: Estimate) -> str:
 def with_free_inertia(
     base: Fit, selection: Selection, extra: tuple[Effect, ...], criteria: Criteria
 ) -> InertiaRival | None:
-    """Return the effect that, with a free ratio of inertias, describes the data as well as the selection or better.
+    """Return the effect that describes the data at least as well as the selection if the ratio of inertias is free.
 
     None if there is no such effect, if the error of the ratio is not credible, or if the chosen effect depends on an
     angle.

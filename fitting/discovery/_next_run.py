@@ -9,9 +9,10 @@ D_ab is the expected difference of deviance of the two rivals, twice the Kullbac
 information of all recordings and the planned run (`fitting.discovery._information`).
 
 The criterion of a run is the sum of the gains of two numbers, in natural units of information. The first number is the
-logarithm of 1 + D, with the smallest D over all ordered pairs of rivals (T-optimality: A. Atkinson, V. Fedorov,
-Biometrika 62, 57 (1975)); D is limited to a clear separation. The second number is the mean logarithm of the
-information about the strength of each candidate; more information lowers the detection limits.
+logarithm of 1 + D, where D is the smallest D_ab over all ordered pairs of rivals (T-optimality: A. Atkinson, V.
+Fedorov, Biometrika 62, 57 (1975)). D counts only up to a clear separation. The second number is the logarithm of the
+information about the strength of a candidate, averaged over the candidates; more information lowers the detection
+limits.
 
 The search is quasi-random within the bounds, then local with decreasing steps.
 """
@@ -45,18 +46,18 @@ _RING = 1.5
 """Moment of inertia of the casing with an inertia ring, divided by the present one [1]. Chosen: such a ring is easily
 made; a larger value proposes heavy rings, a smaller one gains little information."""
 _SURFACE = 3.0
-"""Largest ratio of the friction of another surface to that of the present one [1]. Chosen: usual surfaces differ by
-about this factor; a larger value proposes unknown surfaces, a smaller one gains little information."""
+"""Largest ratio of the friction of another surface to the friction of the present surface [1]. Chosen: usual surfaces
+differ by about this factor; a larger value proposes unknown surfaces, a smaller one gains little information."""
 _APPARATUS_GAIN = 1.5
-"""Smallest factor of the gain in information at which a change of the apparatus is proposed [1]. Chosen: a smaller
+"""Smallest factor by which a change of the apparatus must raise the information to be proposed [1]. Chosen: a smaller
 value proposes changes of little use, a larger one hides useful changes."""
 _AMPLE = 4.0
-"""Largest separation that counts, divided by the square of `Criteria.experiment_sigma` [1]. Chosen: a smaller value
-accepts a narrow separation, a larger one neglects the detection limits."""
+"""Upper limit of the separation in the criterion of a run, divided by the square of `Criteria.experiment_sigma` [1].
+Chosen: a smaller value accepts a narrow separation, a larger one neglects the detection limits."""
 _CAP = 50.0
-"""Largest logarithm of a gain in information that counts [1]. Chosen: the gain of a strength that is undetermined
-without the run is unlimited; a larger value lets this strength decide alone, a smaller one hides differences between
-runs."""
+"""Upper limit of the logarithm of a gain in information in the criterion of a run [1]. Chosen: the gain of a strength
+that is undetermined without the run is unlimited; a larger value lets this strength decide alone, a smaller one hides
+differences between runs."""
 _RANDOM = 20
 """Largest number of quasi-random runs before the local search [1]. Chosen: a smaller number may start the local search
 at a local maximum, a larger one leaves fewer runs for it."""
@@ -64,8 +65,9 @@ _FINEST = 0.02
 """Step, as a share of the range between the bounds, at which the local search ends [1]. Chosen: a run cannot be
 prepared with finer steps; a larger value loses information."""
 _SEPARABLE = 1.0
-"""Difference of deviance below which, in every run, two rivals count as inseparable [1]. Chosen: one standard
-deviation; a smaller value plans runs that decide nothing, a larger one gives up rivals that several runs separate."""
+"""Two rivals count as inseparable if their difference of deviance is below this value in every run [1]. Chosen: one
+standard deviation; a smaller value plans runs that decide nothing, a larger one gives up rivals that several runs
+separate."""
 _ELSE = "change a condition on which only one of them depends (air pressure, surface, lubricant)."
 
 
@@ -74,7 +76,8 @@ class Bounds:
     """Bounds of the runs that are possible with this apparatus; each is a pair (smallest, largest)."""
 
     omega_rotor: tuple[float, float]  #: Initial angular velocity of the rotor [rad s-1].
-    omega_casing: tuple[float, float]  #: That of the casing; negative values are against the rotor [rad s-1].
+    #: Initial angular velocity of the casing; negative against the rotor [rad s-1].
+    omega_casing: tuple[float, float]
     duration: tuple[float, float]  #: Length of the recording [s].
     #: Moment of inertia of the casing with an inertia ring, divided by the present one [1].
     inertia_casing: tuple[float, float] = (1.0, _RING)
@@ -86,9 +89,9 @@ class Bounds:
     def of(cls, fit: Fit) -> Bounds:
         """Return bounds derived from the recordings of a fit.
 
-        The initial rate of the spun body is between a third of its largest recorded rate and this rate. The initial
-        rate of the other body is at most its largest recorded rate, in either sense of rotation. The duration is
-        between half and twice that of the longest recording.
+        The initial rate of the spun body is between one third and all of its largest recorded rate. The initial rate of
+        the other body is at most its largest recorded rate, in either sense of rotation. The duration is between half
+        and twice the duration of the longest recording.
         """
         speeds = [d.initial_speeds[1] for d in fit.problem.data]
         spans = [d.record.span for d in fit.problem.data]
@@ -116,8 +119,8 @@ class NextRun:
     separation: (
         float  # smallest expected difference of deviance of two rivals after the run; NaN without rivals
     )
-    present: float  # the same difference without the run
-    repeated: float  # the same difference after one more run like the present ones
+    present: float  # smallest expected difference of deviance without the run
+    repeated: float  # smallest expected difference of deviance after one more run like the present runs
     gains: dict[str, float]  # by effect: detection limit after the run, divided by the present limit
     times: Array = field(repr=False)  # of the predicted motion [s]
     omega_rotor: Array = field(repr=False)  # predicted [rad/s]
@@ -144,7 +147,7 @@ class _Criterion:
         self._candidates = [information.places(i) for i in range(len(information.candidates))]
         self._present = information.present
         self._before = np.maximum(self.limits(self._present), 1e-300)
-        # a larger separation has no further value
+        # a separation above this limit has no further value
         self._enough = _AMPLE * criteria.experiment_sigma**2
 
     def pairs(self, total: Array) -> dict[tuple[int, int], float]:
@@ -163,7 +166,7 @@ class _Criterion:
         return min(values, default=math.nan)
 
     def limits(self, total: Array) -> Array:
-        """Return the information about the strength of each candidate, other candidates absent; mean of its columns."""
+        """Return the information about the strength of each candidate without the others, averaged over its columns."""
         traces = [float(np.trace(schur(total, places, self._all))) for places in self._candidates]
         return np.array(traces) / [len(places) for places in self._candidates]
 
@@ -201,8 +204,8 @@ def next_run(
 
 
 _FEW = 24
-"""Simulated runs of a search that is part of a diagnosis [1]. Chosen: a smaller number gives a worse proposal, a larger
-one delays the diagnosis."""
+"""Number of simulated runs of a search that is part of a diagnosis [1]. Chosen: a smaller number gives a worse
+proposal, a larger one delays the diagnosis."""
 
 
 def separating_run(
@@ -217,7 +220,7 @@ def separating_run(
     if len(smooth) < 2:
         return ""
     if len(fit.problem.data[0].motion.reversals):
-        # a planned run starts with given speeds, an oscillation with a release from an angle
+        # a planned run starts with given speeds, but an oscillation starts with a release from an angle
         restoring = [x for x in smooth if any(e.restoring for e in x[1])]
         return _LARGER_AMPLITUDE if len(restoring) > 1 else ""
     if fit.model.rigid_contact is not None or fit.problem.data[0].record.is_chain:
@@ -332,7 +335,7 @@ class _RunSearch:
             self.tried.append(found)
 
     def explore(self) -> None:
-        """Try usual and quasi-random runs, and from then on ignore pairs of rivals that no run separates."""
+        """Try usual and quasi-random runs; then exclude the pairs of rivals that none of these runs separates."""
         from scipy.stats import qmc
 
         b = self._bounds

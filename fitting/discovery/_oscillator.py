@@ -1,9 +1,10 @@
 """The laws of an oscillator from its averaged equations of motion: restoring torque and damping.
 
-Sets of laws are compared by BIC. The residuals of amplitude and phase are correlated in time. If r is the correlation
-of adjacent residuals of the most general model, n residuals contain the information of n (1 - r) / (1 + r) independent
-ones (M. S. Bartlett, J. R. Stat. Soc. 98, 1935), and their chi-square is multiplied by (1 - r) / (1 + r). Deviations
-that no set of laws describes, for example a motion that is not plane, increase r and so the standard errors.
+Sets of laws are compared by BIC. The residuals of amplitude and phase are correlated in time. Let r be the correlation
+of adjacent residuals of the most general model. Then n residuals contain the information of n (1 - r) / (1 + r)
+independent residuals (M. S. Bartlett, J. R. Stat. Soc. 98, 1935), and their chi-square is multiplied by
+(1 - r) / (1 + r). Deviations that no set of laws describes, for example a motion that is not plane, increase r and thus
+the standard errors.
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ _RESTORING: tuple[Names, ...] = ((_SPRING,), (_GRAVITY,), (_SPRING, _CUBIC))
 _DAMPING = ("touchpoint.constant", "casing.air.linear", "casing.air.quadratic")
 _GENERAL = (_SPRING, _CUBIC, *_DAMPING)
 _MOST_CORRELATED = 0.98
-"""Upper limit of the correlation of adjacent amplitudes [1]. Chosen: a hundred effective samples of 10,000; a larger
-value makes chi-square vanish, a smaller one understates the errors of slow deviations."""
+"""Upper limit of the correlation of adjacent amplitudes [1]. Chosen: at this limit 10,000 samples count as 100
+independent samples; a larger value makes chi-square vanish, a smaller one understates the errors of slow deviations."""
 _BLOCKS = 12
-"""Parts of the jackknife [1]. Chosen: a smaller number gives uncertain standard errors, a larger one gives correlated
-parts."""
+"""Number of parts of the jackknife [1]. Chosen: a smaller number gives uncertain standard errors, a larger one gives
+correlated parts."""
 _OF_AVERAGING = 5e-3
 """Relative error of a strength from the averaged equations, which are of first order [1]. Measured: up to 0.5 % for a
 pendulum of 94 degrees and for springs that soften by a tenth; the recordings are not stated."""
 _CONTRADICTING_SHARE = 0.2
 """Relative difference from the averaged equations above which an exact value contradicts them [1]. Chosen: a smaller
-value takes their error for a contradiction, a larger one accepts a fit to a wrong motion."""
+value takes the error of these equations for a contradiction, a larger one accepts a fit to a wrong motion."""
 _CONTRADICTING_SIGMA = 5.0
 """Difference from the averaged equations above which an exact value contradicts them [standard uncertainties]. Chosen:
 a smaller value takes noise for a contradiction, a larger one accepts a fit to a wrong motion."""
@@ -58,7 +59,7 @@ class Strength:
     value: float  #: Value [`unit`].
     #: Standard uncertainty, with the error of the averaged equations if they are used [`unit`].
     stderr: float
-    unit: str  #: Unit of both.
+    unit: str  #: Unit of the value and its uncertainty.
     approximate: bool = True  #: Whether the value is from the averaged equations.
 
     def contradicts(self, exact: Strength) -> bool:
@@ -84,7 +85,7 @@ class LawSet:
 class OscillatorLaws:
     """The laws of an oscillator."""
 
-    #: Restoring torques of the smallest set that the data do not separate from that of lowest BIC.
+    #: Restoring torques of the smallest set that the data do not separate from the set of lowest BIC.
     restoring: Names
     damping: Names  #: Damping torques of this set.
     restoring_classes: tuple[Names, ...]  #: All inseparable sets of restoring torques, by ascending BIC.
@@ -96,7 +97,8 @@ class OscillatorLaws:
         """Return the laws with the effects and values of an exact fit, and a sentence that states a contradiction.
 
         The fit contradicts these laws if its restoring torques are not in `restoring_classes`, or if a strength differs
-        from that of the averaged equations. The laws are then returned unchanged. Otherwise the sentence is empty.
+        from the strength by the averaged equations. The laws are then returned unchanged. Without a contradiction, the
+        sentence is empty.
         """
         names = {e.name for e in fit.model.effects}
         exact = [tuple(n for n in group if n in names) for group in ((_SPRING, _CUBIC, _GRAVITY), _DAMPING)]
@@ -104,7 +106,7 @@ class OscillatorLaws:
             return self, (
                 f"The restoring torque of the fitted model is {' + '.join(exact[0]) or 'no law of the list'}, but "
                 f"amplitude and phase alone are described by {' + '.join(self.restoring)}: the data separate these "
-                "laws, and neither describes everything."
+                "laws, but none of them describes all data."
             )
         values = {k: Strength(e.value, e.stderr, e.unit, approximate=False) for k, e in fit.estimates.items()}
         wrong = next(
@@ -128,8 +130,8 @@ class OscillatorLaws:
 def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorLaws | None:
     """Return the laws of an oscillator from the recording of a single body.
 
-    None if the body does not oscillate through enough periods, or if no set of laws describes its phase. Sets are
-    separated by the data if their BIC differ by `Criteria.equivalence_width` or more.
+    None if the body does not oscillate through enough periods, or if no set of laws describes its phase. The data
+    separate two sets if their BIC differ by `Criteria.equivalence_width` or more.
     """
     general = averaged_fit(Model.of(_GENERAL), [data])
     if general is None:
@@ -165,8 +167,8 @@ def fit_oscillator(
     Amplitude and phase of a period contain less information than its samples, and at a large amplitude the error of the
     averaged equations exceeds the noise. Therefore the sets are fitted exactly in two steps. First, each equivalent set
     of damping torques is fitted with the restoring torques of the lowest BIC. Second, the best damping torques are
-    fitted with the other restoring torques. BIC decides. If the recording has too many reversals for
-    `Criteria.refit_least` refits (more than 125), only the chosen set is fitted.
+    fitted with each other equivalent set of restoring torques. The fit with the lowest BIC is returned. If the
+    recording has too many reversals for `Criteria.refit_least` refits (more than 125), only the chosen set is fitted.
     """
     reversals = len(data.motion.reversals)
     if not laws.sets or criteria.refits_through(reversals) < criteria.refit_least:
@@ -204,10 +206,10 @@ def fit_oscillator(
 def possible_restoring(
     model: Model, effects: Sequence[Effect], data: Sequence[CaseData], criteria: Criteria
 ) -> set[str] | None:
-    """Return the names of the restoring torques that a model without one needs to describe an oscillation.
+    """Return the names of the restoring torques with which a model without restoring torque could oscillate.
 
-    These are all effects that the data do not separate by BIC. None if the averaged equations give no answer, or if
-    there are several cases.
+    These are all restoring torques that the data do not separate by BIC. None if the averaged equations give no answer,
+    or if there are several cases.
     """
     if len(data) > 1:
         return None
@@ -224,7 +226,7 @@ def possible_restoring(
 
 
 def _information(general: Averaged) -> Array:
-    """Return the shares (1 - r) / (1 + r) of independent residuals of amplitude and of phase."""
+    """Return the shares (1 - r) / (1 + r) of independent residuals, for amplitude and for phase."""
     shares = []
     for rest in np.split(general.rows[0][2], 2):
         r = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
@@ -242,9 +244,9 @@ def _bic(fitted: Averaged, shares: Array) -> float:
 def _jackknife(design: Array, rest: Array, scale: Array) -> Array:
     """Return the standard errors of the strengths by a block jackknife with `_BLOCKS` parts of the record.
 
-    Unlike standard errors from the correlation of adjacent residuals, these contain the effect of slow deviations: a
-    missing law, or a drift of the frequency (R. G. Miller, Biometrika 61, 1974; blocks: H. R. Kuensch, Ann. Stat. 17,
-    1989).
+    Unlike standard errors from the correlation of adjacent residuals, these standard errors contain the effect of slow
+    deviations, for example a missing law or a drift of the frequency (R. G. Miller, Biometrika 61, 1974; blocks: H. R.
+    Kuensch, Ann. Stat. 17, 1989).
     """
     count = len(rest) // 2
     level = np.kron(np.eye(2), np.ones((count, 1))) / scale[:, None]
@@ -260,8 +262,9 @@ def _jackknife(design: Array, rest: Array, scale: Array) -> Array:
 def _strengths(best: Averaged, shares: Array, data: CaseData) -> dict[str, Strength]:
     """Return the strengths of a set of laws.
 
-    The standard uncertainty is the larger one of the least-squares error, scaled by the reduced chi-square if that
-    exceeds 1, and of the block jackknife, combined with the error of the averaged equations.
+    The standard uncertainty is the larger of two errors, combined with the error of the averaged equations. One is the
+    least-squares error, scaled by the reduced chi-square if this exceeds 1. The other is the error of the block
+    jackknife.
     """
     keys, design, rest = best.rows[0]
     blocks = np.split(design, 2)

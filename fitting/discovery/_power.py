@@ -5,24 +5,26 @@ parameters. The noncentrality of the effect is
 
     delta = k |M s|,        standard error of k:  se = 1 / |M s|.
 
-Null data plus delta times the unit response go through the search's own score test: all candidates, all trials of their
-shape constants, the same null distributions, and the thresholds of `Criteria`. The power is the share of data sets in
-which at least one candidate is significant in the whole list and lowers BIC by the evidence required for an added
-effect. The detection limit is the strength at which it is 90 %.
+Null data plus delta times the unit response are tested with the score test of the search: with all candidates, all
+trials of their shape constants, the null distributions of the search, and the thresholds of `Criteria`. The power is
+the share of data sets in which at least one candidate is significant in the whole list and lowers BIC by the evidence
+required for an added effect. The detection limit is the strength at which the power is 90 %.
 
 If no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) +
-1.64 se for a friction, which is not negative). The upper limit of an amplitude with a phase is the amplitude for which
-a score below the observed one has a probability of 5 %, from the noncentral chi-square (J. Neyman, Phil. Trans. R. Soc.
-A 236, 333 (1937)). For recordings that are only planned, the estimate is zero, which gives the expected limit.
+1.64 se for a friction coefficient, which is not negative). The upper limit of an amplitude with a phase is the
+amplitude for which a score below the observed score has a probability of 5 %, from the noncentral chi-square (J.
+Neyman, Phil. Trans. R. Soc. A 236, 333 (1937)). For recordings that are only planned, the estimate is zero, which gives
+the expected limit.
 
-If the effect shifts a parameter of the model to its bound, the search may find a strength below this limit with a
-probability of 95 %. An insignificant score then excludes this smaller strength.
+If the effect shifts a parameter of the model to its bound, the search may find even a strength below this limit with a
+probability of 95 %. An insignificant score then excludes this smaller strength, which becomes the limit.
 
-The threshold of a significant score depends on the uncertainty of the process noise, which varies between recordings:
-if a tenfold level cannot be excluded, the threshold is far higher. For recordings that are only planned, the thresholds
-are therefore computed for several simulated estimates of the noise, and the power is the mean over them.
+The threshold of a significant score depends on the uncertainty of the level of the process noise, which varies between
+recordings: if the data do not exclude a tenfold level, the threshold is far higher. For recordings that are only
+planned, the thresholds are therefore computed for several simulated estimates of the noise, and the power is the mean
+over these estimates.
 
-Several runs of the same kind multiply delta^2 by their number.
+If several runs of one kind are made, delta^2 is multiplied by their number.
 """
 
 from __future__ import annotations
@@ -66,22 +68,22 @@ _ONE_SIDED = 1.6448536
 """Distance of a one-sided limit of 95 % from the estimate [standard errors]. Derived: quantile 0.95 of the standard
 normal distribution, at `CONFIDENCE`."""
 _POWER_SIGMA = 1.2815516
-"""Distance above a threshold at which it is exceeded with 90 % probability [standard errors]. Derived: quantile 0.9 of
-the standard normal distribution, at `POWER`."""
+"""Distance of an expected value above a threshold at which the value exceeds the threshold with 90 % probability
+[standard errors]. Derived: quantile 0.9 of the standard normal distribution, at `POWER`."""
 _DRAWS = 1500
 """Number of null data sets for thresholds [1]. Chosen: a smaller number makes thresholds of a long list uncertain, a
 larger one costs time."""
 _POWER_DRAWS = 600
-"""Simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; a smaller number enlarges
-this error, a larger one costs time."""
+"""Number of simulated data sets for a power [1]. Chosen: the standard error of a power is 0.02 at most; a smaller
+number enlarges this error, a larger one costs time."""
 _DELTAS = np.concatenate([np.linspace(0.0, 1.5, 11), np.linspace(2.0, 14.0, 25)])
-"""Strengths at which the power is simulated [standard errors]. Chosen: dense where a parameter reaches its bound; a
-smaller number rounds the limits, a larger one costs time."""
+"""Strengths at which the power is simulated [standard errors]. Chosen: dense at small strengths, where a parameter
+reaches its bound; a smaller number rounds the limits, a larger one costs time."""
 _SIZE = 0.01
-"""Size of an effect if none is given, as a share of the bearing's torque [1]. Chosen: a smaller value requires many
-runs, a larger one makes every plan sufficient."""
+"""Default size of an effect, as a share of the torque of the bearing [1]. Chosen: a smaller value requires many runs, a
+larger one makes every plan sufficient."""
 _MOST_RUNS = 10_000
-"""Largest number of runs that are counted [1]. Chosen: a larger number is not practical, a smaller one hides large
+"""Largest number of needed runs that is stated [1]. Chosen: a larger number is not practical, a smaller one hides large
 numbers of runs."""
 _LARGEST_SCORE = 2000.0
 """Upper end of the search for thresholds [1]. Chosen: a smaller value is below high thresholds, a larger one costs
@@ -93,8 +95,8 @@ _RANK = 1e-6
 """Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value amplifies rounding errors,
 a larger one omits weakly determined strengths."""
 _RARE = 0.5
-"""Share of the data sets with a parameter at its bound, summed over the strengths, below which this case is neglected
-[1]. Chosen: a smaller value costs time for rare cases, a larger one biases the power."""
+"""Share of the data sets in which one parameter is at its bound, summed over the strengths, below which this bound is
+neglected [1]. Chosen: a smaller value costs time for rare bounds, a larger one biases the power."""
 
 
 @dataclass(frozen=True)
@@ -104,15 +106,17 @@ class EffectLimits:
     effect: Effect
     strength: str  # symbol
     unit: str  # of the strength
-    shape: dict[str, float]  # shape constants with the median detection limit; the limits below are for them
-    stderr: float  # of the strength when added to the model [unit]; infinite if the base absorbs it
-    torque: float  # rms torque for a strength of 1 [N m / unit], the larger one of the two bodies; NaN for a camera
+    shape: dict[str, float]  # shape constants with the median detection limit; they apply to the limits below
+    # of the strength if the effect is added to the model [unit]; infinite if the base absorbs it
+    stderr: float
+    torque: float  # largest rms torque on a body for a strength of 1 [N m / unit]; NaN for a camera
     detection_limit: float  # strength found with 90 % probability [unit]
     detection_range: tuple[float, float]  # over the shapes tried, as rms torques [N m]
     upper_limit: float  # 95 % upper limit of the strength [unit]; NaN if the effect is significant
     power: float  # probability of finding an effect of `size`
-    size: float  # strength of this size [unit]
-    runs_needed: float  # number of such runs, including these, that find it with 90 % probability
+    size: float  # strength for which `power` and `runs_needed` are computed [unit]
+    # number of runs, including the present ones, that find this size with 90 % probability
+    runs_needed: float
     indistinguishable_from: tuple[str, ...]  # not separated at the larger of `size` and `detection_limit`
     curve: Array = field(repr=False)  # (points, 2): noncentrality and power
 
@@ -140,15 +144,15 @@ class UpperLimit:
     symbol: str  # of the strength
     upper_limit: float  # 95 % upper limit of the strength [unit]
     unit: str  # of the strength
-    torque_Nm: float  # the same as an rms torque along the motion [N m]
+    torque_Nm: float  # upper limit as an rms torque along the motion [N m]
 
 
 @dataclass(frozen=True)
 class HiddenEffects:
     """Physical effects that could still be hidden in the recordings."""
 
-    limits: tuple[UpperLimit, ...] = ()  # those with the largest upper limits of the torque, largest first
-    without_limit: tuple[str, ...] = ()  # names of those that the recordings do not limit
+    limits: tuple[UpperLimit, ...] = ()  # effects with the largest upper limits of the torque, largest first
+    without_limit: tuple[str, ...] = ()  # names of the effects that the recordings do not limit
 
 
 @dataclass(frozen=True)
@@ -192,7 +196,7 @@ class _Responses:
 class _Test:
     """The score test of one candidate in null data."""
 
-    # one, or one for each case if each case has its own strength; the scores of the best shapes are then added
+    # one item, or one for each case if each case has its own strength; the scores of the best shapes are then added
     parts: tuple[_Responses, ...]
     # shape (rows of all bases, data sets); projections of the null data on the bases of all parts, stacked
     null: Array
@@ -224,9 +228,9 @@ class ShiftedToBound:
     """The parameter of the base that an effect shifts to its bound.
 
     A missing effect shifts the parameters of the base, and noise scatters them. The fit holds a parameter at the bound
-    that it would cross. The part of the effect that the parameter would absorb beyond the bound then contributes to the
-    score. If several parameters would cross their bounds, the one furthest beyond its bound, in standard errors, is
-    held.
+    that the parameter would otherwise cross. The part of the effect that the parameter would absorb beyond the bound
+    then contributes to the score. If several parameters would cross their bounds, only the parameter furthest beyond
+    its bound, in standard errors, is held.
     """
 
     free: Array  # shape (rows, columns); whitened derivatives with respect to the parameters, then nuisance columns
@@ -253,7 +257,10 @@ class ShiftedToBound:
         return cls(free, inverse, inverse @ context.draws[:, :draws], distance)
 
     def held(self, response: Array, strengths: Array) -> NDArray[np.intp]:
-        """Return twice the index of the parameter at its bound (+ 1: upper), or -1, (strengths, data sets)."""
+        """Return the active bound in each data set, shape (strengths, data sets), or -1 if there is none.
+
+        The number is twice the index of the parameter for its lower bound, and one more for its upper bound.
+        """
         error = np.sqrt((self.inverse**2).sum(axis=1))[:, None]
         shift = (self.inverse @ response)[:, None]
         found = []
@@ -275,8 +282,8 @@ class ShiftedToBound:
     def largest_strength(self, response: Array, data: Array, limit: float, *, one_sided: bool) -> float:
         """Return an upper limit of a strength with the parameters of the base within their bounds.
 
-        The base can absorb an effect only as far as its parameters remain within their bounds: with r the data, F the
-        free columns and s the response, the limit is where
+        The base can absorb an effect only as far as its parameters remain within their bounds. Let r be the data, F the
+        free columns and s the response. The limit is the strength k at which
 
             min_b |r - F b - k s|^2,   b within the bounds,
 
@@ -298,7 +305,7 @@ class ShiftedToBound:
         return largest
 
     def basis_without(self, parameter: int) -> Array:
-        """Return an orthonormal basis of the free columns without those of one parameter."""
+        """Return an orthonormal basis of the free columns without the columns of one parameter."""
         return orthonormal(np.delete(self.free, parameter, axis=1), RANK)
 
 
@@ -334,7 +341,7 @@ class Search:
         self.effects = applicable_effects(fit, extra)
         self.cases = [CaseColumns(fit, i) for i in range(len(fit.problem.cases))]
         self._context = ScoreContext(fit, draws)
-        # the lack of fit of a model is not noise: after a further effect is added, the data have the pure level
+        # the lack of fit of a model is not noise: if the missing effect is added, the noise has its own level again
         self._level = self._context.levels[0 if fit.fails(criteria) else -1]
         self._trials = {e.name: self._all_trials(e) for e in self.effects}
         self._common = {e.name: self._responses(e, self._stacked(e), self._level.basis) for e in self.effects}
@@ -395,7 +402,7 @@ class Search:
         return tests
 
     def _nulls(self, effect: Effect, test: _Test, columns: int) -> list[NullDistribution]:
-        """Return the null distributions of a test, each with one estimate of the process noise in its tail."""
+        """Return the null distributions of a test, one for each estimate of the process noise."""
         directions = np.sum([p.direction(len(p.root) // 2) for p in test.parts], axis=0)
         direction = directions / max(float(np.linalg.norm(directions)), 1e-300)
         score = Score(
@@ -432,7 +439,7 @@ class Search:
             tests, offset = self._tests, np.zeros(len(raw))
             if which >= 0:
                 tests, offset = self._tests_with_held(int(which) // 2), self._bounds.shift(int(which))
-            # the tests of the effect itself first: data sets in which one test has found something skip further tests
+            # the effect itself is tested first, because a data set needs no further test once one test is significant
             for name in sorted(tests, key=lambda name: name != effect.name):
                 for test in tests[name]:
                     signal, shift = test.basis.T @ raw, test.basis.T @ offset
@@ -466,8 +473,9 @@ class Search:
         """Return detection limit, upper limit and power for one of `effects`.
 
         `size` is the rms torque [N m] for which power and runs are computed; by default 1 % of the rms torque of the
-        bearing (for a single body, of the net torque). With `planned` data the upper limits are expected ones. `others`
-        are other simulations of the same recordings with new estimates of the noise: the power is the mean over all.
+        bearing (for a single body, of the net torque). With `planned` data the upper limits are expected limits.
+        `others` are other simulations of the same recordings with new estimates of the noise; the power is averaged
+        over them.
         """
         common = self._common[effect.name]
         unit_torque = self._unit_torques(effect)
@@ -489,7 +497,7 @@ class Search:
         needed = delta_of_power(curve) if self._tests else np.nan
         wanted = self._size(torque, size)
         delta = wanted * root
-        # the noncentrality detected with 90 % probability, also if a parameter at its bound makes the effect visible
+        # the power curve also contains detections that are due to a parameter at its bound
         seen = (
             math.sqrt(min((t.threshold for t in self._tests.get(effect.name, ())), default=0.0))
             + _POWER_SIGMA
@@ -498,8 +506,7 @@ class Search:
         upper = self._upper(effect, group, planned=planned)
         detected = delta_of_power(curve, CONFIDENCE) if self._tests else np.inf
         if detected < _ONE_SIDED and not math.isnan(upper):
-            # because of a parameter at its bound, the effect is detected at a strength that its estimate does not
-            # exclude
+            # if a parameter is at its bound, the search may detect the effect at a strength that the estimate allows
             upper = detected
         return EffectLimits(
             effect,
@@ -561,7 +568,7 @@ class Search:
         return self._bounds.largest_strength(response, data, limit, one_sided=common.one_sided)
 
     def _runs(self, effect: Effect, delta: float, needed: float) -> float:
-        """Return the number of runs that detect an effect with this noncentrality in all present runs together."""
+        """Return the number of runs that detect an effect of noncentrality `delta` in all present runs together."""
         if delta <= 0 or not math.isfinite(needed):
             return np.inf
         cases = len(self.cases)
@@ -575,7 +582,7 @@ class Search:
         return np.inf
 
     def _indistinguishable(self, effect: Effect, group: int, delta: float) -> tuple[str, ...]:
-        """Return the effects that are indistinguishable from one of this noncentrality."""
+        """Return the effects that are indistinguishable from an effect of this noncentrality."""
         u = self._common[effect.name].direction(group)
         names = []
         for e in self.effects:
@@ -599,7 +606,7 @@ def largest_hidden(
 
     An effect has no limit if the model absorbs it. A limit above the torque of the bearing (for a single body: the net
     torque) contains no information. If an effect without shape constants was refitted as one of the `candidates`, its
-    limit is at least that of the refit.
+    limit is at least the limit that follows from the refit.
     """
     search = Search(fit, extra, criteria, draws=1)
     refits = {c.effect.name: c.fit for c in candidates if c.fit is not None}
@@ -619,9 +626,10 @@ def largest_hidden(
 
 
 def _at_least_of_refit(limits: EffectLimits, refit: Fit | None) -> EffectLimits:
-    """Return the limits with at least the upper limit |k| + 1.64 se of the refit.
+    """Return the limits with an upper limit that is at least |k| + 1.64 se of the refit.
 
-    The motion of a slow body is not linear in an angle-dependent torque; the refit is not linearised.
+    The motion of a slow body is not linear in an angle-dependent torque, so the limit of first order may be too small.
+    The refit is not linearised.
     """
     if refit is None or limits.shape or limits.absorbed:
         return limits
@@ -663,7 +671,7 @@ def _smallest_score(
 
 
 def _median_shape(root: Array, torque: Array) -> tuple[int, tuple[float, float]]:
-    """Return the shape with the median limit, and the smallest and largest torque of unit noncentrality."""
+    """Return the index of the shape with the median limit, and the range of the torques of unit noncentrality."""
     with np.errstate(divide="ignore", invalid="ignore"):
         per_sigma = np.where(root > 0, (1.0 if np.isnan(torque).any() else torque) / root, np.inf)
     order = np.argsort(per_sigma)
@@ -682,7 +690,7 @@ def delta_of_power(curve: Array, power: float = POWER) -> float:
         return np.inf
     from scipy.special import ndtri
 
-    # the power is nearly a normal integral of delta
+    # the power is nearly a normal distribution function of delta
     a, b = (float(ndtri(np.clip(x, 1e-3, 1 - 1e-3))) for x in rising[i - 1 : i + 1])
     share = (float(ndtri(power)) - a) / (b - a) if b > a else 1.0
     return float(curve[i - 1, 0] + share * (curve[i, 0] - curve[i - 1, 0]))
@@ -691,14 +699,14 @@ def delta_of_power(curve: Array, power: float = POWER) -> float:
 def upper_limit(projections: Array, *, one_sided: bool) -> float:
     """Return the 95 % upper limit of the noncentrality from projections on an orthonormal basis.
 
-    A projection is the estimate divided by its standard error; an amplitude with a phase has two, those of sine and
-    cosine. A strength that cannot be negative is `one_sided`.
+    A projection is the estimate divided by its standard error; an amplitude with a phase has two projections, for sine
+    and cosine. A strength that cannot be negative is `one_sided`.
     """
     if len(projections) == 1:
         p = float(projections[0])
         return (max(p, 0.0) if one_sided else abs(p)) + _ONE_SIDED
     from scipy.special import chndtrinc
 
-    # a score below the median of the null distribution would give a limit below the sensitivity of the data
+    # a score below the median of the null distribution would give a limit to which the data are not sensitive
     score = max(float(projections @ projections), 1.3862944)
     return float(np.sqrt(chndtrinc(score, len(projections), 1 - CONFIDENCE)))

@@ -1,8 +1,8 @@
 """A slow random torque as the alternative to a named effect.
 
-The random torque (`fitting.inference._random_torque`) is free in the fit without an effect (deviance D0) and in the fit
-with the effect (D1). The effect is established if it is significant with any random torque: D0 - D1 exceeds the penalty
-of BIC, and the p-value for the whole list of effects is below the significance.
+The level and the correlation time of the random torque (`fitting.inference._random_torque`) are free in two fits: one
+without the effect (deviance D0) and one with the effect (D1). The effect is established if D0 - D1 exceeds the penalty
+of BIC, and if the p-value for the whole list of effects is below the significance level.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _CERTAIN = 3.0
-"""Assumed inflation; an effect that is significant with it needs no simulation [1]. Measured: the inflation in all
-simulated recordings is 1.0 to 1.8."""
+"""Assumed inflation (see `inflation`); an effect that is significant even with this inflation needs no simulation [1].
+Measured: the inflation in all simulated recordings is 1.0 to 1.8."""
 _SEED = 11
 """Seed of the simulated recordings [1]. Chosen: any value makes the verdict reproducible; another one changes the
 inflation within its error."""
@@ -34,14 +34,14 @@ _DRAWS = 200
 """Number of simulated recordings for one inflation [1]. Chosen: a smaller number makes the inflation uncertain, a
 larger one costs time."""
 _RANGE = 4.0
-"""Largest ratio of trial times and levels to the true values, and of the true to the trial values [1]. Chosen: a
-smaller value understates the inflation, a larger one spreads the trials too far."""
+"""Factor by which the trial times and levels reach above and below the true values [1]. Chosen: a smaller value
+understates the inflation, a larger one spreads the trials too far."""
 _NEAR_TIMES = 7
-"""Trial correlation times of a simulated recording [1]. Chosen: a smaller number understates the inflation, a larger
-one costs time."""
+"""Number of trial correlation times of a simulated recording [1]. Chosen: a smaller number understates the inflation, a
+larger one costs time."""
 _NEAR_LEVELS = 11
-"""Trial levels of a simulated recording [1]. Chosen: a smaller number understates the inflation, a larger one costs
-time."""
+"""Number of trial levels of a simulated recording [1]. Chosen: a smaller number understates the inflation, a larger one
+costs time."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def is_established(
         enough = more * float(np.log(named.rows)) + criteria.evidence
         return fall / factor > enough and p_value < criteria.significance
 
-    # a random torque in addition to the effect only increases the fall
+    # a random torque in addition to the effect could only increase this fall, so its fit is not needed
     if more > 0 and passes(without.deviance - named.deviance, _CERTAIN):
         return True
     fall = without.deviance - with_random_torque(named, criteria).deviance
@@ -114,11 +114,11 @@ def is_established(
 def inflation(without: RandomTorque, named: Fit, criteria: Criteria) -> float:
     """Return the Bartlett factor of the fall of the deviance due to an effect, at least 1.
 
-    Level and correlation time of the random torque are optimised without and with the effect. Under the null hypothesis
-    the fall therefore exceeds a chi-square variable with one degree of freedom per added column. The mean fall is
-    simulated to first order from the most likely random torque of the fit without the effect. The factor is this mean
-    divided by the number of columns; the fall is divided by the factor (M. S. Bartlett, Proc. R. Soc. A 160, 268
-    (1937)). With several cases, the largest factor counts.
+    Level and correlation time of the random torque are optimised both without and with the effect. Under the null
+    hypothesis the fall is therefore larger, on average, than chi-square with one degree of freedom per added column.
+    The mean fall is simulated to first order from the most likely random torque of the fit without the effect. The
+    factor is this mean divided by the number of columns; the fall is divided by the factor (M. S. Bartlett, Proc. R.
+    Soc. A 160, 268 (1937)). With several cases, the largest factor counts.
     """
     old = set(without.fit.problem.layout.names)
     added = np.array([n not in old for n in named.problem.layout.names])

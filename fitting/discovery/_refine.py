@@ -5,10 +5,10 @@ The changepoint t0 of a refit is then scanned through its neighbourhood, while a
 
     cost(t0) = | M (z - rows(t0)) |^2,   M = 1 - J (J'J)^-1 J'.
 
-Another refit starts at the minimum. In a joint fit, the changepoint of a case whose process noise remains high is far
-from the true time. The reason is that the effect was missing in every case and biased the shared parameters when the
-changepoint was scored. After a refit the other cases determine the shared parameters, and the whole record of that case
-is scored again.
+Here z are the rows of the data, and J contains the columns of all other parameters. Another refit starts at the
+minimum. If the process noise of one case of a joint fit remains high, its changepoint is far from the true time. The
+reason is that the missing effect biased the shared parameters when the changepoint was scored. After a refit the other
+cases determine the shared parameters, and the whole record of this case is scored again.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ _NEIGHBOURHOOD = 0.04
 """Neighbourhood of a changepoint that is scanned, as a share of the record [1]. Chosen: a smaller value leaves the
 refit in a local minimum, a larger one leaves the range in which the motion is linear."""
 _STEPS = 48
-"""Trial times in the neighbourhood of a changepoint [1]. Chosen: a smaller number overlooks the minimum, a larger one
-costs time."""
+"""Number of trial times in the neighbourhood of a changepoint [1]. Chosen: a smaller number overlooks the minimum, a
+larger one costs time."""
 _SEARCHES = 3
 """Largest number of searches for changepoints of cases whose process noise remains high [1]. Chosen: a smaller number
 leaves cases with a wrong time, a larger one costs time."""
@@ -58,21 +58,21 @@ def refined(found: Fit, criteria: Criteria = DEFAULT) -> Fit:
 
 
 def has_less_process_noise(fit: Fit, than: Fit, criteria: Criteria) -> bool:
-    """Return whether a case of `fit` has clearly less random torque than in the fit `than` (`Criteria.quieter`)."""
+    """Return whether a case has clearly less random torque in `fit` than in the fit `than` (`Criteria.quieter`)."""
     return any(n.level < criteria.quieter * old.level for n, old in zip(fit.noise, than.noise, strict=True))
 
 
 def has_model_noise(found: Fit) -> bool:
-    """Return whether a fit has more random torque than the recording; this random torque may absorb a lack of fit."""
+    """Return whether a fit has more random torque than its recordings show; the excess may absorb a lack of fit."""
     return any(n.raised for n in found.noise)
 
 
 def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
-    """Return a fit, or its refit at the lowest process noise of the recordings if that describes the data better.
+    """Return a fit, or its refit at the lowest process noise of the recordings if the refit describes the data better.
 
     If process noise absorbs an error in the shape of a law, the deviance has no gradient in the shape. Oscillations are
-    excluded. They were fitted period by period, so the fit is not in a wrong minimum; with little noise, a search that
-    slips by half a period would not converge.
+    excluded for two reasons. They were fitted period by period, so the fit is not in a wrong minimum. With little
+    noise, a search that slips by half a period would not converge.
     """
     if not has_model_noise(found) or not are_smooth(d.motion for d in found.problem.data):
         return found
@@ -92,7 +92,7 @@ def refitted_at(found: Fit, noise: Sequence[Noise], values: Mapping[str, float] 
 
 
 def restarted_from(found: Fit, other: Fit) -> Fit:
-    """Return a fit, or its refit from the values of another model if that has a lower deviance."""
+    """Return a fit, or its refit from the values of another model if the refit has a lower deviance."""
     with attempt("a refit from the values of another model"):
         return _better(found, refitted_at(found, found.noise, other.values))
     return found
@@ -132,7 +132,7 @@ def local_changepoints(fit: Fit, effect: Effect) -> dict[str, float]:
 
 
 def _changed(fit: Fit, theta: Array) -> dict[str, float]:
-    """Return parameters by name; empty if they equal those of the fit."""
+    """Return parameters by name; empty if they equal the parameters of the fit."""
     if np.array_equal(theta, fit.theta):
         return {}
     return dict(zip(fit.problem.layout.names, theta.tolist(), strict=True))
@@ -163,7 +163,7 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
 
 
 def scores_mislead(base: Fit, criteria: Criteria) -> bool:
-    """Return whether scores about a fit are unreliable: its model has a drive and a significant lack of fit.
+    """Return whether scores about a fit are unreliable because its model has a drive and a significant lack of fit.
 
     Drive and drag are strongly correlated. If a drag is missing, the fitted drive and drag are so wrong (measured: the
     drag by 40 %) that the linear score of the missing drag is small or prefers a negative strength. Oscillating bodies
@@ -173,7 +173,7 @@ def scores_mislead(base: Fit, criteria: Criteria) -> bool:
 
 
 def is_far_from_the_motion(base: Fit, criteria: Criteria) -> bool:
-    """Return whether a model fails because it keeps a moving body at rest, or lacks a law for a joint.
+    """Return whether a model keeps a moving body at rest, or lacks a law for a joint.
 
     Oscillating bodies, which friction repeatedly stops, are excluded.
     """
@@ -189,8 +189,8 @@ def replaced_laws(base: Fit, effect: Effect) -> list[str]:
     """Return the laws of a base that an effect replaces, by name.
 
     While no body reverses, such a law and the effect are the same torque except for its sign (`Effect.equivalent`). The
-    strength of the law in the base is at a bound, for example dry friction of a body driven by a constant torque.
-    Together with the effect, only their sum would be determined.
+    strength of the law in the base is at a bound, for example dry friction of a body driven by a constant torque. If
+    the model contained both, only the sum of their strengths would be determined.
     """
     found = []
     for law in base.model.effects if effect.equivalent else ():
@@ -213,8 +213,9 @@ def with_candidate(base: Fit, effect: Effect) -> Model:
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the optimum of the base; None if it fails.
 
-    The process noise of a base with a large lack of fit may make the search converge to zero strength or to a wrong
-    shape. With `thorough`, a refit whose deviance falls by less than its score is therefore repeated in other ways.
+    At the process noise of a base with a large lack of fit, the search may converge to zero strength or to a wrong
+    shape. With `thorough`, a refit is therefore repeated in other ways if its deviance falls by less than the score
+    predicts.
     """
     if score.effect.restoring and not base.model.restoring:
         # the motion of the base does not oscillate, so its optimum is not an initial value for an oscillation
@@ -238,7 +239,7 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
         found = _better(found, fit_together(base, score, distant) if distant else None)
         local = local_changepoints(found, score.effect)
         found = _better(found, fit_together(base, score, local) if local else None)
-        # if a step goes in the wrong direction, one search may not suffice
+        # one search may end at a wrong time, so the search is repeated
         if found is before or not has_model_noise(found):
             break
     return found
@@ -310,8 +311,8 @@ def _steady(effect: Effect, names: Iterable[str], *, strength: bool) -> list[str
 def with_common_values(base: Fit, score: Score, found: Fit) -> Fit | None:
     """Return the fit in which all cases share the per-case parameters of the candidate; None if it has none.
 
-    If the values of all cases agree, BIC then counts one parameter, so a law has no disadvantage because its parameters
-    may differ between cases.
+    If the values of all cases agree, BIC then counts a single parameter. A law whose parameters may differ between
+    cases thus has no disadvantage.
     """
     prefix = score.effect.name + "."
     keys = [k for k in found.problem.layout.per_case if k.startswith(prefix)]

@@ -9,12 +9,12 @@ fit. R is the unmodelled torque of the most complete fit; it is zero unless its 
 where <> is the mean over the record, the bodies and the cases. A law of an angle enters by its amplitude k:
 <(k sin(n psi - phi))^2> = k^2 / 2.
 
-There are three exceptions. A named law that does not depend on an angle is compared with the slow torques only: angles
-measured once per turn do not determine angle-dependent torques, and their estimates are large. The message states
-angle-dependent torques separately. If a second effect is not determined, the unmodelled torque of the fit with the
-named effect alone is the better estimate of the remainder; the smaller of the two estimates is used. If the named law
-differs from the fit only in a shape constant, and the base absorbs most of the law, the torque of the law itself
-replaces U.
+There are three exceptions. First, a named law that does not depend on an angle is compared with the slow torques only.
+The reason is that angles measured once per turn do not determine angle-dependent torques, whose estimates are then
+large. The message states angle-dependent torques separately. Second, if a second effect is not determined, the
+unmodelled torque of the fit with the named effect alone is the better estimate of the remainder; the smaller of the two
+estimates is used. Third, if the most complete fit changes only a shape constant of the named law, and the base absorbs
+most of the law, the torque of the law itself replaces U.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _POINTS = 2000
-"""Points of a torque along the motion [1]. Chosen: a smaller number makes the explained share coarse, a larger one
-costs time."""
+"""Number of points of a torque along the motion [1]. Chosen: a smaller number makes the explained share coarse, a
+larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Remainder:
     p_value: (
         float  # smallest p-value of the likelihood ratio test of its parameters and of the lack-of-fit tests
     )
-    sentence: str  # its size, and the variable on which it depends
+    sentence: str  # size of the torque, and the variable on which it depends
     effects: tuple[str, ...] = ()  # further effects that describe it
 
 
@@ -88,11 +88,11 @@ class Nuisance:
 
 
 class Torques:
-    """Net torques of several fits of the same data along the motion of the most complete one, `end`.
+    """Net torques of several fits of the same data along the motion of the most complete fit, `end`.
 
     `residual` states that `end` has a significant lack of fit; then its unmodelled torque is added. If the mean square
-    unmodelled torque of `end` exceeds that of the base, the added effect did not improve the fit, and the base is used
-    instead of `end`.
+    unmodelled torque is larger for `end` than for the base, the added effect did not improve the fit, and the base is
+    used instead of `end`.
     """
 
     _mechanism = GYROSCOPE
@@ -157,9 +157,9 @@ class Torques:
     def shape_error(self, law: Effect, freed: Effect, fit: Fit) -> tuple[float, float, float]:
         """Return the size of the difference between a law with a free shape and the optimally scaled library law.
 
-        The first two numbers are the mean square of the difference, divided by that of the unmodelled torque and by
-        that of the law with the free shape. The third is the rms of the difference [N m]. `fit` has the parameters of
-        the law with a free shape.
+        The first number is the mean square of the difference divided by the mean square unmodelled torque. The second
+        number is the mean square of the difference divided by the mean square torque of the law with the free shape.
+        The third number is the rms of the difference [N m]. `fit` has the parameters of the law with a free shape.
         """
         total, own, unexplained, bodies = 0.0, 0.0, 0.0, np.zeros(len(self._mechanism.bodies))
         for case, t in enumerate(self._time):
@@ -193,7 +193,7 @@ class Torques:
         t, path = self._time[case], self._end.predictions[case].path
         fitted = fit.predictions[case].path
         motion, y = Sampler(path.mesh, t).value(path.y), Sampler(fitted.mesh, t).value(fitted.y)
-        # speeds and deflection are those of the common motion; other states, for example a temperature, come from the
+        # speeds and deflection are taken from the common motion; other states, for example a temperature, come from the
         # fit
         for i, name in enumerate(fitted.states[: y.shape[1]]):
             if i < len(self._inertias):
@@ -218,10 +218,10 @@ def _mean_square(curves: Sequence[ResidualTorque]) -> float:
 def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
     """Return times [s] and unmodelled torque [N m] of an oscillation whose phase a model does not describe; else None.
 
-    Let a be the residual of the amplitude A, p that of the phase, and w the angular frequency. The residuals are caused
-    by torques per moment of inertia with the amplitudes 2 w a' (in quadrature with the deflection) and 2 w A p' (in
-    phase). A torque estimated from the residuals of the angle would contain the deflection times the error of the
-    phase. The result is also None if the fit does not fail grossly, the body does not oscillate, or the averaged
+    Let a be the residual of the amplitude A, p the residual of the phase, and w the angular frequency. The residuals
+    are caused by torques per moment of inertia with the amplitudes 2 w a' (in quadrature with the deflection) and 2 w A
+    p' (in phase). A torque estimated from the residuals of the angle would contain the deflection times the error of
+    the phase. The result is also None if the fit does not fail grossly, the body does not oscillate, or the averaged
     equations do not describe the phase.
     """
     data = end.problem.data[case]
@@ -256,13 +256,13 @@ def _amplitudes(fit: Fit, case: int) -> dict[tuple[int, str], complex]:
 
 @dataclass(frozen=True)
 class Grade:
-    """The size of an answer: form, explained share, remainder, and the rivals that explain the same share.
+    """The size of an answer: form, explained share, remainder, and the rivals that explain an equal share.
 
     `form` is "exact", "approximate", or None if the form is not established. `unknown` is the speed whose smooth law
     describes the data better than the named effect; empty if there is none. `unknown_bic` is the BIC of this law at the
-    noise of the fit with the named effect, if no second effect was tried. `test` is the power of the form test. If
-    form and remainder are None, the residuals are consistent with noise, but the form is not established. With `noisy`,
-    the reason is that the fit needs more process noise than the recording shows.
+    noise of the fit with the named effect, if no second effect was tried. `test` is the result of the form test. If
+    `form` and `remainder` are None, the residuals are consistent with noise, but the form is not established. With
+    `noisy`, the reason is that the fit needs more process noise than the recording shows.
     """
 
     form: str | None
@@ -276,11 +276,11 @@ class Grade:
 
 
 _INNER_KNOTS = 4
-"""Inner knots of a smooth law [1]. Chosen: the law represents any cubic and one bend; a smaller number leaves out the
-bend, a larger one absorbs noise."""
+"""Number of inner knots of a smooth law [1]. Chosen: the law represents any cubic and one bend; a smaller number leaves
+out the bend, a larger one absorbs noise."""
 _POWERS = {"casing": (2, 3), "rotor": (0, 1, 3), "bearing": (0, 2, 3)}
 """Powers of a speed that no effect of the usual base model contains, by body or joint [1]. Derived: from the laws of
-the reduced model; bodies and joints of a chain have those of the casing and of the bearing."""
+the reduced model; the powers of casing and bearing also apply to the bodies and joints of a chain."""
 
 
 def smooth_law(
@@ -350,7 +350,7 @@ def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:
 
 
 _NO_TORQUE = 1e-12
-"""Share of the mean square torque below which the named effect and the most complete fit have the same torque [1].
+"""Share of the mean square torque below which the named effect and the most complete fit count as the same torque [1].
 Chosen: the rounding error of the difference; a larger value treats small remainders as zero, a smaller one compares
 rounding errors."""
 
@@ -456,10 +456,10 @@ def grade(
 def _complete(
     base: Fit, selection: Selection, chosen: Candidate, tested: FormTest | None, criteria: Criteria
 ) -> Grade:
-    """Return the grade of an effect with which the residuals are consistent with noise.
+    """Return the grade of an effect that makes the residuals consistent with noise.
 
     Smooth laws of other speeds are rivals if BIC does not separate them from the effect. The form is not established if
-    these data could not refute it, or if a smooth law, regardless of its number of parameters, fits as well. The same
+    these data could not refute it, or if a smooth law fits as well, regardless of its number of parameters. The same
     holds for an equivalence class.
     """
     if tested is None:
@@ -505,7 +505,7 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
 
 
 _POWER_OF_SPEED = {"camera.shutter": 1, "camera.blur": 2}
-"""Power of the speed by which the amplitude of a camera error is multiplied to obtain an angle [1]. Derived: the laws
+"""Exponent n for each camera error: its amplitude times the n-th power of the speed is an angle [1]. Derived: the laws
 of these effects in the library."""
 
 
@@ -514,7 +514,7 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
 
     The amplitudes (with their priors) and the free parameters are estimated together by generalised least squares, with
     the noise of the tests. An amplitude is the root of the sum of the squares of the cosine and sine coefficients; its
-    p-value is that of a chi-square with two degrees of freedom.
+    p-value follows from chi-square with two degrees of freedom.
     """
     from fitting.effects._library import LIBRARY
 

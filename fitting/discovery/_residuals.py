@@ -1,9 +1,10 @@
 """Residuals of a fit: whiteness, unmodelled torque, failing intervals.
 
-The residuals are r = W_c u_c + W_r u_r + noise, with the unmodelled torques u_c on the casing and u_r on the rotor. The
-prior of each torque is an Ornstein-Uhlenbeck process with a long correlation time; its level is estimated from the
-residuals. The unmodelled torque is the posterior mean, with the posterior standard deviation, of this Gaussian process
-(C. Rasmussen, C. Williams, Gaussian Processes for Machine Learning, 2.2). Start angles and phases are free.
+The residuals are r = W_c u_c + W_r u_r + noise. The matrices W_c and W_r are the responses of the rows to the
+unmodelled torques u_c on the casing and u_r on the rotor. The prior of each torque is an Ornstein-Uhlenbeck process
+with a long correlation time; its level is estimated from the residuals. The unmodelled torque is the posterior mean,
+with the posterior standard deviation, of this Gaussian process (C. Rasmussen, C. Williams, Gaussian Processes for
+Machine Learning, 2.2). Start angles and phases are free.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ _LAGS = 12
 """Largest lag of the test of independence [blocks]. Chosen: a smaller number overlooks slow correlations, a larger one
 lowers the power; the lag is also at most a quarter of the number of blocks."""
 _POWERS = 4
-"""Lowest rows of a block that are tested [1]. Chosen: a smaller number overlooks correlations within a block, a larger
-one lowers the power for slow correlations."""
+"""Number of rows of each block that are tested, lowest order first [1]. Chosen: a smaller number overlooks correlations
+within a block, a larger one lowers the power for slow correlations."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def whiteness(fit: Fit) -> list[Whiteness]:
 
     results = []
     for data, n, p in zip(fit.problem.data, fit.noise, fit.predictions, strict=True):
-        # process noise at the level of the fit would absorb a lack of fit
+        # process noise at the raised level of the fit would absorb a lack of fit
         project = Projection(data, n.whitener.at(n.tested))
         blocks, k, _ = data.casing.lift.shape
         rows = project(p.rows - data.z)[data.slices["casing"]].reshape(blocks, k)[:, :_POWERS]
@@ -79,7 +80,7 @@ variances by rounding errors; a larger value hides well-determined torques, a sm
 class ResidualTorque:
     """Unmodelled torque on one body: time [s], torque and its standard deviation [N m], and speeds there.
 
-    `omega_c` is the speed of the casing or main body, `omega_r` that of the rotor or of the next body of a chain.
+    `omega_c` is the speed of the casing or main body, `omega_r` the speed of the rotor or of the next body of a chain.
     """
 
     label: str
@@ -116,7 +117,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
         covariance = covariance + level**2 * cross[name] @ w.T
     nuisance = data.nuisance[smooth]
     inverse = _inverse_without_nuisance(covariance, nuisance)
-    # angles of thousands of turns: if the constant is not removed first, rounding errors are as large as a torque
+    # in angles of thousands of turns, rounding errors are as large as a torque unless the constant is removed first
     weighted = inverse @ orthogonal_to(orthonormal(nuisance, _RANK), residual[smooth])
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
     curves = []
@@ -139,10 +140,10 @@ def _of_the_measured_motion(
 ) -> tuple[Array, Array, Array]:
     """Return speed, unmodelled torque I dw/dt - T(w), and its uncertainty, from the measured motion of the main body.
 
-    Speed and acceleration are those of the polynomial, of degree 3 for an angle and 2 for a speed, that fits the
-    samples within `width` [s] about each time; `y` are the states of the model. The variances of the samples are
-    multiplied by chi-square per degree of freedom and by (1 + r) / (1 - r), where r is the correlation of successive
-    residuals, if these factors exceed 1.
+    Speed and acceleration are derivatives of a local polynomial that is fitted to the samples within `width` [s] about
+    each time. Its degree is 3 for an angle and 2 for a speed. `y` are the states of the model. The variances of the
+    samples are multiplied by chi-square per degree of freedom and by (1 + r) / (1 - r), where r is the correlation of
+    successive residuals, if these factors exceed 1.
     """
     case, record = fit.problem.cases[index], fit.problem.data[index].record
     samples, inertia = record.casing, record.inertias[MAIN]
@@ -198,8 +199,8 @@ _RANK = 1e-6
 rounding errors, a larger one ignores some nuisance columns."""
 
 _BAND = 1.96
-"""Distance of the torque from zero within which an interval ends [standard deviations]. Derived: quantile 0.975 of the
-standard normal distribution, a band of 95 %."""
+"""An interval of significant torque ends where the torque is closer to zero than this distance [standard deviations].
+Derived: quantile 0.975 of the standard normal distribution, a band of 95 %."""
 _TURNS = {1: "once a turn", 2: "twice a turn"}
 _SHORTEST = 1 / 100
 """Shortest reported interval, as a share of the record [1]. Chosen: a smaller value reports fluctuations, a larger one
@@ -217,7 +218,8 @@ class Failure:
     body: str
     t_start: float  # [s]
     t_stop: float  # [s]
-    kind: str  # "loses torque" or "gains torque" relative to the model; "ripple" for a harmonic of the angle
+    # "loses torque" or "gains torque" compared with the model; "ripple" for a harmonic of the angle
+    kind: str
     where: str  # in words, for example "while speeding up", "near the peak", "once a turn"
     size_sigma: float  # largest distance from zero in standard deviations
     residual_rad_s: float  # extreme (5 % or 95 %) speed residual with its sign; speed amplitude of a harmonic
@@ -338,7 +340,7 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
 
 
 _AT_START = 0.02
-"""Largest share of a record before its highest speed for which the body is taken to slow down only [1]. Chosen: a
+"""If the highest speed occurs within this share of the record, the body counts as slowing down only [1]. Chosen: a
 smaller value takes noise at the start for a rise, a larger one overlooks a short rise."""
 
 

@@ -1,11 +1,11 @@
 """Score test of all candidate effects at once, without a refit; null distributions of the scores.
 
-The covariance of the rows of a case is C = V (1 + s^2 L) V' with the same V at every level s of the process noise.
-Therefore rows are rotated by V' once, and whitened at each level by one factor per row.
+The covariance of the rows of a case is C = V (1 + s^2 L) V' with a diagonal matrix L, and with the same V at every
+level s of the process noise. Therefore rows are rotated by V' once, and whitened at each level by one factor per row.
 
 A small torque u(t) on a body changes the rows by W u. W is the response of the linearised motion to a torque in each of
-many short cells. One matrix product gives the rows of all candidates at all values of their shape constants. Only laws
-of an angle and camera effects are evaluated at the samples.
+many short cells, the intervals into which the record is divided. One matrix product gives the rows of all candidates at
+all values of their shape constants. Only laws of an angle and camera effects are evaluated at the samples.
 
 Let r be the whitened residuals, J the Jacobian (parameters and nuisance parameters) and s the columns of a candidate.
 Then
@@ -13,14 +13,14 @@ Then
     S = gamma' (s'Ms) gamma,   gamma = (s'Ms)^-1 s'Mr,   M = 1 - J (J'J)^-1 J',
 
 is the fall of chi-square that a refit would give to first order (C. R. Rao, Proc. Camb. Phil. Soc. 44, 50 (1948)). The
-process noise can describe the same residuals as the effect, so its level is profiled: the score is the fall of the
-deviance, minimised over the level without and with the effect.
+process noise can describe the same residuals as the effect, so its level is profiled: the score is the smallest
+deviance over all levels without the effect, minus the smallest deviance over all levels with the effect.
 
-Candidates are correlated, and some have many trial shapes. Therefore p-values are calibrated by simulated null data
-that are searched in the same way. A candidate with many shapes is equivalent to N independent trials,
-p = 1 - (1 - p1)^N; N reproduces the upper tail of its largest scores in null data. The whole list is equivalent to a
-number of independent candidates in the same sense (P. Westfall, S. Young, Resampling-Based Multiple Testing, Wiley
-(1993)).
+Candidates are correlated, and some have many trial shapes. Therefore p-values are calibrated with simulated null data
+that undergo the same search. A candidate with many shapes is equivalent to N independent trials, each with the p-value
+p1 of a single shape: p = 1 - (1 - p1)^N. N reproduces the upper tail of the largest scores of the candidate in null
+data. The whole list is equivalent to a number of independent candidates in the same sense (P. Westfall, S. Young,
+Resampling-Based Multiple Testing, Wiley (1993)).
 """
 
 from __future__ import annotations
@@ -48,11 +48,12 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _LEVELS = 9
-"""Trial levels of the process noise [1]. Chosen: a smaller number makes the profiled score coarse, a larger one costs
-time and memory."""
+"""Number of trial levels of the process noise [1]. Chosen: a smaller number makes the profiled score coarse, a larger
+one costs time and memory."""
 _ABSORBED = 1e-7
-"""Share of a column orthogonal to the free columns of the base, before whitening, below which the base absorbs it [1].
-Chosen: a smaller value scores rounding errors, a larger one drops weakly determined effects."""
+"""The base absorbs a column if the part of the column that is orthogonal to the free columns, before whitening, has a
+norm below this share of the norm of the column [1]. Chosen: a smaller value scores rounding errors, a larger one drops
+weakly determined effects."""
 RANK = 1e-10
 """Relative singular value below which a direction of the free columns is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
@@ -75,7 +76,7 @@ class ScoreContext:
 
     The effects `without` are removed from the model: their parameters are not free, and their contribution
     `torque_rows` (rows,) to the prediction is added to the residual. With `release`, parameters at a bound are free as
-    well. The parameters `shared` have a value for each case in the fit, but each is one parameter here.
+    well. The parameters `shared` have separate values for the cases in the fit, but one common value here.
     """
 
     def __init__(
@@ -181,8 +182,8 @@ def _level_between(least: float, level: float, share: float) -> float:
 
 
 _PHASE_STEP = 1.5
-"""Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
-larger one overlooks narrow peaks."""
+"""Spacing of trial frequencies, as a phase difference at the end of the record [rad]. Chosen: a smaller value costs
+time, a larger one overlooks narrow peaks."""
 _FASTEST = 1.0
 """Highest trial frequency that the cells resolve [rad per cell]. Chosen: a larger value blurs the torque within a cell,
 a smaller one overlooks fast chirps."""
@@ -193,8 +194,8 @@ _FINER = 8
 """Ratio of the declared spacing of changepoints to the trial spacing [1]. Chosen: a smaller value overlooks narrow
 maxima of the score, a larger one costs time."""
 _CHOICES = 128
-"""Choices of shape constants that are evaluated at once [1]. Chosen: a smaller number makes small matrix products, a
-larger one needs memory; the result does not depend on this number."""
+"""Number of choices of shape constants that are evaluated at once [1]. Chosen: a smaller number makes the matrix
+products small and slow, a larger one needs memory; the result does not depend on this number."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +231,7 @@ class CaseColumns:
         taus = zip(dynamics.joint_torques, torques, strict=True)
         self._known |= {symbol: np.asarray(tau) * np.ones(len(y)) for symbol, tau in taus}
         rates = dynamics.rates(self.response.centres, y, self.numbers)
-        # torque by which a factor of the torque of a joint, or of the acceleration of a body, is multiplied
+        # an effect that is a factor multiplies this torque: the torque of a joint, or inertia times acceleration
         self._scaled_torque = {c.name: self._known[c.tau] for c in mechanism.couplings}
         for i, (body, key) in enumerate(zip(mechanism.bodies, mechanism.inertias, strict=True)):
             self._scaled_torque[body] = self.numbers[key] * rates[:, i]
@@ -290,7 +291,7 @@ class CaseColumns:
             return np.linspace(fastest / max(count, 1), fastest, max(count, 1))
         grid = np.array(p.grid or (p.start,))
         if p.symbol == effect.breakpoint:
-            # the stronger the effect, the narrower the minimum of chi-square about the changepoint
+            # a stronger effect has a narrower minimum of chi-square about the changepoint
             finer = np.interp(np.arange((len(grid) - 1) * _FINER + 1) / _FINER, np.arange(len(grid)), grid)
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
@@ -393,7 +394,7 @@ class CaseColumns:
         increment = 0.5 * h * (source[1:] + source[:-1])
         if not decay.any():
             return np.asarray(first + np.concatenate([np.zeros((1, size[1])), np.cumsum(increment, axis=0)]))
-        # a state may decay within a cell, so the step is exact for a constant decay rate
+        # because a state may decay within a cell, the step is exact for a constant decay rate
         exponent = 0.5 * h * (decay[:-1] + decay[1:])
         factor = np.exp(exponent)
         safe = np.where(exponent == 0, 1.0, exponent)
@@ -494,7 +495,7 @@ def best_group(
 
 
 def score_of_columns(context: ScoreContext, columns: Array) -> float:
-    """Return the fall of the deviance by columns of any strength, the deviance being minimised over the levels."""
+    """Return the fall of the deviance due to columns of free strength; deviances are minimised over the levels."""
     rotated = context.rotated(columns)
     gains = []
     for level in context.levels:
@@ -591,14 +592,14 @@ class FamilywiseNull:
 
 
 _ROUNDS = 3
-"""Refinements of a shape constant [1]. Chosen: a smaller number leaves the constant on the coarse grid, a larger one
-changes the score by less than the noise."""
+"""Number of refinements of a shape constant [1]. Chosen: a smaller number leaves the constant on the coarse grid, a
+larger one changes the score by less than the noise."""
 _POINTS = 9
-"""Points of a refinement of a shape constant [1]. Chosen: a smaller number may overlook the optimum, a larger one costs
-time."""
+"""Number of points of a refinement of a shape constant [1]. Chosen: a smaller number may overlook the optimum, a larger
+one costs time."""
 _MOST_SWEPT = 4
 """Largest number of cases whose shapes are optimised in turn [1]. Chosen: a larger value costs time, a smaller one
-scores joint fits with shapes that are not the best ones."""
+scores joint fits with shapes that are not optimal."""
 
 
 def score(
@@ -611,8 +612,8 @@ def score(
 ) -> list[Score]:
     """Return the scores of candidates that are not in the base, in the order of `effects`.
 
-    `cases` contains the columns of each case of the fit. `context` contains the linearised data; by default those of
-    the fit with all its effects and `draws` null data sets.
+    `cases` contains the columns of each case of the fit. `context` contains the linearised data; by default it is
+    computed from the fit with all its effects and `draws` null data sets.
     """
     context = ScoreContext(fit, draws) if context is None else context
     tried = {e.name: _all_trials(e, cases) for e in effects}
@@ -657,7 +658,7 @@ def _shape_refined(
 
 
 def _neighbours(grid: list[float], value: float) -> tuple[float, float]:
-    """Return the points of a grid below and above a value; beyond the grid, a value one step further."""
+    """Return the points of a grid below and above a value; at an end of the grid, one further step is added."""
     ordered = np.sort(np.array(grid))
     near = 1e-12 * abs(value)
     below, above = ordered[ordered < value - near], ordered[ordered > value + near]
@@ -716,7 +717,8 @@ def _choose_shapes(
 ) -> tuple[list[Trial], Array]:
     """Return the best trial of each case and the null scores.
 
-    The case with the largest score is chosen first, then the others given the chosen ones, then all cases once more.
+    The shape of the case with the largest score is chosen first. The shapes of the other cases follow, each with the
+    chosen shapes held. Finally the shapes of all cases are chosen once more.
     """
     groups = [rows_of_case(context, t, i) for i, t in enumerate(trials)]
     singles = [best_group(context, effect, g, levels, null=null) for g in groups]

@@ -1,8 +1,9 @@
 """From scores to a ranking, and from a ranking to the effects that are added.
 
-1. `rank`: score every candidate, refit the promising ones, order them by BIC, mark indistinguishable ones.
+1. `rank`: score every candidate, refit the promising candidates, order them by BIC, and mark indistinguishable
+   candidates.
 2. `select`: refine the best candidate; rank it and its rivals again at the lower noise of its fit
-   (`ranked_at_noise`); add a second effect if one is not sufficient.
+   (`ranked_at_noise`); add a second effect if one effect does not suffice.
 3. `improve`: forward selection while a candidate is significant, each step followed by backward elimination.
 """
 
@@ -77,9 +78,9 @@ class Candidate:
     effect : Effect
         The effect.
     score : float
-        Decrease of the deviance when the effect is added: of the refit, or as predicted by the score test.
+        Decrease of the deviance when the effect is added, from the refit or, without a refit, from the score test.
     delta_bic : float
-        BIC with the effect minus BIC without it: negative is better. nan without a refit.
+        BIC with the effect minus BIC without the effect; a negative value favours the effect. nan without a refit.
     p_value : float
         Family-wise p-value: probability of a score this large anywhere in the list if nothing is missing.
     held_out_gain : float
@@ -177,7 +178,7 @@ def rank(
         near = _nearest(base, [c.effect for c in found if c.effect.mechanical], criteria)
         chosen = afresh = [c.effect.name in near[: criteria.refit_most] for c in found]
     if base.model.restoring:
-        # over many periods a refit takes long, and the refit of a law with a small score is degenerate
+        # over many periods a refit takes long; besides, the refit of a law with a small score is degenerate
         most = criteria.refit_oscillation_p
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
         chosen = [w and c.p_value < most and c.score >= least for w, c in zip(chosen, found, strict=True)]
@@ -234,8 +235,9 @@ def _start_candidate(base: Fit, family: FamilywiseNull, criteria: Criteria) -> C
 
 
 _SMALLEST_RANGE = 1.0
-"""Smallest range of an oscillation in which a harmonic of the angle is distinguishable from its Taylor series [rad].
-Chosen: a smaller value adds candidates equivalent to springs, a larger one overlooks harmonics of wide oscillations."""
+"""Smallest range of an oscillation in which a harmonic of the angle is distinguishable from the first terms of its
+Taylor series [rad]. Chosen: a smaller value adds candidates equivalent to springs, a larger one overlooks harmonics of
+wide oscillations."""
 
 
 def shared_data(fit: Fit) -> Sequence[CaseData]:
@@ -261,8 +263,9 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
 
 
 _DRIVE_ERROR = 0.5
-"""Largest ratio of the rms residual speeds with and without a law of a recorded input for which the input drives the
-body [1]. Chosen: a larger value mistakes a chance correlation for a drive, a smaller one overlooks weak drives."""
+"""Rms residual speed with a law of a recorded input, divided by the rms without this law, below which the input counts
+as the drive of the body [1]. Chosen: a larger value mistakes a chance correlation for a drive, a smaller one overlooks
+weak drives."""
 
 
 def needed_drives(base: Fit, effects: Sequence[Effect]) -> set[str]:
@@ -309,7 +312,7 @@ def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
         return any(effect.inputs[0] in e.inputs for e in base.model.effects)
     if not (effect.searched or asked) or not effect.bodies <= base.problem.data[0].record.parts:
         return False
-    # a contact that turns in one sense slides after a small angle; its friction is constant after that
+    # a contact that turns in one sense begins to slide after a small angle; from then on its friction is constant
     reversing = effect.restoring or effect.contact
     motion = base.problem.data[0].motion
     if reversing and motion.is_smooth:
@@ -341,7 +344,7 @@ def _to_refit(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]
             and c.p_value < criteria.refit_p
             and c.score > criteria.refit_share * (best_score or 0.0)
         )
-        # a base that has partly absorbed an error of the measurement has a small linear score for this error
+        # if the base has partly absorbed an error of the measurement, the linear score of this error is small
         faulty = significant and not c.physical
         chosen.append(testable and (count < criteria.refit_least or promising or faulty))
         count += testable
@@ -372,7 +375,7 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
         other = refit(base, with_common_phase(screened), criteria, thorough=thorough)
         found = other if other is not None and other.bic < found.bic else found
     if not found.converged:
-        # a quick search ends far from the minimum if a parameter of the base was at its bound
+        # if a parameter of the base was at its bound, a quick search ends far from the minimum
         found = _refined(found, criteria)
     return _with_fit(base, promising, found)
 
@@ -380,8 +383,8 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
 def _noisier_rivals(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
     """Return the rivals of the candidate with the lowest BIC whose refits have clearly more process noise.
 
-    The deviance may have two minima in the level of the noise; if a search ends at the higher minimum, the law is
-    wrongly ranked behind another law of similar shape.
+    As a function of the noise level, the deviance may have two minima. If a search ends at the higher minimum, the law
+    is wrongly ranked behind another law of similar shape.
     """
     fits = {c.effect.name: c.fit for c in found if c.fit is not None and c.significant}
     leader = min((c for c in found if c.effect.name in fits), key=lambda c: c.delta_bic, default=None)
@@ -442,8 +445,8 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
 
 
 _TIE = 1
-"""Decimal places of BIC for the order of candidates [1]. Chosen: with fewer, different laws are in the order of the
-library; with more, equal laws are ordered by rounding errors."""
+"""Number of decimal places to which BIC is rounded when candidates are ordered [1]. Chosen: with fewer, different laws
+appear in the order of the library; with more, rounding errors order equal laws."""
 
 
 def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
@@ -457,7 +460,7 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
                 -c.score + (c.screened.columns + len(c.screened.shape[0])) * criteria.equivalence_width
             )
         penalised += 0.0 if c.physical else criteria.measurement_penalty
-        # laws that are equal in a recording differ by rounding errors; the more common one is first in the library
+        # laws that are equal in a recording differ by rounding errors; then the order of the library decides
         return (not c.significant, round(penalised, _TIE), place.get(c.effect.name, len(place)))
 
     def indistinguishable(a: Candidate, b: Candidate) -> bool:
@@ -600,7 +603,7 @@ class History(list[Step]):
     """The steps of `improve`, the base first; a notebook shows them as a table.
 
     `stopped` is the reason for an early end: the message of a failed fit, or a statement that information on the data
-    is missing. `trace` lists every fit of the search, including failed ones.
+    is missing. `trace` lists every fit of the search, including failed fits.
     """
 
     stopped: str = ""
@@ -686,7 +689,7 @@ def select(
     if chosen.effect is START:
         return Selection(ranked, chosen, chosen.fit, chosen.fit)
     end = _refined(chosen.fit, criteria)
-    # if an effect reduces the process noise, the larger noise may have masked another effect, or the difference between
+    # if an effect reduces the process noise, the earlier noise may have masked another effect or a difference between
     # rivals
     less_noise = has_less_process_noise(end, chosen.fit, criteria)
     if less_noise:
@@ -728,11 +731,11 @@ def select(
 def _superseding(
     base: Fit, history: Sequence[Step], candidates: Sequence[Candidate], chosen: Candidate
 ) -> Candidate | None:
-    """Return the effect that made the chosen one unnecessary; None if the most complete fit contains the chosen one.
+    """Return the effect that made the chosen effect unnecessary; None if the most complete fit contains the chosen one.
 
     If the base does not describe the motion, scores are misleading, and the second effect may describe the data without
-    the first one. The result is the first effect that was alone in a step of the history and that the last step
-    contains.
+    the first effect. The result is the first effect of the history that was alone in one step and is part of the last
+    step.
     """
     last = history[-1].fit.model.names
     for step in history[1:] if chosen.effect.name not in last else ():
@@ -763,7 +766,7 @@ def _refined(found: Fit, criteria: Criteria) -> Fit:
 def _with_free_shape(
     found: Fit, chosen: Candidate, following: Sequence[Candidate], criteria: Criteria
 ) -> Fit | None:
-    """Return the fit with a free shape constant of the newest law, if BIC is lower than with another effect instead."""
+    """Return the fit with a free shape constant of the newest law, if its BIC is lower than with a further effect."""
     if chosen.effect not in found.model.effects:
         return None
     general = with_free_shape(found, chosen.effect, criteria)
@@ -782,7 +785,7 @@ def separate_values(
     """
     if not base.fails(criteria):
         return None
-    # scores of large effects are approximate: a difference may have a smaller score than an effect that fits worse
+    # scores of large effects are approximate: a difference may have a smaller score than an effect, but fit better
     least = criteria.rival_share * max((c.score for c in candidates if c.physical), default=0.0)
     separate = different_parameter(base, criteria, least=least)
     if separate is None or separate.fit.fails(criteria):
@@ -808,7 +811,7 @@ def improve(
 ) -> History:
     """Add the best effect while any is significant, free its shape constant if needed, and drop unnecessary effects.
 
-    Finally exchange an added effect for one or two others while this lowers BIC.
+    Finally exchange an added effect for one or two other effects while this lowers BIC.
 
     Parameters
     ----------
@@ -817,8 +820,8 @@ def improve(
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     criteria : Criteria, optional
-        Thresholds of every decision; by default those of the fit. If criteria of the noise differ, the fit is repeated
-        first, and `first` is not used.
+        Thresholds of every decision; by default the criteria of the fit. If criteria of the noise differ, the fit is
+        repeated first, and `first` is not used.
     max_steps : int, optional
         Maximum number of added effects; `Criteria.max_steps` if not given.
     progress : callable, optional
@@ -852,7 +855,7 @@ def improve(
                 break
             history.append(step)
             if not step.fit.fails(criteria):
-                history.stopped = ""  # the reason applied to the model before the exchange
+                history.stopped = ""  # the stored reason applied to the model before the exchange
             if keep is not None:
                 keep(step)
     history.trace = tuple(trace.refits)
@@ -957,8 +960,8 @@ def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, crite
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
     """Drop effects that the newest effect makes unnecessary.
 
-    If many were added, the model is fitted without each of them in turn, because several wrong effects can imitate a
-    right effect that is added last.
+    If many effects were added, the model is fitted without each of them in turn, because several wrong effects can
+    imitate a right effect that is added last.
     """
     newest = history[-1]
     change, current = newest.change, newest.fit
@@ -1018,7 +1021,7 @@ def _exchanged(history: Sequence[Step], extra: Sequence[Effect], criteria: Crite
     if change is None:
         return None
     end = _refined(fits[change], criteria)
-    # a part of the fall is due to the noise
+    # a lower level of the noise causes a part of the fall
     fall = current.bic - end.bic - max(current.deviance - deviance_at_noise_of(current, end), 0.0)
     if not current.fails(criteria):
         # a random torque may describe the data as well as the new laws
@@ -1034,8 +1037,8 @@ def _is_friction(effect: Effect) -> bool:
 
 
 _DRAWS = 2
-"""Number of null data sets of a score that is used only for an initial value [1]. Chosen: the p-value is not used; a
-larger number costs time; with one, the spread of the scores is undefined."""
+"""Number of null data sets for a score that only gives an initial value [1]. Chosen: the p-value is not used; a larger
+number costs time; with one data set, the spread of the scores is undefined."""
 
 
 def needs_search(effect: Effect) -> bool:

@@ -3,8 +3,8 @@
     rank (score, refine) -> select -> lack of fit -> grade -> verdict
 
 The input of each step is the result of the previous step. Two steps repeat the search once: `select` ranks the
-candidates again at the noise of the best one, and `with_free_inertia` ranks them with a free ratio of the moments of
-inertia.
+candidates again at the noise of the best candidate, and `with_free_inertia` ranks them with a free ratio of the moments
+of inertia.
 """
 
 from __future__ import annotations
@@ -97,13 +97,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_CANDIDATES = 10
-"""Candidates that a notebook shows [1]. Chosen: a smaller number hides alternatives, a larger one makes a long
-table."""
+"""Number of candidates that a notebook shows [1]. Chosen: a smaller number hides alternatives, a larger one makes a
+long table."""
 _IN_REPR = 8
 """Largest number of lines of the sentence, and of candidates, in a repr [1]. Chosen: a smaller number hides
 alternatives, a larger one fills the console."""
 _WIDTH = 100
-"""Columns of a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller one cuts
+"""Width of a repr [characters]. Chosen: it fits into usual consoles; a larger width wraps there, a smaller one cuts
 sentences."""
 
 
@@ -125,10 +125,10 @@ class Diagnosis:
     candidates : tuple of Candidate
         Candidate effects, best first.
     form : {"exact", "approximate", None}
-        "exact": with the named effect or equivalence class no remainder is significant, and the data would show a
-        larger deviation than is allowed for an approximate answer. "approximate": a remainder is significant, but the
+        "exact": with the named effect or equivalence class no remainder is significant, and the test of the form would
+        detect a deviation as large as an approximate answer allows. "approximate": a remainder is significant, but the
         effect explains at least `Criteria.explained` of the unmodelled torque. None: no single effect explains this
-        share, or no remainder is significant but the data cannot test the form, or the verdict is not
+        share; or no remainder is significant, but the data cannot test the form; or the verdict is not
         "missing_effect".
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without a best effect. If
@@ -203,7 +203,7 @@ class Diagnosis:
         Returns
         -------
         matplotlib.figure.Figure
-            The new figure, or that of `ax`.
+            The new figure, or the figure of `ax`.
         """
         labels = list(dict.fromkeys(t.label for t in self.torques))
         if ax is not None:
@@ -309,8 +309,8 @@ def diagnose(
     extra : sequence of Effect
         Effects of the user, in addition to the library.
     criteria : Criteria, optional
-        Thresholds of every decision; those of the fit by default. If the criteria of the noise differ from those of the
-        fit, the fit is repeated first, and `candidates` and `history` are ignored.
+        Thresholds of every decision; by default the criteria of the fit. If the criteria of the noise differ from those
+        of the fit, the fit is repeated first, and `candidates` and `history` are ignored.
     candidates : sequence of Candidate, optional
         The ranking of the candidates about the fit, if it exists.
     history : sequence of Step
@@ -339,7 +339,7 @@ def diagnose(
 
 
 def _with_findings(found: Diagnosis) -> Diagnosis:
-    """Return a diagnosis with the faults that the data show without a model.
+    """Return a diagnosis with the measurement faults that the data show even without a model.
 
     Slipped turns become the first candidate, and the answer if the fit is otherwise adequate.
     """
@@ -359,8 +359,8 @@ def _with_findings(found: Diagnosis) -> Diagnosis:
 def slipped(fit: Fit, slips: Sequence[Slip]) -> Candidate:
     """Return slipped turns as a candidate.
 
-    The score is half the sum of the squared steps (2 pi times the turns), each divided by the smallest white noise of a
-    sample.
+    A step is 2 pi times the number of slipped turns. The score is half the sum of the squared steps, each divided by
+    the smallest white noise of a sample.
     """
     sigma = min(
         r.scale * float(np.median(r.samples.sigma)) for d in fit.problem.data for r in (d.casing, *d.rotor)
@@ -436,7 +436,7 @@ def _diagnosis(
     )
     if noisy:
         random = with_random_torque(fit, criteria)
-        # a random torque above its ceiling is not noise, so it has to describe the data with a level below the ceiling
+        # a random torque is an explanation only if its level is below the ceiling that counts as noise
         random = random if random.is_raised and describes(random, criteria) else None
     if hint or noisy or random is not None:
         unexplained = random is None and (misfit or noisy or doubt is not None)
@@ -494,7 +494,7 @@ class _Graded(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """The candidates about a fit, and what the selection among them needs."""
+    """The ranked candidates for a fit, and the other inputs of the selection among them."""
 
     fit: Fit
     ranked: Sequence[Candidate]
@@ -520,9 +520,10 @@ class _Search(NamedTuple):
     def suggests_two(self, found: _Graded) -> bool:
         """Return whether a second effect is worth a search: none was tried, and one effect does not suffice.
 
-        This is so if a smooth law of a speed describes the data better than the effect, or if a test of lack of fit is
-        significant and the score of a second effect about the fit with the first one exceeds what `_are_two_effects`
-        needs. Without a lack of fit, a second effect may be a tracking error.
+        One effect does not suffice in two cases. In the first case a smooth law of a speed describes the data better
+        than the effect. In the second case a test of lack of fit is significant, and the score of a second effect about
+        the fit with the first effect exceeds the threshold of `_are_two_effects`. Without a lack of fit, a second
+        effect may be a tracking error.
         """
         selection = found.selection
         end = selection.final
@@ -541,7 +542,7 @@ class _Search(NamedTuple):
 
 
 def _needed(selection: Selection, criteria: Criteria) -> float:
-    """Return the difference of BIC that two effects need: the second one is the best of N, at prior odds of 1:N."""
+    """Return the difference of BIC that two effects need; the second effect is the best of N, at prior odds of 1:N."""
     return criteria.equivalence_width + 2 * math.log(max(len(selection.candidates), 1))
 
 
@@ -652,7 +653,7 @@ def _graded(
     """
     size = grade(fit, selection, doubt, criteria, misfit=misfit)
     if rival is not None and rival.better and size.form is not None:
-        # an error of inertia within its uncertainty is not a remainder
+        # an error of inertia within the stated uncertainty is not a remainder
         allowed_error = rival.is_allowed(criteria) and not misfit and doubt is None
         size = (
             replace(size, form="exact", explained=1.0, remainder=None)
@@ -731,7 +732,7 @@ def _sentence(
 ) -> str:
     """Return the answer in a few sentences."""
     if verdict == "adequate":
-        # if the measurement is faulty, the model alone is not adequate
+        # if the measurement has a fault, the sentence does not call the model adequate
         answer = "nothing else is missing" if fit.findings else "the model is adequate"
         parts = [f"The residuals are consistent with noise; {answer}."]
         if hidden.limits:
@@ -901,10 +902,10 @@ def _untested(test: FormTest, criteria: Criteria) -> list[str]:
         pulled = f"the fit prefers {', '.join(test.bounds)} outside its bounds"
         return [f"The form is not established: {pulled} ({stated_probability(test.bounds_p)})."]
     if not math.isfinite(test.limit):
-        return ["The form is not established: the other parameters absorb every deviation from it."]
+        return ["The form is not established: the other parameters absorb every deviation from this law."]
     if test.limit >= 1:
         return ["The form is not established: any law of similar size and shape would fit equally well."]
-    limit = f"{100 * test.limit:.2g} % of its torque"
+    limit = f"{100 * test.limit:.2g} % of the torque of the law"
     return [f"The form is not established: only a deviation above {limit} would be detected."]
 
 
@@ -950,8 +951,8 @@ def _strength(c: Candidate) -> str:
 
 
 _MOSTLY_STATISTICAL = 0.05
-"""Excess of the combined over the statistical uncertainty above which both are stated [1]. Chosen: a smaller value
-repeats equal numbers, a larger one hides systematic parts."""
+"""Relative excess of the combined uncertainty over the statistical uncertainty above which both are stated [1]. Chosen:
+a smaller value repeats equal numbers, a larger one hides systematic parts."""
 
 
 def _with_both(e: Estimate, total: float) -> str:

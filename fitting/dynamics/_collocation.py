@@ -16,8 +16,8 @@ With the Jacobian A of f at the nodes, deviations dy_k in an interval with the i
 This is one small dense linear system per interval. All systems are solved in one batch and chained by their transfer
 matrices.
 
-The time at which the casing comes to rest is one more unknown. Each step of Newton's method stretches the end of the
-mesh and extrapolates the states along their rates to the new node times.
+The time at which the casing comes to rest is an additional unknown. Each step of Newton's method stretches the end of
+the mesh and extrapolates the states along their rates to the new node times.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ from fitting.effects._mechanism import MAIN
 Array = NDArray[np.float64]
 
 NODES = 10
-"""Gauss nodes of an interval [1]. Chosen: the method has twice this order; a smaller number needs more intervals, a
-larger one makes larger systems."""
+"""Number of Gauss nodes of an interval [1]. Chosen: the order of the method is twice this number; a smaller number
+needs more intervals, a larger one makes larger systems."""
 _MANY_PER_INTERVAL = 12
-"""Number of times per interval above which one matrix product per interval is faster than one per time [1]. Chosen:
-another value costs time and does not change the result."""
+"""Number of times per interval above which one matrix product for each interval is faster than one for each time [1].
+Chosen: another value costs time and does not change the result."""
 TOLERANCE = 1e-10
-"""Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value costs
+"""Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value needs more
 intervals, a larger one makes derivatives inaccurate."""
 _MAX_NEWTON = 25
 """Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; a smaller number
 stops too early, a larger one delays the failure."""
 MAX_INTERVALS = 40_000
 """Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
-the failure of stiff ones."""
+the failure of stiff motions."""
 _SMALL = 1e-9
 """Relative step of Newton's method after which the remaining error is rounding error [1]. Derived: convergence is
 quadratic, so the next step is about the square of this step."""
@@ -70,20 +70,20 @@ _FEWEST = 12
 """Smallest number of intervals of a coarsened mesh [1]. Chosen: a smaller number overlooks changes between the nodes, a
 larger one costs time."""
 _CONSTANT_SLIP = 1e12
-"""Relaxation time at which a slip is constant [s]. Derived: longer than any record, so that the relaxation has no
-effect."""
+"""Relaxation time with which a slip counts as constant [s]. Derived: longer than any record, so that the relaxation has
+no effect."""
 UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
 TOO_SHARP = "the equations of motion change too sharply to be integrated"
 _FEW = 24
-"""Number of steps below which they are chained one by one [1]. Chosen: another value costs time and does not change the
-result."""
+"""Number of steps of the mesh below which the steps are chained one by one [1]. Chosen: another value costs time and
+does not change the result."""
 
 
 class Rule(NamedTuple):
     """Nodes x, weights w, integration matrix S, and linear maps of node values.
 
-    `to_legendre` gives Legendre coefficients, `antiderivative` those of the integral that vanishes at -1, `ends` the
-    values at -1 and 1.
+    `to_legendre` gives Legendre coefficients, `antiderivative` gives the Legendre coefficients of the integral that
+    vanishes at -1, and `ends` gives the values at -1 and 1.
     """
 
     x: Array
@@ -121,7 +121,7 @@ class Mesh:
         return {}
 
     def sampler(self, times: Array) -> Sampler:
-        """Return the sampler at these times; it is cached by the identity of the array, which must not change."""
+        """Return the sampler at these times; it is cached by the identity of the array, which must stay unchanged."""
         known = self._samplers.get(id(times))
         if known is None:
             known = self._samplers[id(times)] = times, Sampler(self, times)
@@ -155,7 +155,7 @@ class Mesh:
         return Mesh(np.unique(np.concatenate([self.edges, inside]))) if inside else self
 
     def moved(self, anchors: Sequence[float], places: Sequence[float]) -> Mesh:
-        """Return the mesh stretched, linearly between anchors, so that each anchor moves to its place."""
+        """Return the mesh after each anchor [s] moves to its place [s]; between anchors it is stretched linearly."""
         if list(anchors) == list(places):
             return self
         edges = np.interp(self.edges, anchors, places)
@@ -168,7 +168,7 @@ class Mesh:
 class Path:
     """A solution of the equations of motion."""
 
-    mesh: Mesh  # its intervals
+    mesh: Mesh  # intervals of the solution
     # states at the nodes (intervals, nodes, states) and at the edges (intervals + 1, states)
     y: Array
     edges: Array
@@ -192,7 +192,8 @@ class Path:
     def scale(self, y: Array | None = None) -> Array:
         """Return the scale of the errors of each state, (states,): its largest absolute value at the nodes.
 
-        For speeds it is at least least_scale. `y` are states at the nodes other than those of this path.
+        For speeds it is at least `least_scale`. If `y` is given, its states at the nodes replace the states of this
+        path.
         """
         least = [self.least_scale if name.startswith("omega_") else 0.0 for name in self.states]
         largest = np.abs(self.y if y is None else y).max(axis=(0, 1))
@@ -236,7 +237,7 @@ class Sampler:
         self.index = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
         self._half = mesh.half[self.index, 0]
         self._vander = legendre.legvander((times - edges[self.index]) / self._half - 1.0, NODES)
-        # many ordered times in few intervals: one product for each interval
+        # many ordered times in few intervals: one product for each interval is faster
         few = len(times) > _MANY_PER_INTERVAL * (len(edges) - 1)
         self._runs = None
         if few and (self.index[1:] >= self.index[:-1]).all():
@@ -264,7 +265,7 @@ class Sampler:
 
 
 def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
-    """Return a known path on another mesh, as the initial solution for the initial states `start`."""
+    """Return a known path interpolated on another mesh, as the initial solution for the initial states `start`."""
     sampler = Sampler(guess.mesh, mesh.times.ravel())
     y = sampler.value(guess.y).reshape(*mesh.times.shape, -1)
     edges = Sampler(guess.mesh, mesh.edges).value(guess.y)
@@ -285,7 +286,7 @@ class Propagator:
 
     `jumps` contains saltation matrices at edges where the torque jumps. If right-hand sides `defect` (intervals, nodes,
     n, columns) are given, `response` equals `nodes(defect)` at less cost. `constraint` (2, 2) converts accelerations of
-    free bodies to those of bodies in contact.
+    free bodies to accelerations of bodies in contact.
     """
 
     def __init__(
@@ -536,7 +537,7 @@ def _stepped(
 ) -> Array:
     """Return the states at the given times, with `parts` steps between two times.
 
-    The states end with the interval in which the casing comes to rest, or with the first state that is not finite;
+    The result ends with the interval in which the casing comes to rest, or with the first state that is not finite.
     `width` is the number of times per interval.
     """
     y = np.empty((len(times), len(start)))
@@ -567,7 +568,7 @@ def runge_kutta(
     """Return a rough solution by classical Runge-Kutta steps, the initial solution for Newton's method.
 
     The solution ends with the interval in which the casing comes to rest. Steps longer than 2.8 time constants of decay
-    are unstable; therefore steps are divided so that they are stable at the start. A SimulationError is raised if the
+    are unstable. Therefore the steps are divided until they are stable at the start. A SimulationError is raised if the
     number of steps is too large or a state is not finite.
     """
     if dynamics.relaxation:
@@ -580,7 +581,7 @@ def runge_kutta(
     times = np.append(times.ravel(), mesh.edges[-1])
     with np.errstate(all="ignore"):
         jacobian = dynamics.tangent(times[:1], start[None], numbers, sense)[1][0]
-    # the square root of a speed has no derivative at rest, but the rates are finite there
+    # a square root of a speed has no derivative at rest, but the rates at rest are finite
     known = np.isfinite(jacobian).all()
     decay = max(0.0, float(-np.linalg.eigvals(jacobian).real.min())) if known else 0.0
     parts = next((n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n), None)

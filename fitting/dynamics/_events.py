@@ -1,16 +1,17 @@
 """The motion through events: the casing stops, is held by friction, and starts again.
 
-Dry friction jumps where the speed of the casing passes zero. Between these events the casing turns in one sense, or
-rests, and the equations are smooth; the times of the events are roots. The casing comes to rest if friction decelerates
-it in either sense (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988), and starts again
-when the other torques exceed friction. On the surface omega_c = 0 the rates jump from f- to f+, and a deviation dy- of
-the state before the jump becomes
+Dry friction jumps where the speed of the casing passes zero. Between these events the casing turns in one sense or
+rests, and the equations are smooth. The times of the events are roots of the speed or of the excess of the other
+torques over friction. The casing comes to rest if friction would decelerate it in either sense (A. F. Filippov,
+Differential Equations with Discontinuous Righthand Sides, 1988). It starts again when the other torques exceed
+friction. On the surface omega_c = 0 the rates jump from f- to f+, and a deviation dy- of the state before the jump
+becomes
 
     dy+ = dy- - (f- - f+) dy-_c / f-_c        (the saltation matrix).
 
-A known solution for similar numbers is the initial solution: each stretch between events is solved on the mesh of that
-solution; the time at which the casing stops is an additional unknown. If the sequence of events has changed, meshes and
-events are determined anew.
+A known solution for similar parameters is the initial solution: each stretch between events is solved on the mesh of
+this solution, and the time at which the casing stops is an additional unknown. If the sequence of events has changed,
+meshes and events are determined anew.
 
 An oscillation has hundreds of events. In this case Newton's method treats all stretches simultaneously. At an edge
 where the casing reverses, let y be the state, w the speed of the casing, f- and f+ the rates. The edge moves by -(w +
@@ -86,7 +87,7 @@ class Segments:
         return -(sense or 1.0) if back * -(sense or 1.0) > 0 else 0.0
 
     def released(self, time: float, y: Array) -> float:
-        """Return the sense in which the casing starts when friction no longer holds it."""
+        """Return the sense of rotation in which the casing starts when friction no longer holds it."""
         return 1.0 if self.acceleration(time, y, 1.0) > -self.acceleration(time, y, -1.0) else -1.0
 
     def _solved(self, first: Path, pivot: float | None = None) -> Path:
@@ -107,7 +108,7 @@ class Segments:
         return matrix
 
     def reversals(self, pieces: Sequence[Path]) -> list[Array]:
-        """Return the saltation matrices of the first stretches up to the first rest of the casing."""
+        """Return the saltation matrices at the ends of the first stretches, up to the first rest of the casing."""
         ends = [p.edges[-1] for p in pieces]
         if not ends:
             return []
@@ -162,9 +163,9 @@ class Segments:
         return bool(stop < end and not between and braked and abs(y[MAIN]) <= _STOPPED * largest)
 
     def oscillating(self, start: Array, sense: float, known: Path) -> list[Path]:
-        """Return the first stretches of a motion with many reversals: those whose events agree with a known solution.
+        """Return the first stretches of a motion with many reversals, as far as their events agree with a known motion.
 
-        `known` is a solution for similar numbers, or the measured motion: its jumps are at edges where the casing
+        `known` is a solution for similar numbers, or the measured motion. Its jumps are at edges where the casing
         reverses.
         """
         adapted = self._with_beginning(start, sense, known)
@@ -194,7 +195,7 @@ class Segments:
         """Return a known motion with its first reversal adapted to the initial speed.
 
         A body that is released nearly at rest may reverse immediately, depending on the sign of its small initial
-        speed; all later reversals are the same.
+        speed; this does not change the later reversals.
         """
         known = replace(known, kinks=known.breaks)
         at, edges = sorted(known.jumps), known.mesh.edges
@@ -242,7 +243,7 @@ class Segments:
         raise SimulationError(UNBOUNDED)
 
     def _valid(self, pieces: list[Path]) -> list[Path]:
-        """Return the stretches before the first one in which the casing reverses, or friction cannot hold it."""
+        """Return the stretches before the first invalid one, in which the casing reverses or is held wrongly."""
         largest = max(float(np.abs(p.y[..., MAIN]).max()) for p in pieces)
         for i, piece in enumerate(pieces):
             if piece.sense[0] == 0:
@@ -319,8 +320,8 @@ class Segments:
     ) -> Path:
         """Return the path from the start of `span` until the casing comes to rest, or to the end of `span`.
 
-        The stop is first searched for within `horizon` [s]: an oscillation with dry friction would otherwise be solved
-        beyond each of its reversals needlessly.
+        The stop is first searched for within `horizon` [s]. Otherwise each stretch of an oscillation with dry friction
+        would needlessly be solved far beyond the next reversal.
         """
         time, end = span
         while True:
@@ -396,7 +397,7 @@ class Segments:
         return self._solved(transfer(path, part, path.edges[0], 0.0))
 
     def _release(self, path: Path) -> float | None:
-        """Return the time at which the other torques first exceed friction; None if they do not."""
+        """Return the time at which the other torques first exceed friction; None if they never exceed it."""
         edges = path.mesh.edges
         ends = [edges[1:], np.nextafter(edges[1:], -np.inf)]
         times = np.sort(np.concatenate([path.mesh.times.ravel(), *ends]))
@@ -435,7 +436,10 @@ def _until(path: Path, edge: int) -> Path:
 
 
 def halved(path: Path, rough: NDArray[np.bool_], most: int) -> Path:
-    """Return a path with its `rough` intervals halved (at most `most` in all); senses and jumps keep their times."""
+    """Return a path with its `rough` intervals halved, with at most `most` intervals in total.
+
+    Senses of rotation and jumps keep their times.
+    """
     edges = path.mesh.edges
     parent = np.repeat(np.arange(len(rough)), 1 + rough)
     middle = 0.5 * (edges[1:] + edges[:-1])[rough]
@@ -484,17 +488,18 @@ _HORIZON = 2.0
 """Time within which the next event is first searched for, relative to the largest time between two reversals [1].
 Chosen: a smaller value overlooks the next reversal, a larger one integrates needlessly."""
 _NEARBY = (1.0, 0.97)
-"""Shares of the reversals to solve simultaneously if a known solution is the initial value [1]. Chosen: the second
-share omits reversals at the end that may not exist; a smaller one costs time."""
+"""Shares of the reversals that are solved simultaneously, in order of trial, if a known solution is the initial
+solution [1]. Chosen: the second share omits reversals at the end that may not exist; a smaller share costs time."""
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
-"""Shares of the reversals to solve simultaneously if the measured motion is the initial value [1]. Chosen: smaller
-shares allow larger errors of the frequency; with fewer shares, the solution may fail; with more, it takes longer."""
+"""Shares of the reversals that are solved simultaneously, in order of trial, if the measured motion is the initial
+solution [1]. Chosen: smaller shares allow larger errors of the frequency; with fewer shares, the solution may fail;
+with more, it takes longer."""
 _BRIEF = 0.1
-"""Longest first stretch that is determined again, relative to the second stretch [1]. Chosen: a smaller value keeps a
-first stretch that may not exist, a larger one discards a valid one."""
+"""Length of the first stretch, relative to the second, below which the first stretch is determined again [1]. Chosen: a
+smaller value keeps a first stretch that may not exist, a larger one discards a valid stretch."""
 _LONGEST_BEGINNING = 0.3
-"""Longest first stretch that is added, relative to the time to the first reversal [1]. Chosen: a smaller value solves a
-motion without its first reversal, a larger one extrapolates the first rate too far."""
+"""Largest length of a first stretch that is added to the known motion, relative to the time to the first reversal [1].
+Chosen: a smaller value solves a motion without its first reversal, a larger one extrapolates the first rate too far."""
 _SMALL = 1e-9
 """Relative change of the times below which Newton's method has converged [1]. Derived: convergence is quadratic, so the
 next change is rounding error."""
@@ -521,10 +526,11 @@ def solve(
 ) -> Path:
     """Integrate the equations of motion, exact to about 1e-9 of the largest value of each state.
 
-    The intervals of `mesh` are halved where necessary, and divided at the model's changepoints, at the changes of its
-    inputs, and where the casing stops, reverses or starts. `guess` is a solution for similar numbers, or the measured
-    motion; if the sequence of events has changed, at most `most` stretches are integrated one by one, each in at most
-    `intervals`. A SimulationError is raised if these limits are exceeded, Newton's method diverges, or states overflow.
+    The intervals of `mesh` are halved where necessary. They are also divided at the changepoints of the model, at the
+    changes of its inputs, and where the casing stops, reverses or starts. `guess` is a solution for similar numbers, or
+    the measured motion. If the sequence of events differs from that of `guess`, at most `most` stretches are integrated
+    one by one, each with at most `intervals` intervals. A SimulationError is raised if these limits are exceeded,
+    Newton's method diverges, or states overflow.
     """
     span = float(mesh.edges[0]), float(mesh.edges[-1])
     own = (numbers[k] for k in dynamics.breakpoints if span[0] < numbers[k] < span[1])

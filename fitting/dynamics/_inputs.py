@@ -33,8 +33,8 @@ _ROUNDING = 1e-9
 """Step of a held input, divided by its largest value, below which the step is rounding error [1]. Chosen: a smaller
 value splits the integration at rounding errors, a larger one overlooks steps."""
 _ROUNDED = 1e-7
-"""Change of the next sample due to a change of slope, divided by the range of the input, below which the change is
-rounding error [1]. Derived: eight digits of a number in a file, with a margin of ten."""
+"""A change of slope counts as rounding error if it changes the next sample by less than this share of the range of the
+input [1]. Derived: eight digits of a number in a file, with a margin of ten."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -131,7 +131,7 @@ class Input:
     def __call__(self, times: Array | float, late: float = 0.0) -> Array:
         """Return the value at times [s] with the additional dead time `late` [s].
 
-        Before the first and after the last sample, the value is that of the nearest sample.
+        Before the first and after the last sample, the value is the value of the nearest sample.
         """
         return self._interpolated(self.value, times, late)
 
@@ -187,7 +187,7 @@ class Input:
             # before the first and after the last sample the value is constant
             step = np.diff(self.time)
             slope = np.concatenate([[0.0], np.diff(self.value) / step, [0.0]])
-            # change of the value within one sample due to the change of the slope
+            # change of the next sample that the change of the slope causes
             size = np.abs(np.diff(slope)) * np.minimum(np.append(step, step[-1]), np.append(step[0], step))
             at = self._acting[size > _ROUNDED * max(float(np.ptp(self.value)), 1e-300)]
         at = at + late

@@ -1,7 +1,7 @@
 """A model: a set of effects, its equations of motion, and their derivatives.
 
-The torque tau_j of each joint j (all laws between its bodies, multiplied by all factors) drives its second body and
-brakes its first one. The equations of motion are
+The torque tau_j of each joint j is the sum of all laws between its two bodies, multiplied by all factors. It drives the
+second body and brakes the first body. The equations of motion are
 
     I_b d(omega_b)/dt = sum of the torques on the body b + sum of tau_j (b second) - sum of tau_j (b first),
 
@@ -71,7 +71,7 @@ class Model:
     effects : tuple of Effect
         The effects, each once.
     mechanism : Mechanism
-        The bodies and joints of all effects; it follows from the effects, if there are any.
+        The bodies and joints of all effects; if there are effects, it follows from them.
     """
 
     effects: tuple[Effect, ...]
@@ -100,8 +100,8 @@ class Model:
         names : str or iterable of str
             "reduced", "general" or "linear"; or names of effects.
         mechanism : Mechanism
-            The bodies of the model. In a chain of bodies, the first one has the laws of the casing, the others those of
-            the rotor, and every joint those of the bearing.
+            The bodies of the model. In a chain, the first body has the laws of the casing, all other bodies have the
+            laws of the rotor, and every joint has the laws of the bearing.
 
         Raises
         ------
@@ -249,7 +249,7 @@ class Model:
         return tuple(e for e in self.effects if not e.mechanical)
 
     def refuse_chain(self, what: str, instead: str) -> None:
-        """Raise an EstimationError for something that is not available for bodies with joints of their own."""
+        """Raise an EstimationError if the model is a chain, for which `what` is not available; `instead` is a hint."""
         if self.mechanism != GYROSCOPE:
             raise EstimationError(f"{what} is not available for several bodies with joints", instead)
 
@@ -259,7 +259,7 @@ class Model:
         Parameters
         ----------
         bodies : set of str, optional
-            The bodies that the case has, for example "rotor" and "casing"; by default those of the mechanism.
+            The bodies that the case has, for example "rotor" and "casing"; by default the bodies of the mechanism.
         """
         mechanism = self.mechanism
         present = mechanism.bodies if bodies is None else bodies
@@ -338,7 +338,7 @@ def read_model(
 
 
 INERTIA_ROTOR, INERTIA_CASING = map(inertia_of, GYROSCOPE.bodies)
-# the sense in which the main body turns: +1, -1, or 0 while friction holds it
+# sense of rotation of the main body: +1, -1, or 0 while friction holds it
 SENSE = "sense"
 
 
@@ -348,9 +348,10 @@ class Dynamics:
     With `angles`, the angles are states, as laws of an angle require. Measurement effects are left out: they do not
     change the motion. `states` are the speeds of the bodies of the `mechanism` (``omega_r, omega_c``), then
     ``deflection`` if a torque depends on it, then states of effects, then the angles; the initial values of the first
-    `free_starts` belong to the recording. `ratio` is the key of the ratio of a contact without slip: the initial
-    omega_r is then ratio times that of the casing. If `dry`, a torque jumps where the main body (the casing) stops, and
-    rates are given for one sense of its motion; the others turn in one sense. `inputs` are those of the recording.
+    `free_starts` belong to the recording. `ratio` is the key of the ratio of a contact without slip; the initial
+    omega_r is then this ratio times the initial omega_c. If `dry`, a torque jumps where the main body (the casing)
+    stops, and the rates are evaluated for one sense of its motion. All other bodies turn in one sense. `inputs` are the
+    inputs of the recording.
     """
 
     def __init__(self, model: Model, *, angles: bool = False, inputs: Iterable[Input] = ()) -> None:
@@ -413,7 +414,7 @@ class Dynamics:
     def _collect_delays(self, outputs: list[Expr], rates: list[Expr]) -> list[tuple[int, int, int]]:
         """Return the places (rate, parameter, output) of the derivatives with respect to the dead times T.
 
-        d(rate)/dT = -d(rate)/du du/dt, where the input u does not jump.
+        At times at which the input u does not jump, d(rate)/dT = -d(rate)/du du/dt.
         """
         places = []
         for symbol, key in self._delays.items():
@@ -474,7 +475,7 @@ class Dynamics:
         return [*rates.values(), *deflection, *own]
 
     def _in_one_sense(self, rate: Expr) -> Expr:
-        """Return a rate with the sign of the main speed as a separate number, so that it is smooth through rest."""
+        """Return a rate in which the sign of the main speed is a separate number; the rate is then smooth at rest."""
         sign = call("sign", sym(self.mechanism.speeds[MAIN]))
         new: dict[int, Expr] = {}
         for node in nodes(rate):
@@ -536,7 +537,7 @@ class Dynamics:
         """Return the decay rate of the main body's speed [1/s] and its acceleration per unit of each input.
 
         The response is linear and of first order: d(omega_c)/dt = -decay omega_c + sum of slope times input + terms
-        that depend on neither. None if the response has another form.
+        that depend neither on omega_c nor on an input. None if the response has another form.
         """
         motion = {*self.states, "t", *(i.symbol for i in self.inputs)}
         rate, main = self._equations[MAIN], self.mechanism.speeds[MAIN]
@@ -551,10 +552,10 @@ class Dynamics:
         return decay, slopes
 
     def constraint(self, numbers: Mapping[str, float]) -> Array | None:
-        """Return the matrix (2, 2) that converts accelerations of free bodies to those of rolling bodies.
+        """Return the matrix (2, 2) that converts accelerations of free bodies to accelerations of rolling bodies.
 
         Torques tau_r and tau_c give omega_c' = (tau_c + n tau_r) / (I_c + n^2 I_r) and omega_r' = n omega_c'.
-        None if the bodies may slip.
+        n is the ratio of the contact. None if the bodies may slip.
         """
         if self.ratio is None:
             return None
@@ -569,8 +570,8 @@ class Dynamics:
     ) -> Array:
         """Return dy/dt, with the shape of y (..., states).
 
-        `sense` is +1 or -1 where the main body turns that way, 0 where friction holds it; by default, it follows from
-        y.
+        `sense` is the sense of rotation of the main body: +1 or -1, or 0 where friction holds the body. By default it
+        follows from y.
         """
         sense = self._sense(y, sense)
         outputs = self._rates_tape(self._values(t, y, numbers) | {SENSE: sense})

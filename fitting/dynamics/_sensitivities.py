@@ -5,15 +5,16 @@ With the fundamental matrix Phi(t) of the linearised equations, the response to 
     d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
     d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi.
 
-The integrals are running sums over the times at which u is known, for any frequency of u. After the casing has come to
-rest, earlier deviations have no influence. A millionth of them is kept, so that Phi has an inverse.
+The integrals are running sums over the times at which u is known; u may therefore have any frequency. After the casing
+has come to rest, earlier deviations have no influence. A millionth of these deviations is kept, so that Phi has an
+inverse.
 
 If one mode decays long before the end of the record, all columns of Phi become parallel to each other, and the inverse
-is inaccurate. In this case the columns are the modes from slow to fast decay. With the QR decompositions of the steps,
-Phi_(i+1) Q_i = Q_(i+1) R_i, the modes are Q_i C_i with triangular C_i = R_i^-1 C_(i+1). They are computed backwards
-from the end, because in this direction a mode grows faster than all slower ones. The integrals of decaying modes are
-also computed backwards. This is the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical Solution of Boundary
-Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
+is inaccurate. In this case the modes, ordered from slow to fast decay, are used as columns. With the QR decompositions
+of the steps, Phi_(i+1) Q_i = Q_(i+1) R_i, the modes are Q_i C_i with triangular C_i = R_i^-1 C_(i+1). They are computed
+backwards from the end, because in this direction each mode grows faster than all modes of slower decay. The integrals
+of decaying modes are also computed backwards. This is the dichotomy of U. Ascher, R. Mattheij, R. Russell, Numerical
+Solution of Boundary Value Problems for Ordinary Differential Equations, SIAM (1995), ch. 6.
 
 All sensitivities solve the same linear equation d(dy)/dt = A(t) dy + b(t) on the mesh of the solution (`Propagator` of
 `fitting.dynamics._collocation`). The derivative with respect to the time of a jump is an impulse at that time.
@@ -38,8 +39,8 @@ _KEPT = 1e-6
 """Share of a deviation that is kept when the casing comes to rest [1]. Chosen: Phi needs an inverse; a smaller value
 makes the inverse inaccurate, a larger one keeps deviations after the stop."""
 _DEPENDENT = 1e-9
-"""Smallest singular value of the scaled columns of Phi for an accurate inverse [1]. Chosen: half of the digits remain;
-a smaller value gives inaccurate responses, a larger one costs time for the dichotomy."""
+"""Smallest singular value of the scaled columns of Phi with which the inverse is used [1]. Chosen: half of the digits
+remain; a smaller value gives inaccurate responses, a larger one costs time for the dichotomy."""
 
 
 class LinearMotion:
@@ -94,7 +95,7 @@ class LinearMotion:
             return np.asarray((np.linalg.pinv(phi) @ accelerations[..., None])[..., 0])
 
     def accelerations(self, direction: Array) -> Array:
-        """Return the accelerations of the bodies from those of free bodies; they differ for bodies in contact."""
+        """Return the accelerations of the bodies, given the accelerations that they would have without a contact."""
         return direction if self._constraint is None else self._constraint @ direction
 
     def moving(self, times: Array) -> Array:
@@ -104,8 +105,9 @@ class LinearMotion:
     def driven(self, times: Array, nodes: int, direction: Array) -> Callable[[Array], tuple[Array, Array]]:
         """Return the response of the bodies at n sample times to a torque on or between them.
 
-        It maps torques [N m] at the q Gauss nodes between samples, (n - 1, q, columns), to d omega and d psi, each
-        (bodies, n, columns), in the order of the speeds. `direction` (bodies,) are the rates that a unit torque gives.
+        The response maps torques [N m] at the q Gauss nodes between samples, shape (n - 1, q, columns), to d omega and
+        d psi, each of shape (bodies, n, columns), in the order of the speeds. `direction` (bodies,) are the
+        accelerations that a unit torque causes.
         """
         gauss = rule(nodes)
         half = 0.5 * np.diff(times)
@@ -150,7 +152,7 @@ def _modes(propagator: Propagator) -> Array:
     """Return the modes of the speeds at the nodes, from slow to fast decay."""
     steps = propagator.with_regular_jumps(_KEPT).steps()
     count = steps.shape[-1]
-    # the first column contains the slowest mode, whichever body it moves
+    # the first column contains the slowest mode of all bodies
     q = np.empty((len(steps) + 1, count, count))
     q[0] = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), increasing=True))[0]
     r = np.empty_like(steps)
@@ -183,8 +185,8 @@ def _independent(phi: Array) -> bool:
 class Sensitivity:
     """Derivatives of the states at nodes and edges, with the columns on the last axis.
 
-    The columns are the parameters of the dynamics, then the initial speeds (of the casing alone in a contact without
-    slip), then the initial deflection if the deflection is a state.
+    The columns are the parameters of the dynamics, then the initial speeds, then the initial deflection if the
+    deflection is a state. In a contact without slip, only the initial speed of the casing has a column.
     """
 
     nodes: Array

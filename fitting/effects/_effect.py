@@ -1,11 +1,11 @@
 """Effect: a torque law, the body or joint on which it acts, and its parameters.
 
 The unit of every torque law is the newton metre. A dimension is a vector of exponents of (kg, m, s, K, A, V); radians
-and pixels count as 1. The volt is a base unit here: the constant of a motor is proposed in N m A-1 or N m V-1. If an
-exponent is a parameter (the g of a power law), its value must be given to determine the dimension.
+and pixels count as 1. The volt is a base unit here, so that the proposed unit of the constant of a motor is N m A-1 or
+N m V-1. If an exponent is a parameter (the g of a power law), its value must be given to determine the dimension.
 
-A law may depend on recorded inputs. Inputs have separate symbols (`input_symbol`), so that the name of an input may be
-equal to that of a variable or a parameter.
+A law may depend on recorded inputs. Inputs have separate symbols (`input_symbol`), so that an input may have the name
+of a variable or a parameter.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ sums of decimal exponents, a larger one accepts wrong units."""
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
     """Return the dimension of a unit like ``N m s2``, ``K-1`` or ``N m s^g``.
 
-    A part of a unit is one of kg, m, s, K, A, V, N, J, rad, px, 1 and may have an exponent. An ExpressionError names a
-    part that is not of this form.
+    A part of a unit is one of kg, m, s, K, A, V, N, J, rad, px, 1 and may have an exponent. If a part has another form,
+    an ExpressionError names this part.
     """
     result = NONE
     for token in unit.split():
@@ -135,7 +135,7 @@ Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 Scale = Literal["", "speed", "length", "chirp"]
 
-# The variables of a law, with their units. `tau` is the whole bearing torque, for states that depend on it;
+# The variables of a law, with their units. `tau` is the whole bearing torque; states of effects may depend on it.
 # `deflection` is the angle of the casing, or of the single body, from its equilibrium. For a contact with the ratio n,
 # `slip` is omega_r - n omega_c, `inertia_slip` the effective inertia 1 / (1 / I_r + n^2 / I_c), and `torque_held` the
 # torque of the contact on the rotor with which the slip remains constant under all other torques.
@@ -230,20 +230,20 @@ class Parameter:
     unit : str
         SI unit in the style of CF, for example ``N m s2``.
     role : {"amplitude", "shape", "phase", "fixed"}
-        The law is linear in its amplitude, whose initial value comes from a linear regression. The initial
-        value of a shape constant (a time, a speed, an exponent) is the best point of `grid`. A phase has sine
-        and cosine columns. A fixed parameter is never fitted and keeps `start`.
+        The law is linear in its amplitude; a linear regression gives the initial value of the amplitude. The initial
+        value of a shape constant (a time, a speed, an exponent) is the best point of `grid`. A law with a phase has one
+        column for the sine and one for the cosine. A fixed parameter is never fitted and keeps `start`.
     lower, upper : float
         Bounds [unit]; friction is not negative.
     start : float
-        Value if the data determine none [unit].
+        Initial value if the data do not determine one [unit].
     grid : tuple of float
         Trial values of a shape constant [unit, or lengths of the recording].
     relative : bool
-        The grid is in lengths of the recording.
+        Whether the grid is in lengths of the recording.
     scale : {"", "speed", "length", "chirp"}
-        Bounds, `start` and grid are in units of the largest speed of the body, of the length of the recording, or of
-        their ratio.
+        Unit of the bounds, of `start` and of the grid: "speed" is the largest speed of the body, "length" is the length
+        of the recording, "chirp" is this speed divided by this length, "" is `unit`.
     meaning : str
         One line of description.
     """
@@ -260,7 +260,7 @@ class Parameter:
     scale: Scale = ""
 
     def at(self, speed: float, length: float) -> Parameter:
-        """Return the parameter with values in its unit, for recordings of this largest speed [rad/s] and length [s]."""
+        """Return the parameter with values in `unit`, for recordings of this largest speed [rad/s] and length [s]."""
         if not self.scale:
             return self
         unit = {"speed": speed, "length": length, "chirp": speed / length}[self.scale]
@@ -315,7 +315,7 @@ class Effect:
     kind : {"physical", "measurement"}
         A measurement effect is an error of the set-up or of a camera.
     signature : str
-        Its signature in the data.
+        The signature of the effect in the data.
     confused_with : tuple of str
         Effects of similar shape.
     source : str
@@ -325,13 +325,13 @@ class Effect:
     breakpoint : str
         Symbol of the parameter that is a changepoint: the time at which the law jumps.
     per_case : bool
-        In a fit of several cases, the effect has separate parameters in each case, unless requested otherwise.
+        Whether the effect has, by default, separate parameters in each case of a fit.
     per_surface : bool
         Whether the parameters depend on the surface under the touch point, which may differ between recordings.
     nuisance : bool
         Whether the effect is always fitted, as a nuisance effect.
     equivalent : tuple of str
-        Effects that a usual recording does not separate from this one.
+        Effects that a usual recording does not separate from this effect.
     searched : bool
         Whether the effect is a candidate of every search. A contact between bodies is not a candidate, because it is
         visible on the apparatus. A law is not a candidate either if only few motions distinguish it from simpler laws.
@@ -346,11 +346,11 @@ class Effect:
     words : str
         The name in words, for example "quadratic air drag of the casing".
     mechanism : Mechanism
-        The bodies and joints of the law: those of a gyroscope, or those of a case with other bodies.
+        The bodies and joints of the law: by default a gyroscope, or the bodies and joints of another case.
     place : str
         The body or joint of the mechanism on which the law acts, if `joint` does not name it.
     pattern : str
-        If a law of the library was rewritten for this place, the name that it has in the library; otherwise empty.
+        Name of the law in the library if the law was rewritten for `place`; otherwise empty.
     """
 
     name: str
@@ -401,7 +401,7 @@ class Effect:
 
     @property
     def kind_of_law(self) -> str:
-        """The name of the law in the library, whatever the body or joint on which it acts."""
+        """The name of the law in the library, regardless of the body or joint on which it acts."""
         return self.pattern or self.name
 
     @property
@@ -451,8 +451,8 @@ class Effect:
     def about_equilibrium(self) -> Effect:
         """The law for an oscillating body: its angle is measured from the equilibrium and is a state of the motion.
 
-        A response linearised about the measured angle is not sufficient: over a hundred periods, a change of the
-        frequency accumulates to a large phase.
+        A response linearised about the measured angle does not suffice: over a hundred periods, a change of the
+        frequency accumulates to a large error of the phase.
         """
         angle = self.mechanism.main_angle
         if not self.mechanical or angle not in symbols(self.expression):
@@ -468,7 +468,7 @@ class Effect:
 
     @cached_property
     def restoring(self) -> bool:
-        """Whether the law depends on the angle from equilibrium, as a torque that causes an oscillation does."""
+        """Whether the law depends on the angle from equilibrium, like a torque that causes an oscillation."""
         return "deflection" in symbols(self.expression)
 
     @property
@@ -508,7 +508,7 @@ class Effect:
 
 
 def mechanism_of(effects: Iterable[Effect]) -> Mechanism:
-    """Return the mechanism of some effects: that of a gyroscope if there are none."""
+    """Return the mechanism of some effects; without effects, the mechanism of a gyroscope."""
     return next((e.mechanism for e in effects), GYROSCOPE)
 
 

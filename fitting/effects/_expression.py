@@ -146,7 +146,7 @@ def substitute(e: Expr, values: dict[str, Expr]) -> Expr:
 
 
 def divisors(e: Expr) -> list[Expr]:
-    """Return the divisors in an expression: the bases of powers with a negative number as exponent, without abs().
+    """Return the divisors in an expression: the bases of powers with a negative exponent, without an outer abs().
 
     Examples
     --------
@@ -164,7 +164,7 @@ def symbols(e: Expr) -> set[str]:
 
 MAX_LENGTH = 500
 """Longest formula [characters]. Chosen: a limit of time and memory; a smaller value refuses long laws, a larger one
-admits malicious ones."""
+admits malicious formulas."""
 MAX_DEPTH = 40
 """Largest number of nested levels of a formula [1]. Chosen: below the recursion limit of Python; a smaller value
 refuses long laws, a larger one may exceed the limit."""

@@ -1,8 +1,8 @@
 """The laws of the library for the bodies and joints of a mechanism.
 
-The library contains each law once: a law between a body and the ground is written for the casing, a law of a joint for
-the bearing. Here they are written for every body and joint of a case, under its name: ``wheel.air.quadratic``,
-``motor.support.constant``, ``belt.linear``.
+The library contains each law once: a law between a body and the ground is written for the casing, a law of a joint is
+written for the bearing. This module rewrites these laws for every body and joint of a case and names them accordingly,
+for example ``wheel.air.quadratic``, ``motor.support.constant``, ``belt.linear``.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def counterparts(name: str, mechanism: Mechanism) -> tuple[Effect, ...]:
 
 
 def _of_body(mechanism: Mechanism, body: str) -> Iterator[Effect]:
-    """Yield the laws of a body on the ground; those of its angle only for the main body, whose angle was measured.
+    """Yield the laws between a body and the ground; laws of an angle only for the main body, whose angle is measured.
 
     Springs are left out, because only a single body may oscillate.
     """
@@ -89,7 +89,7 @@ def _of_body(mechanism: Mechanism, body: str) -> Iterator[Effect]:
 
 
 def _of_joint(mechanism: Mechanism, joint: Coupling) -> Iterator[Effect]:
-    """Yield the laws of a joint; the first body loads the joint as the rotor loads the bearing."""
+    """Yield the laws of a joint; its first body loads the joint like the rotor loads the bearing."""
     names = {"delta": joint.delta, "tau": joint.tau, "omega_r": speed_of(joint.first)}
     for law in LIBRARY.values():
         if law.joint == "bearing" or (law.joint == "factor" and law.kind == "physical"):

@@ -1,7 +1,8 @@
 """The library of physical and measurement effects; one entry for each law.
 
-The drag torque of a disc is proportional to omega^1.5 in laminar and to omega^1.8 in turbulent flow (Th. von Karman, Z.
-angew. Math. Mech. 1, 233 (1921)). For a thin viscous film it is proportional to omega, for a bluff body to omega^2.
+The drag torque of a disc is proportional to omega^1.5 in laminar flow and to omega^1.8 in turbulent flow (Th. von
+Karman, Z. angew. Math. Mech. 1, 233 (1921)). The drag torque of a thin viscous film is proportional to omega, and that
+of a bluff body to omega^2.
 
 D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque: the temperature of the
 bearing, which frictional heat raises, and a slow drift.
@@ -143,11 +144,11 @@ BEARING = (
         source="running-in or ageing, first order in time"),
 )
 
-# rate of the strain of a contact that yields and slides; the strain approaches the Stribeck curve 1 + r
-# exp(-(omega_c/w)^2)
+# rate of the strain of a contact that first yields and then slides; in sliding, the strain approaches the Stribeck
+# curve 1 + r exp(-(omega_c/w)^2)
 _BRISTLE = "(omega_c - abs(omega_c)*{z}/(1 + r*exp(-(omega_c/w)**2)))/{s}"
 _SLOW = (0.007, 0.013, 0.033, 0.08, 0.2, 0.6)
-"""Trial speeds at which the additional friction of slow motion has decreased, relative to the largest speed [1].
+"""Trial speeds at which the additional friction of slow motion has decreased to 1/e, relative to the largest speed [1].
 Chosen: 1 to 90 rad/s for the casing of the paper; a smaller number omits narrow maxima of the score, a larger one costs
 time."""
 _STATIC = Parameter("r", "1", "shape", 0.0, 10.0, 0.5, (0.1, 0.7),
@@ -193,7 +194,7 @@ TOUCHPOINT = (
             Parameter("t0", "s", "shape", grid=MOMENTS, relative=True, meaning="time of the jump"),
         ),
         words="step of the friction at the touch point",
-        signature="a kink in the casing's speed at one moment", confused_with=("touchpoint.drift",),
+        signature="a kink in the speed of the casing at the time of the step", confused_with=("touchpoint.drift",),
         source="the tip moves to another part of the surface", breakpoint="t0", per_case=True, per_surface=True),
     Effect("casing.friction.presliding", "casing", "-k*strain",
         (
@@ -244,7 +245,7 @@ TOUCHPOINT = (
                 meaning="speed at which a film has formed to 63 %"),
         ),
         words="friction of the casing with lubricant starvation",
-        signature="additional friction at low speed, with a shoulder near rest",
+        signature="additional friction at low speed that is nearly constant close to rest",
         confused_with=("touchpoint.stribeck",),
         source="weighting factor of the sliding frictional moment: SKF, Rolling bearings (2018), p. 132",
         searched=False),
@@ -321,18 +322,18 @@ CAMERA = (
         ),
         kind="measurement", words="clock error of the rotor camera",
         signature="all speeds of one camera have the same relative error",
-        source="first order of psi(t (1 + eps)), t from the start of the clip"),
+        source="first-order term of psi(t (1 + eps)), with t from the start of the clip"),
     Effect("camera.offset", "camera.rotor", "dt*omega",
         (Parameter("dt", "s", lower=-0.05, upper=0.05, meaning="delay of the start of the clips"),),
         kind="measurement",
         words="common start error of the rotor clips",
         signature="the speeds of the rotor clips are shifted in time with respect to the modelled curve",
-        source="first order of psi(t + dt)"),
+        source="first-order term of psi(t + dt)"),
     Effect("camera.centre", "camera.casing", "eps*sin(psi - phi)",
         (Parameter("eps", "rad", meaning="offset of the centre, divided by the marker's radius"), _PHASE),
         kind="measurement", words="camera centre offset",
         signature="a first harmonic of the angle with a constant amplitude",
-        confused_with=("casing.unbalance", "camera.shutter"), source="first order of an offset centre",
+        confused_with=("casing.unbalance", "camera.shutter"), source="first-order effect of an offset centre",
         nuisance=True),
     Effect("camera.tilt", "camera.casing", "eps*sin(2*psi - phi)",
         (Parameter("eps", "rad", meaning="a quarter of the square of the tilt"), _PHASE),
@@ -350,7 +351,7 @@ CAMERA = (
         kind="measurement", words="motion blur of the marker",
         signature="a first harmonic that changes with the square of the speed",
         confused_with=("camera.centre", "casing.unbalance"),
-        source="second order of motion blur, whose smear is proportional to the speed; fitted to films only",
+        source="second-order term of motion blur, whose length is proportional to the speed; fitted to films only",
         nuisance=True),
 )
 
@@ -376,7 +377,7 @@ START = Effect("camera.start", "camera.rotor", "dt*omega",
 SLIP = Effect("camera.slip", "camera.rotor", "n*omega",
     (Parameter("n", "1", meaning="number of whole turns"),),
     kind="measurement", words="slipped turns", signature="a step of whole turns between two samples",
-    source="an integer of turns", searched=False)
+    source="an angle is measured only up to whole turns", searched=False)
 
 _RATIO = Parameter(
     RATIO, "1", "shape", _ANY, math.inf, 1.0,
@@ -402,7 +403,7 @@ CONTACT = (
             Parameter("w", "s-1", "fixed", 1e-9, math.inf, 1.0, meaning="slip above which the contact slides"),
         ),
         words="sliding contact of both bodies",
-        signature="the faster rim loses speed to the slower one at a constant rate until both roll",
+        signature="the faster rim slows down and the slower rim speeds up at constant rates until both roll",
         source="Coulomb friction of two rims, regularised at small slip", searched=False),
 )
 # fmt: on
@@ -494,10 +495,10 @@ def of_the_rotor(effect: Effect) -> Effect | None:
 def typical_values(
     effect: Effect, share: float, *, duration: float, speeds: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return values of an effect's parameters for which the effect has a given share of the torque budget.
+    """Return values of the parameters of an effect for which its torque is a given share of the torque budget.
 
-    `share` is the largest torque divided by the budget of 1e-4 N m, at the typical `speeds` omega_r and omega_c
-    [rad/s]; the `duration` of the recording [s] sets time constants.
+    `share` is the largest torque at the typical `speeds` omega_r and omega_c [rad/s], divided by the budget of
+    1e-4 N m. Time constants follow from the `duration` of the recording [s].
     """
     own = effect.parameters_at(speeds, duration)
     values = {p.symbol: 1.0 if p.role == "amplitude" else p.start for p in own}
@@ -519,7 +520,7 @@ def _typical_strength(
         return share
     delta = speeds["omega_r"] - speeds["omega_c"]
     if effect.joint == "factor":
-        # the bearing torque changes by `share` over the run, or by the heat of friction
+        # the drift over the run, or the heat of friction, changes the bearing torque by `share`
         return share / (_BUDGET * delta * values.get("tau_T", duration) if effect.state else duration)
     at: dict[str, Any] = {
         **values,
@@ -546,7 +547,7 @@ def typical_of_model(
 ) -> dict[str, float]:
     """Return a value for each parameter of a model: the paper's value if there is one, otherwise a typical value.
 
-    The other arguments are those of `typical_values`.
+    The other arguments have the meanings that they have in `typical_values`.
     """
     values: dict[str, float] = {}
     for effect in effects:

@@ -66,7 +66,7 @@ class Mechanism:
     Parameters
     ----------
     bodies : tuple of str
-        Names in the order of the speeds in a state. The second one is the main body: it may come to rest and reverse,
+        Names in the order of the speeds in a state. The second body is the main body: it may come to rest and reverse,
         and laws of an angle act on it.
     couplings : tuple of Coupling
         The joints.
@@ -77,7 +77,7 @@ class Mechanism:
 
     @classmethod
     def of(cls, bodies: Sequence[str], joints: Mapping[str, Sequence[str]]) -> Mechanism:
-        """Return the mechanism of several bodies, the main one first, and of joints: their two bodies by name."""
+        """Return the mechanism of `bodies`, the main body first; `joints` gives the two bodies of each joint."""
         main, second, *others = bodies
         couplings = (Coupling(name, *pair) for name, pair in joints.items())
         return cls((second, main, *others), tuple(couplings))
@@ -112,14 +112,14 @@ class Mechanism:
         return sum(body in {c.first, c.second} for c in self.couplings)
 
     def short_names(self, site: str) -> dict[str, str]:
-        """Return the symbols for which laws at a body or joint may write omega, psi or delta; none in a gyroscope."""
+        """Return the symbols behind the short names omega, psi and delta at a body or joint; empty for a gyroscope."""
         if self == GYROSCOPE:
             return {}
         joint = self.joints.get(site)
         return {"omega": speed_of(site), "psi": angle_of(site)} if joint is None else {"delta": joint.delta}
 
     def shares(self, site: str) -> tuple[float, ...]:
-        """Return the share of a torque at a body or joint that acts on each body: 1, -1 or 0."""
+        """Return the factor with which a torque at a body or joint acts on each body: 1, -1 or 0."""
         joint = self.joints.get(site)
         if joint is None:
             return tuple(float(b == site) for b in self.bodies)

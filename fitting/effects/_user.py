@@ -53,14 +53,14 @@ from fitting.effects._mechanism import GYROSCOPE, Mechanism, renamed, speed_of
 # unit of a strength whose unit cannot be derived, because other units were not given
 UNKNOWN_UNIT = "SI"
 _COARSE = 5
-"""Step through the trial changepoints if a law has other shape constants as well [1]. Chosen: a smaller value costs
-time, a larger one starts far from the optimum."""
+"""If a law has other shape constants as well, only every n-th trial changepoint is tried, with this n [1]. Chosen: a
+smaller value costs time; with a larger one, a fit starts far from the optimum."""
 _GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Trial values of a shape constant, divided by its initial value [1]. Chosen: two per decade; with fewer, a fit starts
 far from the optimum; with more, the search takes longer."""
 _EDITS = 2
-"""Largest number of edits by which a misspelt name differs from a variable [1]. Chosen: a smaller value suggests
-nothing, a larger one suggests unrelated names."""
+"""Largest number of edits by which a name that counts as misspelt differs from a variable [1]. Chosen: a smaller value
+overlooks misspelt names, a larger one suggests unrelated names."""
 
 
 def formula(
@@ -79,10 +79,11 @@ def formula(
 ) -> Effect:
     """Return an effect from a law.
 
-    Names in the law that are neither variables nor inputs are parameters; `declared` gives their keys, by symbol. With
-    a `rate`, the law has a state variable `lag` [1/s] with d(lag)/dt = rate, zero at the start. `inputs` contains the
-    units of the recorded inputs that the law may contain, by name. An EffectError or ExpressionError is raised if the
-    law is not understood, if it has no strength to fit, or if its units do not agree.
+    Names in the law that are neither variables nor inputs are parameters; `declared` contains the keys of their tables
+    in a file of effects, by symbol. With a `rate`, the law has a state variable `lag` [1/s] with d(lag)/dt = rate, zero
+    at the start. `inputs` contains the units of the recorded inputs that the law may contain, by name. An EffectError
+    or ExpressionError is raised if the law is not understood, if it has no strength to fit, or if its units do not
+    agree.
     """
     sites = (*mechanism.bodies, *mechanism.joints)
     if body not in sites:
@@ -150,8 +151,8 @@ def _refuse_misspelt(
 ) -> None:
     """Refuse parameters that are not declared and are probably misspelt variables.
 
-    These are names within two edits of a variable or an input. In a law without variables, several undeclared names are
-    refused as well.
+    A name within two edits of a variable or an input counts as misspelt. In a law without variables, several undeclared
+    names are refused as well.
     """
     hidden = NOT_FOR_USERS | {c.tau for c in mechanism.couplings}
     variables = [v for v in (*variables_of(mechanism), *inputs) if v not in hidden or v in inputs]
@@ -175,7 +176,7 @@ def _refuse_misspelt(
 
 
 def _refuse_product(expression: Expr, undeclared: Sequence[str], inputs: Mapping[str, str]) -> None:
-    """Refuse two parameters that occur as a product only: they are degenerate, and one may be meant as an input."""
+    """Refuse two parameters that occur only as a product: they are degenerate, and one of them may mean an input."""
     for i, first in enumerate(undeclared):
         slope = derivative(expression, first)
         if first in symbols(slope) or substitute(expression, {first: ZERO}) != ZERO:
@@ -284,7 +285,7 @@ def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
 
 
 def _is_phase(expression: Expr, symbol: str) -> bool:
-    """Return whether a parameter is a phase: the second derivative of the law with respect to it is minus the law."""
+    """Return whether a parameter is a phase: minus the second derivative with respect to a phase is the law itself."""
     slope = derivative(derivative(expression, symbol), symbol)
     tape = Tape([expression, slope])
     values = {name: 0.4 + 0.17 * i + np.linspace(0.0, 1.0, 5) for i, name in enumerate(sorted(tape.names))}
@@ -303,7 +304,7 @@ def _amplitude_unit(
     inputs: Mapping[str, str],
     variables: Mapping[str, str],
 ) -> str:
-    """Return the unit of the strength with which the law is a torque; ``N m s^p`` if an exponent p is fitted."""
+    """Return the unit of the strength that makes the law a torque; ``N m s^p`` if an exponent p is fitted."""
     torque = parse_unit("N m")
     exponents = {p.symbol: p.start for p in parameters if p.unit == "1"}
 
@@ -408,8 +409,8 @@ def resolve(
     ----------
     text : str
         For example ``casing.air.quadratic``, ``casing: -k*omega_c**3`` or, with an input, ``casing: k*current`` and
-        ``casing.input.current``. Names in the law that are not variables are parameters; a regression gives the initial
-        values of those in which the law is linear.
+        ``casing.input.current``. Names in the law that are not variables are parameters. If the law is linear in a
+        parameter, a regression gives its initial value.
     inputs : mapping of str to str, or sequence of Input, optional
         The recorded inputs that the law may contain: their units by name, or ``record.inputs``.
     mechanism : Mechanism

@@ -21,7 +21,7 @@ CASING = "casing"
 _OWN = {"rotor": "on the rotor", CASING: "on the casing", "bearing": "between the bodies"}
 # separates the parts of a change of the model, "+casing.air.quadratic -casing.air.linear"; laws may contain spaces
 _PART = re.compile(r"(?:^|(?<!:) )(?=[+-][A-Za-z])")
-# separates the laws that an exchange adds from the one that it removes
+# separates the laws that an exchange adds from the law that it removes
 INSTEAD = " instead of "
 _INITIAL = {"omega_r": "rotor", "omega_c": CASING}
 
@@ -65,7 +65,7 @@ def effect_name(key: str, body: str = CASING, effects: Iterable[Effect] = ()) ->
     Returns
     -------
     EffectName
-        The words of an unknown key are the key itself, so that a sentence in a list of keys remains unchanged.
+        The words of an unknown key are the key itself, so that other texts among the keys of a list remain unchanged.
 
     Examples
     --------

@@ -2,8 +2,8 @@
 
 Let S be the whitened response of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2, and r the whitened
 residual. Both are made orthogonal to the free columns (parameters, phases, the camera's centre offset, tilt, rolling
-shutter and blur). They are also made orthogonal to slow torques of any shape, because another lack of fit has harmonics
-in the few turns in which the casing is slow. Then
+shutter and blur). They are also made orthogonal to slow torques of any shape: within the few turns in which the casing
+is slow, any other lack of fit has harmonics as well. Then
 
     gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
 """
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 _LAWS = ("casing.unbalance", "casing.asymmetry")
 _ANGLE_POINTS = 73
-"""Points of a curve over one turn [1]. Chosen: steps of 5 degrees; a smaller number shows corners, a larger one makes
-larger files."""
+"""Number of points of a curve over one turn [1]. Chosen: steps of 5 degrees; a smaller number shows corners, a larger
+one makes larger files."""
 _RANK = 1e-6
 """Singular values, relative to the largest, below which a free direction is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one leaves a part of the free columns."""
@@ -64,7 +64,7 @@ class AngleHarmonics:
 
     @property
     def sigma(self) -> Array:
-        """Its standard deviation [N m]."""
+        """Standard deviation of `torque` [N m]."""
         columns = self._columns()
         return np.asarray(np.sqrt(np.einsum("ai,ij,aj->a", columns, self.covariance, columns)))
 
@@ -93,14 +93,14 @@ class Solved(Protocol):
 
 
 def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
-    """Return the harmonics of each case of a fit; none if speeds do not determine them, or the body oscillates."""
+    """Return the harmonics of each case of a fit, except where speeds do not determine them or the body oscillates."""
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
         if case.data.measured_angle is None or not case.data.motion.is_smooth:
             continue
         if case.data.record.driving and not is_driven(fit.model, case.data):
-            # about a model without the drive of the body, a harmonic of the angle has no meaning
+            # if the model lacks the drive of the body, a harmonic of the residuals has no meaning
             continue
         numbers = fit.problem.layout.numbers(fit.theta, index)
         columns = [
@@ -116,7 +116,7 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
         size = np.linalg.norm(rows[:, :-1], axis=0)
         rows = orthogonal_to(basis, rows)
         response, residual = rows[:, :-1], rows[:, -1]
-        # the remainder of a torque that is in the model is rounding error
+        # what remains of a torque that is in the model is rounding error
         response[:, np.linalg.norm(response, axis=0) < _RANK * size] = 0.0
         turns = float(np.ptp(case.data.measured_angle)) / (2 * math.pi)
         covariance = np.linalg.pinv(response.T @ response, hermitian=True)

@@ -1,37 +1,40 @@
 """Correlated angle noise of a recording, estimated once and used for every fit.
 
-Tracking errors are not white: a hub that is estimated from neighbouring frames, a hand-held camera or a codec shifts
-the measured angle temporarily. The angle noise of a run has the covariance
+Tracking errors are not white. The measured angle is shifted temporarily if the hub is estimated from neighbouring
+frames, if the camera is hand-held, or by the codec. The angle noise of a run has the covariance
 
     cov[n(t), n(t')] = a^2 exp(-|t - t'| / T),
 
-an Ornstein-Uhlenbeck process of standard deviation a and correlation time T. Neither a model nor a moment of inertia
-enters: as for the process noise (`fitting.inference._process_noise`), the motion is a polynomial in each of a few
-stretches of time. Projected rows with unit white noise have
+an Ornstein-Uhlenbeck process of standard deviation a and correlation time T. The estimate does not depend on a model or
+a moment of inertia: as for the process noise (`fitting.inference._process_noise`), the motion is assumed to be a
+polynomial in each of a few stretches of time. Projected rows with unit white noise have the covariance
 
     C = 1 + a^2 (P R P' - f 1) + s^2 K,
 
-where P is the projection, f is the mean of P R P' in the band in which the white noise is measured (this part is not
-counted twice), and K is the response to a random acceleration of rms s. a maximises the likelihood after integration
-over level and correlation time of the process noise; angle noise is included if twice the log-likelihood ratio exceeds
-`Criteria.correlated_noise`. Rows that are slower than T depend only on a^2 T, and faster rows only on a^2 / T. T is
-therefore known much less well than the noise of the rows. Every fit uses the mean covariance over the posterior of a
-and T, with priors uniform in ln a and ln T; this adds their uncertainty to that of all parameters.
+where P is the projection, and R is the correlation matrix of the samples. f is the mean of P R P' in the band in which
+the white noise is measured; its subtraction avoids that this part counts twice. K is the covariance of the response to
+a random acceleration of rms 1, and s is the rms of this acceleration. a maximises the likelihood after integration over
+level and correlation time of the process noise; angle noise is included if twice the log-likelihood ratio exceeds
+`Criteria.correlated_noise`. The noise of rows that are slower than T depends only on a^2 T, and the noise of faster
+rows only on a^2 / T. Therefore T is known much less precisely than the noise of the rows. Every fit uses the mean
+covariance over the posterior of a and T, with priors uniform in ln a and ln T; this adds the uncertainty of a and T to
+the uncertainties of all parameters.
 
-In a short record both kinds of noise may fit equally well. Then process noise is accepted as long as its torque is
-smaller than the mean torque on the body; a random torque larger than the one that slows the body is not credible, and
-the deviations are angle noise.
+In a short record both kinds of noise may fit equally well. Then the deviations are attributed to process noise as long
+as its torque is smaller than the mean torque on the body. A random torque larger than the torque that slows the body is
+not credible; the deviations then count as angle noise.
 
-Where a block contains few turns, errors that are periodic in the angle affect its rows: a hub that is displaced or a
-tilted camera (nuisance functions of every fit), and, if the camera or the hub moves slowly, harmonics whose amplitude
-varies,
+If a block contains few turns, errors that are periodic in the angle affect its rows. A displaced hub and a tilted
+camera cause harmonics of constant amplitude, which are nuisance functions of every fit. If the camera or the hub moves
+slowly, the amplitude of the harmonics varies,
 
     cov[n(t), n(t')] = b^2 cos(psi - psi') exp(-|t - t'| / T).
 
-The same likelihood decides whether they are included, instead of the noise above or in addition to it. In longer blocks
-they are orthogonal to the polynomials.
+The same likelihood decides whether these harmonics are included, instead of the noise above or in addition to it. In
+blocks of many turns, harmonics are orthogonal to the polynomials.
 
-The noise of all windows of the rotor is estimated together, with one (a, T), given the process noise of the casing.
+The noise of all windows of the rotor is estimated together, with a single pair (a, T) and with the process noise of the
+casing.
 """
 
 from __future__ import annotations
@@ -57,21 +60,21 @@ from fitting.inference._process_noise import (
 Array = NDArray[np.float64]
 
 _UNLIKELY = 0.25
-"""Share of `Criteria.correlated_noise` that the gain in a coarse search, or the sum of the gains of both kinds, must
-reach for a further search [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine search
-would find."""
+"""Share of `Criteria.correlated_noise` above which the gain of a coarse search, or the sum of the gains of both kinds
+of noise, leads to a finer search [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine
+search would find."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
-"""Trial correlation times [lengths of a block]. Chosen: shorter ones are white for the rows, longer ones are part of
-the polynomials."""
+"""Trial correlation times [lengths of a block]. Chosen: noise of shorter times is white for the rows, noise of longer
+times is part of the polynomials."""
 _LEVELS = np.geomspace(0.3, 300.0, 13)
-"""Trial levels, in units of the white noise of the rows [1]. Chosen: lower ones change nothing, higher ones do not
+"""Trial levels, in units of the white noise of the rows [1]. Chosen: lower levels change nothing, higher levels do not
 occur; a coarser grid rounds the most likely level."""
 _FIRST_LEVELS = (2, 5, 8)
-"""Indices in `_LEVELS` of a first, coarse search [1]. Chosen: a smaller number may overlook noise, a larger one costs
-time."""
+"""Indices in `_LEVELS` of the levels of a first, coarse search [1]. Chosen: with fewer levels, noise may be overlooked;
+with more, the search takes longer."""
 _HALF_WIDTH = 0.3
-"""Half width of the parabola at the most likely level, in its logarithm [1]. Chosen: a smaller value is sensitive to
-rounding errors, a larger one to the asymmetry of the likelihood."""
+"""Half width of the parabola through the likelihood at its maximum, in the logarithm of the level [1]. Chosen: a
+smaller value is sensitive to rounding errors, a larger one to the asymmetry of the likelihood."""
 _FEWEST_BLOCKS = 4
 """Smallest number of blocks of a stretch, in which the motion is a cubic [1]. Chosen: a smaller number gives too few
 rows to separate motion and noise, a larger one refuses short records."""
@@ -79,33 +82,34 @@ _TORQUE_TIMES = (0.1, 0.3, 1.0)
 """Trial correlation times of the process noise [lengths of a block]. Chosen: a smaller number takes process noise for
 angle noise, a larger one costs time."""
 _FINER = 16
-"""Points of the finer grid per interval of the coarse one [1]. Chosen: a smaller number makes the posterior mean
-coarse, a larger one costs time."""
+"""Number of points of the finer grid per interval of the coarse grid [1]. Chosen: a smaller number makes the posterior
+mean coarse, a larger one costs time."""
 _NEGLIGIBLE = 0.01
 """Variance of a stated error, in units of the white noise of a row, below which it is neglected [1]. Chosen: 1 % of the
 variance; a smaller value costs time, a larger one understates uncertainties."""
 _LARGEST_RELATIVE_U = 0.7
-"""Largest standard deviation of the logarithm of a level that the data hardly determine [1]. Chosen: a factor of two; a
-smaller value understates the uncertainty, a larger one lets improbable high levels dominate the mean."""
+"""Upper limit of the standard deviation of the logarithm of a level; it applies if the data hardly determine the level
+[1]. Chosen: a factor of two; a smaller value understates the uncertainty, a larger one lets improbable high levels
+dominate the mean."""
 TURNS_PER_BLOCK = 3.0
 """Largest number of turns per block with which noise periodic in the angle affects the rows [1]. Chosen: in longer
 blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
 _PERIODIC_TIMES = 5
-"""Trial correlation times of noise periodic in the angle [1]. Chosen: a smaller number passes over the maximum of the
-likelihood, a larger one costs time."""
+"""Number of trial correlation times of noise periodic in the angle [1]. Chosen: a smaller number passes over the
+maximum of the likelihood, a larger one costs time."""
 _FEWEST_BINS = 24
 """Smallest number of groups of samples in a block for noise periodic in the angle [1]. Chosen: a smaller number blurs a
 turn, a larger one costs time and memory."""
 _ALL_BINS = 1500
-"""Groups of samples of all blocks for noise periodic in the angle [1]. Chosen: a smaller number blurs a turn in few
-blocks, a larger one costs time and memory."""
+"""Number of groups of samples in all blocks together, for noise periodic in the angle [1]. Chosen: a smaller number
+blurs a turn in few blocks, a larger one costs time and memory."""
 _LOWER_LEVELS = (0.1, 0.2, 0.4, 0.8)
-"""Trial levels of the exponential noise in addition to periodic noise, divided by the most likely one alone [1].
-Chosen: two kinds share the variance, so it is lower; a smaller number passes over the maximum, a larger one costs
-time."""
+"""Trial levels of the exponential noise if periodic noise is included as well, divided by its most likely level without
+periodic noise [1]. Chosen: two kinds share the variance, so each level is lower; a smaller number passes over the
+maximum, a larger one costs time."""
 _NEAR_LEVELS = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Trial levels of the periodic noise in addition to exponential noise, divided by the most likely one alone [1].
-Chosen: a smaller number passes over the maximum, a larger one costs time."""
+"""Trial levels of the periodic noise if exponential noise is included as well, divided by its most likely level without
+exponential noise [1]. Chosen: a smaller number passes over the maximum, a larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,7 @@ class AngleNoise:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the data show this noise, and do not merely allow it."""
+        """Whether the data show this noise, instead of only not excluding it."""
         return self.gain >= self.needed and not self.is_white
 
     @property
@@ -138,7 +142,7 @@ class AngleNoise:
         return self.sigma == 0 and self.turn_sigma == 0
 
     def with_stated(self, rows: Array) -> Self:
-        """Return the noise with an error that the instrument states, the covariance `rows` `rows`' of its rows."""
+        """Return the noise with an additional error that the instrument states: the covariance `rows` `rows`'."""
         if not rows.size:
             return self
         own = self.root @ self.root if len(self.root) else np.eye(len(rows))
@@ -185,14 +189,14 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
     """
     needed = criteria.correlated_noise
     if len(run.lift) < _FEWEST_BLOCKS:
-        # a cubic does not describe the motion of a whole record: the rest would count as noise
+        # a cubic does not describe the motion of a whole record, so the deviations would count as noise
         return AngleNoise()
     stretches = split_into_stretches(run, nuisance)
     span = float(np.ptp(run.samples.time))
     block = span / len(run.lift)
     torque_times = [block * t for t in _TORQUE_TIMES]
     if not all(len(s.projected) for s in stretches):
-        return AngleNoise()  # the nuisance parameters describe all of a short recording
+        return AngleNoise()  # in a short recording, the nuisance parameters describe all rows
     white = sum(s.likelihood(None) for s in stretches)
     with_torque = StretchLikelihood.of(stretches, None).marginal(torque_times)
     credible = max(s.most_likely_level(torque_times) for s in stretches) < mean_acceleration(run)
@@ -227,7 +231,7 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
     total = np.eye(len(covariances[0]))
     for share, covariance in zip(shares @ (weights * squares), covariances, strict=True):
         total += share * covariance
-    # two levels for each, one standard deviation below and above
+    # two levels for each time, one standard deviation below and above the most likely level
     change = np.exp(relative_u)
     both = np.concatenate([levels / change, levels * change])
     found = AngleNoise.of_posterior(
@@ -237,7 +241,7 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
 
 
 class _Peak(NamedTuple):
-    """The most likely level of a noise of one correlation time [rad], its relative uncertainty, the gain there."""
+    """For one correlation time: the most likely level [rad], its relative uncertainty, and the gain at this level."""
 
     level: float
     relative_u: float
@@ -293,8 +297,9 @@ def _peak(covariance: Array, gain: Callable[[Array], float]) -> _Peak:
 
 
 HARMONICS = range(3, 13)
-"""Orders of an error that repeats with the angle, beyond those that the camera's nuisance functions describe [1].
-Derived: the nuisance functions have the first two; tracking states errors of up to 12 periods per turn."""
+"""Orders of the errors that are periodic in the angle and that the nuisance functions of the camera do not describe
+[1]. Derived: the nuisance functions describe the first two orders; tracking states errors of up to 12 periods per
+turn."""
 _NEGLIGIBLE_ROWS = 0.1
 """Norm of a column below which it is neglected [1]. Derived: it adds less than 0.1^2, 1 %, to the variance of a row."""
 
@@ -313,11 +318,11 @@ def stated_error_rows(
     mean is the zero of the angle, which is free. With a `profile` of times [s] and standard deviations [rad], its
     standard deviation changes (see `profile_at`).
 
-    The other errors are harmonics of the angle. Those of orders 1 and 2 have amplitudes of standard deviation
-    `periodic` [rad], independent in each block of few turns; over more turns they are orthogonal to the polynomials.
-    Those of orders 3 to 12 have amplitudes of standard deviation `harmonic` [rad], independent in each block: they are
-    slow where the order times the rate of rotation is close to a multiple of the frame rate. For orders 1 and 2 over
-    more turns, see `stated_harmonic_scale`.
+    The other errors are harmonics of the angle. Harmonics of orders 1 and 2 have amplitudes of standard deviation
+    `periodic` [rad], independent in each block of few turns. In blocks of more turns, they are orthogonal to the
+    polynomials (see `stated_harmonic_scale`). Harmonics of orders 3 to 12 have amplitudes of standard deviation
+    `harmonic` [rad], independent in each block. They count because frames alias them to slow errors if the order times
+    the rate of rotation is close to a multiple of the frame rate.
     """
     found = [np.zeros((len(run.z), 0))]
     if sigma > 0 and time > 0:
@@ -356,9 +361,9 @@ def profile_at(times: Array, sigma: float, profile: Sequence[tuple[float, float]
 def stated_harmonic_scale(run: Compressed, harmonic: float) -> Array:
     """Return the standard deviation of the rows of harmonics, (rows,), in units of their white noise.
 
-    An error of the angle that repeats with the turn changes with speed, blur and light: in addition to its constant
-    part, which is a nuisance parameter, each block has amplitudes of orders 1 and 2 with the standard deviation
-    `harmonic` [rad], as its higher orders do.
+    An error of the angle that repeats every turn changes with speed, blur and light. Its constant part is a nuisance
+    parameter. In addition, orders 1 and 2 have random amplitudes in each block. Their standard deviation is `harmonic`
+    [rad], as for higher orders.
     """
     k, found = run.lift.shape[1], [np.zeros(0)]
     for where, operator in run.operators:
@@ -369,7 +374,7 @@ def stated_harmonic_scale(run: Compressed, harmonic: float) -> Array:
 
 
 def _unit(covariance: Array) -> float:
-    """Return the level at which the noise is as large as white noise in half of the rows."""
+    """Return the level at which the noise is at least as large as the white noise in half of the rows."""
     return 1 / float(np.sqrt(np.median(np.diag(covariance)) + 1e-300))
 
 
@@ -407,10 +412,10 @@ def _with_periodic_part(
 
 
 def _fine_posterior(kind: _Kind) -> tuple[Array, Array, Array, Array]:
-    """Return correlation times [s], levels [rad] and relative uncertainties at each, and the probability of each time.
+    """Return correlation times [s], and for each its level [rad], the relative uncertainty and the probability.
 
-    The prior is uniform in the logarithms of time and level; the integral over the level is that of a normal
-    distribution in its logarithm. Between the times of the grid, gain and level are interpolated by cubic splines.
+    The prior is uniform in the logarithms of time and level. The integral over the level assumes a normal distribution
+    of its logarithm. Between the times of the grid, gain and level are interpolated by cubic splines.
     """
     x = np.log(kind.times)
     fine = np.linspace(x[0], x[-1], _FINER * (len(x) - 1) + 1)
@@ -442,7 +447,8 @@ def _periodic_covariances(run: Compressed, times: Array) -> list[Array]:
 def _row_covariance(run: Compressed, time: float, size: Callable[[Array], Array] = np.ones_like) -> Array:
     """Return P R P' of the polynomial rows of a run, for a process with the standard deviation `size(time)`.
 
-    Between two blocks the kernel is a product of functions of one time each, so its cost is linear in the samples.
+    For two different blocks the kernel is a product of two functions, each of a single time. The cost is therefore
+    linear in the number of samples.
     """
     blocks, k, _ = run.lift.shape
     forward, backward, first, last, diagonal = [], [], [], [], []
@@ -481,13 +487,14 @@ _WINDOW_DEGREE = 5
 """Degree of the polynomial of a window of one block [1]. Chosen: a smooth torque adds little to higher degrees; a
 smaller value takes motion for noise, a larger one absorbs noise."""
 _GROUPS = 128
-"""Groups of samples per block [1]. Chosen: a smaller number averages short correlations, a larger one costs time."""
+"""Number of groups of samples per block [1]. Chosen: a smaller number averages short correlations, a larger one costs
+time."""
 _FEWEST_IN_GROUP = 4
-"""Fewest samples in a group [samples]. Chosen: a smaller value makes larger matrices, a larger one averages short
-correlations."""
+"""Smallest number of samples in a group [samples]. Chosen: a smaller value makes larger matrices, a larger one averages
+short correlations."""
 _FEWEST_GROUPS = 40
-"""Fewest groups of all windows from which angle noise is estimated [1]. Chosen: a smaller number does not determine a
-level, a larger one leaves short windows without a level."""
+"""Smallest number of groups in all windows together from which angle noise is estimated [1]. Chosen: a smaller number
+does not determine a level, a larger one leaves short windows without a level."""
 _WINDOW_TIMES = 15
 """Number of trial correlation times in the windows [1]. Chosen: a smaller number makes the posterior mean coarse, a
 larger one costs time."""
@@ -496,12 +503,13 @@ _SHORTEST = 64.0
 for the rows; a larger value costs time, a smaller one overlooks fast noise."""
 _LONGEST = 3.0
 """Length of a block divided by the longest correlation time in the windows [1]. Chosen: slower noise is a polynomial; a
-smaller value estimates what the rows do not show, a larger one overlooks slow noise."""
+smaller value estimates noise that the rows do not contain, a larger one overlooks slow noise."""
 _RATIOS = np.geomspace(1e-3, 1e6, 91)
-"""Variances of angle noise divided by that of the white noise of a group [1]. Chosen: lower ones change nothing, higher
-ones do not occur; a coarser grid rounds the posterior mean."""
+"""Variances of angle noise divided by the variance of the white noise of a group [1]. Chosen: lower ratios change
+nothing, higher ratios do not occur; a coarser grid rounds the posterior mean."""
 _NEGLIGIBLE_SHARE = 1e-4
-"""Share of the weight below which a correlation time is left out [1]. Derived: four digits of the covariance remain."""
+"""Share of the total posterior weight below which a correlation time is omitted [1]. Derived: four digits of the
+covariance remain."""
 _RANK = 1e-7
 """Relative singular value below which a direction is rounding error [1]. Chosen: a smaller value counts rounding errors
 as motion, a larger one takes motion for noise."""
@@ -511,7 +519,7 @@ distribution."""
 _THIRD_DIFFERENCE = 20.0
 """Variance of the third difference of white noise of variance 1 [1]. Derived: 1 + 9 + 9 + 1."""
 _TINY = 1e-300
-"""Smallest variance by which another is divided [rad2]. Derived: it avoids a division by zero and is below any other
+"""Smallest variance that is used as a divisor [rad2]. Derived: it avoids a division by zero and is below any other
 variance."""
 
 
@@ -520,9 +528,9 @@ def estimate_window_noise(
 ) -> AngleNoise:
     """Estimate the correlated angle noise that all windows of the rotor have in common.
 
-    As for the process noise, no test decides whether there is any: in a few windows of some seconds, a test would miss
-    noise that doubles the errors of the speeds. The posterior distribution contains levels far below the white noise;
-    it adds little if the data show no angle noise.
+    As for the process noise, no test decides whether there is angle noise: in a few windows of some seconds, a test
+    would overlook noise that doubles the errors of the speeds. The posterior distribution includes levels far below the
+    white noise, so the mean covariance adds little if the data show no angle noise.
 
     The few rows of a window hardly determine a correlation time. The data are therefore the means of many groups of
     samples in each window, orthogonal to a polynomial and the nuisance functions (samples, columns). They contain white
@@ -533,7 +541,7 @@ def estimate_window_noise(
 
     and the covariance of the rows is the mean over the posterior of s, rho and T, with priors uniform in ln rho and ln
     T. A window is too short to separate angle noise from process noise. The rms `level` [rad/s2] of the process noise
-    (one for all windows, or one for each) and its correlation `time` [s] follow from those of the casing.
+    (one for all windows, or one for each) and its correlation `time` [s] follow from the process noise of the casing.
     """
     levels = np.broadcast_to(level, len(windows))
     groups = [_WindowGroups(*one, time) for one in zip(windows, nuisance, levels, strict=True)]

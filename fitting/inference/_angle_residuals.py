@@ -1,9 +1,10 @@
 """Measured minus modelled angle of a fit, with its standard uncertainty.
 
-The rows of a block are the measured angles projected on polynomials, minus those of the model. After generalised least
-squares has removed the nuisance columns (the zero of each run, the starts of windows, camera effects), the
-polynomial of the rows of a block is the residual of the angle within it: the noise between the rows is left out. Its
-uncertainty follows from the covariance of the rows as that of the residual speeds does (`_speed_residuals`).
+The rows of a block are the projections of the measured angles on polynomials, minus the projections of the modelled
+angles. Generalised least squares removes the nuisance columns (the zero of each run, the starts of windows, camera
+effects). The polynomial with the remaining rows as coefficients is the residual of the angle within the block. It does
+not contain the noise that is orthogonal to the polynomials. Its uncertainty follows from the covariance of the rows, as
+for the residual speeds (`_speed_residuals`).
 """
 
 from __future__ import annotations

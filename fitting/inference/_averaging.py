@@ -1,14 +1,14 @@
 """Averaged equations of motion of an oscillation, and the initial values of a fit that follow from them.
 
-Over a period the deflection is A cos phi, with slowly varying amplitude A and frequency w. With the angular
-acceleration f of the laws on this motion, averages over a period (N. N. Bogoliubov, Y. A. Mitropolsky, Asymptotic
-Methods in the Theory of Non-Linear Oscillations, 1961) give
+Over a period the deflection is A cos phi, with slowly varying amplitude A and frequency w. Let f be the angular
+acceleration that the laws cause along this motion. Averages over a period, written <>, give (N. N. Bogoliubov, Y. A.
+Mitropolsky, Asymptotic Methods in the Theory of Non-Linear Oscillations, 1961)
 
     A' = -<f sin phi> / w,      phi' = w / 2 - <f cos phi> / (w A).
 
-Both are linear in the strengths of the laws, so their integrals along the measured amplitude are fitted to the measured
-amplitudes and phases by linear least squares. A relative error of the frequency is a phase that grows over the whole
-record: a search that starts here does not slip by periods.
+Both equations are linear in the strengths of the laws. Therefore their integrals along the measured amplitude are
+fitted to the measured amplitudes and phases by linear least squares. The phases of the whole record determine the
+frequency so accurately that a search from these values does not slip by whole periods.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ _ANGLES = 2 * np.pi * (np.arange(128) + 0.5) / 128
 """Phases of a period at which laws are averaged [rad]. Chosen: 128 equal steps; a smaller number blurs the jump of dry
 friction, a larger one costs time."""
 _STEPS = 3
-"""Passes of the linear fit [1]. Chosen: the equations are linear about the strengths found before; a smaller number
-leaves the second order, a larger one costs time."""
+"""Number of passes of the linear fit [1]. Chosen: the equations are linear about the strengths found before; a smaller
+number leaves the second order, a larger one costs time."""
 _DEGREE = 5
 """Degree of the polynomial between averaged points [1]. Chosen: a smaller value blurs the decay, a larger one
 oscillates at the ends."""
 _NEGLIGIBLE = 1e-6
-"""Share of the harmonics of a torque below which its averages vanish [1]. Chosen: a smaller value fits rounding errors,
-a larger one drops weak laws."""
+"""Smallest ratio of the averages of a torque to its harmonics; below it, the averages count as zero [1]. Chosen: a
+smaller value fits rounding errors, a larger one drops weak laws."""
 LARGEST_PHASE_ERROR = 0.7
 """Largest rms error of the phase with which a search over the whole record does not slip by a period [rad]. Chosen:
 well below half a period; a larger value starts searches at a wrong period, a smaller one refuses usable initial
@@ -51,8 +51,8 @@ class Averaged(NamedTuple):
 
     theta: Array  # shape (variables,); values of all variables
     phase_error: float  # largest rms error of the phase [rad]
-    # for each case, the strengths, their columns and the residuals in units of the errors: first those of the
-    # amplitudes, then those of the phases
+    # for each case, the strengths, and their columns and the residuals in units of the errors; rows of the amplitudes
+    # come first, then rows of the phases
     rows: tuple[tuple[list[str], Array, Array], ...]
     scales: tuple[Array, ...]  # for each case, the errors of amplitudes and phases [rad]
 
@@ -67,10 +67,10 @@ def averaged(
 ) -> Averaged | None:
     """Fit the averaged equations of motion to the amplitudes and phases; None if a case has too few periods.
 
-    `linear` selects the parameters in which the equations are linear, `regress` fits the strengths of all cases within
-    their bounds; `errors` are `Averaged.scales` of another model, so that both are comparable (by default, they follow
-    from the residuals). A phase error above `LARGEST_PHASE_ERROR` shows that a law does not describe the frequency, or
-    that the amplitude is so large that higher harmonics change it.
+    `linear` selects the parameters in which the equations are linear. `regress` fits the strengths of all cases within
+    their bounds. `errors` are `Averaged.scales` of another model; they make both models comparable. By default, the
+    errors follow from the residuals. A phase error above `LARGEST_PHASE_ERROR` shows that a law does not describe the
+    frequency, or that the amplitude is so large that higher harmonics change it.
     """
     theta = theta.copy()
     found = [d.motion.slow_motion for d in data]
@@ -91,7 +91,7 @@ def averaged(
         rows = []
         for case, (keys, design, target) in enumerate(equations):
             rest = (target - design @ theta[layout.places(case, keys)]).reshape(2, -1)
-            # the error of a phase is that of the deflection divided by the amplitude
+            # the error of a phase is the error of the deflection divided by the amplitude
             relative = slow[case].amplitude / slow[case].amplitude.max()
             rest -= np.array([rest[0].mean(), np.average(rest[1], weights=relative**2)])[:, None]
             amplitude = max(float(np.sqrt(np.mean(rest[0] ** 2))), 1e-9)
@@ -128,7 +128,7 @@ def _equations(
         b = dynamics.linearised(times, state, numbers)[2][:, :, 1]
         harmonics = [np.abs(np.tensordot(b, f(_ANGLES), axes=(1, 0))) for f in (np.sin, np.cos)]
         acts = np.maximum(*harmonics).max(axis=0) > _NEGLIGIBLE * np.abs(b).max(axis=(0, 1))
-        # a constant torque only shifts the equilibrium: its averages vanish, and its value remains that of `theta`
+        # a constant torque only shifts the equilibrium: its averages vanish, and its value in `theta` is kept
         keys = [k for k in keys if acts[dynamics.parameters.index(k)]]
         constant, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(keys, 0.0))
     columns = [dynamics.parameters.index(k) for k in keys]

@@ -2,14 +2,15 @@
 
 About its optimum, a fit is linear in its data. Let P W (m - z) be the whitened residuals, where W whitens the noise and
 P projects the nuisance parameters out, and let J be their Jacobian. With G = (J'J)^-1 J' P W, each source of noise with
-the covariance V_i contributes G V_i G'. A nuisance parameter that is fitted from the same data contributes the increase
-of the variance when it is freed (type A). These contributions add up to the square of the standard error of the fit.
+the covariance V_i contributes G V_i G'. A nuisance parameter that is fitted to the same data contributes the increase
+of the variance that its freedom causes (type A). These contributions add up to the square of the standard error of the
+fit.
 
-A relative rate error eps of the clock changes the rows of the model by eps dm/d(eps) and the parameters by
--(J'J)^-1 J' P W dm/d(eps) (type B); so does the relative error eps of the scale of a sensor of angular velocity, which
-reads omega (1 + eps). A wrong moment of inertia also changes the residuals, and with them the noise by
-which the data are weighted, so that its influence need not be linear: the distribution of the moments of inertia is
-propagated by fitting again at the nodes of a Gauss-Hermite rule, 0 and +- sqrt(3) u for each of them.
+A relative rate error eps of the clock changes the rows of the model by eps dm/d(eps), and the parameters by -eps G
+dm/d(eps) (type B). The same holds for a relative error eps of the scale of a sensor of angular velocity, which reads
+omega (1 + eps). A wrong moment of inertia also changes the residuals and thus the noise by which the data are weighted,
+so its influence need not be linear. Therefore the distribution of each moment of inertia is propagated by fits at the
+nodes of a Gauss-Hermite rule: the given value, and this value +- sqrt(3) standard uncertainties u.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _RANK = 1e-7
 rounding errors, a larger one leaves a part of the nuisance columns."""
 _ROUNDING = 1e-12
 """Share of the total below which a contribution is rounding error [1]. Chosen: a smaller value lists contributions that
-are zero, a larger one hides small ones."""
+are zero, a larger one hides small contributions."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,8 @@ class Contribution:
 
 
 _SHOWN = 3
-"""Contributions in a repr [1]. Chosen: a smaller number hides the second cause, a larger one makes a long line."""
+"""Number of contributions in a repr [1]. Chosen: a smaller number hides important causes, a larger one makes a long
+line."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -168,7 +170,7 @@ def budget(fit: Fit, *, clock_rate_u: float = CRYSTAL, speed_scale_u: float = 0.
 def combined_uncertainties(fit: Fit) -> dict[str, float]:
     """Return the combined standard uncertainty of every parameter, with the moments of inertia to first order.
 
-    This is the uncertainty of `budget` without its refits, for the numbers in sentences.
+    These are the uncertainties of `budget`, computed without refits; the sentences of an answer state them.
     """
     linear = _Linearised(fit)
     cases = list(zip(fit.problem.cases, fit.predictions, strict=True))
@@ -190,7 +192,8 @@ def combined_uncertainties(fit: Fit) -> dict[str, float]:
 def _calibrations(linear: _Linearised) -> Iterator[tuple[str, Array]]:
     """Yield the recorded inputs of known uncertainty, and the change of all variables by one standard uncertainty.
 
-    All samples of an input have the same error in units of their u, in all cases that recorded it.
+    The error of an input, divided by the uncertainty of each sample, is assumed to be the same in all samples and
+    cases.
     """
     fit = linear.fit
     cases = list(zip(fit.problem.cases, fit.predictions, strict=True))
@@ -237,7 +240,7 @@ class _Linearised:
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
         r, _ = fit.problem.residuals(fit.predictions)
-        # as for the standard errors
+        # the level of the process noise is chosen as for the standard errors
         self.noise = [n.with_unresolved for n in fit.noise]
         self.problem = fit.problem.with_noise(self.noise)
         _, j = self.problem.residuals(fit.predictions)
@@ -287,7 +290,7 @@ class _Linearised:
         return variances
 
     def sensitivity(self, columns: Sequence[Array]) -> Array:
-        """Return the change of all variables per unit of an input that changes the rows of each case by columns."""
+        """Return the change of all variables per unit of an input; `columns` are the changes of the rows per unit."""
         gradient = np.zeros(len(self.fit.theta))
         cases = zip(self.problem.projections, self.fit.predictions, columns, strict=True)
         for project, prediction, column in cases:
@@ -298,8 +301,8 @@ class _Linearised:
 def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
     """Yield the moments of inertia of known uncertainty: source, body, value and uncertainty [kg m2].
 
-    If their ratio is a parameter with a prior, its uncertainty is part of the standard errors; the moment of inertia of
-    the rotor then stands for both.
+    If the ratio of both moments of inertia is a parameter with a prior, its uncertainty is part of the standard errors;
+    only the moment of inertia of the rotor, which scales both, is then yielded.
     """
     records = fit.problem.layout.records
     parts = [b.part for b in reversed(records[0].bodies)]
@@ -319,7 +322,7 @@ def _ratio_has_prior(fit: Fit) -> bool:
 def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
     """Return the standard uncertainty of all variables due to each moment of inertia, and their mean slope."""
     inputs = list(_inertias(fit))
-    # up to two inputs are propagated jointly; more inputs, as from several instruments, are propagated separately
+    # up to two inputs are propagated jointly; more inputs, for example of several instruments, one by one
     groups = [inputs] if len(inputs) < 3 else [[i] for i in inputs]
     found: dict[str, tuple[Array, Array | None]] = {}
     for group in groups:
@@ -377,13 +380,13 @@ def _refitted(fit: Fit, moved: Mapping[tuple[str, float], float]) -> Array:
 
 
 def _clock_rows(data: CaseData, prediction: Prediction) -> Array:
-    """Return the derivative of the rows of a case with respect to the clock rate eps: t becomes t (1 + eps)."""
+    """Return the derivative of the rows of a case with respect to the clock error eps; t becomes t (1 + eps)."""
     start = data.record.span[0]
 
     def change(t: Array, omega: Array) -> Array:
         if data.is_angle:
             return (t - start) * omega
-        # gradients of angles are proportional to the rate of the clock
+        # gradients of angles are proportional to the clock rate
         scaled = omega if data.record.gradients else 0.0
         return (t - start) * np.gradient(omega, t) + scaled
 

@@ -1,13 +1,13 @@
 """A case as Python users write it: bodies by their names, each with arrays; and the names of its parameters.
 
-The library contains laws of a casing and its touch point. A single body has its own name: its laws are
-``wheel.air.quadratic`` (``casing.air.quadratic`` of the library) and ``wheel.support.constant``
-(``touchpoint.constant``), and in a case of one body ``air.quadratic`` and ``support.constant`` suffice. In formulas its
-speed is ``omega`` and its angle ``psi``.
+The library contains laws of a casing and its touch point. A single body has its own name, for example wheel. Its laws
+are then called ``wheel.air.quadratic``, which is ``casing.air.quadratic`` of the library, and
+``wheel.support.constant``, which is ``touchpoint.constant``. In a case of one body, ``air.quadratic`` and
+``support.constant`` suffice. In formulas its speed is ``omega`` and its angle ``psi``.
 
-Several bodies that are connected by joints are a chain. The library is written for each of its bodies and joints (see
-`fitting.effects._instances`): ``wheel.air.quadratic``, ``belt.linear``. In formulas the speeds are ``omega_wheel`` and
-``delta_belt``, and in a law of the wheel or of the belt ``omega`` and ``delta`` suffice.
+Several bodies that are connected by joints are a chain. Each body and joint of a chain has its own copy of the laws of
+the library (see `fitting.effects._instances`), for example ``wheel.air.quadratic`` and ``belt.linear``. In formulas the
+speeds are ``omega_wheel`` and ``delta_belt``, and in a law of the wheel or of the belt ``omega`` and ``delta`` suffice.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _VARIABLES = {"omega": "omega_c", "psi": "psi_c"}
 
 
 def outward(name: str, body: str) -> str:
-    """Return the name that a name of the library has for a single body; names for a gyroscope are not changed."""
+    """Return a name of the library as it is shown for a single body; for a gyroscope, the name is not changed."""
     if not body:
         return name
     joint, colon, law = name.partition(":")
@@ -59,7 +59,7 @@ def outward(name: str, body: str) -> str:
 
 
 def inward(name: str, body: str) -> str:
-    """Return the name in the library of an effect, a parameter or a formula of a single body."""
+    """Return the library's name of an effect, a parameter or a formula of a single body; the inverse of `outward`."""
     if not body:
         return name
     joint, colon, law = name.partition(":")
@@ -129,18 +129,18 @@ class Case:
         inputs : mapping of str to mapping, or sequence of Input
             Recorded inputs on which torques may depend: ``{"current": {"t": t, "value": i, "unit": "A"}}``.
         joints : mapping of str to (str, str), optional
-            The joints of several bodies: ``{"belt": ("motor", "drum")}``. The speed of a joint is that of its first
-            body minus that of its second one; its torque drives the second body and brakes the first one.
+            The joints of several bodies: ``{"belt": ("motor", "drum")}``. The speed of a joint is the speed of its
+            first body minus the speed of its second body; its torque drives the second body and brakes the first one.
         **bodies : mapping of arrays
-            One body by its name, ``casing`` and ``rotor`` of a gyroscope, or several bodies with `joints`. The first of
-            several may come to rest and reverse; the others turn in one sense. Each has times ``t`` [s] and ``omega``
-            [rad/s] or ``angle`` [rad], their standard uncertainty ``u`` (array or number; estimated without it), and
-            ``inertia`` [kg m2] with its uncertainty ``inertia_u``. Without an inertia, torques on a single body are per
-            unit of inertia [rad/s2]; several bodies need all inertias. The rotor, and each body of a chain but the
-            first, may have several such mappings, one for each window in which it was measured. ``modes`` are errors
-            that samples share, by name: ``{"tilt": {"basis": b, "covariance": c}}`` with a row of `b` for each sample
-            (see `fitting.ErrorMode`), and optionally the name of a ``group`` whose amplitudes several series share, and
-            an ``origin``.
+            One body by its name, ``casing`` and ``rotor`` of a gyroscope, or several bodies with `joints`. Of several
+            bodies, only the first may come to rest and reverse; the others turn in one sense. Each body has times ``t``
+            [s] and values ``omega`` [rad/s] or ``angle`` [rad]. ``u`` is the standard uncertainty of the values (array
+            or number; estimated if absent). ``inertia`` [kg m2] has the uncertainty ``inertia_u``. Without an inertia,
+            torques on a single body are per unit of inertia [rad/s2]; several bodies need all inertias. The rotor, and
+            each body of a chain but the first, may have several such mappings, one for each window in which it was
+            measured. ``modes`` are errors that samples share, by name: ``{"tilt": {"basis": b, "covariance": c}}`` with
+            a row of `b` for each sample (see `fitting.ErrorMode`), and optionally the name of a ``group`` whose
+            amplitudes several series share, and an ``origin``.
 
         Returns
         -------
@@ -149,7 +149,7 @@ class Case:
         Raises
         ------
         RecordError
-            If a body has no arrays, wrong ones, or too few samples.
+            If a body has no arrays, wrong arrays, or too few samples.
         """
         names = list(bodies)
         if not names:
@@ -249,8 +249,8 @@ class Case:
         Parameters
         ----------
         *effects : str
-            Names of laws (``"support.constant"``, ``"wheel.air.quadratic"``), formulas (``"wheel: -k*omega**3"``),
-            several of them joined by " + ", or the name of one of the paper's models.
+            Names of laws (``"support.constant"``, ``"wheel.air.quadratic"``) or formulas (``"wheel: -k*omega**3"``),
+            also several joined by " + "; or the name of one of the paper's models.
 
         Raises
         ------
@@ -303,7 +303,7 @@ class _Series:
 
 
 def _modes(name: str, body: str, window: int, series: _Series) -> Iterator[ErrorMode]:
-    """Yield the error modes of a series; without a group the amplitudes are those of one window."""
+    """Yield the error modes of a series; without a group, each window has its own amplitudes."""
     for mode, entries in series.modes.items():
         known = {"basis", "covariance", "group", "origin"}
         if not isinstance(entries, Mapping) or not {"basis", "covariance"} <= set(entries) <= known:

@@ -1,16 +1,17 @@
 """The measurements of one case as rows of the least-squares problem.
 
 An error dt of the start time of a camera causes an error psi'(t) dt of its angles. Apart from the free phase of the
-window this is c dt with c = alpha (t - mean t), where alpha is the rotor's acceleration; for a measured speed c =
-alpha. For a standard uncertainty s of the start, the otherwise white rows of a window have the covariance 1 + s^2 c c'.
-Its symmetric inverse root, which whitens the rows, changes only one direction:
+window, this error is c dt with c = alpha (t - mean t), where alpha is the acceleration of the rotor. If the speed is
+measured, c = alpha. If the start has the standard uncertainty s, the otherwise white rows of a window have the
+covariance 1 + s^2 c c'. The symmetric inverse root A of this covariance whitens the rows. It changes only the
+direction u:
 
     A = 1 - (1 - 1 / sqrt(1 + |s c|^2)) u u',   u = c / |c|.
 
 Rows are in units of the measurement noise: first the polynomial rows of the casing, then of each rotor window, then the
-harmonic rows of the casing. Nuisance parameters are always fitted: the initial angle of the casing, the phase of each
-rotor window, and a constant centre offset, tilt, rolling shutter and motion blur of the camera of the casing; for an
-oscillation with measured speeds, the bias of the gyroscope.
+harmonic rows of the casing. Nuisance parameters are always fitted. They are the initial angle of the casing, the phase
+of each rotor window, and a constant centre offset, tilt, rolling shutter and motion blur of the camera of the casing.
+For an oscillation with measured speeds, the bias of the gyroscope is also a nuisance parameter.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ from fitting.inference._spectral_lines import (
 
 @dataclass(frozen=True)
 class StartTimeNoise:
-    """Whitens the rows of rotor windows with uncertain starts; for each window: rows, unit vector u, and |s c|."""
+    """Whitens the rows of rotor windows with uncertain starts; `parts` are rows, unit vector u and |s c| by window."""
 
     parts: tuple[tuple[slice, Array, float], ...]
 
@@ -116,7 +117,7 @@ class StartTimeNoise:
 def start_response(window: Compressed, *, angle: bool) -> Array:
     """Return the response of a window's rows to an error of its start, per second, apart from its free phase.
 
-    An angle changes by the speed, and a speed by the acceleration.
+    Per second of the error, an angle changes by the speed, and a speed changes by the acceleration.
     """
     rate = rate_of_change(window.samples, window.node_times, degree=4 if angle else 3)
     return window.at_nodes(rate - rate.mean() if angle else rate)
@@ -137,14 +138,14 @@ Array = NDArray[np.float64]
 # relative error of I_casing/I_rotor, a parameter of the library
 INERTIA_RATIO = "setup.inertia.eps"
 _GENERATED_BLOCKS = 20
-"""Blocks of a generated curve [1]. Chosen: the curve is smooth; a smaller number does not resolve its start, a larger
-one costs time."""
+"""Number of blocks of a generated curve [1]. Chosen: the curve is smooth; a smaller number does not resolve its start,
+a larger one costs time."""
 _SHORT_WINDOW = 0.25
 """Share of the casing's record below which a window of the rotor is one block [1]. Chosen: the rotor hardly slows down
 within such a window; a smaller value divides windows needlessly, a larger one averages changing speeds."""
 _WINDOW_BLOCKS = 20
-"""Number of blocks of a window of the rotor that is as long as the record of the casing [1]. Chosen: a smaller number
-does not resolve the deceleration, a larger one leaves few samples for each block."""
+"""Number of blocks of a window of the rotor, if the window is as long as the record of the casing [1]. Chosen: a
+smaller number does not resolve the deceleration, a larger one leaves few samples for each block."""
 _WINDOW_ROWS = 8
 """Smallest number of rows of a rotor window for estimating correlated noise [rows]. Chosen: a smaller number does not
 separate motion and noise, a larger one leaves short windows without an estimate."""
@@ -167,8 +168,8 @@ SPEED_BLOCKS = 30
 """Number of blocks of a record of smoothed speeds [1]. Chosen: the blocks are long compared with the smoothing; with
 more, they contain correlated noise; with fewer, they do not resolve the motion."""
 SPEED_NOISE_ROWS = 28
-"""Number of further polynomials of a block of speeds [1]. Chosen: twice that of angles, so that the rows of a window
-resolve the smoothing; a smaller number understates the noise, a larger one costs time."""
+"""Number of further polynomials of a block of speeds, which measure the noise [1]. Chosen: twice the number for angles,
+so that the rows of a window resolve the smoothing; a smaller number understates the noise, a larger one costs time."""
 
 
 class Block(NamedTuple):
@@ -182,9 +183,9 @@ class Block(NamedTuple):
 class OscillationBlocks(NamedTuple):
     """The blocks of records with at most `periods` periods.
 
-    Over a block of half width h, cos(x) is almost a polynomial of a degree slightly above h (Bessel functions J_n(h)
-    fall steeply beyond n = h). In short records the model includes the third harmonic, in long records only the
-    fundamental; in both cases the noise is measured beyond the third harmonic.
+    Over a block of half width h [rad], cos(x) is almost a polynomial of a degree slightly above h, because the Bessel
+    functions J_n(h), its coefficients, fall steeply beyond n = h. In short records the model includes the third
+    harmonic, in long records only the fundamental; in both cases the noise is measured beyond the third harmonic.
     """
 
     periods: float
@@ -196,9 +197,8 @@ _OSCILLATION_BLOCKS = (
     OscillationBlocks(200, Block(4, 24, 50)),
     OscillationBlocks(math.inf, Block(12, 50, 126)),
 )
-"""Blocks of an oscillation: largest number of periods, then periods, degree and noise rows of a block [1]. Chosen:
-longer records have longer blocks, which limits the rows; still longer blocks need higher degrees, shorter ones cost
-time."""
+"""Blocks of an oscillation: largest number of periods in the record, then the `Block` [1]. Chosen: longer records have
+longer blocks, which limits the number of rows; still longer blocks need higher degrees, shorter blocks cost time."""
 
 
 def blocks_of_window(window: Samples, casing: Samples) -> int:
@@ -298,7 +298,7 @@ class CaseData:
         return replace(made, noiseless=self.noiseless, free_inertia=self.free_inertia)
 
     def has_noise_of(self, criteria: Criteria) -> bool:
-        """Return whether other criteria give the same noise of this recording (`NOISE`)."""
+        """Return whether other criteria leave the noise of this recording unchanged (`NOISE`)."""
         return all(getattr(criteria, name) == getattr(self.criteria, name) for name in NOISE)
 
     def with_start_u(self, u: float) -> CaseData:
@@ -314,11 +314,11 @@ class CaseData:
         )
 
     def with_free_inertia(self, *, free: bool) -> CaseData:
-        """Return the same data for a model with a free ratio of the moments of inertia, or a fixed one."""
+        """Return the same data for a model with a free, or with a fixed, ratio of the moments of inertia."""
         return self if self.free_inertia == free else self._of_same_samples(free_inertia=free)
 
     def _of_same_samples(self, **changes: Any) -> CaseData:
-        """Return the data with other fields, reusing the known noise and motion of the same samples."""
+        """Return the data with other fields; noise and motion that depend only on the samples are reused."""
         changed = replace(self, **changes)
         kept = _OF_THE_SAMPLES
         if changed.record.I_casing * self.record.I_rotor != self.record.I_casing * changed.record.I_rotor:
@@ -345,7 +345,7 @@ class CaseData:
 
     @cached_property
     def prior(self) -> Prior | None:
-        """The prior of the parameters: of another study, and of the ratio of the moments of inertia if it is free."""
+        """The prior of parameters from another study, and of the ratio of the moments of inertia if it is free."""
         given, (main, *others) = self.record.prior, self.record.bodies
         u = sum(math.hypot(main.relative_u, other.relative_u) for other in others)
         if not self.free_inertia or u == 0 or (given and INERTIA_RATIO in given.names):
@@ -362,8 +362,8 @@ class CaseData:
     def measured_angle(self) -> Array | None:
         """The angle of the casing [rad], measured or integrated; None if the speeds do not determine the angle.
 
-        The error of an integral is a random walk. It is far smaller than the error of the angle of a model with a lack
-        of fit.
+        The error of an integrated angle is a random walk. It is far smaller than the error of the modelled angle if the
+        model has a lack of fit.
         """
         return _turning_angle(self.record) if self.is_angle or self.motion.is_smooth else None
 
@@ -394,8 +394,8 @@ class CaseData:
     def harmonic_responses(self) -> Array:
         """Rows of the responses to torques of the first two harmonics of the angle, (rows, columns).
 
-        A torque that is periodic in the angle is not random: these functions are free when the level of process noise
-        or angle noise is estimated.
+        A torque that is periodic in the angle is not random. Therefore these functions are free when the level of
+        process noise or angle noise is estimated.
         """
         return self.casing_rows(self._harmonic_functions)
 
@@ -411,10 +411,10 @@ class CaseData:
         return angles if self._shows_periodic_torque(angles) else angles[:, :0]
 
     def _shows_periodic_torque(self, responses: Array) -> bool:
-        """Return whether the angle contains the response to an angle-dependent torque as well as camera harmonics.
+        """Return whether the angle contains the response to an angle-dependent torque, in addition to camera harmonics.
 
-        The amplitude of the response decreases with the square of the speed; harmonics of a camera are constant, or
-        increase with the speed.
+        The amplitude of such a response decreases with the square of the speed. The harmonics of a camera are constant
+        or increase with the speed.
         """
         camera = self.casing.at_samples(camera_columns(self.casing.samples))[1]
         p_value = p_value_of_response(self.casing, self._camera_rows, camera, responses)
@@ -422,11 +422,11 @@ class CaseData:
 
     @cached_property
     def harmonic_row_responses(self) -> tuple[Array, Array]:
-        """Integral of the squared response of each row of a harmonic to an acceleration, and its frequency [rad/s].
+        """For each row of a harmonic: integral of its squared response to an acceleration, and frequency [rad/s].
 
         A random acceleration of the spectral density S, constant near this frequency, gives the row the variance S
-        times the integral. In a block with few turns, the correlation with the polynomial rows, a coefficient of up to
-        0.4, is neglected.
+        times the integral. In a block with few turns, the correlation with the polynomial rows is neglected; its
+        coefficient is up to 0.4.
         """
         psi = self.measured_angle
         if psi is None or not len(self.casing.harmonic):
@@ -473,7 +473,7 @@ class CaseData:
 
     @cached_property
     def row_count(self) -> int:
-        """Number of rows, except rows of harmonics that are zero because polynomials of the block represent them."""
+        """Number of rows without the rows of harmonics that polynomials of the block represent, which are zero."""
         return len(self.z) - int((~self.casing.harmonic_exists).sum())
 
     def _tail(self, harmonic: Array) -> Array:
@@ -496,7 +496,7 @@ class CaseData:
 
     @property
     def _nuisance_priors(self) -> int:
-        """Number of nuisance parameters with a prior: amplitudes of error modes, then those of the camera."""
+        """Number of nuisance parameters with a prior: amplitudes of error modes, then amplitudes of the camera."""
         return int(self.mode_columns[0].shape[1]) + len(self._camera_prior)
 
     @cached_property
@@ -514,7 +514,8 @@ class CaseData:
     def angle_noise(self) -> AngleNoise:
         """Correlated angle noise of the casing; white if none is significant, or if speeds were measured.
 
-        Its higher frequencies distinguish it from the motion; the angle noise of an oscillation is assumed to be white.
+        Angle noise differs from the motion by its higher frequencies. In an oscillation these frequencies overlap, so
+        its angle noise is assumed to be white.
         """
         noise = self._correlated_noise
         known = AngleNoise() if self._excess_angle_noise(noise, (self.casing,)) else noise
@@ -583,7 +584,7 @@ class CaseData:
             or min(len(w.z) for w in self.rotor) < _WINDOW_ROWS
         ):
             return AngleNoise()
-        # only the random torques of its joints act on the rotor; a random torque of the ground also acts on the casing
+        # the rotor has only the random torques of its joints; a random torque of the ground acts on the casing as well
         mechanism, process = record.mechanism, self.process_noise
         torques = math.sqrt(1 + mechanism.joints_of(mechanism.main))
         levels = {
@@ -609,7 +610,7 @@ class CaseData:
         if not self.is_angle:
             bias = self.casing.at_nodes(self.motion.offsets(len(self.casing.node_times)))
             free = np.concatenate([free, FLAT_PRIOR_SIGMA * bias], axis=1)
-        # the acceleration of an oscillation is mainly that of its restoring torque
+        # the acceleration of an oscillation is mainly due to its restoring torque
         known = self.is_angle and self.motion.is_smooth
         typical = mean_acceleration(self.casing) if known else math.inf
         return estimate_process_noise(
@@ -679,7 +680,7 @@ class CaseData:
         return self._transformed(rows, self.angle_noise.inverse, self.rotor_angle_noise.inverse, inverse)
 
     def unwhitened(self, rows: Array) -> Array:
-        """Return the rows before `whitened`."""
+        """Return the rows before they were `whitened`."""
         rows = self._transformed(
             rows, self.angle_noise.root, self.rotor_angle_noise.root, self._harmonic_scale
         )
@@ -728,7 +729,7 @@ class CaseData:
     def initial_speeds(self) -> tuple[Array, Array]:
         """Times and rough speeds of the bodies, (times, bodies)."""
         if self.record.driving:
-            # the response to a step is a small part of a record
+            # rough speeds are dense, because the response to a step is a small part of a record
             return initial_speeds(self.record, _DRIVEN_POINTS, _DRIVEN_SAMPLES)
         return initial_speeds(self.record, *self.motion.rough)
 
@@ -756,7 +757,7 @@ class CaseData:
 
     @property
     def smoothing_width(self) -> int:
-        """Points of the running median of `speeds`: the paper's 51, but at most a sixteenth of a period."""
+        """Number of points of the running median of `speeds`: 51 as in the paper, at most a sixteenth of a period."""
         most = self.motion.samples_per_period(len(self.record.casing)) / _PERIOD_PARTS
         return min(WIDTH, max(1, int(min(most, WIDTH))) | 1)
 
@@ -797,10 +798,10 @@ class CaseData:
                 camera[first : first + len(self._camera_prior)] = np.diag(1 / self._camera_prior)
                 columns += list(camera.T)
         elif self.record.gradients:
-            # in the first slow turns camera errors are as slow as effects of torques
+            # in the first slow turns, camera errors vary as slowly as the effects of torques
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
         else:
-            # zero-rate output of a gyroscope; the scale factor is not distinguishable from that of the deflections
+            # zero-rate output of a gyroscope; its scale factor is not distinguishable from a factor of the deflections
             offsets = self.motion.offsets(len(self.casing.node_times))
             columns += [self.rows(offset, []) for offset in offsets.T]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
@@ -870,8 +871,8 @@ class CaseData:
                     )
                     projected = operator @ observed
                     rows[first + i * k : first + (i + 1) * k] = projected[:k]
-                    # not a polynomial, so its projections on the harmonics, which are orthogonal to polynomials, do not
-                    # vanish
+                    # harmonic rows are orthogonal to polynomials only; this motion is not a polynomial, so its
+                    # projections on the harmonics do not vanish
                     rows[harmonic : harmonic + len(operator) - k] = projected[k:]
                 harmonic += len(operator) - k
             first += len(run.z)
@@ -884,7 +885,7 @@ _OF_THE_SAMPLES = frozenset({
     "mode_columns", "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds",
     "speeds",
 })  # fmt: skip
-# those of them that depend on the share of the random torque that acts on the rotor
+# those of these properties that also depend on the share of the random torque that acts on the rotor
 _OF_THE_INERTIA_RATIO = frozenset({"_correlated_rotor_noise", "rotor_angle_noise", "findings"})
 
 
@@ -900,7 +901,7 @@ def with_free_inertia(data: Sequence[CaseData], names: Sequence[str]) -> list[Ca
 
 
 def _correlation(run: Compressed, noise: AngleNoise) -> float:
-    """Return the ratio of the spectral densities of all angle noise and of white noise at low frequencies."""
+    """Return the spectral density of all angle noise, divided by that of the white noise alone, at low frequencies."""
     samples = run.samples
     if noise.is_white or len(samples.time) < 2:
         return 1.0
@@ -912,7 +913,7 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
 
 
 def _reverses(record: Record) -> bool:
-    """Return whether the net rotation is less than `_ONE_SENSE` of the path, so that the body has no steady turns."""
+    """Return whether the body reverses so much that its net rotation is less than `_ONE_SENSE` of its path."""
     value = record.casing.value
     way = np.diff(value) if record.quantity == "angle" else value[1:] * np.diff(record.casing.time)
     path = float(np.abs(way).sum())
@@ -921,11 +922,11 @@ def _reverses(record: Record) -> bool:
 
 _ONE_SENSE = 0.9
 """Smallest ratio of net rotation to path of a driven body for which harmonics of its angle are tested [1]. Chosen: a
-smaller value tests angles that are passed back and forth, a larger one omits bodies that reverse slightly."""
+smaller value tests bodies that turn back and forth, a larger one omits bodies that reverse slightly."""
 
 
 def _turning_angle(record: Record) -> Array | None:
-    """Return the angle for harmonics: measured, or integrated from speeds with sufficiently many samples."""
+    """Return the angle for harmonics: measured, or integrated from speeds that are sampled densely enough."""
     if record.quantity == "angle":
         return record.casing.value
     psi = integrated(record.casing.time, record.casing.value)
@@ -947,10 +948,10 @@ _SMOOTHED = 25
 blurs the motion."""
 _RUN_PARTS = 50
 """Number of parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: a smaller number
-understates it, a larger one follows noise."""
+understates the torque, a larger one follows noise."""
 _PERIOD_PARTS = 16
-"""Parts of a period of an oscillation over which accelerations are averaged for the largest torque [1]. Chosen: a
-smaller number understates it, a larger one follows noise."""
+"""Number of parts of a period of an oscillation over which accelerations are averaged for the largest torque [1].
+Chosen: a smaller number understates the torque, a larger one follows noise."""
 _CENTRE = 0.15
 """Prior standard deviation of the displacement of a centre, relative to the radius [1]. Chosen: tracked films have
 errors of 0.5 to 5 mrad once per turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""
@@ -973,10 +974,10 @@ def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:
     """Return the functions of the angle for the nuisance parameters of a camera, (n, 8).
 
     The columns are cos and sin of the angle, cos and sin of twice the angle, and cos and sin of the angle multiplied by
-    the speed and by its square. The speed is in units of the largest speed. Columns are zero if a harmonic is the same
-    in all samples: pulses once per turn contain no information on harmonics of the angle, and the rounding errors of
-    their sines increase with the angle. Only frames are `blurred` by the motion; for other samples, the last two
-    columns are zeros.
+    the speed and by its square. The speed is in units of the largest speed. Columns are zero if a harmonic has the same
+    value in all samples. This is so for pulses once per turn, which contain no information on harmonics of the angle;
+    the rounding errors of their sines increase with the angle. Only frames are `blurred` by the motion; for other
+    samples, the last two columns are zeros.
     """
     psi = samples.value
     knots, speed = _rough_speeds(samples)

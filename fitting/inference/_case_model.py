@@ -1,9 +1,9 @@
 """One case under one model: predicted rows and their derivatives.
 
-If the argument of a torque that is periodic in the angle were the measured angle, its noise would make the torque
-random. Therefore the argument is the angle of the model, including the response to the torque itself, plus the smoothed
-deviation of the measured angle (for measured speeds, of their integral). The smoothing uses many pieces if the model
-has a large lack of fit, and few if it has none.
+If the argument of a torque that is periodic in the angle were the measured angle, the noise of this angle would make
+the torque random. Therefore the argument is the angle of the model, including the response to the torque itself, plus
+the smoothed difference between the measured and the modelled angle. If speeds were measured, their integral is the
+measured angle. The smoothing uses many pieces if the model has a large lack of fit, and few pieces if it has none.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples, hermite
 
 _GAUSS = 3
-"""Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; a smaller number loses accuracy in long cells, a
-larger one costs time."""
+"""Number of nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; a smaller number loses accuracy in long
+cells, a larger one costs time."""
 _PASSES = 20
 """Largest number of iterations for a law of an angle whose response changes the angle [1]. Chosen: a smaller number
 stops before convergence, a larger one delays the failure."""
 _NEGLIGIBLE = 0.01
-"""Change of the angle at convergence, relative to the uncertainty of a mean of all samples [1]. Chosen: a smaller value
-costs iterations, a larger one biases the angle."""
+"""Change of the angle below which the iteration has converged, relative to the uncertainty of a mean of all samples
+[1]. Chosen: a smaller value costs iterations, a larger one biases the angle."""
 _CHANGE = 1e-3
-"""Change of the derivative of the angle at convergence, relative to its fast part [1]. Chosen: a smaller value costs
-iterations, a larger one gives inaccurate derivatives."""
+"""Change of the derivative of the angle below which the iteration has converged, relative to its fast part [1]. Chosen:
+a smaller value costs iterations, a larger one gives inaccurate derivatives."""
 _MEMORY = 6
-"""Number of iterations used to accelerate the convergence [1]. Chosen: with fewer, the convergence is slow; with more,
-the least-squares problem is degenerate."""
+"""Number of earlier iterations that Anderson's acceleration uses [1]. Chosen: with fewer, the convergence is slow; with
+more, the least-squares problem is degenerate."""
 _ERRORS = 6
-"""Number of parts of the error of an integrated angle, a random walk [1]. Derived: its Karhunen-Loeve series; two parts
-contain 90 % of the variance, six contain 97 %."""
+"""Number of terms of the Karhunen-Loeve series of the error of an integrated angle, a random walk [1]. Derived: two
+terms contain 90 % of the variance, six terms 97 %."""
 
 
 class AngleRows(NamedTuple):
@@ -71,9 +71,9 @@ def angle_dependent_rows(
 ) -> AngleRows:
     """Return the response of the rows to a law of an angle about the solution without it.
 
-    The law changes the angle that is its argument, which causes a mean torque of second order in the strength. With a
-    constant argument, a change of the phase would wrongly cause a mean torque of first order. `error` is an error of
-    the measured angle of the casing [rad] as a function of time, whose effect is computed.
+    The law changes the angle that is its own argument; this causes a mean torque of second order in the strength. If
+    the argument were held constant, a change of the phase would wrongly cause a mean torque of first order. `error` is
+    an error of the measured angle of the casing [rad] as a function of time, whose effect is computed.
     """
     record = data.record
     t = record.casing.time
@@ -125,7 +125,7 @@ def angle_dependent_rows(
     value = _observed(data, speed, angle) @ strength
     moved = np.stack([speed @ strength, angle @ strength])
     if measured is not None and error is None and strength.any():
-        # the part of the response that is not in the smoothed deviation changes the argument
+        # the smoothed deviation contains a part of the response; only the other part changes the argument
         stiffness = torques(Tape([derivative(effect.expression, own_angle)])) @ strength
         for j in range(2):
             response, search = np.stack([speed[MAIN][:, j], angle[MAIN][:, j]]), _FixedPoint()
@@ -155,7 +155,7 @@ class _FixedPoint:
         self._values: list[Array] = []
 
     def next(self, x: Array, value: Array) -> Array:
-        """Return the next x from x and g(x): the weighted mean of values whose steps g(x) - x cancel best."""
+        """Return the next x from x and g(x): the weighted mean of earlier g(x) with the smallest mean step g(x) - x."""
         if not np.abs(value).max() < _DIVERGED:
             raise SimulationError(UNBOUNDED)
         self._steps.append((value - x).ravel())
@@ -190,7 +190,7 @@ def _unit_laws(effect: Effect, numbers: Mapping[str, float]) -> tuple[Sequence[d
 
 
 def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
-    # the bearing transmits slow changes; the harmonics of the angle of the rotor are below the noise
+    # the bearing transmits only slow changes; harmonics of the casing's angle are below the noise in the rotor's angle
     t = data.record.casing.time
     windows = [(w.samples.state, np.clip(w.node_times, t[0], t[-1])) for w in data.rotor]
     nodes = [hermite(t, angle[i], speed[i], w, slopes=not data.is_angle) for i, w in windows]
@@ -200,11 +200,12 @@ def _rotor_rows(data: CaseData, speed: Array, angle: Array) -> Array:
 Array = NDArray[np.float64]
 
 _INTERVALS = 12
-"""Intervals of the first mesh [1]. Chosen: the mesh is refined to the tolerance; a smaller number needs more
+"""Number of intervals of the first mesh [1]. Chosen: the mesh is refined to the tolerance; a smaller number needs more
 refinements, a larger one costs time."""
 _PER_REVERSAL = 5
-"""Intervals of the first mesh between two reversals of an oscillation [1]. Derived: ten nodes resolve a sinusoid over a
-fifth of the half period to 1e-11, the Bessel function J_8 of pi / 10, so few intervals have to be halved."""
+"""Number of intervals of the first mesh between two reversals of an oscillation [1]. Derived: ten nodes resolve a
+sinusoid over a fifth of the half period to 1e-11, the Bessel function J_8 of pi / 10, so few intervals have to be
+halved."""
 _LEAST_INTERVALS = 600
 """Smallest limit of the number of intervals [1]. Chosen: the solution of stiff equations takes minutes to fail; a
 smaller value refuses short records, a larger one delays the failure."""
@@ -215,11 +216,12 @@ _MANY_REVERSALS = 3
 """Smallest number of reversals that are solved simultaneously [1]. Chosen: equal to `fitting.dynamics._events._MANY`;
 with a smaller value the number of events may still change, a larger one costs time."""
 _SPARE_EVENTS = 20
-"""Largest number of stops and reversals of a trial in addition to twice those of the measured motion [1]. Chosen: a
+"""Largest number of stops and reversals of a trial, minus twice their number in the measured motion [1]. Chosen: a
 smaller value refuses trials that converge, a larger one delays the failure of trials that chatter."""
 _FEW_SINGLE = 40
-"""Largest number of stretches between reversals that are integrated one by one [1]. Chosen: one stretch takes as long
-as all of them simultaneously; a smaller value refuses trials that converge, a larger one costs time."""
+"""Largest number of stretches between reversals that are integrated one by one [1]. Chosen: the integration of one
+stretch takes as long as the simultaneous solution of all stretches; a smaller value refuses trials that converge, a
+larger one costs time."""
 _HALVINGS = 2
 """Largest number of bisections of the step between two solutions [1]. Chosen: a smaller number refuses long steps, a
 larger one delays failures."""
@@ -261,7 +263,7 @@ class CaseModel:
             for e in (*layout.model.angle_dependent, *layout.model.measurement)
             for p in e.free
         ]
-        # the variables on which this case depends, first those of the equations of motion
+        # the variables on which this case depends; variables of the equations of motion come first
         self.places = np.concatenate([moving, layout.places(case, added)])
         self._own = {int(k): i for i, k in enumerate(self.places)}
         self._moving = len(moving)
@@ -282,7 +284,7 @@ class CaseModel:
 
         Over hundreds of reversals a change of the frequency accumulates, and Newton's method converges only if each
         reversal is near its previous time. Integration from one reversal to the next takes a hundred times as long.
-        Therefore a trial that fails even in short steps raises an error.
+        Therefore a trial that fails even in short steps raises an error and is not integrated.
         """
         last = self._last
         known = self._measured(theta) if last is None else last[1]
@@ -349,7 +351,7 @@ class CaseModel:
         return Path(mesh, y, edges, self.dynamics.states[:n], sense, jumps=jumps, exact=False)
 
     def _reversals(self, mesh: Mesh, first: Array) -> tuple[Mesh, dict[int, Array], Array]:
-        """Return the mesh with an edge at each measured reversal, the indices of these, and the senses of intervals."""
+        """Return the mesh with an edge at each measured reversal, indices of these edges, and senses of intervals."""
         motion = self.data.motion
         times: tuple[float, ...] = ()
         if "deflection" in self.dynamics.states:

@@ -1,10 +1,10 @@
 """Lossless compression of samples by projection on polynomials.
 
 The samples of a block are projected on polynomials in time, and on the first two harmonics of the measured angle, by a
-weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so its chi-square
-depends only on these projections; the orthogonal part of the samples is noise. The model has no component along
-polynomials of the next higher degrees either. Their rows measure the noise at the low frequencies that are relevant,
-including any correlation between neighbouring samples.
+weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so the chi-square of the
+model depends only on these projections; the orthogonal part of the samples is noise. Polynomials of the next higher
+degrees do not contain the model either. Their rows measure the noise at the relevant low frequencies, including any
+correlation between neighbouring samples.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from fitting.inference._record import Samples
 Array = NDArray[np.float64]
 
 HARMONICS = 4
-"""Rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which a displaced centre and a
-tilt of the camera cause."""
+"""Number of rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which a displaced
+centre and a tilt of the camera cause."""
 _MIN_INDEPENDENCE = 0.2
-"""Smallest amplitude orthogonal to the polynomials for which a harmonic has rows, relative to its amplitude [1].
-Chosen: a smaller value adds rows of slow blocks that contain motion, a larger one drops information about harmonics."""
+"""A harmonic has rows if its part orthogonal to the polynomials has at least this share of its amplitude [1]. Chosen: a
+smaller value adds rows of slow blocks that contain motion, a larger one drops information about harmonics."""
 _SMALL_CHANGE = 1e-3
 """Change of an angle below which the integrals of its harmonics are computed as series [rad]. Derived: the neglected
 fourth power is 1e-12."""
 _MIN_RESPONSE = 1e-6
-"""Smallest share of a response to a harmonic torque, orthogonal to polynomials and harmonics, that is more than
+"""Share of a response to a harmonic torque that is orthogonal to polynomials and harmonics, below which this part is
 rounding error [1]. Chosen: a smaller value adds rows of rounding errors, a larger one drops weak responses."""
 
 
@@ -47,8 +47,8 @@ def _harmonics(y: Array) -> Array:
 def independent_harmonics(y: Array, polynomials: Array) -> Array:
     """Return cos y, sin y, cos 2y, sin 2y, with zeros for harmonics that are nearly polynomials.
 
-    In less than a turn, a harmonic contains no further information: its part orthogonal to the polynomials would be
-    noise of y. For a casing at rest the whole harmonic is noise.
+    In less than a turn, a harmonic contains no information beyond the polynomials: its orthogonal part would be noise
+    of y. For a casing at rest the whole harmonic is noise.
     """
     waves = _harmonics(y)
     r = np.abs(np.diag(np.linalg.qr(np.concatenate([polynomials, waves], axis=1), mode="r")))
@@ -100,8 +100,9 @@ not resolved, a larger one leaves fast responses in the noise."""
 def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) -> Array:
     """Return the speeds, or angles, of first-order systems that inputs drive, (samples, columns).
 
-    d(y)/dt = (u - y) / tau, for time constants from twice the sampling interval to the length of the record: sums of
-    these responses are close to the response for any time constant in between. The input is averaged over intervals.
+    The systems d(y)/dt = (u - y) / tau have time constants tau from twice the sampling interval to the length of the
+    record. Sums of their responses are close to the response for any time constant in between. The input u is averaged
+    over each sampling interval.
     """
     from scipy.signal import lfilter
 
@@ -123,7 +124,7 @@ def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) ->
 
 _ABRUPT = 0.1
 """Smallest size of an abrupt change, relative to the range of the input [1]. Chosen: a smaller value cuts blocks at
-noise, with a larger one a block may contain a kink."""
+noise, a larger one leaves kinks of the motion within blocks."""
 _MOST_STEPS = 12
 """Largest number of abrupt changes of an input that is a sequence of steps [1]. Chosen: a larger number leaves blocks
 without enough samples, a smaller one refuses stepped inputs."""
@@ -133,7 +134,7 @@ blocks have the usual length; a smaller number leaves no samples for the noise, 
 
 
 def cuts_at_steps(time: Array, inputs: Sequence[Input]) -> NDArray[np.int_]:
-    """Return the samples at which blocks begin because an input changes abruptly: short ones after each step.
+    """Return the samples at which blocks begin because an input changes abruptly; blocks after a step are short.
 
     The motion has a kink at the step and changes fastest after it. An input that changes too often is not used.
     """
@@ -185,16 +186,17 @@ NOISE_ROWS = 14
 """Number of further polynomials of a block, which measure the white noise [1]. Chosen: with fewer, the noise is known
 less precisely; with more, it is measured at irrelevant frequencies."""
 BLOCKS = 60
-"""Blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree, a larger one leaves few samples for
-the noise."""
+"""Number of blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree, a larger one leaves few
+samples for the noise."""
 _MIN_SAMPLES = 60
 """Smallest number of samples of a block [samples]. Chosen: a smaller number leaves no samples for the noise, a larger
 one blurs fast motion."""
 _SPEED_RATIO = 1.6
-"""Ratio of the speeds in a block above which it is cut [1]. Chosen: a smaller value makes short blocks, a larger one
-fits one polynomial to a changing angle."""
+"""Ratio of the largest to the smallest speed in a block above which the block is cut [1]. Chosen: a smaller value makes
+short blocks, a larger one fits a single polynomial to an angle whose speed changes much."""
 _AT_REST = 0.003
-"""Speed at rest, as a share of the largest [1]. Source: the casing of the paper, 0.5 rad/s of 160 rad/s."""
+"""Speed below which a body counts as at rest, as a share of the largest speed [1]. Source: the casing of the paper, 0.5
+rad/s of 160 rad/s."""
 _MOST_CUTS = 12
 """Largest number of cuts [1]. Chosen: a smaller number leaves fast changes in a block, a larger one leaves few samples
 for the noise."""
@@ -278,13 +280,13 @@ def compress(
 ) -> Compressed:
     """Project the samples of a series block by block, with the noise calibrated on the rows that contain no model.
 
-    `degree` is the highest power of the polynomials; the first two harmonics of `angle` [rad] (the values themselves,
-    or the integral of measured speeds) are separate rows. `noise_rows` polynomials of each block, beginning with the
-    power `first_noise_row` (the next after `degree`), measure the noise; more are needed if there are few blocks and
-    the noise of neighbouring samples is correlated. Without `noisy` the sigma of the samples is used. `blocks` is the
-    largest number of blocks, `samples_per_block` the smallest number of samples in one. Further blocks begin at the
-    samples `cuts`; `driven` (samples, columns) are responses to recorded inputs, and `modes` (samples, columns) errors
-    with amplitudes of variance 1; neither is noise.
+    `degree` is the highest power of the polynomials. The first two harmonics of `angle` [rad] (the values themselves,
+    or the integral of measured speeds) have separate rows. `noise_rows` polynomials of each block measure the noise.
+    Their powers begin with `first_noise_row` (by default the power after `degree`). More of them are needed if there
+    are few blocks and the noise of neighbouring samples is correlated. Without `noisy` the sigma of the samples is
+    used. `blocks` is the largest number of blocks, `samples_per_block` the smallest number of samples in a block.
+    Further blocks begin at the samples `cuts`. `driven` (samples, columns) are responses to recorded inputs, and
+    `modes` (samples, columns) are errors with amplitudes of variance 1; neither counts as noise.
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
@@ -303,7 +305,8 @@ def compress(
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
-    # without noise, as in a computed table, only rounding errors and the error of the integration remain
+    # values without noise, for example in a computed table, contain only rounding errors and the error of the
+    # integration
     least = (TOLERANCE * float(np.abs(samples.value).max()) / float(np.median(samples.sigma))) ** 2
     variance, fast = max(variance, least), max(fast, least)
     scale = float(np.sqrt(variance)) if variance > 0 else 1.0
@@ -333,8 +336,9 @@ def compress(
 def _without_modes(samples: Samples, modes: Array, edges: NDArray[np.int_], degree: int) -> Samples:
     """Return samples minus the posterior mean of the errors that are not polynomials within a block.
 
-    With F and r the modes and the values, divided by sigma and without a polynomial in each block, the amplitudes of
-    variance 1 are (F'F + 1)^-1 F'r. The fit estimates the errors that are slow within a block.
+    Let F be the modes and r the values, both divided by sigma and without their polynomial in each block. The posterior
+    mean of amplitudes of prior variance 1 is (F'F + 1)^-1 F'r. The fit itself estimates the errors that are slow within
+    a block.
     """
     gram, moment = np.eye(modes.shape[1]), np.zeros(modes.shape[1])
     for a, b in pairwise(edges):
@@ -410,7 +414,7 @@ def _block(
         smoothed = smooth @ (smooth.T @ (angle[where] / sigma)) * sigma
         psi = smoothed if angle is samples.value else angle[where]
         responses = responses_to_harmonics(t, smoothed)[int(angle is samples.value)]
-        # a harmonic that is equal in all pulses would, for the smoothed angle, be the error of the times of the pulses
+        # a harmonic that is equal in all pulses would turn into an error of their times if the angle were smoothed
         varies = np.ptp(_harmonics(angle[where]), axis=0) > _SAME
         periodic = independent_harmonics(psi, powers[:, :k]) * varies
         responses = responses * np.repeat(varies.reshape(2, 2).any(axis=1), 2)
@@ -427,7 +431,7 @@ def _block(
     responses, higher = _independent(model, responses, higher, skipped)
     design = np.concatenate([model, responses, higher], axis=1)
     q, r = np.linalg.qr(design)
-    # the same sign in all blocks, so that a constant harmonic gives constant rows
+    # the sign is chosen equally in all blocks, so that a constant harmonic gives constant rows
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
     q, r = q * sign, r * sign[:, None]
     kept = k + len(chosen)
@@ -450,12 +454,12 @@ errors of the times are part of the noise; a larger one loses rows of the noise.
 _TINY = 1e-300
 """Smallest norm of a column [1]. Derived: zero divided by this norm is zero."""
 _DEPENDENT = 1e-6
-"""Smallest share of a response to an input that is orthogonal to the others and to the model [1]. Chosen: a smaller
-value keeps rounding errors, a larger one leaves a part of the response in the noise."""
+"""Smallest share of a response to an input that must be orthogonal to the other responses and to the model [1]. Chosen:
+a smaller value keeps rounding errors, a larger one leaves a part of the response in the noise."""
 
 
 def _independent(model: Array, responses: Array, higher: Array, skipped: int) -> tuple[Array, Array]:
-    """Return responses and higher polynomials of a block as independent columns; the last ones measure the noise.
+    """Return responses and higher polynomials of a block as independent columns; the last columns measure the noise.
 
     In a few turns, a response is nearly a polynomial, and rounding errors would determine the directions of a QR
     decomposition. Such a response is replaced by the first `skipped` higher polynomials.

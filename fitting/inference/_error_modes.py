@@ -1,7 +1,7 @@
 """Errors that samples of a series share: functions of time whose amplitudes have a known covariance.
 
-Whatever was estimated and subtracted from a measurement, for example the axis of a body, the tilt of a camera or the
-start of a film, has an error that all its samples have in common,
+A quantity that was estimated and then subtracted from a measurement, for example the axis of a body, the tilt of a
+camera or the start of a film, has an error. All samples of the measurement have this error e in common,
 
     e(t) = sum_j b_j(t) a_j,    E a = 0,    E a a' = C.
 
@@ -30,9 +30,9 @@ class ErrorMode:
     Parameters
     ----------
     name : str
-        Its name, for example tilt.
+        Name of the error, for example tilt.
     time : ndarray, shape (n,)
-        Times of its samples on the clock of the record [s].
+        Times of the samples of `basis` on the clock of the record [s].
     basis : ndarray, shape (n, m)
         Error of the samples for unit amplitudes, in units of the series divided by the units of the amplitudes.
     covariance : ndarray, shape (m, m)
@@ -40,7 +40,7 @@ class ErrorMode:
     body : {"casing", "rotor"}
         Body of the series; "casing" for a single body.
     window : int, optional
-        Number of the window of the rotor that has the error, from 0; if absent, all windows that its times cover.
+        Number of the window of the rotor that has the error, from 0; by default, all windows that `time` covers.
     group : str
         Name of the amplitudes: modes of the same group share them. If it is empty, body and name are the group.
     origin : str
@@ -91,7 +91,7 @@ class ErrorMode:
 
     @property
     def key(self) -> str:
-        """Name of its amplitudes: the group; without one, body and name."""
+        """Name of the amplitudes: the group or, without a group, body and name."""
         return self.group or f"{self.body}/{self.name}"
 
     def at(self, times: Array) -> Array:

@@ -1,8 +1,9 @@
 """First-order constants of a body that an input drives: time constant and gain.
 
 A body with J d(omega)/dt = k u - c omega - b sign(omega) follows its input u with the time constant tau = J / c and the
-gain k / c. The gain is the change of the final speed per unit of the input. Time constant and gain are functions of the
-parameters alone. To first order, their standard uncertainties follow from the covariance of the fit.
+gain k / c. Here J is the moment of inertia, c the linear drag, b the dry friction, and k the torque per unit of the
+input. The gain is the change of the final speed per unit of the input. Time constant and gain are functions of the
+parameters alone, so their standard uncertainties follow, to first order, from the covariance of the fit.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class FirstOrder:
     gains : dict of str to Estimate
         Change of the final speed per unit of each input [rad/s per unit of the input].
     delays : dict of str to Estimate
-        Dead time of each input for which one is fitted [s].
+        Dead time of each input whose dead time is fitted [s].
     """
 
     label: str

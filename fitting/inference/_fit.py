@@ -1,20 +1,21 @@
 """The fit: initial values, noise levels, minimum, uncertainties; and the fit with a robust loss.
 
-The search avoids minima of a wrong motion: stops at wrong times, active bounds far from the data, other exponents of
-power laws.
+The search avoids minima of a wrong motion, for example a motion with stops at wrong times, with active bounds far from
+the data, or with other exponents of power laws.
 
-Parameters are estimated at the level of random torque in the residuals of the model, so that a model that fails by a
-thousand standard deviations somewhere is not dominated by its worst interval. Chi-square, cross-validation error and
-tests use the noise of the recording, which does not depend on a model (`fitting.inference._noise`).
+Parameters are estimated at the level of random torque that the residuals of the model show. Otherwise a short interval
+in which the model fails by a thousand standard deviations would determine all parameters. Chi-square, cross-validation
+error and tests use the noise of the recording, which does not depend on a model (`fitting.inference._noise`).
 
-With a robust loss an M-estimate makes sum psi(r_i / s) J_i vanish instead of sum r_i J_i. It is found by least squares
-on pseudo-values
+With a robust loss the result is an M-estimate: sum psi(r_i / s) J_i vanishes instead of sum r_i J_i. Here r_i are the
+residuals, J_i their derivatives, and psi is the derivative of the loss. The M-estimate is found by least squares on
+pseudo-values
 
     y*_i = m_i + s psi(r_i / s) / <psi'>,
 
-with the model m and the measured scale s, until they converge (P. J. Huber, Robust Statistics, 7.8). Their
-noise has variance s^2 <psi^2> / <psi'>^2, which is the asymptotic variance of the M-estimate; so a fit of the
-pseudo-values, with their noise estimated as usual, has the right covariance without a correction.
+with the model m and the measured scale s, until they converge (P. J. Huber, Robust Statistics, 7.8). The noise of the
+pseudo-values has the variance s^2 <psi^2> / <psi'>^2, which is the asymptotic variance of the M-estimate. Therefore a
+fit of the pseudo-values, with their noise estimated as usual, has the right covariance without a correction.
 """
 
 from __future__ import annotations
@@ -59,16 +60,16 @@ _OTHER_POWERS = (0.7, 1.35)
 the exponent of the linear law; with fewer, a fit may end in the wrong minimum; with more, the search takes longer."""
 _AT_REST = 0.01
 """Share of its largest speed below which the casing counts as at rest [1]. Chosen: a smaller value overlooks stops in
-noise, a larger one takes slow bodies for stopped ones."""
+noise, a larger one takes slow bodies for stopped bodies."""
 _MOST_STEPS = 60
-"""Iterations of a trial search [1]. Chosen: a fit that needs more is continued; a smaller number leaves trials that
-cannot be compared, a larger one costs time."""
+"""Number of iterations of a trial search [1]. Chosen: a fit that needs more is continued; a smaller number leaves
+trials that cannot be compared, a larger one costs time."""
 
 
 def search_with_noise(
     problem: Problem, theta: Array, given: Mapping[str, float] | None, *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
-    """Return the minimum of a fit and the noise measured there; `given` are the values given by the user.
+    """Return the minimum of a fit and the noise measured at it; `given` are the values given by the user.
 
     With `quick` the search stops where chi-square is within about 0.01 of its minimum.
     """
@@ -79,15 +80,15 @@ def search_with_noise(
     if is_smooth and _comes_to_rest(problem, theta):
         problem, theta, active = _past_stops(problem, theta)
     if held:
-        # the other parameters are not yet consistent with a new law: a step of all variables would change its shape,
-        # about which the residuals contain no information there
+        # before the other parameters are consistent with a new law, the residuals contain no information about its
+        # shape, but a step of all variables would change the shape
         found = search(problem.holding(held, theta), theta, quick=True, active=active)
         theta, active = found.theta, found.active
         problem = problem.with_noise(measure_noise(problem, theta))
     others = _other_starts(problem, theta, given)
     found = search_widely(problem, theta, others, quick=quick, active=active)
     noise = measure_noise(problem, found.theta)
-    # an oscillation was fitted period by period, so its motion is not in a wrong minimum
+    # an oscillation was fitted period by period, so its fit is not in a wrong minimum
     return _with_less_noise(problem, found, noise, quick=quick) if is_smooth else (found, noise)
 
 
@@ -116,7 +117,8 @@ def _comes_to_rest(problem: Problem, theta: Array) -> bool:
 def _past_stops(problem: Problem, theta: Array) -> tuple[Problem, Array, ActiveBounds | None]:
     """Return the problem at the noise about a search without process noise, and the variables of that search.
 
-    After a stop at a wrong time the response to a torque is wrong as well, and the search would not leave it.
+    If the modelled motion stops at a wrong time, the response to a torque is wrong after the stop, and a search would
+    not correct the time.
     """
     active = None
     with attempt("a search without process noise", EstimationError):
@@ -130,10 +132,10 @@ def _with_less_noise(
 ) -> tuple[Solution, tuple[Noise, ...]]:
     """Return a solution and its noise, found again with less process noise if that describes the data better.
 
-    A fit may be in a wrong minimum for three reasons: the motion stops at a wrong time, and the response of a casing at
-    rest to process noise is computed from this motion; a bound of a parameter is active far from the data, and process
-    noise accounts for the residuals; or the model does not describe one of several cases, and process noise in all of
-    them accounts for a compromise.
+    A fit may be in a wrong minimum for three reasons. First, the modelled motion stops at a wrong time, and the
+    response to process noise is computed for this motion. Second, a parameter is at a bound far from its optimum, and
+    process noise accounts for the residuals. Third, the model does not describe one of several cases, and the
+    parameters are a compromise whose residuals are attributed to process noise in all cases.
     """
     ends, active = [(found, noise)], found.active
     for levels in _lower_levels(problem, found.theta, noise):
@@ -149,14 +151,14 @@ def _with_less_noise(
 def _ends_at_a_bound_with_more_noise(
     problem: Problem, first: Array, last: Array, given: Sequence[Noise], noise: Sequence[Noise]
 ) -> bool:
-    """Return whether a search ended at a bound where it did not start, and needs more process noise than was given."""
+    """Return whether a search ended at a bound at which it did not start, with more process noise than was given."""
     reached = problem.layout.at_bound(last) & ~problem.layout.at_bound(first)
     raised = any(n.raised and not g.raised for n, g in zip(noise, given, strict=True))
     return bool(reached.any()) and raised
 
 
 def _lower_levels(problem: Problem, theta: Array, noise: Sequence[Noise]) -> Iterator[tuple[float, ...]]:
-    """Yield levels of the process noise of each case with which a search may end elsewhere."""
+    """Yield levels of the process noise of each case at which a search may end at other values."""
     raised = [n for n in noise if n.raised]
     rests = raised and any((p.path.sense == 0).any() for p in problem.predict(theta))
     if rests or (raised and problem.layout.at_bound(theta).any()):
@@ -172,10 +174,11 @@ def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
 
 
 def deviance_at_noise_of(base: Fit, other: Fit) -> float:
-    """Return the deviance of a fit, or that with the process noise of another fit if this is lower.
+    """Return the deviance of a fit, or its deviance at the process noise of another fit if this is lower.
 
-    The levels are those of restricted likelihoods. Where one is flat, the deviance may still decrease by tens towards a
-    lower level, and a second fit that ends there would seem to describe the data better.
+    The level of the process noise maximises the restricted likelihood. If this likelihood is flat, the deviance may
+    still decrease by tens towards a lower level. A second fit that ends at a lower level would then seem to describe
+    the data better.
     """
     if all(o.level >= n.level for n, o in zip(base.noise, other.noise, strict=True)):
         return base.deviance
@@ -187,9 +190,9 @@ def deviance_at_noise_of(base: Fit, other: Fit) -> float:
 
 
 def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
-    """Yield further initial values: those of the program if some were given, no dry friction, other exponents.
+    """Yield further initial values: the automatic values if some were given, no dry friction, other exponents.
 
-    Dry friction that stops the body too early in the model hides the motion after it from the search.
+    If dry friction stops the body too early in the model, the search does not use the motion after this stop.
     """
     usual = initial_values(problem, None) if given else theta
     if given:
@@ -215,7 +218,7 @@ def _from_other_starts(
 ) -> Solution:
     """If a solution is far from the data, search from further initial values and return the best solution.
 
-    At a random torque as large as the lack of fit, a search may leave a minimum that a search at a low level found.
+    With a random torque as large as the lack of fit, a search may leave a minimum that was found at a low level.
     """
     for begin in others:
         with attempt("a search from further initial values", EstimationError):
@@ -225,9 +228,9 @@ def _from_other_starts(
 
 
 _GIVEN_UP = 30.0
-"""Smallest random torque of a case, relative to that of its recording, for which a model does not describe the case
-[1]. Chosen: a smaller value gives up recordings with a small lack of fit, a larger one lets a wrong motion decide
-shared parameters."""
+"""Random torque of a case, relative to the random torque that its recording shows, above which the model does not
+describe the case [1]. Chosen: a smaller value gives up recordings with a small lack of fit, a larger one lets a wrong
+motion determine shared parameters."""
 
 
 def _from_separate_fits(
@@ -235,9 +238,9 @@ def _from_separate_fits(
 ) -> tuple[Solution, tuple[Noise, ...]]:
     """Search again from fits of each case alone; return the solution of a joint fit and its noise.
 
-    If the model does not describe a case alone, the random torque of that case absorbs the lack of fit, and the other
-    cases are not biased. If it describes each case alone, their shared parameters differ. With separate levels one case
-    would then lose its weight, so all cases get a common level.
+    If the model does not describe a case even alone, the random torque of this case absorbs the lack of fit, and the
+    other cases are not biased. If the model describes each case alone, the shared parameters differ between the cases.
+    With separate levels of random torque one case would then lose its weight, so all cases get a common level.
     """
     alone: list[Fit] = []
     with attempt("a case alone"):
@@ -255,7 +258,7 @@ def _from_separate_fits(
 
 
 def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
-    """Return the value of a variable of a joint fit: of its own case, or the mean of all, weighted by 1 / u^2."""
+    """Return the value of a variable of a joint fit: that of its case, or the mean of all cases weighted by 1 / u^2."""
     key, _, label = name.partition("@")
     chosen = [f.estimates for f in alone if not label or f.labels == (label,)]
     own = [e for found in chosen if (e := found.get(name, found.get(key))) is not None]
@@ -269,7 +272,7 @@ def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
 
 _REFINED_ABOVE = 1.5
 """Chi-square per row above which the process noise is estimated again at the minimum [1]. Chosen: a smaller value costs
-time, a larger one leaves the noise of the initial values."""
+time, a larger one keeps the noise that was estimated at the initial values."""
 
 
 def fit(
@@ -288,12 +291,13 @@ def fit(
 ) -> Fit:
     """Fit a model to one case, or to several together (see `fitting.fit`).
 
-    Given another fit instead of cases, fit its data, with its shared and per-case parameters. `noise` is that of an
-    earlier fit of the same data, so that both are comparable; `ranges` are bounds tighter than the declared ones;
-    `ties` are expressions of parameters that follow others, by key;
-    `steady` parameters, by their names in the fit, keep their initial values until all others have converged. `quick`:
-    stop where chi-square is within about 0.01 of its minimum, enough to rank candidates. EstimationError: there is
-    nothing to fit, or labels repeat. `criteria` determine what is noise in a record that is not projected yet.
+    If another fit is given instead of cases, its data are fitted, with its shared and per-case parameters. `noise` is
+    the noise of an earlier fit of the same data; it makes both fits comparable. `ranges` are bounds tighter than the
+    declared bounds. `ties` are expressions of parameters that follow other parameters, by key. `steady` parameters, by
+    their names in the fit, keep their initial values until all others have converged. With `quick`, the search stops
+    where chi-square is within about 0.01 of its minimum, which suffices to rank candidates. `criteria` determine what
+    is noise in a record that is not projected yet. An EstimationError is raised if there is nothing to fit, or if
+    labels repeat.
     """
     with of_model(model):
         try:
@@ -308,7 +312,7 @@ def fit(
 
 
 def measured_with(found: Fit, criteria: Criteria) -> Fit:
-    """Return a fit, or the same fit repeated from the start if its recordings have other noise by these criteria."""
+    """Return a fit, or the same fit repeated from the start if these criteria change the noise of its recordings."""
     if all(d.has_noise_of(criteria) for d in found.problem.data):
         return found
     data = [d.with_criteria(criteria) for d in found.problem.data]
@@ -350,7 +354,7 @@ def _fitted(
             found, noise = _from_separate_fits(problem, found, noise, quick=quick)
         theta, active = found.theta, found.active
     elif not _free_names(problem) <= set(start or ()):
-        # far from the minimum residuals far exceed the noise, and the search would take long at a low level
+        # far from the minimum, residuals far exceed the noise; a search at a low noise level would then take long
         problem = problem.with_noise(raised_noise(problem, theta, noise))
         problem, theta, unknown = with_initial_shapes(problem, theta, start, noise)
         found = search(problem.holding(unknown, theta), theta, quick=True)
@@ -363,7 +367,7 @@ def _fitted(
     if held:
         found = search(problem.holding(held, theta), theta, quick=True, active=active)
         theta, active = found.theta, found.active
-        # at the level of the model without the new law, any shape of it would be consistent with the data
+        # at the noise level of the model without the new law, any shape of the law would be consistent with the data
         noise = refine_level(problem, theta, noise)
         problem = problem.with_noise(noise)
     found = search(problem, theta, quick=quick, active=active)
@@ -446,8 +450,8 @@ _REST = 1e-12
 """Speed on either side of rest at which a law is evaluated [rad/s]. Chosen: continuous laws do not differ; a smaller
 value is rounding error, a larger one takes a steep law for a jump."""
 _JUMP = 1e-3
-"""Smallest jump of a law with parameters of 1 [1]. Chosen: that of dry friction is 2; a smaller value takes a steep law
-for a jump, a larger one overlooks a part of the torque that jumps."""
+"""Smallest jump of a law whose parameters are 1 [1]. Chosen: the jump of dry friction is 2; a smaller value takes a
+steep law for a jump, a larger one overlooks a part of the torque that jumps."""
 
 
 def _check(model: Model, data: Sequence[CaseData]) -> None:
@@ -479,7 +483,7 @@ def _check(model: Model, data: Sequence[CaseData]) -> None:
 
 
 def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
-    """Raise an EstimationError for a law of an input that a record lacks or has in another unit, or an idle delay."""
+    """Raise an EstimationError if an input of a law is absent or has another unit, or if a dead time has no law."""
     used = {i for e in model.effects if e.joint != "input" for i in e.inputs}
     for effect in model.effects:
         if effect.joint == "input" and effect.inputs[0] not in used:
@@ -538,8 +542,8 @@ _ITERATIONS = 12
 """Largest number of iterations of a robust fit [1]. Chosen: a smaller number stops before convergence, a larger one
 delays the failure."""
 _CONVERGED = 0.01
-"""Change of a parameter at convergence of a robust fit [standard errors]. Chosen: a smaller value costs iterations, a
-larger one leaves a bias."""
+"""Change of the parameters below which a robust fit has converged [standard errors]. Chosen: a smaller value costs
+iterations, a larger one leaves a bias."""
 
 
 def huber(x: Array) -> tuple[Array, Array]:
@@ -560,9 +564,9 @@ _LOSSES: dict[str, tuple[Psi, ...]] = {"linear": (), "huber": (huber,), "cauchy"
 def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "linear", **options: Any) -> Fit:
     """Fit a model with a loss that limits the influence of outliers; the `options` are those of `fit`.
 
-    "linear" is least squares; "huber" limits the influence of a sample; with "cauchy", which starts at the result of
-    "huber", the influence of an outlier tends to zero. R2, rmse and energy refer to the measured data, chi-square and
-    cross-validation error to the pseudo-values.
+    "linear" is least squares. "huber" limits the influence of a sample. "cauchy" starts at the result of "huber"; the
+    influence of an outlier tends to zero. R2, rmse and energy refer to the measured data; chi-square and
+    cross-validation error refer to the pseudo-values.
     """
     if loss not in _LOSSES:
         raise EstimationError(f"there is no loss named {str(loss)[:40]!r}", "use linear, huber or cauchy")

@@ -4,13 +4,13 @@ The laws are linear in their strengths gamma_k, so along the rough speeds
 
     I_c [omega_c(t) - omega_c(0)] = sum_k gamma_k integral_0^t law_k dt,
 
-and the same for the rotor: a linear least-squares problem with bounds.
+and an analogous equation holds for the rotor. This is a linear least-squares problem with bounds.
 
 At strength zero, chi-square has no gradient with respect to the shape of a law, and with a wrong shape the search may
-end in a wrong minimum. So the model is fitted without the law; then, for every shape on a grid, the derivative of the
-rows with respect to the strength gives the fall of the deviance (a score test), and the full search starts at the best
-shape. At the level of random torque of the model without the law, any shape would be consistent with the data: the
-level is optimised as well.
+end in a wrong minimum. Therefore the model is first fitted without the law. For every shape on a grid, a score test
+then gives the fall of the deviance from the derivative of the rows with respect to the strength. The full search starts
+at the best shape. At the random torque of the model without the law, any shape would be consistent with the data, so
+the level of the random torque is optimised as well.
 """
 
 from __future__ import annotations
@@ -49,26 +49,26 @@ from fitting.inference._trace import attempt
 Array = NDArray[np.float64]
 
 _FIRST_SHARE = 0.1
-"""Share of the bearing torque that the power law has at the start of the search [1]. Chosen: at zero the exponent has
-no gradient; a larger value prefers the power law."""
+"""Share of the power law in the bearing torque at the start of the search [1]. Chosen: at zero, chi-square has no
+gradient with respect to the exponent; a larger value prefers the power law."""
 _LEAST_SHARE = 1e-5
 """Smallest initial value of a bearing torque, divided by the torque that would stop the rotor within the record [1].
-Chosen: it keeps the search from a zero strength; a larger value starts above weak bearings."""
+Chosen: it prevents a start at zero strength; a larger value exceeds the torque of weak bearings."""
 _AT_REST = 0.01
 """Share of its largest speed below which the casing counts as at rest, for initial values [1]. Chosen: a smaller value
 uses the sign of noise, a larger one omits slow parts."""
 _END = 10
-"""Number of equal parts of a run, the last of which is the end of the run [1]. Chosen: with more parts, the end
-contains few speeds; with fewer, it includes the middle of the run."""
+"""Number of equal parts of a run; the last part is the end of the run [1]. Chosen: with more parts, the end contains
+few speeds; with fewer, the end includes the middle of the run."""
 _DEAD_TIMES = 40
-"""Dead times of an input that are tried [1]. Chosen: with fewer, a fit starts far from the optimum; with more, the
-search takes longer."""
+"""Number of dead times of an input that are tried [1]. Chosen: with fewer, a fit starts far from the optimum; with
+more, the search takes longer."""
 _LONGEST_DEAD_TIME = 0.1
 """Longest dead time, divided by the length of a record [1]. Chosen: a smaller value overlooks slow drives, a larger one
 loses the start of the record."""
 _FIRST_PERIODS = 2.0
-"""Periods of the first search of an oscillation [1]. Chosen: a smaller number does not determine the frequency, a
-larger one may start with an error of a period."""
+"""Number of periods of the first search of an oscillation [1]. Chosen: a smaller number does not determine the
+frequency, a larger one may start with an error of a period."""
 _FEWEST_SAMPLES = 24
 """Smallest number of samples of the first search of an oscillation [samples]. Chosen: a smaller number does not
 determine all laws, a larger one may start with an error of a period."""
@@ -78,7 +78,7 @@ a larger one costs time."""
 
 
 def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array:
-    """Return the initial values of a fit: the given ones, and for all others those from the data."""
+    """Return the initial values of a fit: the given values, and values from the data for all other parameters."""
     layout = problem.layout
     known = dict(given or {})
     restoring = layout.model.restoring
@@ -87,7 +87,7 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
             # the values of a model that does not oscillate are discarded
             known = {}
         else:
-            # far from the minimum the motion slips by periods, so new laws have strength zero at first
+            # far from the minimum the phase slips by whole periods, so new laws have strength zero at first
             known = {n: 0.0 for n in layout.names if layout.parameter(n).role == "amplitude"} | known
     if not set(layout.names) <= set(known):
         rough = [d.initial_speeds for d in problem.data]
@@ -127,9 +127,9 @@ def averaged_fit(
 def equation_error(model: Model, data: Sequence[CaseData]) -> float:
     """Return the error of the equations of motion under a model, without a fit.
 
-    Over many periods of an oscillation it is the rms error of the phase [rad]; otherwise the norm of the residuals of
-    the integrated equations of motion divided by that of the change of the speeds [1]. The strengths come from the
-    linear regression, the shape constants have their declared initial values.
+    For many periods of an oscillation, this is the rms error of the phase [rad]. Otherwise it is the norm of the
+    residuals of the integrated equations of motion, divided by the norm of the change of the speeds [1]. The strengths
+    come from the linear regression; the shape constants have their declared initial values.
     """
     layout = ParameterLayout.of(model, [d.record for d in data])
     slow = averaged_fit(model, data) if model.restoring else None
@@ -154,8 +154,8 @@ def _deflection(data: CaseData, times: Array) -> Array:
 def _period_by_period(problem: Problem, theta: Array) -> Array:
     """Return initial values from the first periods of oscillations: two, doubled up to at least half of the record.
 
-    Over a record of n periods a relative frequency error of 1 / 2n is a slip by half a period, and the search ends in a
-    wrong minimum; the frequency from k periods is accurate enough for 2 k periods.
+    Over a record of n periods, a relative error of the frequency of 1 / (2 n) shifts the phase by half a period, and
+    the search ends in a wrong minimum. The frequency from k periods is accurate enough for 2 k periods.
     """
     layout = problem.layout
     longest = max(d.motion.periods for d in problem.data)
@@ -188,9 +188,9 @@ def start_values(
 ) -> Array:
     """Return initial values of all variables from the rough (times, speeds) of each case.
 
-    A power law of the first joint starts with a tenth of the linear law's torque at its speed `reference` [rad/s].
-    `deflections` are the angles from the equilibrium at the same times [rad]; parameters in `prior` are known, the
-    others estimated.
+    A power law of the first joint starts with a tenth of the torque of the linear law at the speed `reference` of the
+    joint [rad/s]. `deflections` are the angles from the equilibrium at the same times [rad]. Parameters in `prior` are
+    known; all others are estimated.
     """
     prior = prior or {}
     theta = np.array([prior.get(name.partition("@")[0], _declared(layout, name)) for name in layout.names])
@@ -205,7 +205,7 @@ def start_values(
         free = [i for i, k in enumerate(keys) if k not in prior]
         known = design @ np.array([prior.get(k, 0.0) for k in keys])
         parts.append((layout.places(case, [keys[i] for i in free]), design[:, free], target - known))
-    # shared parameters are estimated from all cases together: a mean of separate estimates may suit none of them
+    # shared parameters are estimated from all cases together: a mean of separate estimates may describe none of them
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
@@ -225,7 +225,7 @@ def _with_power_law(
     rough: Sequence[tuple[Array, Array]],
     theta: Array,
 ) -> None:
-    """Set the strengths of the linear law and of the power law of a joint that has both, if the latter is zero."""
+    """Set the strengths of the linear law and the power law of a joint that has both, if the power law has none yet."""
     pair = (f"{joint.name}.linear.d", f"{joint.name}.power.f", f"{joint.name}.power.g")
     if not all(k in layout.model.free for k in pair):
         return
@@ -236,7 +236,7 @@ def _with_power_law(
         / float(np.ptp(times))
         for i, (times, speeds) in enumerate(rough)
     ]
-    # each joint once, however many cases share it
+    # each joint is treated once, regardless of the number of cases that share it
     for d, f, g in dict.fromkeys(tuple(layout.places(i, pair).tolist()) for i in range(len(rough))):
         if theta[f] > 0:
             continue
@@ -246,7 +246,7 @@ def _with_power_law(
 
 
 def _ratio(speeds: Array, *, rigid: bool) -> float:
-    """Return the median ratio of the speeds: in the whole run without slip, else at its end, where slip has decayed."""
+    """Return the median ratio of the speeds: of the whole run without slip, otherwise of its end, after the slip."""
     rotor, casing = (speeds if rigid else speeds[-(len(speeds) // _END) - 1 :]).T
     turning = np.abs(casing) > _AT_REST * np.abs(casing).max(initial=0.0)
     return float(np.median(rotor[turning] / casing[turning])) if turning.any() else 1.0
@@ -267,7 +267,7 @@ def _equations(
     dynamics = Dynamics(layout.model.smooth, inputs=layout.records[case].inputs)
     numbers = layout.numbers(theta, case)
     if dynamics.ratio is not None:
-        # independent errors of both speeds would spuriously separate laws that differ by a factor only
+        # independent errors of both speeds would seemingly separate laws that differ only by a factor
         speeds = np.column_stack([numbers[dynamics.ratio] * speeds[:, MAIN], speeds[:, MAIN]])
     count, oscillates = dynamics.speeds, dynamics.free_starts > dynamics.speeds
     state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - count))], axis=1)
@@ -275,7 +275,7 @@ def _equations(
         state[:, count] = deflection
     linear = _strengths(layout, dynamics.parameters)
     with np.errstate(all="ignore"):
-        # the rates at zero strengths, due to the other parameters
+        # accelerations at zero strengths, due to the other parameters
         constant, _, b = dynamics.linearised(times, state, numbers | dict.fromkeys(linear, 0.0))
     columns = np.array([dynamics.parameters.index(k) for k in linear], dtype=np.intp)
     weight = np.array([numbers[k] for k in dynamics.mechanism.inertias])
@@ -289,11 +289,11 @@ def _equations(
         )
     integrals = integrated(times, rates)
     held = integrated(times, constant[:, :count])
-    # while friction holds the casing, its torque equals the others and contains no information
+    # while friction holds the casing, the torque of friction balances all others and contains no information
     everywhere = np.ones(len(times), dtype=bool)
     used = [everywhere] * count
     used[MAIN] = everywhere if oscillates else _longest_motion(speeds[:, MAIN])
-    # the integral of a deflection from a wrong equilibrium drifts, so the initial speed of each period is free
+    # if the equilibrium is wrong, the integral of the deflection drifts, so the initial speed of each period is free
     free = _periods(deflection) if oscillates else None
     blocks, targets = [], []
     balances = [
@@ -326,10 +326,10 @@ def _means(groups: NDArray[np.intp], columns: Array) -> Array:
 
 
 def _strengths(layout: ParameterLayout, parameters: Sequence[str]) -> list[str]:
-    """Return the parameters in which the equations are linear, without nearly collinear ones."""
+    """Return the parameters in which the equations are linear, without nearly collinear parameters."""
     dead_times = _dead_times(layout)
     every = [k for k in parameters if layout.model.parameters[k].role == "amplitude" and k not in dead_times]
-    # linear in its strength, but nearly collinear with the linear law while its exponent is free
+    # a power law is linear in its strength, but nearly collinear with the linear law while its exponent is free
     joints = [j.name for j in layout.model.mechanism.couplings]
     curved = (
         *(f"{j}.heating." for j in joints),
@@ -418,7 +418,7 @@ _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
 """Trial exponents of a power law [1]. Chosen: on both sides of 1, which is the linear law; with fewer, a fit may start
 in a wrong minimum; with more, the search takes longer."""
 _MOST = 80
-"""Largest number of trial shapes of a law [1]. Chosen: a smaller number may omit the best one, a larger one costs
+"""Largest number of trial shapes of a law [1]. Chosen: a smaller number may omit the best shape, a larger one costs
 time."""
 _COLLINEAR = 1e-7
 """Relative singular value below which columns are collinear [1]. Chosen: a smaller value gives large opposite steps, a
@@ -439,7 +439,7 @@ def unknown_shapes(layout: ParameterLayout, given: Mapping[str, float] | None) -
     for e in layout.model.smooth.effects:
         roles = {p.role for p in e.parameters}
         shapes = [f"{e.name}.{p.symbol}" for p in e.parameters if p.role == "shape"]
-        # the exponent of the bearing's power law has transformed variables and a sufficient initial value
+        # the power law of the bearing has transformed variables, and the initial value of its exponent suffices
         alone = e.joint == "bearing" and _laws_of_joint(layout.model, e.site) == 1
         searched = not alone and e.kind_of_law != "bearing.power" and e.joint != "contact"
         searched = searched and "phase" not in roles and e.amplitude is not None
@@ -458,8 +458,8 @@ def initial_shapes(
 ) -> tuple[Problem, Array]:
     """Return variables with the shapes of effects at the best points of their grids, and the problem with its noise.
 
-    `fitted` states that the other variables are at the optimum without these effects, `noise` is the noise without
-    them.
+    `fitted` states that the other variables are at the optimum of the model without these effects. `noise` is the noise
+    of that model.
     """
     layout = problem.layout
     theta = theta.copy()

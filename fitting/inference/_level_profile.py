@@ -1,10 +1,12 @@
 """The deviance of residuals along the level of a random torque, with other columns free.
 
 With the covariance C(s) = 1 + s^2 K of the rows (`fitting.inference._noise`), the residuals r and the free columns J,
+the deviance is
 
     D(s) = log det C + min over x of (r - J x)' C^-1 (r - J x).
 
-It is not restricted, so that fits with different numbers of free columns can be compared.
+It follows from the likelihood and not from the restricted likelihood, so that fits with different numbers of free
+columns can be compared.
 """
 
 from __future__ import annotations
@@ -20,14 +22,14 @@ Array = NDArray[np.float64]
 
 _PRECISION = 0.05
 """Precision of the logarithms of time and level at the maximum of the likelihood [1]. Chosen: a smaller value costs
-time, a larger one leaves deviance."""
+time, a larger one ends above the smallest deviance."""
 _EVALUATIONS = 8
 """Largest number of evaluations of a one-dimensional search for the maximum [1]. Chosen: a smaller number stops before
 `_PRECISION` is reached, a larger one costs time."""
 
 
 class LevelProfile:
-    """The deviance of the last of some columns at a level of random torque, with the other columns free."""
+    """The deviance of a residual, the last column, at a level of random torque, with the other columns free."""
 
     def __init__(self, whitener: Whitener, both: Array) -> None:
         self._whitener, self._rotated = whitener, whitener.rotated(both)
@@ -41,7 +43,7 @@ class LevelProfile:
         return whitener.log_determinant + float(r[-1] ** 2)
 
     def least(self, levels: Array) -> tuple[float, float]:
-        """Return the most likely level up to the last of some positive levels, and its deviance."""
+        """Return the most likely level between 0 and the last of some positive levels, and its deviance."""
         deviances = [self(float(s)) for s in levels]
         k = int(np.argmin(deviances))
         bounds = levels[max(k - 1, 0)], levels[min(k + 1, len(levels) - 1)]
@@ -64,6 +66,6 @@ def least_between(f: Callable[[float], float], low: float, high: float) -> tuple
 
 
 def scaled_columns(columns: Array, residual: Array) -> Array:
-    """Return columns of unit norm, without those that are zero, and the residual as the last one."""
+    """Return the columns that are not zero, scaled to unit norm, followed by the residual as the last column."""
     size = np.linalg.norm(columns, axis=0)
     return np.concatenate([columns[:, size > 0] / size[size > 0], residual[:, None]], axis=1)

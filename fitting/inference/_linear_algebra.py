@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def orthonormal(columns: Array, smallest: float) -> Array:
-    """Return an orthonormal basis of scaled columns, without directions of smaller relative singular value."""
+    """Return an orthonormal basis of scaled columns, without relative singular values below `smallest`."""
     size = np.linalg.norm(columns, axis=0)
     if not (size > 0).any():
         return np.zeros((len(columns), 0))
@@ -41,11 +41,12 @@ def piecewise_linear(values: Array, knots: Array) -> Array:
 
 
 def cubic_spline(x: Array, y: Array, at: Array) -> Array:
-    """Return the cubic spline through four or more points with not-a-knot ends (that of scipy is slow to import)."""
+    """Return the cubic spline through four or more points with not-a-knot ends (scipy has one but imports slowly)."""
     h, n = np.diff(x), len(x)
     slope = np.diff(y) / h
     matrix, right = np.zeros((n, n)), np.zeros(n)
-    # for the second derivatives: a continuous slope at interior points, a continuous third derivative next to the ends
+    # equations for the second derivatives: the slope is continuous at interior points, the third derivative next to the
+    # ends
     inner = np.arange(1, n - 1)
     matrix[inner, inner - 1], matrix[inner, inner + 1] = h[:-1], h[1:]
     matrix[inner, inner] = 2 * (h[:-1] + h[1:])
@@ -61,12 +62,12 @@ def cubic_spline(x: Array, y: Array, at: Array) -> Array:
 
 
 def r_factor(columns: Array) -> Array:
-    """Return a matrix with as many rows as columns and the same products of columns: R of the QR decomposition."""
+    """Return R of the QR decomposition: a square matrix whose columns have the same products as the given columns."""
     return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
 
 
 def covariance_of(j: Array, free: NDArray[np.bool_]) -> Array:
-    """Return (J'J)^-1 over the free columns of a Jacobian; zero for the others, infinite for a column of zeros."""
+    """Return (J'J)^-1 over the free columns of a Jacobian; zero for other columns, infinite for columns of zeros."""
     n = j.shape[1]
     covariance = np.zeros((n, n))
     size = np.linalg.norm(j, axis=0)

@@ -1,26 +1,30 @@
 """Figures of merit of a fitted case: smoothed velocities, cross-validation error, energy balance, lack of fit.
 
-K(t) + integral_0^t [ tau_cr D + (a1 w_r + a2 w_r^2) w_r + (b1 + b2 w_c) w_c ] dt = K(0),
+The energy balance is
 
-with the losses of the paper's friction terms; for any model the loss is minus the power of its torques on both bodies,
--(tau_r w_r + tau_c w_c). As in the paper, the speed of the casing is the *measured* one, so that the balance of a model
-without a relevant torque drifts; the speed of the rotor is that of the model, which is fitted to its windows.
+    K(t) + integral_0^t [ tau_cr D + (a1 w_r + a2 w_r^2) w_r + (b1 + b2 w_c) w_c ] dt = K(0),
 
-For a linear model with noise covariance C, the error of the rows h, predicted by a fit without them, is
+with the kinetic energy K and the losses of the paper's friction terms. For any model the loss is minus the power of its
+torques on both bodies, -(tau_r w_r + tau_c w_c). As in the paper, w_c is the *measured* speed of the casing, so that
+the balance drifts if the model lacks a relevant torque. w_r is the speed of the rotor in the model, which is fitted to
+the windows of the rotor.
+
+The cross-validation error follows without a refit. If a linear model with noise covariance C is fitted without the rows
+h, the error of its prediction of these rows is exactly
 
     e_h = (G_hh)^-1 (G r)_h,   cov(e_h) = (G_hh)^-1,   G = C^-1 - C^-1 X (X' C^-1 X)^-1 X' C^-1,
 
-with the residuals r of the full fit and the columns X of parameters and nuisance parameters, exactly and without
-a refit (leave-block-out; O. Dubrule, Math. Geol. 15, 687 (1983)).
+where r are the residuals of the full fit, and X are the columns of parameters and nuisance parameters
+(leave-block-out; O. Dubrule, Math. Geol. 15, 687 (1983)).
 
-The alternative of the lack-of-fit test is any slow torque. Slow torques on the casing and in the bearing, piecewise
-linear in time with knots a twentieth of the record apart, are added to the fitted model. With the whitened
-response S to them, in addition to all free parameters,
+The lack-of-fit test has any slow torque as its alternative. Slow torques on the casing and in the bearing are added to
+the fitted model. They are piecewise linear in time, with knots a twentieth of the record apart. With the whitened
+response S to these torques, orthogonal to all free columns,
 
     chi2 = r'S (S'S)^-1 S'r   with rank(S) degrees of freedom
 
-if the model is right: the test of lack of fit against pure error (N. Draper, H. Smith, Applied Regression
-Analysis, Wiley (1998), 1.5), whatever law is missing.
+if the model is right. This is the test of lack of fit against pure error (N. Draper, H. Smith, Applied Regression
+Analysis, Wiley (1998), 1.5). It does not depend on the law that is missing.
 """
 
 from __future__ import annotations
@@ -65,8 +69,9 @@ of gradients, a larger one costs time and changes little."""
 def as_velocities(record: Record) -> Record:
     """Return the record with the paper's velocities instead of angles: median, gradient, median, ends dropped.
 
-    Their sigma is that of independent samples with the same noise at low frequencies (`median_noise`), which alone
-    matters for the fit: the noise of neighbouring samples is strongly correlated.
+    The noise of neighbouring velocities is strongly correlated, but only its low frequencies matter for the fit. The
+    sigma of the velocities is therefore the sigma of independent samples with the same noise at low frequencies
+    (`median_noise`).
     """
     if record.quantity == "omega":
         return record
@@ -101,16 +106,17 @@ def _velocities(samples: Samples, blocks: int) -> Samples:
 def median_noise(cutoff: Array) -> Array:
     """Return the variance at low frequencies of a running median of gradients, divided by that of one gradient.
 
-    Where the speed rises, a sample next to the middle changes the median only if its noise exceeds the rise: in sums
-    over many medians every gradient v contributes psi(v), limited to c = slope x half the width (`cutoff`, in
-    standard deviations of the noise of one gradient). So the spectral density at frequency zero is that of Huber's
-    estimate,
+    If the speed rises, a sample next to the middle changes the median only if its noise exceeds the rise. In sums over
+    many medians every gradient v therefore contributes psi(v), which is v limited to +- c. Here c is the slope of the
+    speed multiplied by half the width of the median (`cutoff`, in standard deviations of the noise of one gradient).
+    The spectral density at frequency zero is thus that of Huber's estimate,
 
         S = sum over lags of cov[psi(v_0), psi(v_k)] / P(|v| < c)^2,
 
-    and gradients (e_(i+1) - e_(i-1)) / 2h of independent e correlate by -1/2 at lag 2 and at no other. By Hermite
-    polynomials (Mehler's formula) cov = sum_k (2 phi(c) He_(k-2)(c))^2 (-1/2)^k / k! over odd k, the first term being
-    P^2 / 2.
+    where P is the probability in the denominator. Gradients (e_(i+1) - e_(i-1)) / 2h of independent e have the
+    correlation -1/2 at lag 2 and no correlation at other lags. Mehler's formula with the Hermite polynomials He and the
+    normal density phi then gives cov = sum_k (2 phi(c) He_(k-2)(c))^2 (-1/2)^k / k! over odd k. The first term is -P^2
+    / 2.
     """
     c = np.clip(cutoff, 0.02, 5.0)
     density = np.exp(-0.5 * c**2) / np.sqrt(2 * np.pi)
@@ -131,10 +137,11 @@ costs time."""
 
 @dataclass(frozen=True, repr=False)
 class EnergyBalance:
-    """Time [s], energy K + losses [J], constant for a right model, and its change relative to the initial energy.
+    """Energy balance: times [s], energy K + losses [J], and its change relative to the initial energy.
 
-    For a motion that begins at a turning point, the change is relative to the largest kinetic energy; for a body that
-    an input drives, to the energy that it loses by friction if this is more.
+    The energy is constant for a right model. If a motion begins at a turning point, the change is relative to the
+    largest kinetic energy. If an input drives a body, the change is relative to the energy that the body loses by
+    friction, if this is more.
     """
 
     time: Array
@@ -175,17 +182,17 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
 
 
 _SLOW_START = 0.1
-"""Initial kinetic energy, divided by the largest one, below which a motion begins at a turning point [1]. Chosen: a
-smaller value divides by a small energy, a larger one changes the scale of usual runs."""
+"""Initial kinetic energy, divided by the largest kinetic energy, below which a motion begins at a turning point [1].
+Chosen: a smaller value divides by a small energy, a larger one changes the scale of usual runs."""
 FOLDS = 6
-"""Folds of the cross-validation [1]. Chosen: a smaller number leaves large gaps in the data, a larger one leaves
-neighbours that share slow torques."""
+"""Number of folds of the cross-validation [1]. Chosen: a smaller number leaves large gaps in the data, a larger one
+leaves neighbours that share slow torques."""
 
 
 def held_out(
     data: CaseData, project: Projection, prediction: Prediction, bodies: Sequence[str] | None = None
 ) -> dict[str, float]:
-    """Return the cross-validation error of bodies: rms error of omitted rows divided by their noise; 1 is the limit.
+    """Return the cross-validation error of bodies: rms error of omitted rows divided by their noise; 1 = noise limit.
 
     Each part of the data is predicted from all other rows. A part is one of six intervals of time for ``casing`` and
     for all bodies of a chain, and a window for ``rotor``. All measured bodies by default.
@@ -263,7 +270,7 @@ class BodyMetrics:
 class CaseMetrics:
     """Figures of merit of one case; `rows` is the number of rows that a model can describe.
 
-    For a chain, `casing` is the main body, `rotor` the first of the others, and `further` are the rest.
+    For a chain, `casing` is the main body, `rotor` is the next body, and `further` are the bodies after it.
     """
 
     label: str
@@ -281,13 +288,13 @@ class CaseMetrics:
 
     @property
     def misfit(self) -> float:
-        """Rms residual of the rows divided by that of the noise."""
+        """Rms residual of the rows divided by the rms of the noise."""
         return math.sqrt(self.chi2_per_row)
 
     def fails(self, criteria: Criteria) -> bool:
         """Return whether `chi2_per_row` exceeds its limit, and is improbable for its number of rows.
 
-        Noise in the twelve rows of a short record exceeds 1.4 in one case of six.
+        In a short record of twelve rows, noise alone gives a `chi2_per_row` above 1.4 in one case of six.
         """
         p_value = float(chdtrc(self.rows, self.rows * self.chi2_per_row))
         return self.chi2_per_row > criteria.reduced_chi2 and p_value < criteria.lack_of_fit
@@ -309,7 +316,7 @@ def case_metrics(case: CaseModel, project: Projection, prediction: Prediction, t
         r2, rmse = _speed_quality(case, prediction, theta, body)
         chi2 = sum(float(np.sum(square[rows])) for rows in folds)
         reduced = (chi2 + sum(w.rest for w in runs)) / max(1.0, sum(w.n_effective for w in runs))
-        if body.state != MAIN and data.record.generated:  # no noise to measure against
+        if body.state != MAIN and data.record.generated:  # a generated curve has no noise
             reduced = errors[name] = float("nan")
         bodies.append(BodyMetrics(r2, rmse, reduced, errors[name]))
     absent = BodyMetrics(*[float("nan")] * 4)
@@ -332,9 +339,9 @@ def _speed_quality(case: CaseModel, prediction: Prediction, theta: Array, body: 
 
 
 def _smoothed_model(case: CaseModel, prediction: Prediction, theta: Array, body: Body) -> Array:
-    """Return the modelled angular velocity of a body, smoothed as the measured one is.
+    """Return the modelled angular velocity of a body, smoothed like the measured angular velocity.
 
-    Smoothing removes the response to a torque that repeats with the turn, and must do so from both.
+    Smoothing removes the response to a torque that is periodic in the angle. Therefore the model is smoothed as well.
     """
     record, path = case.data.record, prediction.path
     response = case.response_to_angles(prediction, theta)
@@ -372,9 +379,9 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
     """Return the rms error of the casing's smoothed speed due to noise alone [rad/s].
 
     It is the difference between the modelled angles with and without added noise, after the smoothing of the paper. The
-    noise is white: the sigma of the samples times a factor from the third differences of the residuals, whose rms is
-    sqrt(20) times that of white noise. A slow lack of fit does not change them, nor do irregular times (of pulses,
-    whose times are measured).
+    noise is white: its standard deviation is the sigma of the samples multiplied by a factor from the third differences
+    of the residuals. The rms of third differences is sqrt(20) times the rms of white noise. Neither a slow lack of fit
+    nor irregular times of pulses change third differences.
     """
     measured = data.record.casing
     exact = _model_at(data, path, MAIN, measured.time)
@@ -388,8 +395,8 @@ def smoothing_noise(data: CaseData, path: Path) -> float:
 
 
 KNOTS = 21
-"""Knots of the slow torques of the lack-of-fit test [1]. Chosen: a twentieth of the record apart; a smaller number
-overlooks short torques, a larger one lowers the power for slow ones."""
+"""Number of knots of the slow torques of the lack-of-fit test [1]. Chosen: a twentieth of the record apart; a smaller
+number overlooks short torques, a larger one lowers the power for slow torques."""
 _RANK = 1e-4
 """Relative singular value below which a tested direction is absorbed by the model [1]. Chosen: a smaller value tests
 rounding errors, a larger one omits torques that are nearly absorbed."""
@@ -403,9 +410,9 @@ time and does not change the result."""
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Fall of chi-square by slow torques, its degrees of freedom, and its p-value.
+    """Fall of chi-square due to slow torques, its degrees of freedom, and its p-value.
 
-    The uncertainty of the process noise is integrated out.
+    The p-value takes account of the uncertain level of the process noise, which is integrated out.
     """
 
     chi2: float
@@ -423,7 +430,7 @@ class FewRows(NamedTuple):
 
     @classmethod
     def of(cls, data: CaseData, p: Prediction, n: Noise, tested: Array, level: float | None = None) -> Self:
-        """Return the rows of a case, whitened at a level [N m] or that of its tests, nuisance projected out."""
+        """Return the whitened rows of a case without nuisance columns; the default `level` [N m] is that of tests."""
         project = Projection(data, n.whitener.at(n.tested if level is None else level))
         white = project(np.concatenate([tested, p.columns, (data.z - p.rows)[:, None]], axis=1))
         share = project.whitener.share(orthonormal(white[:, : tested.shape[1]], _RANK))
@@ -454,9 +461,10 @@ def _together(slow: Sequence[Array], free: Sequence[Array], residual: Sequence[A
 def _case_by_case(
     slow: Sequence[Array], free: Sequence[Array], residual: Sequence[Array]
 ) -> tuple[float, int]:
-    """Return the lack of fit of many cases: P(S, B) - P(B), with each case's S projected out first.
+    """Return the lack of fit of many cases; the slow responses of each case are projected out first.
 
-    The result is the same, except that ranks are determined for each case; the cost is linear in the number of cases.
+    The result is that of `_together`, except that ranks are determined for each case. The cost is linear in the number
+    of cases.
     """
     total, rank, rests = 0.0, 0, []
     for s, b, r in zip(slow, free, residual, strict=True):

@@ -27,7 +27,7 @@ def over_many_tests(p: float, smallest: Array) -> float:
 
 
 def independent_tests(smallest: Array) -> float:
-    """Return the number of independent tests with the same lower tail of the smallest p as the correlated tests."""
+    """Return the number of independent tests whose smallest p has the same lower tail as that of correlated tests."""
     return max(1.0, number_of_trials(float(np.quantile(smallest, 0.1)), 0.1))
 
 

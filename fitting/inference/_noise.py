@@ -8,9 +8,9 @@ responds only to the torque at its frequency and has a separate variance.
 Two levels matter. The *pure* level is a property of the recording (`fitting.inference._process_noise`): it does not
 depend on a model, and chi-square and cross-validation errors of every fit of the recording use it. The *level* of a fit
 is the maximum of the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack
-of fit, and smaller if the model needs less random torque than the recording alone can exclude. Parameters are
-estimated, and rival models compared, at this level, so that an interval with residuals of a thousand standard
-deviations does not dominate the fit. Tests of a fit use the smaller of the two levels.
+of fit, and smaller if the recording alone cannot exclude random torque that the model does not need. Parameters are
+estimated, and rival models are compared, at this level. Otherwise an interval with residuals of a thousand standard
+deviations would dominate the fit. Tests of a fit use the smaller of the two levels.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Whitener:
         return rows
 
     def rotated(self, rows: Array) -> Array:
-        """Return rows along the principal axes of K."""
+        """Return the components of rows along the principal axes of K."""
         m = len(self.vectors)
         return np.concatenate([self.vectors.T @ rows[:m], rows[m:]])
 
@@ -96,13 +96,13 @@ class Noise:
     pure: float
     pure_u: float
     level: float  # rms of the random torque in the residuals of the fitted model [N m]
-    time: float  # correlation time of both [s]
+    time: float  # correlation time of process noise and random torque [s]
     whitener: Whitener = field(repr=False)  # at `level`
     process: ProcessNoise = field(repr=False)  # the process noise as an acceleration
     # twice the log-likelihood ratio of the most likely level to no random torque
     excess: float = 0.0
-    # rms of the random torque that the residuals do not exclude [N m], if `level` is not significant and the angle
-    # noise is correlated
+    # rms of the random torque that the residuals do not exclude [N m]; it is used if `level` is not significant and the
+    # angle noise is correlated
     unresolved: float = 0.0
     # whether `level` is at its upper limit; the model may then need a larger level
     limited: bool = False
@@ -122,9 +122,9 @@ class Noise:
 
     @property
     def tested(self) -> float:
-        """The level at which residuals are tested [N m]: that of the recording, or that of the fit if it is smaller.
+        """The level at which residuals are tested [N m]: the smaller of the levels of the recording and of the fit.
 
-        Some recordings alone cannot exclude a random torque that would hide a lack of fit of the model.
+        The level of the recording alone may be so large that it would hide a lack of fit of the model.
         """
         return self.pure if self.limited else min(self.pure, self.level)
 
@@ -150,7 +150,8 @@ class TorqueNoise:
 def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shares: Sequence[float]) -> Array:
     """Return the probability of a larger chi-square, with the uncertain process noise of the cases integrated out.
 
-    `noise` is empty for white noise alone; `shares` are the fractions of the variance due to each case's process noise.
+    `noise` is empty for white noise alone. `shares` are the fractions of the variance that the process noise of each
+    case contributes.
     """
     from scipy.special import chdtrc
 
@@ -174,9 +175,10 @@ def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Ar
 def variance_factor(chi2: float, dof: int) -> float:
     """Return the expected factor by which the variance of residuals exceeds that of the noise.
 
-    Noise alone (factor 1) and a lack of fit have equal prior probabilities; the prior of the inverse factor of a lack
-    of fit is uniform between 0 and 1. If chi-square is consistent with the noise, the standard errors hardly change. If
-    it is significant, the factor approaches chi2/dof (R. T. Birge, Phys. Rev. 40, 207 (1932)).
+    Noise alone (factor 1) and a lack of fit (factor above 1) have equal prior probabilities. For a lack of fit, the
+    prior of the inverse factor is uniform between 0 and 1. If chi-square is consistent with the noise, the standard
+    errors hardly change. If chi-square is significantly larger, the factor approaches chi2/dof (R. T. Birge, Phys. Rev.
+    40, 207 (1932)).
     """
     from scipy.special import gammainc, gammaln
 
@@ -191,27 +193,27 @@ def variance_factor(chi2: float, dof: int) -> float:
 
 _LEAST_SHARE = 0.1
 """Lowest trial level, divided by the level at which the response of the most responsive row equals the white noise [1].
-Chosen: a lower one changes no row noticeably, a higher one leaves a gap above zero."""
+Chosen: a lower level changes no row noticeably, a higher level leaves a gap above zero."""
 _EVIDENCE = 2.7
 """Twice the log-likelihood ratio above which residuals show a random torque [1]. Derived: without a random torque it is
 larger in 5 % of the recordings (half of chi-square with one degree of freedom; S. Self, K.-Y. Liang, J. Am. Stat.
 Assoc. 82, 605 (1987))."""
 _LARGEST_SHARE = 3e5
 """Highest trial level, divided by the level at which the response of the median row equals the white noise [1]. Chosen:
-far above any misfit; a lower one ends at a bound."""
+far above the level that any lack of fit needs; with a lower limit, the most likely level may be at this limit."""
 _PER_DECADE = 8
-"""Trial levels per decade [1]. Chosen: a coarser grid rounds the level, a finer one costs time."""
+"""Number of trial levels per decade [1]. Chosen: a coarser grid rounds the level, a finer one costs time."""
 _ROUNDING = 1e-20
-"""Share of the largest response below which a row does not respond [1]. Chosen: rows of a casing at rest contain only
-rounding errors; a larger value excludes slow rows, a smaller one includes rows at rest."""
+"""Share of the largest response below which a row counts as not responding [1]. Chosen: rows of a casing at rest
+contain only rounding errors; a larger value excludes slow rows, a smaller one includes rows at rest."""
 _MORE = 1.5
 """Smallest ratio of a raised level to the lowest level that the recording allows [1]. Chosen: a smaller value takes the
 uncertainty of the level for a lack of fit, a larger one overlooks a raised level."""
 _LEAST_RESPONSE = 0.1
 """Lowest unresolved level, divided by the level at which the response of the most responsive row equals the white noise
-[1]. Chosen: a lower one changes nothing, a higher one leaves a gap above zero."""
+[1]. Chosen: a lower level changes nothing, a higher level leaves a gap above zero."""
 _LEAST_EXPECTED = 0.03
-"""Ratio of the lowest unresolved level to the expected level [1]. Chosen: a lower one changes nothing, a higher one
+"""Ratio of the lowest unresolved level to the expected level [1]. Chosen: a smaller ratio changes nothing, a larger one
 leaves a gap above zero."""
 _MOST_EXPECTED = 4.0
 """Ratio of the highest unresolved level to the expected level [1]. Chosen: a normal prior has a probability of 6e-5
@@ -225,9 +227,9 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
     """Return the most likely level of random torque, and twice the log-likelihood ratio against no random torque.
 
     The likelihood is restricted: the columns `free` (rows, columns), derivatives with respect to parameters and
-    nuisance parameters, are integrated out. The level is set to zero if white noise alone gives as much evidence in one
-    recording of twenty. Such a level would double the standard errors of parameters whose effect resembles a slow
-    torque.
+    nuisance parameters, are integrated out. The level is set to zero unless its evidence exceeds that of white noise
+    alone in 19 of 20 recordings. An insignificant level would double the standard errors of parameters whose effect
+    resembles a slow torque.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
@@ -250,11 +252,12 @@ def _trial_levels(responses: Array) -> Array:
 def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected: float) -> float:
     """Return the rms random torque that residuals do not exclude [N m]: the root of the posterior mean of s^2.
 
-    In a short record, or for slow torques, the most likely level is often zero although larger levels are as likely;
-    the standard errors of parameters would not include these. The prior has probability 1/2 for no random torque, and
-    1/2 for a half-normal distribution of the rms with standard deviation `expected` [N m]. This is the level of the
-    recording, a posterior mean, whose heavy tail is already integrated out. If the residuals contain no information,
-    the mean of s^2 is half of `expected`^2. If they exclude most levels, no random torque is far more probable.
+    In a short record, or for slow torques, the most likely level is often zero although larger levels are nearly as
+    likely. The standard errors of parameters would not include these levels. The prior has probability 1/2 for no
+    random torque, and 1/2 for a half-normal distribution of the rms with standard deviation `expected` [N m]. This is
+    the level of the recording, a posterior mean, whose heavy tail is already integrated out. If the residuals contain
+    no information, the mean of s^2 is half of `expected`^2. If the residuals exclude most levels, the hypothesis of no
+    random torque becomes far more probable.
     """
     rotated, values = _rotated(whitener, residual, free)
     largest = values.max(initial=0.0)
@@ -284,7 +287,7 @@ def _peak(levels: Array, likelihood: Array) -> float:
         return float(levels[i])
     x = np.log(levels[i - 1 : i + 2])
     (a, b), y = x[[0, 2]] - x[1], likelihood[i - 1 : i + 2] - likelihood[i]
-    # of the parabola through three points, the middle one highest
+    # maximum of the parabola through three points, the middle one of which is the highest
     curvature = (y[0] / a - y[2] / b) / (a - b)
     if not curvature < 0:
         return float(levels[i])
@@ -299,8 +302,8 @@ def _deviance(rotated: Array, variance: Array) -> float:
 
 
 _CELLS_PER_ROW = 2.5
-"""Cells of the random torque per row [1]. Chosen: equal to that of `fitting.inference._process_noise`; a smaller number
-blurs the response of the highest row, a larger one costs time."""
+"""Number of cells of the random torque per row [1]. Chosen: equal to `_CELLS_PER_ROW` of
+`fitting.inference._process_noise`; a smaller number blurs the response of the highest row, a larger one costs time."""
 _GROUPS = 8
 """Number of groups of cells that skip the rows before their first response [1]. Chosen: another value costs time and
 does not change the result."""
@@ -397,7 +400,7 @@ class TorqueResponse:
     def _harmonic_variances(self, time: float, directions: Sequence[Array] | None = None) -> Array:
         """Return the variances of the rows of harmonics for torques of rms 1 N m, by default those of a gyroscope.
 
-        Such a row responds to the torque at its frequency, m times the speed. This torque is independent in
+        A row of harmonic m responds to the torque at its frequency, m times the speed. This torque is independent in
         neighbouring blocks.
         """
         record = self.data.record
@@ -412,7 +415,7 @@ class TorqueResponse:
 def _impulses(
     data: CaseData, motion: LinearMotion, cells: Array, direction: Array, states: Sequence[int] = ()
 ) -> Array:
-    """Return the rows' response to a unit torque in each cell, by variation of constants.
+    """Return the response of the rows to a unit torque in each cell, by variation of constants.
 
     `states` are the indices in the state of the bodies of the windows, by default of the first body.
     """

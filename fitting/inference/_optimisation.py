@@ -3,8 +3,8 @@
 J. J. More, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630 (1978), with H. B. Nielsen's update of
 the damping (IMM-REP-1999-05). A variable at its bound whose gradient points outward is held for the step.
 
-If chi-square at the end of a search is far above that of noise, the search is repeated from initial values of the
-program, and from other exponents: the initial values, or the model, may be wrong.
+If chi-square at the end of a search is far above that of noise, the initial values or the model are wrong. The search
+is then repeated from automatic initial values and from other exponents.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _NO_DAMPING = 1e-20
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where the search ended: variables, residuals, Jacobian, sum of squares, and whether it converged."""
+    """The end of a search: variables, residuals, Jacobian, sum of squares, and whether the search converged."""
 
     x: Array
     residual: Array
@@ -55,9 +55,9 @@ def minimise(
 ) -> Minimum:
     """Minimise the sum of squares of residuals within bounds.
 
-    `problem` gives residuals (m,) and Jacobian (m, n), or raises SimulationError where it cannot (EstimationError at
-    the start). The search ends when the predicted and the actual fall of the sum of squares are less than the share
-    `tolerance` of it, or less than `absolute`.
+    `problem` returns residuals (m,) and Jacobian (m, n), or raises a SimulationError; at the initial values, this
+    becomes an EstimationError. The search ends when both the predicted and the actual fall of the sum of squares are
+    less than the share `tolerance` of this sum, or less than `absolute`.
     """
     x = np.clip(start, lower, upper)
     try:
@@ -114,7 +114,7 @@ def minimise(
 def _undamped(r: Array, j: Array, unit: Array, down: Array, up: Array) -> float:
     """Return the fall of the sum of squares without damping, if the problem were linear.
 
-    Where variables are nearly collinear a damped step predicts a small fall far from the minimum.
+    If variables are nearly collinear, a damped step predicts a small fall even far from the minimum.
     """
     step = _step(r, j, unit, _NO_DAMPING, down, up)
     return float(r @ r) - float(np.sum((r + j @ step) ** 2))
@@ -142,8 +142,8 @@ _CONVERGED = 1e-5
 """Fall of chi-square at which a search ends [1]. Derived: no parameter changes by a hundredth of its standard error,
 with a margin of ten."""
 _CONVERGED_QUICK = 3e-3
-"""Fall of chi-square at which a quick search ends [1]. Chosen: enough for a ranking; a smaller value costs time, a
-larger one confuses neighbours in the list."""
+"""Fall of chi-square at which a quick search ends [1]. Chosen: it suffices for a ranking; a smaller value costs time, a
+larger one makes the order of similar candidates random."""
 _FAR = 10.0
 """Chi-square per row above which a search is repeated from further initial values [1]. Chosen: a smaller value repeats
 searches of models with a lack of fit, a larger one accepts a wrong minimum."""
@@ -154,16 +154,16 @@ _QUICK_STEPS = 40
 """Largest number of steps of a quick search [1]. Chosen: a smaller number stops before the minimum is known, a larger
 one costs time."""
 _EXPONENTS = 241
-"""Trial exponents of a law at a bound [1]. Chosen: a smaller number may omit the minimum, a larger one costs time; the
-rows are linear in the strengths."""
+"""Number of trial exponents of a law at a bound [1]. Chosen: a smaller number may omit the minimum, a larger one costs
+time; the rows are linear in the strengths."""
 _SAME = 1e-3
 """Relative difference of chi-square below which two searches have the same minimum [1]. Chosen: a smaller value repeats
-searches, a larger one takes neighbouring minima for one."""
+searches, a larger one takes neighbouring minima for a single minimum."""
 
 
 @dataclass(frozen=True)
 class ActiveBounds:
-    """Bounds of d and f that a search ended on: the power laws that stay free, and which variables are held."""
+    """Bounds of d and f at which a search ended: the power laws that remain free, and the indices of held variables."""
 
     power_laws: tuple[PowerLaw, ...]
     held: tuple[int, ...] = ()
@@ -171,7 +171,7 @@ class ActiveBounds:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where a search ended: the physical variables, the minimum in transformed ones, and active bounds of d and f."""
+    """The result of a search: physical variables, the minimum in transformed variables, active bounds of d and f."""
 
     theta: Array
     minimum: Minimum
@@ -200,7 +200,7 @@ def search_widely(
             active = None
             continue
         active, cost = found.active, found.minimum.cost
-        # the same minimum from two starts: the model fails, not the search
+        # if two starts end in the same minimum, the model is wrong, not the search
         same = best is not None and abs(cost - best.minimum.cost) < _SAME * best.minimum.cost
         if best is None or cost < best.minimum.cost:
             best = found
@@ -247,7 +247,7 @@ def search(
         return Solution(theta, minimum)
     if not minimum.converged and minimum.cost > _FAR * problem.rows:
         return Solution(np.clip(theta, lower, upper), minimum)
-    # one or two bounds are active: a quick search along every bound, and the best one to convergence
+    # one or two bounds are active: search quickly along every bound, and continue the best search to convergence
     ends: list[Solution] = []
     choices = [*_choices_of_bound(ActiveBounds(problem.power_laws), theta, lower, upper)]
     while choices:

@@ -3,7 +3,7 @@
 Turning points are found with hysteresis: an extreme of the angle counts if the angle then returns by more than the
 noise and by more than a hundredth of its range. Three successive turning points e_1, e_2, e_3 of a damped oscillation
 give the equilibrium (e_1 + 2 e_2 + e_3) / 4. In this mean, the decay cancels to first order. The shift by dry friction
-also cancels, because it is to alternate sides.
+also cancels, because its sign alternates from one turning point to the next.
 """
 
 from __future__ import annotations
@@ -49,10 +49,11 @@ _WINDOWS = 20
 """Smallest number of windows of three periods; a shorter record has shorter windows [1]. Chosen: a smaller number does
 not resolve the decay of short records, a larger one gives uncertain amplitudes."""
 _POINTS_PER_PERIOD = 24
-"""Rough speeds in each period of an oscillation [1]. Chosen: with fewer, the turning points are cut off; with more,
-each speed is noisy."""
+"""Number of rough speeds in each period of an oscillation [1]. Chosen: with fewer, the turning points are cut off; with
+more, each speed is noisy."""
 _ROUGH_SAMPLES = 3
-"""Smallest number of samples of a rough speed of an oscillation [samples]. Derived: a line and its error."""
+"""Smallest number of samples of a rough speed of an oscillation [samples]. Derived: three samples determine a line and
+its error."""
 _FEWEST_SAMPLES = 10
 """Smallest number of samples in a window [samples]. Chosen: a smaller number does not determine amplitude and phase, a
 larger one refuses slow cameras."""
@@ -114,7 +115,7 @@ class Oscillation:
     time: Array
     deflection: Array
 
-    # within a block the motion is not a polynomial; faster parts are noise or a spectral line
+    # within a block the motion is not a polynomial
     is_smooth: ClassVar[bool] = False
 
     @property
@@ -200,7 +201,7 @@ class Oscillation:
 
 
 def _smooth_phase(at: Array, phase: Array, times: Array) -> Array:
-    """Return a phase at other times from a polynomial in time; beyond its ends, it is a straight line."""
+    """Return a phase at other times from a polynomial in time; outside the given times, it is a straight line."""
     middle, half = 0.5 * (at[0] + at[-1]), 0.5 * float(np.ptp(at))
     degree = min(_PHASE_DEGREE, max(1, len(at) - 2))
     c = np.polynomial.chebyshev.chebfit((at - middle) / half, phase, degree)

@@ -1,8 +1,8 @@
 """The parameter vector of a fit, and transformed variables that make its least-squares problem nearly linear.
 
-For a law d x^m and a power law f x^g on the same body, chi-square has a curved valley in (d, f, g): near g = m the two
-laws are the same. With X = x / x_ref their sum is T1 X^m + K (X^g - X^m) / (g - m), where T1 is the torque at x_ref and
-K its curvature:
+For a law d x^m and a power law f x^g of the same speed x on the same body, chi-square has a curved valley in (d, f, g),
+because the two laws are nearly the same for g near m. With X = x / x_ref their sum is T1 X^m + K (X^g - X^m) / (g - m),
+where T1 is the torque at x_ref and K is a measure of its curvature:
 
     T1 = d x_ref^m + f x_ref^g,    K = (g - m) f x_ref^g.
 
@@ -11,8 +11,8 @@ single power law has the variable F = f x_ref^g instead of f. If one of d and f 
 replaced by T1, which the data determine well.
 
 A law of strength k and phase phi has the response k [cos(phi) s + sin(phi) c], with the unit responses s and c at phase
-0 and at a quarter period. The derivative with respect to phi vanishes at k = 0, and a search cannot leave the bound k =
-0 towards the opposite phase. In the variables
+0 and at a quarter period. At k = 0 the derivative with respect to phi vanishes, so a search cannot leave this bound of
+k towards the opposite phase. In the variables
 
     a = k cos(phi),   b = k sin(phi)
 
@@ -72,7 +72,7 @@ class ParameterLayout:
         ranges: Mapping[str, tuple[float, float]] | None = None,
         ties: Mapping[str, str] | None = None,
     ) -> ParameterLayout:
-        """Return the layout: the paper's per-case parameters, changed by `share` and `per_case`."""
+        """Return the layout with the per-case parameters of the paper, changed by `share` and `per_case`."""
         for name in (*share, *per_case):
             if not any(covers(name, key) for key in model.free):
                 raise EffectError(
@@ -90,7 +90,7 @@ class ParameterLayout:
 
     @cached_property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The arguments `share` and `per_case` of `of`: parameters that differ from the defaults of the model."""
+        """The arguments `share` and `per_case` of `of`: the parameters that do not follow the defaults of the model."""
         if len(self.records) == 1:
             return (), ()
         usual = self.model.per_case
@@ -113,7 +113,7 @@ class ParameterLayout:
     def starts(self) -> tuple[str, ...]:
         """The initial values of each case: the speeds, and the deflection if a torque depends on it.
 
-        In a contact without slip the speed of the rotor follows from that of the casing.
+        In a contact without slip the speed of the rotor follows from the speed of the casing.
         """
         first = 0 if self.model.rigid_contact is None else 1
         speeds = tuple(map(start_of, self.model.mechanism.speeds[first:]))
@@ -233,8 +233,9 @@ def covers(name: str, key: str) -> bool:
 
 
 _NEAREST = 3e-3
-"""Smallest distance of an exponent from that of a fixed power law [1]. Chosen: at smaller distances the difference of
-the two terms loses digits and the torque hardly changes; a larger value excludes exponents that the data determine."""
+"""Smallest distance of a free exponent from the exponent of a fixed power law [1]. Chosen: at smaller distances the
+difference of the two terms loses digits and the torque hardly changes; a larger value excludes exponents that the data
+determine."""
 _SAME = 1e-9
 """Largest relative error of a change of coordinates [1]. Chosen: the size of rounding errors; a smaller value refuses
 valid changes, a larger one accepts inaccurate changes."""
@@ -244,7 +245,7 @@ valid changes, a larger one accepts inaccurate changes."""
 class PowerLaw:
     """A power law, alone (d is None) or with a law of fixed power m: indices of the variables, x_ref, and m.
 
-    `held` names the fixed one of d and f, if any.
+    `held` is "d" or "f" if this strength is fixed, otherwise empty.
     """
 
     d: int | None
@@ -392,7 +393,7 @@ def _base(effect: Effect, known: dict[str, Array]) -> Array | None:
 
 
 def _order(power: Effect, straight: Effect, known: dict[str, Array]) -> float | None:
-    """Return the exponent m for which a power law is equal to the other law; None if there is none."""
+    """Return the exponent m with which a power law equals the other law; None if there is no such exponent."""
     if straight.site != power.site or straight.state or straight.inputs:
         return None
     if straight.depends_on_angle or straight.restoring:
@@ -440,7 +441,7 @@ class Sinusoid:
 
 
 def find_sinusoids(layout: ParameterLayout) -> tuple[Sinusoid, ...]:
-    """Return the pairs of free strength and phase with no bound other than a strength of zero.
+    """Return the pairs of a free strength and a free phase whose only bound is a strength of zero.
 
     Laws with a free shape are excluded: the data do not determine the shape while the strength is small. Laws whose
     strength has a value per case and whose phase is shared, or vice versa, are also excluded.

@@ -1,7 +1,7 @@
 """Parameters of a fit as lmfit shows them: a mapping by name, with short names, and a report with correlations.
 
 M. Newville et al., lmfit, doi:10.5281/zenodo.11813. A mapping of parameters is not changed: `Params.set` returns a new
-one, which is an argument of the next fit.
+mapping, which is an argument of the next fit.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class Estimate:
     at_bound : bool
         Whether a bound is active.
     vary : bool
-        Whether it was fitted (and not held).
+        Whether the number was fitted (and not held).
     min, max : float
         Bounds of the fit, in `unit`.
     expr : str or None
-        The expression of other parameters that it follows.
+        The expression of other parameters that determines the number; None if it is independent.
     """
 
     value: float
@@ -61,7 +61,7 @@ class Estimate:
 
 
 class Params(Mapping[str, Estimate]):
-    """Parameters by name; a unique end of a name is enough: ``params["b2"]``.
+    """Parameters by name; the end of a name suffices if it is unique: ``params["b2"]``.
 
     Each has `value`, `stderr`, `unit`, `vary`, `min`, `max` and `expr`.
 
@@ -70,7 +70,7 @@ class Params(Mapping[str, Estimate]):
     estimates : mapping of str to Estimate
         The parameters.
     changed : frozenset of str
-        Names of those that `set` changed.
+        Names of the parameters that `set` changed.
     """
 
     def __init__(self, estimates: Mapping[str, Estimate], changed: frozenset[str] = frozenset()) -> None:
@@ -78,7 +78,7 @@ class Params(Mapping[str, Estimate]):
         self.changed = changed
 
     def __getitem__(self, name: str) -> Estimate:
-        """Return a parameter; an EffectError lists the names if there is none or several."""
+        """Return a parameter; an EffectError lists the names if no parameter, or several, have this name."""
         return self._estimates[self.full_name(name)]
 
     def __contains__(self, name: object) -> bool:
@@ -99,7 +99,7 @@ class Params(Mapping[str, Estimate]):
         Parameters
         ----------
         name : str
-            Its name, or the end of it that only one parameter has.
+            The name, or an end of the name that only one parameter has.
 
         Raises
         ------
@@ -110,15 +110,15 @@ class Params(Mapping[str, Estimate]):
         return find_key(name, self._estimates)
 
     def set(self, name: str, **settings: Any) -> Params:
-        """Return the parameters with one changed, for `fitting.fit(model, case, params=...)`.
+        """Return the parameters with one of them changed, for `fitting.fit(model, case, params=...)`.
 
         Parameters
         ----------
         name : str
-            Its name.
+            Name of the changed parameter.
         **settings
-            ``value`` (initial, or held if ``vary=False``), ``vary``, ``min``, ``max`` [SI], and ``expr``, an expression
-            of other parameters that it follows (None: it is fitted).
+            ``value``, the initial value, or the held value if ``vary=False``; ``vary``; ``min`` and ``max`` [SI]; and
+            ``expr``, an expression of other parameters that determines the parameter (None: the parameter is fitted).
 
         Raises
         ------
@@ -151,7 +151,7 @@ class Params(Mapping[str, Estimate]):
 
 
 def note(e: Estimate) -> str:
-    """Return the remark, in brackets, of a table on a parameter that is not simply fitted."""
+    """Return the remark in brackets on a parameter that is tied, held or at its bound; empty for others."""
     if e.expr is not None:
         return f" (= {e.expr})"
     if not e.vary:
@@ -160,7 +160,7 @@ def note(e: Estimate) -> str:
 
 
 def refuse_settings(name: str, settings: Mapping[str, Any]) -> None:
-    """Raise an EstimationError for an unknown setting of a parameter or one of a wrong type."""
+    """Raise an EstimationError for a setting of a parameter that is unknown or has a wrong type."""
     for key, value in settings.items():
         if key not in SETTINGS:
             raise EstimationError(
@@ -187,7 +187,7 @@ class Settings:
     ties: dict[str, str] = field(default_factory=dict)
 
     def joined(self, other: Settings) -> Settings:
-        """Return the settings of both; those of the other one take precedence."""
+        """Return the settings of both; the settings of `other` take precedence."""
         return Settings(*(getattr(self, f.name) | getattr(other, f.name) for f in fields(self)))
 
 
@@ -215,7 +215,7 @@ def settings_of(params: Any, model: Model, records: Sequence[Record]) -> Setting
                 'write {"value": 0.7, "vary": False}',
             )
         if not isinstance(given, Mapping) and names.missing(name):
-            continue  # of a parameter of another model
+            continue  # a parameter of another model
         refuse_settings(str(name), entries)
         _add(found, names(name), entries)
     return found
@@ -278,7 +278,7 @@ class Names:
                 return found[0]
         if key in self.keys:
             return key
-        # a name with a value for each case is not the end of another name
+        # a name that contains a label of a case is not the end of another name
         return find_key(key, [k for k in self.keys if "@" not in k] if "@" not in key else self.keys)
 
     def missing(self, name: str) -> bool:

@@ -1,7 +1,7 @@
 """Periodogram of the residual torque: whether it contains a sinusoid in time.
 
-A sinusoidal torque in time (a vibrating table, a fan) is fast. Process noise of short correlation time
-therefore absorbs its variance, but not its single frequency. The model is extended by a cosine and a sine of each
+A sinusoidal torque in time (a vibrating table, a fan) is fast. Process noise of short correlation time therefore
+absorbs its variance, but cannot imitate a single frequency. The model is extended by a cosine and a sine of each
 frequency on the casing. With their whitened responses S, orthogonal to the free columns,
 
     chi2 = r'S (S'S)^-1 S'r
@@ -11,8 +11,9 @@ exceeds z at some frequency up to f is
 
     p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
 
-(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Torques with fewer than ten periods in the record are
-left to the test against slow torques.
+(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Here W is computed from the highest frequency f and the
+variance var t of the times. The lack-of-fit test against slow torques covers torques with fewer than ten periods in the
+record.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods in a record at which a frequency is tried [1]. Chosen: with fewer, the torque is a trend,
 which the test against slow torques covers; a larger value leaves a gap between the two tests."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller number
-overlooks peaks, a larger one costs time; the finer search follows."""
+"""Number of trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller
+number overlooks peaks, a larger one costs time; the finer search follows."""
 _FINER = 16
-"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: a smaller number
+"""Number of trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: a smaller number
 understates the peak, a larger one costs time."""
 _RETAINED = 1e-3
 """Smallest share of the response to a torque that is orthogonal to the free columns [1]. Chosen: a smaller value tests
@@ -53,16 +54,16 @@ _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
 _NEAR_RESONANCE = 0.01
-"""Smallest difference of the squared frequencies of a drive and an oscillator, divided by that of the oscillator [1].
-Chosen: a smaller value gives unlimited angles, a larger one understates a resonance."""
+"""Smallest difference of the squared frequencies of a drive and an oscillator, divided by the squared frequency of the
+oscillator [1]. Chosen: a smaller value gives unlimited angles, a larger one understates a resonance."""
 
 
 @dataclass(frozen=True)
 class PeriodogramPeak:
     """The highest peak of the periodogram of the residual torque on one body."""
 
-    rate: float  # its frequency, 2 pi divided by the period [rad/s]
-    torque: float  # its amplitude [N m]
+    rate: float  # frequency of the torque, 2 pi divided by the period [rad/s]
+    torque: float  # amplitude of the torque [N m]
     angle: float  # amplitude of the angle that the torque causes [rad]; k / (I w^2) far above a resonance
     label: str  # the case
     body: str  # name of the body for the user, for example "casing"
@@ -115,7 +116,7 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
     stiffness = (2 * np.pi / motion.period) ** 2
     angle = k / (record.I_casing * max(abs(stiffness - rate**2), _NEAR_RESONANCE * stiffness))
     credible = not record.tracked or angle > float(np.median(record.casing.sigma))
-    # if the model loses the phase, the residual is the whole motion, which no additional torque explains
+    # if the modelled phase is wrong, the residual is the whole motion, which no additional torque explains
     credible = credible and angle < motion.amplitude
     share = periodogram.share(rate)
     p_values = [

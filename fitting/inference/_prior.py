@@ -1,17 +1,17 @@
 """Prior knowledge of parameters: values and covariance from another study.
 
-A Gaussian prior with mean m and covariance C = L L' adds the following rows, in units of their noise, to those of a
-case:
+A Gaussian prior with mean m and covariance C = L L' acts like a measurement of the parameters theta. It adds the
+following rows, in units of their noise, to the rows of a case:
 
-    L^-1 (theta - m),
+    L^-1 (theta - m).
 
-like a measurement of the parameters themselves. The sum of squares is then minus twice the logarithm of the posterior
-density, and (J'J)^-1 is its covariance. In a linear model, the estimate is (J'J + C^-1)^-1 (J'z + C^-1 m), the
-combination of both studies by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8).
-Because they are rows, the score test, the test for lack of fit and every refit take them into account.
+The sum of squares is then minus twice the logarithm of the posterior density, and (J'J)^-1 is the covariance of the
+posterior distribution. In a linear model, the estimate is (J'J + C^-1)^-1 (J'z + C^-1 m), the combination of both
+studies by generalised least squares (A. Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 14.8). Because the prior
+consists of rows, the score test, the test of lack of fit and every refit take it into account.
 
-If each case of a joint fit has its own value of a parameter, the prior applies to each of them; its uncertainty must
-then include the spread between runs.
+If each case of a joint fit has its own value of a parameter, the prior applies to each of these values. The uncertainty
+of the prior must then include the spread between runs.
 
 The studies must be independent: with a prior from the same data, the data would count twice.
 """
@@ -41,8 +41,8 @@ class Prior:
     """A Gaussian prior."""
 
     names: tuple[str, ...]  # parameters, ``effect.symbol``
-    mean: tuple[float, ...]  # their values [SI]
-    covariance: tuple[tuple[float, ...], ...]  # their covariance [SI]
+    mean: tuple[float, ...]  # values of the parameters [SI]
+    covariance: tuple[tuple[float, ...], ...]  # covariance of the parameters [SI]
     source: str = ""  # the study that determined them
 
     def __post_init__(self) -> None:
@@ -92,7 +92,7 @@ class Prior:
         )
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """Return the prior of parameters with other names; those without a new name are left out."""
+        """Return the prior of parameters with other names; parameters without a new name are left out."""
         kept = [i for i, name in enumerate(self.names) if name in names]
         covariance = tuple(tuple(self.covariance[i][j] for j in kept) for i in kept)
         new = tuple(names[self.names[i]] for i in kept)
@@ -121,7 +121,7 @@ class Prior:
         """Return the variables to which the prior applies, their means (k,), and L^-1 (k, k) of their covariance.
 
         With a `label`, a prior of a parameter with a value for each case applies to ``name@label``. Parameters that all
-        cases share are included if `shared`; each must be counted once.
+        cases share are included if `shared`, because the prior of each may count only once.
         """
         found = {}
         for i, name in enumerate(self.names):

@@ -104,7 +104,7 @@ class Problem:
         return reference_speed(self.data, self.layout.model.mechanism)
 
     def predict(self, theta: Array) -> list[Prediction]:
-        """Return the prediction of each case at physical variables, with derivatives with respect to the free ones."""
+        """Return the prediction of each case at physical variables, with derivatives for the free variables."""
         tied = self.layout.tied
         if not tied:
             return [case.predict(theta) for case in self.cases]
@@ -117,8 +117,8 @@ class Problem:
         """Return whitened, projected residuals and their Jacobian with respect to the physical variables.
 
         The rows of each case are reduced by a QR decomposition: a case with p variables has p + 1 rows. Sums of squares
-        and products of columns, which determine the least-squares problem, are unchanged. SimulationError: a sum of
-        squares is not finite.
+        and products of columns, which determine the least-squares problem, are unchanged. A SimulationError is raised
+        if a sum of squares is not finite.
         """
         r, j = [], []
         for data, project, p in zip(self.data, self.projections, predictions, strict=True):
@@ -190,18 +190,17 @@ def typical_speed(speeds: Sequence[Array], mechanism: Mechanism, joint: Coupling
 
 
 _BEYOND = 3.0
-"""Smallest distance of the unconstrained optimum beyond a bound for which the parameter is taken to equal the bound
-[standard errors]. Chosen: a smaller value ignores the uncertainty at a bound, a larger one treats a fixed parameter as
-free."""
+"""Distance of the unconstrained optimum beyond a bound above which the parameter is taken to equal the bound [standard
+errors]. Chosen: a smaller value ignores the uncertainty at a bound, a larger one treats a fixed parameter as free."""
 _LEAST_CHANGE = 0.2
 """Smallest relative change that is part of a degenerate direction [1]. Chosen: a smaller value lists uninvolved
-parameters, a larger one omits involved ones."""
+parameters, a larger one omits involved parameters."""
 
 
 def surely_at_bound(
     layout: ParameterLayout, at_bound: NDArray[np.bool_], r: Array, j: Array
 ) -> NDArray[np.bool_]:
-    """Return which variables are known to equal their bound.
+    """Return a mask of the variables that are known to equal their bound.
 
     A friction whose unconstrained optimum is far below zero is zero. If the optimum is only slightly below zero, or an
     exponent is at a bound of its range, the parameter is treated as free in the standard errors of correlated
@@ -218,8 +217,9 @@ def surely_at_bound(
 def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
     """Return combinations of parameters that the data do not determine although each alone may seem determined.
 
-    Each is a dict of relative changes, scaled to a largest change of +1. Together, these changes are within one
-    standard error. Changes below a fifth of the largest, and directions of one parameter, are left out.
+    Each combination is a dict of relative changes, scaled to a largest change of +1. A common change of the parameters
+    along the combination is within one standard error. Changes below a fifth of the largest, and combinations of a
+    single parameter, are left out.
     """
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     kept = np.flatnonzero((theta != 0) & np.isfinite(error) & (error > 0))
@@ -241,7 +241,7 @@ _FIRST_LEVEL = 0.01
 than the main one [1]. Chosen: a smaller value lets the worst interval dominate the search, a larger one hides the shape
 of laws."""
 _MOST_AT_REST = 0.5
-"""Largest share of the blocks at rest for which they are left out of the estimate of the random torque [1]. Chosen: a
+"""Share of blocks at rest above which these blocks are not left out of the estimate of the random torque [1]. Chosen: a
 smaller value includes blocks that do not respond, a larger one leaves few blocks."""
 _FIRST_TIME = 1 / 200
 """Correlation time of the first random torque, divided by the length of the record [1]. Chosen: a slower torque would
@@ -263,7 +263,7 @@ def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
 
 
 def first_noise(problem: Problem, theta: Array) -> tuple[Noise, ...]:
-    """Return the noise of a first search: a random torque of a hundredth of the median torque on the rotor."""
+    """Return the noise of a first search, a random torque of a hundredth of the median torque on the rotor."""
     found = []
     predictions = problem.predict(theta)
     for case, p, level in zip(problem.cases, predictions, _first_levels(problem, theta), strict=True):
@@ -307,8 +307,8 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
     """Return whether a random torque as large as the residuals would make the phase of an oscillation random.
 
     After the time t, a random acceleration with spectral density S has changed the phase of an oscillation of amplitude
-    a and frequency w by an rms of sqrt(S t / 2) / (a w), like white noise on a tuned circuit. For an rms of s and a
-    correlation time tau, S = 2 s^2 tau / (1 + w^2 tau^2). The limit is `Criteria.gross_misfit`.
+    a and frequency w by an rms of sqrt(S t / 2) / (a w), like white noise on a tuned circuit. An acceleration of rms s
+    and correlation time tau has S = 2 s^2 tau / (1 + w^2 tau^2). The limit of the phase is `Criteria.gross_misfit`.
     """
     motion = data.motion
     slow = motion.slow_motion
@@ -340,7 +340,7 @@ def _rows_at_rest(data: CaseData, prediction: Prediction) -> Array:
 
 
 def free_columns(data: CaseData, prediction: Prediction, moving: NDArray[np.bool_]) -> Array:
-    """Return the columns fitted with a random torque: `moving` variables, nuisance, harmonics, rows at rest."""
+    """Return the free columns for the estimate of a random torque: `moving` variables, nuisance, harmonics, rest."""
     own = prediction.columns[:, moving[prediction.places]]
     return np.concatenate(
         [own, data.nuisance, data.harmonic_responses, _rows_at_rest(data, prediction)], axis=1
@@ -350,24 +350,24 @@ def free_columns(data: CaseData, prediction: Prediction, moving: NDArray[np.bool
 def refine_level(
     problem: Problem, theta: Array, noise: Sequence[Noise], *, fixed: bool = False
 ) -> tuple[Noise, ...]:
-    """Return the noise with the level of the residuals of the model at these variables.
+    """Return the noise of each case with the level that the residuals of the model show at these variables.
 
     The level of each case is estimated separately, with its variables free or `fixed`, because the optimum of a shared
     variable may differ between cases.
 
     If the model of an oscillation fails grossly, the level of the recording is kept. At the level of the residuals, the
-    phase would be random, and the period, which is known best, would have no weight (measured: the torque of a pendulum
-    was 6 % too small). The uncertainties are scaled by the residuals instead.
+    phase would be random. The period, which the data determine best, would then have no weight (measured: the torque of
+    a pendulum was 6 % too small). The uncertainties are scaled by the residuals instead.
 
-    For a body that is driven by a recorded input, the level is at most the least plausible level of the recording,
-    which allows for any linear response to the input. The response to a change of the input determines the parameters.
-    At a larger level, random torques would replace an inexact model there (measured: the time constant of a motor
-    becomes 39 ms instead of 25 ms), and without the drive they would describe the whole motion.
+    For a body that is driven by a recorded input, the level is at most the lowest level that the recording allows. That
+    level is measured with any linear response to the input free. The response to a change of the input determines the
+    parameters. At a larger level, random torques would replace an inexact model after such a change (measured: the time
+    constant of a motor becomes 39 ms instead of 25 ms). If the model lacks the drive, random torques would even
+    describe the whole motion.
 
     Rows in which the model is at rest are left out: they hardly respond to a torque, so that only unlimited torques
-    would explain their residuals. A random torque is never larger than the largest torque of the recording.
-
-    Cases whose noise is `common` have the largest level of all.
+    would explain their residuals. A random torque is never larger than the largest torque of the recording. Cases whose
+    noise is `common` have the largest level of all cases.
     """
     found = []
     moving = ~problem.layout.at_bound(theta) & (not fixed)

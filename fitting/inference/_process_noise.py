@@ -5,16 +5,16 @@ few stretches of time, with the camera's nuisance functions free. The estimate u
 rows orthogonal to these functions (H. Patterson, R. Thompson, Biometrika 58, 545 (1971)). The polynomials absorb a slow
 torque, fitted or missing.
 
-The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. Level and time are the
-posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is the
-positive half of a Student distribution with three degrees of freedom. Its scale is the camera's resolution: the
-spectral density 2 s^2 T of an acceleration that is white for the rows, and whose effect equals the noise in half of the
-rows. Therefore the level is never zero; if the data contain no process noise, it is a small fraction of this
-resolution. A random torque is not expected to exceed the mean torque that slows the body: the scale is at most the mean
-acceleration, which is relevant for records of a second or two. The prior of T is uniform in ln T from a thirty-second
-of a block, below which the noise is white for the rows, to three blocks, a twentieth of a long record. A stretch with a
-kink or a jump is far noisier than the others. Therefore the likelihood of a stretch is a mixture, with a prior
-probability of 1/20 for a separate level.
+The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. The estimated level and time
+are the posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is
+the positive half of a Student distribution with three degrees of freedom. Its scale is the resolution of the camera. At
+this resolution, an acceleration that is white for the rows, with the spectral density 2 s^2 T, has an effect as large
+as the noise in half of the rows. Therefore the level is never zero; if the data contain no process noise, it is a small
+fraction of this resolution. A random torque is not expected to exceed the mean torque that slows the body, so the scale
+is at most the mean acceleration; this limit matters for records of a second or two. The prior of T is uniform in ln T
+from 1/32 of a block, below which the noise is white for the rows, to three blocks, a twentieth of a long record. A
+stretch with a kink or a jump is far noisier than the other stretches. Therefore the likelihood of a stretch is a
+mixture, with a prior probability of 1/20 for a separate level.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ FLAT_PRIOR_SIGMA = 1e6
 CONSISTENT = 6.0
 """Largest value of twice the log-likelihood ratio of two consistent descriptions of the data [1]. Chosen: chi-square
 with two degrees of freedom is larger in 5 % of the cases; a smaller value refuses the right description, a larger one
-accepts wrong ones."""
+accepts wrong descriptions."""
 
 _MOST_STRETCHES = 6
 """Largest number of stretches of a record, each with a level [1]. Chosen: with fewer, a kink distorts the level; with
 more, each stretch has few rows."""
 _GRID = np.concatenate([[0.0], np.geomspace(0.1, 1e5, 31)])
-"""Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower ones change nothing, higher ones do
-not occur; a coarser grid rounds the level."""
+"""Trial levels in one stretch, in units of the noise of the rows [1]. Chosen: lower levels change nothing, higher
+levels do not occur; a coarser grid rounds the level."""
 _CELLS_PER_ROW = 2.5
-"""Cells of the random torque per row [1]. Chosen: a smaller number blurs the response of the highest row, a larger one
-costs time."""
+"""Number of cells of the random torque per row [1]. Chosen: a smaller number blurs the response of the highest row, a
+larger one costs time."""
 _DEGREE = 11
 """Degree of the polynomial of a stretch [1]. Chosen: a smaller value takes motion for noise, a larger one absorbs slow
 noise."""
@@ -59,8 +59,8 @@ _SHORT_DEGREE = 14
 """Degree of the polynomial of a stretch that contains several periods of an oscillation [1]. Chosen: a smaller value
 takes the oscillation for noise, a larger one absorbs noise."""
 _MOST_ROWS = 170
-"""Largest number of rows of two stretches together [rows]. Chosen: the cost increases with the cube; a larger value
-costs time, a smaller one neglects the correlation between stretches."""
+"""Largest number of rows of two stretches together [rows]. Chosen: the cost increases with the cube of this number; a
+larger number costs time, a smaller one neglects the correlation between stretches."""
 _FEW_STRETCHES = 2
 """Largest number of stretches of which none may have a separate level [1]. Derived: it is unknown which of two
 stretches is the exception."""
@@ -71,26 +71,26 @@ _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
 """Trial correlation times [lengths of a block]. Chosen: noise with a shorter time is white for the rows; three blocks
 are a twentieth of a long record; slower noise is absorbed by the polynomials."""
 _LEVELS = np.geomspace(1e-4, 1e6, 121)
-"""Trial levels, in units of the noise of the rows [1]. Chosen: twelve per decade; lower ones change nothing, higher
-ones do not occur, a coarser grid rounds the posterior mean."""
+"""Trial levels, in units of the noise of the rows [1]. Chosen: twelve per decade; lower levels change nothing, higher
+levels do not occur, a coarser grid rounds the posterior mean."""
 _FINER = 16
-"""Levels of the finer grid per level of the coarse one [1]. Chosen: a smaller number makes the posterior mean coarse, a
-larger one costs time."""
+"""Number of levels of the finer grid per level of the coarse grid [1]. Chosen: a smaller number makes the posterior
+mean coarse, a larger one costs time."""
 _REFINED_SHARE = 1e-4
-"""Smallest probability of a time about which the grid of times is refined, relative to the largest probability [1].
+"""The grid of times is refined about each time whose probability, relative to the largest one, exceeds this value [1].
 Chosen: a smaller value costs time, a larger one rounds the posterior."""
 _STUDENT_DOF = 3
 """Degrees of freedom of the prior of a level [1]. Derived: the smallest number with a finite variance; its tails are
 heavy."""
 _LEAST_QUANTILE = 1e-3
-"""Quantile of the posterior that is the lowest level allowed by the recording [1]. Chosen: a smaller value makes any
-level raised, a larger one excludes levels that the recording allows."""
+"""Quantile of the posterior that counts as the lowest level allowed by the recording [1]. Chosen: with a smaller value,
+any level counts as raised; a larger value excludes levels that the recording allows."""
 _NEGLIGIBLE = 1e-25
 """Probability below which a level is omitted [1]. Chosen: a smaller value costs time, a larger one changes integrals
 over far tails."""
 _BINS = 60
-"""Bins of the marginal distribution of the level [1]. Chosen: a smaller number rounds the quantiles of the level, a
-larger one leaves few levels in each bin."""
+"""Number of bins of the marginal distribution of the level [1]. Chosen: a smaller number rounds the quantiles of the
+level, a larger one leaves few levels in each bin."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def estimate_process_noise(
         fine = divided(blocks // _SHORT_BLOCKS, _SHORT_DEGREE)
         if not found.is_consistent_with(fine, times):
             found = fine
-    # longer stretches determine slower noise; use them where they describe the motion as well
+    # longer stretches determine slower noise; they are used if their polynomials also describe the motion
     while len(found.parts) > 1:
         pairs = list(zip(found.parts[::2], found.parts[1::2], strict=False))
         merged: list[WhitenedStretch] = []
@@ -155,7 +155,7 @@ def estimate_process_noise(
 
 
 def _process_noise(likelihood: StretchLikelihood, times: Array, typical: float) -> ProcessNoise:
-    """Return the posterior of level and correlation time on a grid of times, refined where it is large."""
+    """Return the posterior of level and correlation time on a grid of times, refined at probable times."""
     resolution = 2 * times[0] * likelihood.unit(times[0]) ** 2
     levels, density = _posterior(likelihood, times, resolution, typical)
     total = density.sum(axis=1)
@@ -177,7 +177,7 @@ def _process_noise(likelihood: StretchLikelihood, times: Array, typical: float) 
 def _posterior(
     likelihood: StretchLikelihood, times: Array, resolution: float, typical: float
 ) -> tuple[Array, Array]:
-    """Return levels [rad/s2] and their probabilities, (times, levels): equally spaced in both logarithms."""
+    """Return levels [rad/s2] and their probabilities, (times, levels), on a grid with equal steps in logarithms."""
     levels, logs = [], []
     for time in times:
         coarse = likelihood.unit(time) * _LEVELS
@@ -301,7 +301,7 @@ class StretchLikelihood:
         return bool(2 * (here.max() - here[allowed].max()) < CONSISTENT)
 
     def _on_levels(self, times: Array) -> tuple[list[Array], Array]:
-        """Return levels [rad/s2] for each time, and their log-likelihoods, with which several others are compared."""
+        """Return levels [rad/s2] for each time, and their log-likelihoods; cached for several comparisons."""
         key = tuple(times.tolist())
         if key not in self._known:
             levels = [self.unit(t) * _LEVELS for t in times]
@@ -333,11 +333,11 @@ class Stretch:
         powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
         nuisance = nuisance[self.rows]
         if nuisance.shape[1] > len(nuisance):
-            # as many orthogonal combinations as rows, because the others are not observed in this stretch; principal
-            # combinations remain separate although flat priors are far larger than the other priors
+            # there are only as many orthogonal combinations as rows, because other combinations are not observed in
+            # this stretch; principal combinations remain separate although flat priors far exceed the other priors
             directions, sizes, _ = np.linalg.svd(nuisance, full_matrices=False)
             nuisance = directions * sizes
-        # the last rows are those of the prior of the nuisance functions, whose measured value is zero
+        # the last rows belong to the prior of the nuisance functions; their measured value is zero
         free = np.block(
             [
                 [self._rows_of(powers), nuisance],

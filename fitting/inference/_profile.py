@@ -1,10 +1,10 @@
 """Profile likelihood intervals.
 
-The deviance is minimised with one parameter held and all others fitted again; the noise is that of the fit. At the ends
-of the interval, it exceeds its minimum by the quantile of chi-square with one degree of freedom, 3.84 for 95 % (S. S.
-Wilks, Ann. Math. Statist. 9, 60 (1938)). The square root of this rise is nearly linear in the parameter, so a few fits
-find each end. A side on which the deviance does not reach the quantile is open: the data do not limit the parameter
-there.
+The deviance is minimised with one parameter held and all others fitted again, at the noise of the fit. At the ends of
+the interval, this minimum exceeds the deviance of the fit by the quantile of chi-square with one degree of freedom,
+3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)). The square root of this rise is nearly linear in the
+parameter, so a few fits find each end. If the rise of the deviance does not reach the quantile on one side, this side
+is open: the data do not limit the parameter there.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _MOST_STEPS = 300
 failure."""
 _WEAK = 0.3
 """Relative uncertainty above which a parameter is weakly determined [1]. Chosen: a smaller value profiles parameters
-with symmetric intervals, a larger one trusts linear ones."""
+with symmetric intervals, a larger one trusts linear intervals."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class _Held:
         lower, upper = layout.bounds()
         self._range = float(lower[self._place]), float(upper[self._place])
         problem = Problem.of(layout, fit.problem.data).with_noise(fit.noise)
-        # transformed variables combine d and f, so a parameter that is held must not be transformed
+        # transformed variables combine d and f, so a held parameter must remain untransformed
         kept = tuple(v for v in problem.power_laws if self._place not in (v.d, v.f))
         self._problem = replace(problem, power_laws=kept)
         self._active: ActiveBounds | None = None
@@ -167,7 +167,7 @@ class _Held:
             z, end = self._root(trial, theta)
             if abs(z - target) < _NEAR:
                 return trial, False
-            # if interpolation moves the same end repeatedly, bisect
+            # if interpolation moves the same end of the bracket repeatedly, bisect
             repeated = repeated + 1 if (z < target) == within else 1
             within = z < target
             if z < target:

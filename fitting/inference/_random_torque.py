@@ -28,14 +28,14 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 _TIMES = 8
-"""Trial correlation times of a random torque [1]. Chosen: a smaller number overlooks the maximum of the likelihood, a
-larger one costs time."""
+"""Number of trial correlation times of a random torque [1]. Chosen: a smaller number overlooks the maximum of the
+likelihood, a larger one costs time."""
 _LEVELS = 16
-"""Trial levels of a random torque [1]. Chosen: a smaller number overlooks the maximum of the likelihood, a larger one
-costs time."""
+"""Number of trial levels of a random torque [1]. Chosen: a smaller number overlooks the maximum of the likelihood, a
+larger one costs time."""
 _FEWEST_TIMES = 6.0
-"""Smallest length of a record, divided by the correlation time of the random torque [1]. Chosen: at a smaller value the
-torque is a trend, which absorbs any effect; a larger value leaves slow torques untried."""
+"""Smallest ratio of the length of a record to the correlation time of the random torque [1]. Chosen: at a smaller value
+the torque is a trend, which absorbs any effect; a larger value leaves slow torques untried."""
 _LOWEST = 1e-3
 """Lowest trial level, as a share of the ceiling [1]. Chosen: a smaller level cannot be distinguished from zero, a
 larger one leaves a gap above zero."""
@@ -71,7 +71,7 @@ def most_likely_noise(
     deviance: float,
     criteria: Criteria,
 ) -> LikelyNoise:
-    """Return the noise with the most likely random torque of each case, or the given one if its deviance is lower."""
+    """Return the noise with the most likely random torque of each case, or the given noise if its deviance is lower."""
     found: list[tuple[Noise, float]] = []
     moving = ~problem.layout.at_bound(theta)
     for i, (data, p, n) in enumerate(zip(problem.data, predictions, noise, strict=True)):
@@ -87,7 +87,7 @@ def most_likely_noise(
 
 
 def mean_torque(problem: Problem, predictions: Sequence[Prediction], theta: Array, case: int) -> float:
-    """Return the mean absolute net torque along the fitted motion, of the body with the largest one [N m]."""
+    """Return the mean absolute net torque along the fitted motion, on the body where it is largest [N m]."""
     model, prediction = problem.cases[case], predictions[case]
     numbers = problem.layout.numbers(theta, case)
     path, record = prediction.path, problem.data[case].record

@@ -1,10 +1,11 @@
 """Measured angles or angular velocities of one experiment.
 
-A `Record` is made from arrays (`make_record`) or a case file (`fitting.inference._case_file`). Times are on one clock
-[s], angles in rad and unwrapped, speeds in rad/s. `quantity` states what was measured: angles or angular velocities.
+A `Record` is made from arrays (`make_record`) or a case file (`fitting.inference._case_file`). All times are on one
+clock [s]. Angles are unwrapped [rad], and speeds are in rad/s. `quantity` states what was measured: angles or angular
+velocities.
 
-Angular velocities are computed from angles and smoothed as in the paper; between its windows the rotor's speed is
-interpolated with the slopes measured in the windows.
+Angular velocities are computed from angles and smoothed as in the paper. Between its windows, the speed of the rotor is
+interpolated with the slopes that are measured in the windows.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ Role = Literal["rotor", "casing", "body"]
 _FEWEST_OF_BODY = 24
 """Smallest number of samples of the first body [samples]. Derived: in a block, 12 for the model and 12 for noise."""
 _PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
-"""Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC chooses one; a smaller number smooths too much or too
-little, a larger one costs time."""
+"""Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC selects one of them; a coarser list smooths too much or
+too little, a finer list costs time."""
 _MIN_PIECE = 12
 """Smallest number of samples of a piece [samples]. Chosen: a smaller number follows noise, a larger one blurs the
 motion."""
@@ -45,23 +46,25 @@ _CUBIC = 4
 """Number of coefficients of a piece [1]. Derived: a polynomial of degree 3."""
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
 """Smallest number of samples of a rotor window, by quantity [samples]. Chosen: a speed follows from several angles, or
-is measured directly; with fewer angles, there is no uncertainty; with more, short films are refused."""
+is measured directly; with a smaller number of angles, the speed has no uncertainty; a larger number refuses short
+films."""
 _SHOWN = 6
 """Number of windows and inputs in a repr [1]. Chosen: a smaller number hides windows, a larger one fills the
 console."""
 _SPEED_SAMPLES = 5
-"""Samples of an average speed; the largest average is the unit of speeds in laws [samples]. Chosen: a smaller number
-contains more noise, a larger one averages over a period of an oscillation."""
+"""Number of samples of an average speed; the largest average is the scale of trial speeds in laws [samples]. Chosen: a
+smaller number contains more noise, a larger one averages over a period of an oscillation."""
 _LARGEST_SHARE = 0.95
-"""Quantile of the speeds that is used as their largest value [1]. Chosen: a higher quantile depends on outliers, a
-lower one is a mean."""
+"""Quantile of the speeds that counts as the largest speed [1]. Chosen: a higher quantile depends on outliers, a lower
+one is a mean."""
 _MOVES = 3.0
 """Ratio of the largest speed to the noise of an average speed above which a body moves [1]. Derived: the quantile 0.95
 of the absolute value of noise alone is 2.0."""
 LARGEST = 1e20
-"""Largest time, angle or rate [SI units]. Derived: products of several are finite."""
+"""Largest time, angle or rate [SI units]. Derived: products of several such values are finite."""
 SMALLEST = 1e-20
-"""Lower limit of the largest value of a moving body [SI units]. Derived: products of several do not vanish."""
+"""Lower limit of the largest value of a moving body [SI units]. Derived: products of several such values do not
+vanish."""
 PRECISION = 1e18
 """Largest ratio of a value to its uncertainty [1]. Derived: floating-point numbers have 1e16."""
 
@@ -96,11 +99,11 @@ class Body:
     name : str
         The name of the body.
     role : {"rotor", "casing", "body"}
-        Its role in the apparatus; "body" for a single body and for the bodies of a chain.
+        The role in the apparatus; "body" for a single body and for the bodies of a chain.
     part : str
-        The body of the library whose laws apply to it: "rotor", "casing", or its name in a chain.
+        The body whose laws in the library apply: "rotor", "casing", or in a chain the name of the body.
     state : int
-        Index of its speed in the state of the motion.
+        Index of the speed in the state vector of the motion.
     inertia, inertia_u : float
         Moment of inertia and its standard uncertainty [kg m2]; NaN if the uncertainty is not given.
     series : tuple of Samples
@@ -125,8 +128,8 @@ class Body:
 class Record:
     """One experiment on one clock.
 
-    In a chain of bodies, `casing` is the main body (the second one of the `mechanism`), and `rotor` contains the runs
-    of all other bodies, each with the index of its body in the state.
+    In a chain of bodies, `casing` is the main body (the second body of the `mechanism`). `rotor` contains the runs of
+    all other bodies, each with the index of its body in the state.
 
     Parameters
     ----------
@@ -135,7 +138,7 @@ class Record:
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     I_rotor_u, I_casing_u : float
-        Their standard uncertainties [kg m2]; NaN if not given.
+        Standard uncertainties of the moments of inertia [kg m2]; NaN if not given.
     casing : Samples
         The casing through the whole run.
     rotor : tuple of Samples
@@ -145,17 +148,17 @@ class Record:
     source : str
         The file, for provenance.
     tracked : bool
-        The angles come from film, with tracking errors once and twice per turn.
+        Whether the angles come from film, with tracking errors once and twice per turn.
     gradients : bool
-        The speeds are gradients of filmed angles, including the errors of the camera.
+        Whether the speeds are gradients of filmed angles, including the errors of the camera.
     generated : bool
-        The rotor is a curve that was generated, not measured (see `fitting.study._preparation`).
+        Whether the values of the rotor are a generated curve and not measured (see `fitting.study._preparation`).
     windows : tuple of Samples
         The measured windows of a generated rotor.
     start_sigma : tuple of float
         Uncertainty of the start of each rotor window on the casing's clock [s]; empty if exact, NaN if not stated.
     units : Units
-        Units of torques: SI units, or per unit of inertia for an unknown moment of inertia, which is then 1.
+        Units of torques: SI units, or units per unit of inertia if the moment of inertia is unknown; it is then 1.
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
         uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
@@ -234,7 +237,7 @@ class Record:
 
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
-        """The bodies: the main one (the casing or the single body), then the others that were measured."""
+        """The bodies: the main body (the casing or the single body), then the other bodies that were measured."""
         names, chain = self.mechanism.bodies, self.is_chain
         role: Role = "body" if chain else _MAIN[bool(self.rotor)]
         name = names[MAIN] if chain else self.name or role
@@ -277,7 +280,7 @@ class Record:
 
     @property
     def single(self) -> bool:
-        """Whether the record is that of a single body, which is stored as the casing."""
+        """Whether the record contains a single body, which is stored as the casing."""
         return not self.rotor
 
     @property
@@ -315,8 +318,8 @@ class Record:
     def largest_speeds(self) -> dict[str, float]:
         """Largest speed by symbol [rad/s]; for a body that is at rest or not measured, the speed of the fastest body.
 
-        To limit outliers and noise, the quantile 0.95 of mean speeds over a few samples is used. A body is taken to be
-        at rest if this quantile is not larger than noise alone would give.
+        To limit outliers and noise, the quantile 0.95 of mean speeds over a few samples is used. A body counts as at
+        rest if noise alone would give a quantile of this size.
         """
         found = {}
         for i, symbol in enumerate(self.mechanism.speeds):
@@ -393,20 +396,20 @@ def make_record(
     quantity : {"angle", "omega"}
         What the values are.
     tracked : bool
-        The data come from film.
+        Whether the data come from film.
     single : bool
-        Not needed: without a film of a rotor, `casing` is the only body.
+        Not used: without a film of a rotor, `casing` is the only body.
     start_sigma : sequence of float
         Standard uncertainty of the start of each film of the rotor on the casing's clock [s]; empty if exact, NaN if
         unknown.
     I_rotor_u, I_casing_u : float
         Standard uncertainties of the moments of inertia [kg m2]; NaN if unknown.
     per_inertia : bool
-        No moment of inertia is known: it is 1, and torques are per unit of inertia [rad/s2].
+        Whether no moment of inertia is known: it is then 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
         uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
-        periods per turn [rad]; missing ones are zero.
+        periods per turn [rad]; missing numbers are zero.
     correlated_profile : sequence of (float, float)
         Times [s] and the standard uncertainty [rad] of the slowly varying error at each of them, between which it is
         linear; empty if it is constant.
@@ -419,9 +422,9 @@ def make_record(
     mechanism : Mechanism
         The bodies and joints of a chain: `casing` is its second body, and `rotor` are the runs of all others.
     states : sequence of int
-        Index in the mechanism of the body of each run of `rotor`; if empty, all runs are those of the first body.
+        Index in the mechanism of the body of each run of `rotor`; if empty, all runs belong to the first body.
     further : sequence of (float, float)
-        Moments of inertia of its third and later bodies and their standard uncertainties [kg m2].
+        Moments of inertia of the third and later bodies of a chain, and their standard uncertainties [kg m2].
     harmonics : sequence of float
         Standard deviation of the amplitudes of an error of 1 to 12 periods per turn of the angle of each run of `rotor`
         [rad]; all are zero if empty.
@@ -494,7 +497,7 @@ def _refuse_wrong(casing: object, rotor: object, quantity: object) -> None:
 
 
 def _covering(inputs: Sequence[Input], casing: Samples, windows: Sequence[Samples]) -> tuple[Input, ...]:
-    """Return the inputs of a record; a RecordError if two have the same name or one does not cover the record."""
+    """Return the inputs of a record; a RecordError if a name occurs twice or an input does not cover the record."""
     if not isinstance(inputs, Iterable) or not all(isinstance(i, Input) for i in inputs):
         raise RecordError("an input is not an Input", 'use fitting.Input("current", time, value, "A")')
     names = [i.name for i in inputs]
@@ -566,7 +569,7 @@ def _digest(record: Record) -> str:
     if any(s > 0 for s in record.start_sigma):
         hasher.update(repr(record.start_sigma).encode())
     if any(record.correlated):
-        # without the last error, as in earlier ledgers
+        # earlier ledgers do not contain the last error
         stated = record.correlated if record.correlated[3] else record.correlated[:3]
         hasher.update(repr(stated).encode())
     if record.correlated_profile:
@@ -604,8 +607,8 @@ def speeds(
 ) -> tuple[Array, Array]:
     """Return times [s] and angular velocities [rad/s]: median of the angle, gradient, median, ends dropped.
 
-    The paper has a `width` of 51 points and drops 50 at each end; in short runs, at most a tenth of the samples is
-    dropped at each end.
+    The paper has a `width` of 51 points and drops 50 points at each end. In short runs, at most a tenth of the samples
+    is dropped at each end.
     """
     width = median_width(len(samples), width)
     value = samples.value
@@ -677,7 +680,7 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
     y = samples.value - np.repeat(samples.value[first], size)
     rows = np.full((len(first), 3), np.nan)
     rows[:, 0] = middle
-    # the lengths differ by at most one sample: the shortest determines the degree of all
+    # the lengths of the pieces differ by at most one sample; the shortest piece determines the degree of all
     degree = min(2 if is_angle else 1, int(size.min()) - 1)
     powers = [np.ones(len(x)), x, x * x][: degree + 1]
     gram = np.stack([np.stack([sums(p * q) for q in powers], axis=-1) for p in powers], axis=-1)

@@ -1,11 +1,11 @@
 """New recordings of a fitted motion: the same bodies, samples and windows, with new random errors.
 
-The expected values are those of the fit at every sample, with the fitted initial angles, camera errors, laws of an
-angle and measurement effects. The random errors are those assumed by the fit (a parametric bootstrap; A. C. Davison, D.
-V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4): white noise at the measured level, correlated angle
-noise at a level drawn from its uncertainty, the random torque in the residuals of the fit, the errors that tracking
-states, the starts of the windows, and moments of inertia that differ from the stated ones by their standard
-uncertainties.
+The expected values are the values of the fit at every sample, with the fitted initial angles, camera errors, laws of an
+angle and measurement effects. The random errors are those that the fit assumes (a parametric bootstrap; A. C. Davison,
+D. V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4): white noise at the measured level, correlated
+angle noise at a level drawn from its distribution, the random torque in the residuals of the fit, the errors that
+tracking states, errors of the starts of the windows, and errors of the stated moments of inertia, drawn from their
+standard uncertainties.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def _recording(motion: FittedMotion, random: Random) -> Record:
 def _other_inertias(motion: FittedMotion, random: Random) -> list[Array]:
     """Return the change of the values due to random errors of the stated moments of inertia.
 
-    The torques are those of the fit; the record keeps the stated moments of inertia.
+    The torques are those of the fit. The record contains the stated moments of inertia.
     """
     data, record = motion.data, motion.data.record
     runs = (record.casing, *record.rotor)
@@ -163,7 +163,7 @@ def _other_inertias(motion: FittedMotion, random: Random) -> list[Array]:
 def _random_torque(motion: FittedMotion, random: Random) -> list[Array]:
     """Return the change of the values due to random torques on the casing and between the bodies.
 
-    The level of the torques is that included in the uncertainties of the fit.
+    The level of the torques is the level that the uncertainties of the fit include.
     """
     noise, record = motion.fit.noise[motion.case].with_unresolved, motion.data.record
     runs, level = (record.casing, *record.rotor), noise.level
@@ -187,7 +187,7 @@ def _random_torque(motion: FittedMotion, random: Random) -> list[Array]:
 
 
 def _state(number: int, run: Samples) -> int:
-    """Return the index in the state of the body of a run; the first run is that of the main body."""
+    """Return the index in the state of the body of a run; the first run belongs to the main body."""
     return run.state if number else MAIN
 
 
@@ -218,8 +218,8 @@ def _stated_error(data: CaseData, random: Random) -> Array:
 def _harmonics(run: Compressed, harmonic: float, random: Random, periodic: float = 0.0) -> Array:
     """Return harmonics of the angle with amplitudes that are independent in each block.
 
-    The standard deviation of the amplitudes is `harmonic`; in blocks of few turns, those of orders 1 and 2 contain
-    `periodic` as well.
+    The standard deviation of the amplitudes is `harmonic`; in blocks of few turns, the amplitudes of orders 1 and 2
+    contain `periodic` as well.
     """
     found = np.zeros(len(run.samples))
     for where, _ in run.operators if periodic > 0 or harmonic > 0 else ():

@@ -1,7 +1,7 @@
 """The result of a fit: parameters, uncertainties, figures of merit, verdict.
 
-Cross-validation errors, the lack-of-fit test and the energy balance take longer than a step of the optimisation and are
-computed on first access: most candidate effects are only ranked.
+Cross-validation errors, the lack-of-fit test and the energy balance take longer than a step of the optimisation. They
+are computed on first access, because the ranking of most candidate effects does not need them.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ VERDICT_TEXT = {
 _SCREEN = 20
 """Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
 _POINTS = 600
-"""Points of a drawn curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
+"""Number of points of a drawn curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
 # printed with a fit to a generated curve
 GENERATED = (
     "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "
@@ -114,7 +114,7 @@ class FitSummary:
 
     @property
     def misfit(self) -> float:
-        """Rms residual divided by that of the noise, of all rows that a model can describe; 1 is the noise limit.
+        """Rms residual of all rows that a model can describe, divided by the rms of the noise; 1 is the noise limit.
 
         Unlike the reduced chi-square of the samples, it does not depend on the sampling rate: further samples add
         noise, but no row.
@@ -182,17 +182,17 @@ class FitSummary:
         return ""
 
     def shown_name(self, key: str) -> str:
-        """Return the name of a parameter in `params`, from that in `estimates`."""
+        """Return the name of a parameter in `params`, given its name in `estimates`."""
         return shown_name(key, self.body_name, len(self.labels))
 
     @property
     def shown_model(self) -> str:
-        """Names of the effects, joined by " + "; those of a single body begin with its name."""
+        """Names of the effects, joined by " + "; effects of a single body begin with the name of the body."""
         return " + ".join(outward(name, self.body_name) for name in self.model.names)
 
     @cached_property
     def params(self) -> Params:
-        """The parameters by name, or by its end where this is unique: ``params["b2"]``."""
+        """The parameters by name; the end of a name suffices if it is unique: ``params["b2"]``."""
         return Params({self.shown_name(k): e for k, e in self.estimates.items()})
 
     @property
@@ -250,7 +250,7 @@ def estimate_text(fit: FitSummary, name: str) -> str:
     """Return value, uncertainty and unit of a parameter, and whether it is at its bound or was held."""
     e = fit.estimates[name]
     note = " (at its bound)" if e.at_bound else " (held)" if name in fit.model.constants else ""
-    # the curvature where a search stopped is not an uncertainty
+    # if the search did not converge, the curvature at its last point is not an uncertainty
     reliable = fit.verdict != "not_converged"
     return rounded(e.value, e.stderr if reliable else math.nan, e.unit) + note
 
@@ -343,8 +343,8 @@ def not_determined(estimates: Mapping[str, Estimate], limit: float = 1.0) -> lis
 
 _FEWEST_TURNS = 5.0
 """Smallest number of turns of the casing for which a harmonic of its angle is not treated as a slow torque [1].
-Measured: constant torques have up to 6 standard deviations of a first harmonic within 1.5 turns, 2.9 within three, and
-no more than noise within six; the recordings are not stated."""
+Measured: constant torques imitate a first harmonic of up to 6 standard deviations within 1.5 turns, of 2.9 within three
+turns, and of no more than noise within six turns; the recordings are not stated."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -354,13 +354,14 @@ class Fit(FitSummary):
     Attributes
     ----------
     model : Model
-        What was fitted.
+        The fitted model.
     estimates : dict of str to Estimate
         Every parameter and initial value by name.
     chi2, rows, n_eff, deviance, bic : float
-        Chi-square of the rows that a model can describe, and the number of these rows; effective number of samples;
-        minus twice the log-likelihood (up to a constant of the data); deviance + p ln rows. Only these rows differ
-        between models; all other combinations of the samples are noise.
+        `chi2` is the chi-square of the rows that a model can describe, and `rows` is the number of these rows; only
+        these rows differ between models, and all other combinations of the samples are noise. `n_eff` is the effective
+        number of samples. `deviance` is minus twice the log-likelihood (up to a constant of the data). `bic` is
+        deviance + p ln rows, with p fitted parameters.
     converged : bool
         Whether the optimisation converged.
     """
@@ -428,7 +429,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         time : array_like, shape (n,), optional
-            Times within the record [s]; by default those of the samples (of all windows of a rotor, joined).
+            Times within the record [s]; by default the times of the samples (of all windows of a rotor, joined).
         body : str, optional
             "casing", "rotor", or the name of the body; by default the casing, the single or the main body.
         case : int
@@ -443,7 +444,8 @@ class Fit(FitSummary):
         Raises
         ------
         EstimationError
-            If a time is beyond the record, if there is no such body or case, or for angles where speeds were measured.
+            If a time is outside the record, if there is no such body or case, or if angles are requested but speeds
+            were measured.
         """
         return evaluate(self, time, self._place(body, case), case, quantity)
 
@@ -472,7 +474,7 @@ class Fit(FitSummary):
     def residual(self) -> Array:
         """Measured minus fitted value of every sample, divided by its stated standard uncertainty.
 
-        Samples of the casing or the single body come first, then those of the windows of the rotor, case by case.
+        The samples are sorted by case; the samples of the casing or the single body precede those of the rotor windows.
         """
         return residuals_of(self)
 
@@ -486,8 +488,8 @@ class Fit(FitSummary):
         draws, chains : int
             Number of draws of each chain, and of chains.
         method : {"linearised", "emcee"}
-            The normal distribution of the linearised problem; or the likelihood with a flat prior within the bounds,
-            sampled by emcee (about 10 ms a draw), which may need more chains.
+            "linearised" is the normal distribution of the linearised problem. "emcee" samples the likelihood with a
+            flat prior within the bounds (about 10 ms for each draw); it may need more chains.
         seed : int
             Random seed.
 
@@ -530,7 +532,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `doubt_adequate` is the limit of the p-value. By default those of the fit.
+            Its `doubt_adequate` is the limit of the p-value. By default the criteria of the fit.
         """
         peak, limit = self.periodogram_peak, (criteria or self.criteria).doubt_adequate
         return peak if peak is not None and peak.p_value < limit else None
@@ -539,7 +541,7 @@ class Fit(FitSummary):
     def verdict(self) -> str:
         """One of "no_lack_of_fit", "lack_of_fit", "not_determined" and "not_converged"."""
         if self.lacks_restoring_torque:
-            return "lack_of_fit"  # whether or not the search for the best of the wrong parameters converged
+            return "lack_of_fit"  # the verdict does not depend on the convergence of the fit of a wrong model
         if not self.converged:
             return "not_converged"
         if self.has_lack_of_fit():
@@ -552,7 +554,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            The limits of all tests. By default those of the fit.
+            The limits of all tests. By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         return (
@@ -574,12 +576,12 @@ class Fit(FitSummary):
 
     @property
     def lacks_restoring_torque(self) -> bool:
-        """Whether the body oscillates but the model has no restoring torque: then residuals have no meaning."""
+        """Whether the body oscillates but the model has no restoring torque; residuals then have no meaning."""
         return not (self.problem.data[0].motion.is_smooth or self.model.restoring)
 
     @property
     def criteria(self) -> Criteria:
-        """The criteria with which the noise of the recordings was measured, and of the verdict."""
+        """The criteria of the verdict, with which the noise of the recordings was measured as well."""
         return self.problem.data[0].criteria
 
     def fails(self, criteria: Criteria | None = None) -> bool:
@@ -589,7 +591,7 @@ class Fit(FitSummary):
         ----------
         criteria : Criteria
             Its `lack_of_fit` is the limit of the p-value of slow torques, and of the p-value of chi2 in each case that
-            exceeds `reduced_chi2`. By default those of the fit.
+            exceeds `reduced_chi2`. By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         return self.converged and (
@@ -607,7 +609,8 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `harmonic_sigma` is the amplitude that counts, in standard deviations. By default those of the fit.
+            Its `harmonic_sigma` is the amplitude that counts, in standard deviations. By default the criteria of the
+            fit.
         """
         least = (criteria or self.criteria).harmonic_sigma
         return any(
@@ -618,13 +621,13 @@ class Fit(FitSummary):
         )
 
     def has_excess_noise(self, criteria: Criteria | None = None) -> bool:
-        """Return whether the fit needs more process noise than the recording shows against the most flexible motion.
+        """Return whether the fit needs more process noise than the recording shows without a model.
 
         Parameters
         ----------
         criteria : Criteria
             Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level. By
-            default those of the fit.
+            default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         return any(n.level > n.pure + criteria.excess_noise * n.pure_u for n in self.noise)
@@ -632,13 +635,15 @@ class Fit(FitSummary):
     def needs_random_torque(self, criteria: Criteria | None = None) -> bool:
         """Return whether the fit needs a random torque that the recording does not show without the model.
 
-        For a joint fit, only the lack-of-fit test decides, because its levels depend on what the recordings share.
+        For a joint fit the result is False: only the lack-of-fit test decides, because the level of each case also
+        depends on the parameters that the recordings share.
 
         Parameters
         ----------
         criteria : Criteria
-            Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level, its
-            `random_torque_evidence` the fall of the deviance by the random torque. By default those of the fit.
+            Its `excess_noise` is the smallest excess that counts, in standard uncertainties of the recording's level.
+            Its `random_torque_evidence` is the smallest fall of the deviance by the random torque. By default those of
+            the fit.
         """
         criteria = criteria or self.criteria
         if len(self.noise) > 1:
@@ -648,14 +653,15 @@ class Fit(FitSummary):
         return excess and n.excess > criteria.random_torque_evidence
 
     def needs_unestablished_torque(self, criteria: Criteria | None = None) -> bool:
-        """Return whether a case needs a random torque whose level is not established by its recording.
+        """Return whether a case needs a random torque whose level its recording does not establish.
 
         The residuals are then consistent with noise, but a missing effect may describe them better.
 
         Parameters
         ----------
         criteria : Criteria
-            Its `random_torque_evidence` is the fall of the deviance by the random torque. By default those of the fit.
+            Its `random_torque_evidence` is the fall of the deviance by the random torque. By default the criteria of
+            the fit.
         """
         criteria = criteria or self.criteria
         return any(n.raised and n.excess > criteria.random_torque_evidence for n in self.noise)
@@ -666,7 +672,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Limits of level and correlation time. By default those of the fit.
+            Limits of level and correlation time. By default the criteria of the fit.
         """
         return most_likely_noise(
             self.problem, self.predictions, self.noise, self.theta, self.deviance, criteria or self.criteria
@@ -678,7 +684,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `doubt_adequate` is the limit of the p-value. By default those of the fit.
+            Its `doubt_adequate` is the limit of the p-value. By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         limit = criteria.doubt_adequate
@@ -700,7 +706,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `random_torque_evidence` and `lack_of_fit` decide. By default those of the fit.
+            Its `random_torque_evidence` and `lack_of_fit` decide. By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         moving = ~self.problem.layout.at_bound(self.theta)
@@ -755,7 +761,7 @@ class Fit(FitSummary):
 
     @cached_property
     def rmse_noise(self) -> float:
-        """Rms residual speed of the casings that noise alone would give, after the same smoothing [rad/s]."""
+        """Rms residual speed of the casings that noise alone would give after the smoothing of the paper [rad/s]."""
         both = zip(self.problem.data, self.predictions, strict=True)
         return math.sqrt(float(np.mean([smoothing_noise(d, p.path) ** 2 for d, p in both])))
 
@@ -810,7 +816,7 @@ class Fit(FitSummary):
 
     @property
     def units(self) -> Units:
-        """Units of torques and of what follows from them."""
+        """Units of torques and of quantities that follow from torques."""
         return self.problem.layout.units
 
     @property
@@ -855,7 +861,7 @@ class Fit(FitSummary):
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Where to draw one chart, that of the casing or the single body; by default a new figure shows all.
+            Axes for one chart, of the casing or the single body; by default a new figure shows all charts.
         case : int
             Index of the case that is drawn into `ax`.
         residual : bool
@@ -864,7 +870,7 @@ class Fit(FitSummary):
         Returns
         -------
         matplotlib.figure.Figure
-            The new figure, or that of `ax`.
+            The new figure, or the figure of `ax`.
         """
         if ax is not None:
             self._draw(ax, case, MAIN, residual=residual)
@@ -905,16 +911,16 @@ class Fit(FitSummary):
     ) -> dict[str, Interval] | dict[str, dict[float, Interval]]:
         """Return confidence intervals of parameters by their profile likelihood.
 
-        The deviance with the parameter held and all others fitted anew rises at the ends of the interval by the
-        quantile of chi-square with one degree of freedom; the interval need not be symmetric. It takes about ten fits
-        for each parameter.
+        For each value of the parameter, all others are fitted again. At the ends of the interval the deviance exceeds
+        its minimum by the quantile of chi-square with one degree of freedom. The interval need not be symmetric. Each
+        parameter takes about ten fits.
 
         Parameters
         ----------
         *names : str
             Names of fitted parameters, or their unique ends; by default all but the initial speeds.
         level : float or sequence of float
-            Probability that the interval contains the value; several give several intervals.
+            Probability that the interval contains the value; several levels give several intervals.
 
         Returns
         -------
@@ -925,7 +931,7 @@ class Fit(FitSummary):
         Raises
         ------
         EffectError
-            If a name is not that of a fitted parameter.
+            If no fitted parameter has one of the names.
         EstimationError
             If the level is not between 0 and 1.
         """
@@ -1044,7 +1050,7 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
 
 
 _INEXACT = 1.5
-"""Smallest factor of the variance for which the residuals of a driven body are not white noise [1]. Chosen: a smaller
+"""Factor of the variance above which the residuals of a driven body do not count as white noise [1]. Chosen: a smaller
 value enlarges uncertainties by chance, a larger one understates them."""
 
 
@@ -1052,9 +1058,9 @@ def _with_slow_residuals(problem: Problem, predictions: Sequence[Prediction], co
     """Return the covariance, increased where slow residuals change a variable by more than its standard error.
 
     The fit of a driven body assumes white noise, but the residuals of a model that is not exact follow each change of
-    the input. With the scores s of the blocks, J'r, the variance is that of W. Newey, K. West, Econometrica 55, 703
-    (1987), (J'J)^-1 [sum of w_l s_i s_(i+l)'] (J'J)^-1, with weights w that fall linearly to zero over the cube root of
-    the number of blocks. Correlations stay those of the fit.
+    the input. Let s_i = J_i' r_i be the score of block i. The variance (W. Newey, K. West, Econometrica 55, 703 (1987))
+    is (J'J)^-1 [sum of w_l s_i s_(i+l)'] (J'J)^-1, with weights w_l that fall linearly with the lag l to zero at the
+    cube root of the number of blocks. The correlations of the fit are kept.
     """
     count = len(covariance)
     information, scatter = np.zeros((count, count)), np.zeros((count, count))

@@ -26,8 +26,8 @@ from fitting.inference._record import Samples, hermite
 Array = NDArray[np.float64]
 
 GAUSS = 3
-"""Nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; a smaller number loses accuracy in long cells, a
-larger one costs time."""
+"""Number of nodes of the Gauss rule in a cell [1]. Chosen: exact to degree 5; a smaller number loses accuracy in long
+cells, a larger one costs time."""
 _PASSES = 8
 """Number of iterations for a law of an angle whose response changes the angle [1]. Chosen: the response is small
 compared with a radian; a smaller number leaves an error, a larger one costs time."""
@@ -100,7 +100,7 @@ class FittedMotion:
         return self.expected_of(0 if rotor else MAIN, times, path)
 
     def expected_of(self, state: int, times: Array, path: Path | None = None) -> Array:
-        """Return angles, up to a constant, or speeds of the smooth motion of the body with an index in the state."""
+        """Return angles, up to a constant, or speeds of the smooth motion of the body with this index in the state."""
         path = path or self.prediction.path
         sampler = Sampler(path.mesh, times)
         if self.data.is_angle:

@@ -1,7 +1,7 @@
 """Simulated recordings: a model integrated exactly, sampled as the cameras do, with noise.
 
-The smooth torques are integrated with all others; a random torque is small and enters through the linearised motion
-about that solution.
+The smooth torques are integrated exactly. A random torque is small; its effect is computed from the motion linearised
+about this solution.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _FIRST_INTERVAL = 1e-6
 """First interval of a mesh for a boundary layer at the start, divided by the duration [1]. Chosen: a larger value does
 not resolve fast transients, a smaller one costs intervals."""
 _GRADED = 60
-"""Intervals of a mesh for a boundary layer at the start [1]. Chosen: with fewer, the intervals grow too fast; with
-more, the solution takes longer."""
+"""Number of intervals of a mesh for a boundary layer at the start [1]. Chosen: with fewer, the intervals grow too fast;
+with more, the solution takes longer."""
 _NOISE_STEP = 0.02
 """Step of a simulated random torque [s]. Chosen: short compared with its default correlation time of 1 s; a larger
 value makes it a sequence of steps, a smaller one costs time."""
@@ -48,8 +48,8 @@ class Experiment:
     """Speed of the casing at the start [rad/s]. Chosen: the casing has just been released; a smaller value starts near
     rest, a larger one shows less of the acceleration."""
     duration: float = 200.0
-    """Length of the casing's recording [s]. Chosen: both bodies slow down in it; a shorter one determines the laws less
-    precisely, a longer one adds a body at rest."""
+    """Length of the casing's recording [s]. Chosen: both bodies slow down within this time; a shorter one determines
+    the laws less precisely, a longer one adds a body at rest."""
     casing_fps: float = 260.0
     """Frame rate of the casing's camera [s-1]. Chosen: a casing of up to 160 rad/s turns by a tenth of a turn per
     frame; a smaller value aliases fast bodies, a larger one needs more light."""
@@ -69,8 +69,8 @@ class Experiment:
     """Rms random torque on the casing and in the bearing [N m]. Chosen: none by default; a larger value raises
     detection limits."""
     torque_time: float = 1.0
-    """Correlation time of the random torque [s]. Chosen: a shorter one is white noise for the blocks, a longer one a
-    trend."""
+    """Correlation time of the random torque [s]. Chosen: with a shorter time, the torque is white noise for the blocks;
+    with a longer time, it is a trend."""
     centre_offset: float = 0.0
     """Once-a-turn error of the casing's angle [rad]. Chosen: none by default; a larger value tests the nuisance
     functions."""
@@ -132,7 +132,7 @@ def simulate(
     numbers : mapping of str to float
         Its parameters by key.
     experiment : Experiment
-        How it is filmed.
+        How the run is filmed.
     inertia_rotor, inertia_casing : float
         Moments of inertia [kg m2].
     seed : int
@@ -150,7 +150,7 @@ def simulate(
     Raises
     ------
     SimulationError
-        As `simulate_path`; or a window lies outside the recording.
+        As for `simulate_path`; or if a window is outside the recording.
     """
     model.refuse_chain("a simulation", "gyrotrack certify, or fitting.certify, simulates replicas of a fit")
     random = np.random.default_rng(seed)
@@ -161,7 +161,7 @@ def simulate(
     if any(w < 0 or w + experiment.window_length > experiment.duration for w in experiment.windows):
         raise SimulationError("a rotor window is outside the recording", "move it or record for longer")
     dynamics, path = simulate_path(model, values, experiment, inputs)
-    # harmonics of the angle hardly change the response to a torque: that of the smooth motion is used
+    # harmonics of the angle hardly change the response to a torque, so the response of the smooth motion is used
     smooth = (
         simulate_path(model.smooth, values, experiment, inputs) if model.angle_dependent else (dynamics, path)
     )

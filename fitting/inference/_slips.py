@@ -1,13 +1,13 @@
-"""Whole turns that slipped in a series of angles: found as steps of 2 pi between two samples, and corrected.
+"""Slips of whole turns in a series of angles: detection as steps of 2 pi between two samples, and correction.
 
-A tracker that confuses two similar markers, a counter that loses an overflow or a gap that is unwrapped wrongly shifts
-all later angles by a whole turn. With the local speed v, the median of the difference quotients of the neighbouring
-samples, the angle changes from one sample to the next by v dt plus noise, and a slip of n turns is
+All later angles are shifted by a whole turn if a tracker confuses two similar markers, if a counter loses an overflow,
+or if a gap is unwrapped wrongly. Let v be the local speed, the median of the difference quotients of the neighbouring
+samples. From one sample to the next the angle changes by v dt plus noise, and a slip of n turns is
 
     e = y[i+1] - y[i] - v (t[i+1] - t[i]) = 2 pi n + noise,   n = round(e / 2 pi) != 0.
 
-The number of turns is an integer that the data determine without uncertainty, so the corrected angles need no error
-mode; what was found is kept with the data and is a finding of every fit. Neither a motion nor noise causes such a step.
+The number of turns is an integer that the data determine without uncertainty, so the correction adds no error to the
+angles. The slips are stored with the data, and every fit reports them. Neither a motion nor noise causes such a step.
 Without the correction, a window with a slip would seem to have angle noise of hundreds of milliradians.
 """
 
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 _TURN = 2 * math.pi
 """One turn [rad]. Derived: 2 pi."""
 _NEIGHBOURS = 31
-"""Difference quotients from which a local speed is estimated [1]. Chosen: a smaller number follows noise and slips, a
-larger one blurs a changing speed."""
+"""Number of difference quotients from which a local speed is estimated [1]. Chosen: a smaller number follows noise and
+slips, a larger one blurs a changing speed."""
 _MAD = 1.4826
 """Standard deviation divided by the median absolute deviation of a normal variable [1]. Derived: the reciprocal of the
 quantile 0.75 of the standard normal distribution."""
@@ -42,7 +42,7 @@ class Slip:
     Attributes
     ----------
     body : str
-        "casing", "rotor", or "body" where only one was recorded.
+        "casing", "rotor", or "body" if only one body was recorded.
     window : int or None
         Number of the rotor window, from 1; None for the casing.
     time : float
@@ -63,7 +63,7 @@ class Slip:
 
     @property
     def sentence(self) -> str:
-        """What slipped, where and when."""
+        """A sentence with the number of slipped turns, the series and the time."""
         many = "a whole turn" if abs(self.turns) == 1 else f"{abs(self.turns)} whole turns"
         sign = "+" if self.turns > 0 else "-"
         return f"{many} slipped in {self.where} at {self.time:.3f} s ({sign}{abs(self.turns)})"
@@ -80,7 +80,7 @@ def slipped_turns(samples: Samples, criteria: Criteria = DEFAULT) -> list[tuple[
         Its `slip_tolerance` is the largest deviation from a whole turn, as a share of a turn.
     """
     step, interval = np.diff(samples.value), np.diff(samples.time)
-    # beyond half a turn per sample, a whole turn more is no different from a faster motion
+    # above half a turn per sample, a slip cannot be distinguished from a faster motion
     if len(step) < _NEIGHBOURS or not np.median(np.abs(step)) < 0.5 * _TURN:
         return []
     quotient = step / interval

@@ -3,13 +3,14 @@
 If a law has the wrong shape, the residual torque is a smooth function of the speed on which the true law
 depends. This function is the same in all cases, and few numbers describe it. The model is extended by torques that are
 piecewise linear in the speed of the casing, the rotor or the bearing, with 4 or 8 knots; they act on the casing or in
-the bearing. Let S be the responses of one choice, orthogonal to the free columns. Then chi-square falls by
+the bearing. Let S be the responses for one choice of speed, knots and body, orthogonal to the free columns. Then
+chi-square falls by
 
     chi2 = r'S (S'S)^-1 S'r,
 
 which has rank(S) degrees of freedom if no torque is missing. This is a smooth test at several resolutions (J. Hart,
 Nonparametric Smoothing and Lack-of-Fit Tests, Springer (1997), ch. 5-7). The smallest p-value of all choices is
-calibrated by null data that are tested with the same choices.
+compared with the smallest p-values of null data that are tested with the same choices.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 SPEED_KNOTS = (4, 8)
-"""Knots of the piecewise linear torques of a speed, coarse and fine [1]. Chosen: a smaller number overlooks narrow
-deviations, a larger one lowers the power for broad ones."""
+"""Numbers of knots of the piecewise linear torques of a speed, coarse and fine [1]. Chosen: smaller numbers overlook
+narrow deviations, larger ones lower the power for broad deviations."""
 
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
@@ -43,10 +44,11 @@ _RANK_FREE = 1e-7
 """Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
 _TINY = 1e-300
-"""Smallest norm by which a column is divided [1]. Derived: it avoids a division by zero and is below any other norm."""
+"""Smallest norm that is used as a divisor of a column [1]. Derived: it avoids a division by zero and is below any other
+norm."""
 _DRAWS = 2000
-"""Null data sets for the smallest of several p-values [1]. Chosen: a smaller number makes p-values coarser than
-`Criteria.doubt_adequate`, a larger one costs time."""
+"""Number of null data sets for the smallest of several p-values [1]. Chosen: a smaller number makes p-values coarser
+than `Criteria.doubt_adequate`, a larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,8 @@ def _smooth_rows(
 ) -> tuple[list[str], list[Array], Array, Array, list[float]]:
     """Return names, tested columns, free columns, residual, and shares of the process noise.
 
-    The columns and the residual are whitened rows of all cases; a name and its columns belong to one choice.
+    The columns and the residual are whitened rows of all cases. Each name and its tested columns belong to one choice
+    of speed, knots and body.
     """
     cases = list(zip(problem.data, predictions, noise, strict=True))
     record = problem.data[0].record

@@ -13,11 +13,11 @@ than BIC requires, and by more than is probable by chance for this number of par
 
     D0 - D1 > q ln n + `Criteria.random_torque_evidence`,    N P(chi2_c > D0 - D1) < `Criteria.lack_of_fit`,
 
-where n is the number of rows, c of the q parameters are linear, and N independent trials are made of the other ones
-(Bonferroni). In recordings with nothing but a random torque the fall is larger than chi-square, because the level is
-free, and because only one or two modes of a slow torque are above the noise: in 60 simulated recordings with
-correlation times of 1 to 10 s it reaches 33 for parabolas and 28 for sinusoids, with q ln n = 27. For the effects that
-`diagnose` names in films, the fall is 58 to 214.
+where n is the number of rows. Of the q parameters, c are linear; the others are tried at N independent values
+(Bonferroni). In recordings with nothing but a random torque the fall exceeds chi-square for two reasons: the level is
+free, and only one or two modes of a slow torque are above the noise. In 60 simulated recordings with correlation times
+of 1 to 10 s the fall reaches 33 for parabolas and 28 for sinusoids, with q ln n = 27. For the effects that `diagnose`
+names in films, the fall is 58 to 214.
 """
 
 from __future__ import annotations
@@ -42,14 +42,15 @@ _DEGREE = 2
 """Degree of the smooth torques in time [1]. Chosen: the parameters of the model nearly absorb a constant and a trend; a
 larger value describes more torques and needs more evidence."""
 _TIMES = 5
-"""Trial correlation times of the random torque in addition to that of the recording [1]. Chosen: with fewer, the
-maximum of the likelihood is missed; with more, the test takes longer."""
+"""Number of trial correlation times of the random torque, in addition to the correlation time of the recording [1].
+Chosen: with fewer, the maximum of the likelihood is overlooked; with more, the test takes longer."""
 _FEWEST_TIMES = 6.0
-"""Smallest length of a record, in correlation times of the random torque [1]. Chosen: as in
-`fitting.discovery._random_torque`; with fewer the torque is a trend, a larger value leaves slow torques untried."""
+"""Smallest ratio of the length of a record to the correlation time of the random torque [1]. Chosen: as in
+`fitting.inference._random_torque`; with a smaller ratio the torque is a trend, a larger one leaves slow torques
+untried."""
 _LEVELS = np.geomspace(0.01, 4.0, 12)
-"""Trial levels of the random torque divided by that of the fit [1]. Chosen: lower levels have no effect, and free
-parameters in addition never make the level much larger; with more trial levels, the test takes longer."""
+"""Trial levels of the random torque, divided by the level of the fit [1]. Chosen: lower levels have no effect, and
+additional free parameters never raise the level much; with more trial levels, the test takes longer."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: as in
 `fitting.inference._metrics`; a smaller value projects out rounding errors, a larger one leaves a part of the free
@@ -61,29 +62,30 @@ absorbed."""
 
 
 _FEWEST_PERIODS = 4.0
-"""Smallest number of periods of a periodic torque in a record [1]. Chosen: the response of the angle to a random torque
-falls as the fourth power of the frequency or faster, so one realisation resembles a sinusoid of the lowest frequency
-that the parameters do not absorb; with fewer periods a random torque is taken for a sinusoid, with more a slow
-precession is overlooked."""
+"""Smallest number of periods of a periodic torque in a record [1]. Chosen: the spectrum of the response of the angle to
+a random torque falls at least as the fourth power of the frequency, so one realisation resembles a sinusoid of the
+lowest frequency that the parameters do not absorb; a smaller number takes a random torque for a sinusoid, a larger one
+overlooks a slow precession."""
 _MOST_PERIODS = 12.0
-"""Largest number of periods of a periodic torque in a record [1]. Chosen: faster ones are lines of the residuals, which
-the periodogram tests; a larger number makes more trials."""
+"""Largest number of periods of a periodic torque in a record [1]. Chosen: the periodogram tests faster torques; a
+larger number needs more trials."""
 _PERIOD_STEP = 0.25
 """Step of the trial numbers of periods [1]. Chosen: a sinusoid that differs by a quarter of a period at the end of the
-record keeps 0.95 of its power; a larger step misses sinusoids, a smaller one costs time."""
+record keeps 0.95 of its power; a larger step overlooks sinusoids, a smaller one costs time."""
 _CHIRPS = np.linspace(-0.4, 0.4, 9)
 """Trial changes of the frequency over half the record, divided by the mean frequency [1]. Chosen: a precession whose
 rotor loses half of its speed has 0.33; larger changes would be trials of another law."""
 _CHIRP_TRIALS = 4
-"""Independent trials among the changes of the frequency [1]. Chosen: neighbouring ones are correlated at few periods;
-a larger number requires a larger fall."""
+"""Number of independent trials among the changes of the frequency [1]. Chosen: for few periods, neighbouring changes
+give correlated responses; a larger number requires a larger fall."""
 
 
 @dataclass(frozen=True)
 class SmoothTorque:
-    """Fall of the deviance if torques are added to a random one, number of their linear parameters, number of rows.
+    """Fall of the deviance if smooth torques are added to a random torque.
 
-    `searched` is the number of further parameters that are optimised over `trials` independent values.
+    `columns` is the number of linear parameters of these torques, and `rows` is the number of rows. `searched` is the
+    number of further parameters that are optimised over `trials` independent values.
     """
 
     fall: float
@@ -144,7 +146,7 @@ def smooth_torques(
 
 
 def _beside(alone: Array, columns: Array, noise: Noise) -> Array:
-    """Return the combinations of columns that differ from the free ones and from each other."""
+    """Return the independent combinations of columns that the free columns do not contain."""
     basis = orthonormal(noise.whitener(alone[:, :-1]), _RANK_FREE)
     columns = scaled_columns(columns, alone[:, -1])[:, :-1]
     # for a single body, the torques on the casing and in the bearing are the same, or already in the model
@@ -163,8 +165,8 @@ def _parabolas(data: CaseData, prediction: Prediction) -> Array:
 def _sinusoid(response: TorqueResponse, alone: Array, noise: Noise) -> Array:
     """Return the responses to the cosine and sine torques that explain most at the noise level of tests.
 
-    The phase of both is 2 pi N (x + c x (x - 1)), where x is from 0 to 1, N is the number of periods, and c the change
-    of the frequency.
+    The phase of both is 2 pi N (x + c x (x - 1)), where x is the time divided by the length of the record, N is the
+    number of periods, and c is the change of the frequency.
     """
     whitener = noise.whitener.at(noise.tested)
     white = whitener(alone)

@@ -1,16 +1,16 @@
 """Spectral lines of a recording: sinusoidal torques of a single frequency, which do not count as noise.
 
-A fan, a vibrating table or mains hum drives the casing at one frequency. Process noise has a continuous spectrum; a
-line is a torque that an effect has to explain, and counts neither as process noise nor as correlated angle noise. The
-angle then contains
+A fan, a vibrating table or mains hum drives the casing at one frequency. Process noise has a continuous spectrum. A
+spectral line is therefore a torque that an effect has to explain, and it counts neither as process noise nor as
+correlated angle noise. The angle then contains
 
     a cos(w t) + b sin(w t)
 
-over the whole record. In each stretch, the rows orthogonal to the polynomials (`fitting.inference._process_noise`) are
-whitened by the process noise of the stretch. These two columns are fitted to the rows at every frequency with at least
-ten periods in the record. The deviance with and without the columns is minimised over the level of the process noise.
-The probability that noise alone reaches a chi-square of 2 z, with two degrees of freedom, anywhere in a band of width f
-is
+over the whole record. In each stretch of the record, the rows orthogonal to the polynomials
+(`fitting.inference._process_noise`) are whitened by the process noise of the stretch. The columns of cosine and sine
+are fitted to these rows at every frequency with at least ten periods in the record. The deviance with and without the
+columns is minimised over the level of the process noise. The probability that noise alone reaches a chi-square of 2 z,
+with two degrees of freedom, anywhere in a band of width f is
 
     p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
 
@@ -39,17 +39,17 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; a larger value
 leaves slow lines in the process noise."""
 _PER_PEAK = 2
-"""Trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller number passes
-over peaks, a larger one costs time; the finer search follows."""
+"""Number of trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller
+number passes over peaks, a larger one costs time; the finer search follows."""
 _FINER = 16
-"""Trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: with fewer, the height of
-the peak is underestimated; with more, the search takes longer."""
+"""Number of trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: with fewer, the
+height of the peak is underestimated; with more, the search takes longer."""
 _FASTEST = 2.5
 """Highest frequency [rad per row]. Chosen: below the Nyquist limit, pi; a larger value is not resolved by the rows, a
 smaller one overlooks fast lines."""
 _MOST = 4
 """Largest number of lines in a record [1]. Chosen: a smaller number leaves lines in the process noise, a larger one
-takes a broad spectrum apart."""
+divides a broad spectrum into lines."""
 _RETAINED = 0.05
 """Smallest norm of the rows of a line orthogonal to the polynomials, as a share of the norm of all its rows [1].
 Chosen: a smaller value finds lines in the motion, a larger one overlooks slow lines."""
@@ -171,7 +171,7 @@ def _strongest(run: Compressed, stretches: Sequence[Stretch], criteria: Criteria
     deviance -= deviance.min(axis=1, keepdims=True)
 
     def gain(rates: Array) -> Array:
-        """Return the fall of the deviance at each frequency: the smallest if any one stretch is left out."""
+        """Return the smallest fall of the deviance at each frequency if any one stretch is omitted."""
         rows = line_rows(run, rates)
         sums: list[list[list[Array]]] = [[[] for _ in _SHARES] for _ in range(5)]
         for s, noise in zip(stretches, noises, strict=True):

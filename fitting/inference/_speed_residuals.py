@@ -1,10 +1,10 @@
 """Measured, modelled and residual speeds of a fit, with their standard uncertainties.
 
-A fit compares rows: the measured angles of a block projected on polynomials, minus those of the model, r = z - m. The
-polynomial of the rows of a block has a mean slope in each part of it, which is the residual of the speed there; it is a
-linear function D r of the rows. With the noise covariance C of the rows and the columns X of all free parameters, the
-covariance of r is C - X (X' C^-1 X)^-1 X', which gives the uncertainty band: angle noise, random torque, and the part
-of both that the fit absorbs.
+The rows of a fit are r = z - m: the projections of the measured angles of a block on polynomials, minus the projections
+of the modelled angles. The rows of a block are the coefficients of a polynomial. Its mean slope in each part of the
+block is the residual of the speed in this part, a linear function D r of the rows. With the noise covariance C of the
+rows and the columns X of all free parameters, the covariance of r is C - X (X' C^-1 X)^-1 X'. The uncertainty band
+follows from it. The band contains angle noise and random torque, without the part of both that the fit absorbs.
 """
 
 from __future__ import annotations
@@ -48,9 +48,10 @@ class Fitted(Protocol):
 
 
 def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Array, Array]:
-    """Return the modelled speed of a body and its uncertainty sqrt(s' C s) from the sensitivities s [rad/s].
+    """Return the modelled speed of a body and its uncertainty sqrt(s' C s) [rad/s].
 
-    The response to laws of an angle is smoothed as the measured speeds are.
+    C is the covariance of the parameters, and s are the sensitivities of the speed. The response to laws of an angle is
+    smoothed like the measured speeds.
     """
     prediction, model = fit.predictions[case], fit.problem.cases[case]
     sampler = Sampler(prediction.path.mesh, time)
@@ -76,15 +77,14 @@ _MOVES = 0.01
 """Share of the largest speed above which a measured body moves [1]. Chosen: a smaller value takes noise at rest for a
 motion, a larger one overlooks a slow motion that the model excludes."""
 _HELD = 0.01
-"""Smallest share of the times at which friction holds a moving body in a model that is far from the motion [1]. Chosen:
-a smaller value excludes a rest that begins a little too early, a larger one accepts a wrong rest."""
+"""Share of the times above which a model that holds a moving body at rest by friction counts as far from the motion
+[1]. Chosen: a smaller value excludes a rest that begins a little too early, a larger one accepts a wrong rest."""
 
 
 def holds_moving_body(fit: Fitted, case: int) -> bool:
     """Return whether friction holds the main body in a model for a part of the record in which the body moves.
 
-    The motion of such a model has no linear response to a torque, so that scores and unmodelled torques about it are
-    meaningless.
+    The motion of such a model has no linear response to a torque, so its scores and unmodelled torques are meaningless.
     """
     times, speeds = fit.problem.data[case].initial_speeds
     speed = np.abs(speeds[:, CASING])
@@ -93,13 +93,15 @@ def holds_moving_body(fit: Fitted, case: int) -> bool:
 
 
 _PARTS = {"casing": 2, "rotor": 5}
-"""Parts of a block over which a residual speed is averaged, by body [1]. Chosen: with fewer, residuals are blurred;
-with more, they are noisy; a window of the rotor is one block."""
+"""Number of parts of a block over which a residual speed is averaged, by body [1]. Chosen: with fewer, residuals are
+blurred; with more, they are noisy; a window of the rotor is one block."""
 _PERIOD_PARTS = 8
-"""Parts of a period of an oscillation over which a residual speed is averaged [1]. Chosen: errors of its amplitude and
-of its phase are both visible; with fewer, errors of the phase are hidden; with more, each residual is noisy."""
+"""Number of parts of a period of an oscillation over which a residual speed is averaged [1]. Chosen: errors of its
+amplitude and of its phase are both visible; with fewer, errors of the phase are hidden; with more, each residual is
+noisy."""
 _POINTS = 40
-"""Points of the mean over a block [1]. Chosen: a smaller number makes the mean coarse, a larger one costs time."""
+"""Number of points of the mean over a block [1]. Chosen: a smaller number makes the mean coarse, a larger one costs
+time."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,7 +112,7 @@ class SpeedResidual:
     time: Array
     width: Array
     value: Array  # mean residual of the speed [rad/s]
-    sigma: Array  # its standard deviation if there is noise alone [rad/s]
+    sigma: Array  # standard deviation of `value` if there is noise alone [rad/s]
 
     def __repr__(self) -> str:
         return f"SpeedResidual: {span_of('speed', self.value, 'rad/s')}"
@@ -137,7 +139,7 @@ class SpeedMap:
             self.parts.append((rows, *_slopes(run, count, is_angle=data.is_angle)))
 
     def without_nuisance(self, rows: Array) -> Array:
-        """Return rows in their own units without the part that the nuisance columns explain."""
+        """Return rows, not whitened, without the part that the nuisance columns explain."""
         return self._unwhitened(rows - self._nuisance @ (self._estimator @ self._whitener(rows)))
 
     def __call__(self, rows: Array) -> list[Array]:
@@ -159,7 +161,7 @@ def speed_residuals(fit: Fitted, case: int) -> tuple[SpeedResidual, tuple[SpeedR
 
 
 def spread_of_rows(fit: Fitted, case: int) -> Array:
-    """Return a root of the covariance of the residual rows of a case, in their own units (rows, rows)."""
+    """Return a root of the covariance of the residual rows of a case before whitening, (rows, rows)."""
     data, noise = fit.problem.data[case], fit.noise[case]
     moving = ~fit.problem.layout.at_bound(fit.theta)
     free = np.concatenate([fit.predictions[case].jacobian[:, moving], data.nuisance], axis=1)

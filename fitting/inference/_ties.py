@@ -1,8 +1,8 @@
 """Parameters tied to expressions of other parameters: 2 * bearing.linear.d, or sqrt(d * e) with short names.
 
-A fit varies only the other parameters. With the values theta of all variables and the expressions theta_i = f_i(theta)
-of the tied ones, derivatives with respect to the free variables follow from the chain rule, and the covariance of all
-variables is propagated from that of the free variables.
+A fit varies only the parameters that are not tied, the free variables. Each tied variable has an expression
+theta_i = f_i(theta) of the values theta of other variables. Derivatives with respect to the free variables follow from
+the chain rule. The covariance of all variables is propagated from the covariance of the free variables.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 
 _NAME = re.compile(r"[A-Za-z_][\w.]*")
 _LARGEST = 5000
-"""Number of nodes above which an expression is taken to be circular and to grow by substitution [1]. Chosen: a smaller
-value refuses long expressions, a larger one delays the error for circular expressions."""
+"""Number of nodes above which an expression counts as circular, because it grows with each substitution [1]. Chosen: a
+smaller value refuses long expressions, a larger one delays the error for circular expressions."""
 
 
 def find_key(name: str, keys: Iterable[str]) -> str:
-    """Return the key of the parameter with this name, which is the key or the end of exactly one key.
+    """Return the key of the parameter with this name; a name is a complete key or the end of exactly one key.
 
-    An EffectError is raised if there is none, or if there are several.
+    An EffectError is raised if no key, or several keys, have this name.
     """
     known = list(keys)
     if name in known:
@@ -44,8 +44,8 @@ def find_key(name: str, keys: Iterable[str]) -> str:
 def parse_tie(text: str, keys: Sequence[str]) -> Expr:
     """Parse an expression of parameters into a tree whose symbols are the keys of the parameters.
 
-    Names of effects contain dots, which the grammar of formulas does not have: they are replaced first, the longest
-    name first, so that no name is taken for a part of another.
+    Names of effects contain dots, which the grammar of formulas does not have: they are replaced first. The longest
+    name is replaced first, so that no name is taken for a part of another name.
     """
     if not isinstance(text, str):
         raise EffectError(
@@ -77,7 +77,7 @@ class Follower:
     """One tied variable: its index, its expression, and the symbols in it with their indices or constants."""
 
     place: int
-    tape: Tape  # its value, then its derivatives with respect to the variables
+    tape: Tape  # value of the variable, then its derivatives with respect to other variables
     sources: tuple[tuple[str, int], ...]
     constants: Mapping[str, float]
 
@@ -133,7 +133,7 @@ def followers(
 
 
 def follow(theta: Array, tied: Sequence[Follower]) -> Array:
-    """Return the variables, the tied ones set to their expressions; an ExpressionError if one is not finite."""
+    """Return the variables with tied variables set to their expressions; an ExpressionError if one is not finite."""
     if not tied:
         return theta
     theta = theta.copy()
@@ -148,7 +148,7 @@ def follow(theta: Array, tied: Sequence[Follower]) -> Array:
 
 
 def chain(theta: Array, tied: Sequence[Follower]) -> Array:
-    """Return the derivatives of all variables with respect to the free ones, (n, n); columns of tied ones are zero."""
+    """Return the derivatives of all variables with respect to the free variables, (n, n); zero for tied columns."""
     slope = np.eye(len(theta))
     for one in tied:
         slope[one.place] = 0.0

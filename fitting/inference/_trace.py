@@ -1,6 +1,6 @@
 """The record of a search: every fit that it made, with its purpose and its result or the reason of its failure.
 
-`recording` collects the fits of a call of `diagnose` or `improve`, including those of nested calls and of workers.
+`recording` collects the fits of a call of `diagnose` or `improve`, including the fits of nested calls and of workers.
 `fit` adds an entry for each of its results, `attempt` one for each failure:
 
     with recording() as trace:
@@ -36,13 +36,13 @@ class Refit:
     Attributes
     ----------
     purpose : str
-        Why it was made.
+        Why the fit was made.
     effects : tuple of str
         The effects of its model.
     deviance : float
-        -2 log L of its result; nan if it failed.
+        -2 log L of the result; nan if the fit failed.
     bic : float
-        Its BIC; nan if it failed.
+        BIC of the result; nan if the fit failed.
     converged : bool
         Whether the minimum was reached.
     failure : str
@@ -104,7 +104,7 @@ def recording(*, passed_on: bool = True) -> Iterator[Trace]:
 
 
 def record(refits: Sequence[Refit]) -> None:
-    """Add entries to the search that is going on, if any."""
+    """Add entries to the current search, if there is one."""
     trace = _TRACE.get()
     if trace is not None:
         trace.refits += refits
@@ -122,7 +122,7 @@ def _effects() -> tuple[str, ...]:
 
 
 def _record_failure(fault: FittingError) -> None:
-    """Add a failure, once."""
+    """Add a failure, unless it has an entry already."""
     trace = _TRACE.get()
     if trace is not None and trace.fault is not fault:
         trace.fault = fault
@@ -144,7 +144,7 @@ def of_model(model: Model) -> Iterator[None]:
 
 @contextmanager
 def with_purpose(purpose: str) -> Iterator[None]:
-    """State why the fits of this block are made; a failure is raised."""
+    """State why the fits of this block are made; a failure still raises its error."""
     token = _PURPOSE.set(purpose)
     try:
         yield

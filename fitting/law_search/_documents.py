@@ -40,16 +40,16 @@ _UNITS = {"t": "s", "psi_c": "rad"}
 class TermDocument(TypedDict):
     """One term of a law."""
 
-    body: str  #: Body or joint on which it acts.
+    body: str  #: Body or joint on which the term acts.
     law: str  #: Formula.
-    rate: str  #: Rate of its internal state as a formula; empty without one.
+    rate: str  #: Rate of the internal state of the law as a formula; empty without a state.
 
 
 class LawDocument(TypedDict):
     """A law that explains the unmodelled torque, and the evidence for it."""
 
     formula: str  #: Terms as `body: law`, joined by ` + `; `fit --add` accepts a single term.
-    body: str  #: Body or joint on which it acts; two are joined by ` and `.
+    body: str  #: Body or joint on which the law acts; two are joined by ` and `.
     form: str  #: The law in words.
     score: float  #: Decrease of the deviance when the law is added [1].
     delta_bic: float  #: BIC with the law minus BIC of the base model [1].
@@ -57,8 +57,8 @@ class LawDocument(TypedDict):
     p_value: float  #: Probability of such a score in the whole search if no law is missing [1].
     torque_rms_Nm: float  #: Rms torque along the measured motion [torque].
     indistinguishable_from: list[str]  #: Formulas of laws that the data cannot separate from this one.
-    same_torque_as: list[str]  #: Those of them with the same torque along the recorded motion.
-    terms: list[TermDocument]  #: Its terms, one or two.
+    same_torque_as: list[str]  #: Formulas of laws with the same torque along the recorded motion.
+    terms: list[TermDocument]  #: Terms of the law, one or two.
     parameters: dict[str, EstimateDocument]  #: Parameters of the law, by key as in a fit.
     verdict: str  #: Verdict of the fit with this law.
     differences: list[Difference]  #: Largest difference from each other law of the answer.
@@ -70,7 +70,7 @@ class CurveDocument(TypedDict):
     unit: str  #: Unit of the variable.
     value: list[float]  #: Values of the variable [`unit`].
     torque_Nm: list[float]  #: The part of the torque that the base model cannot represent [torque].
-    sigma_Nm: list[float]  #: Its standard uncertainty [torque].
+    sigma_Nm: list[float]  #: Standard uncertainty of this part [torque].
 
 
 class DependenceDocument(TypedDict):
@@ -95,7 +95,7 @@ class LawsDocument(TypedDict):
     trials: int  #: Number of scored candidates.
     laws: list[LawDocument]  #: Laws, best first.
     library: str | None  #: Name of the effect of the library that describes the data as well.
-    #: A parameter whose difference between the cases describes them as well.
+    #: A parameter whose separate values in the cases describe the data as well; null without one.
     differs: DifferenceBetweenRecordings | None
     depends_on: list[DependenceDocument]  #: Dependence on each variable, the largest share first.
 

@@ -6,23 +6,24 @@
    (`_score`: matrix products). Null data are searched in the same way. The smallest p-value of all laws in each null
    data set calibrates the family-wise p-value, so this p-value accounts for the number of laws.
 2. The laws with the highest scores are refitted with the base. A law of a few per cent of the torque changes the motion
-   by more than the noise. Therefore all laws are scored again about the best refit, with its law removed from the
-   model:
+   by more than the noise, so scores about the base are inaccurate. Therefore all laws are scored again about the best
+   refit, with its law removed from the model. The residual is then
 
-       r' = z - rows(theta) + W u_law.
+       r' = z - rows(theta) + W u_law,
 
-   This residual is linear in the difference of two laws, whereas the first one is linear only in a small law. Shape
-   constants are refined on these scores.
+   with the data z, the parameters theta of the refit, and the response W u_law to the removed law. This residual needs
+   the motion to be linear only in the difference of two laws; the residual of the base needs it to be linear in the
+   whole law. Shape constants are refined on these scores.
 3. The best laws of the second search are refitted at the same noise and ranked by BIC plus the description length of
-   the formula. If any of them is significant, every law within `Criteria.equivalence_width` of the best belongs to the
-   answer, which is a set. Two formulas of the set have the same torque along the recorded motion if the deviance that
+   the formula. If any of them is significant, the answer is a set: every law within `Criteria.equivalence_width` of the
+   best law belongs to it. Two formulas of the set have the same torque along the recorded motion if the deviance that
    would separate them is small:
 
        |M (x - y)|^2 < `Criteria.evidence`,
 
-   where x and y are their predictions of the rows, and M projects out the nuisance parameters. Such formulas are
-   grouped. The groups show how many torques the data cannot separate, and how many formulas describe each torque.
-4. If the best fit has a significant lack of fit, a second law is searched for in the same way, starting from it.
+   where x and y are the rows that the two formulas predict, and M projects out the nuisance parameters. Such formulas
+   are grouped. The groups show how many torques the data cannot separate, and how many formulas describe each torque.
+4. If the best fit has a significant lack of fit, a second law is searched for in the same way, starting from this fit.
 
 An effect of the library that describes the data as well as a law is named first. A shared parameter of the base is also
 named first if separate values in the recordings describe the data better than any law.
@@ -87,38 +88,39 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _DRAWS = 1000
-"""Simulated scores [1]. Chosen: at this number a quantile of 1 % has an error of a third of its tail; with fewer, this
-error is larger; with more, the search takes longer."""
+"""Number of null data sets [1]. Chosen: ten of them are beyond the quantile of 1 %, so its probability has a relative
+error of a third; with fewer, this error is larger; with more, the search takes longer."""
 _FIRST = 5
-"""Laws that are refitted after the first search [1]. Chosen: a smaller number may omit the right form, a larger one
-costs time; the later searches refine the list."""
+"""Number of laws that are refitted after the first search [1]. Chosen: a smaller number may omit the right form, a
+larger one costs time; the later searches refine the list."""
 _LATER = 9
-"""Laws that are refitted after each later search [1]. Chosen: a smaller number may omit the best form, a larger one
-costs time."""
-_KEPT = 48
-"""Laws that take part in the later searches [1]. Chosen: a smaller number may omit the best form, a larger one costs
-time."""
-_SEARCHES = 3
-"""Searches; each later one scores about the best refit so far [1]. Chosen: a smaller number leaves scores about a wrong
-motion, a larger one costs time and changes little."""
-_POINTS = 1000
-"""Points of a curve along the motion [1]. Chosen: a smaller number blurs narrow laws, a larger one costs time."""
-_COMPARABLE_SHARE = 0.8
-"""Fall of deviance, divided by that of the best law, above which an effect of the library is fitted at the same noise
-[1]. Chosen: a smaller value costs time, a larger one names a formula although a known effect describes the data as
-well."""
-_EXPLAINED_TIE = 0.01
-"""Difference of explained shares below which two variables count as equal [1]. Chosen: a smaller value prefers one by
-chance, a larger one hides the better one."""
-_ROUNDS = 4
-"""Steps of the refinement of two shape constants [1]. Chosen: each narrows the grid; with fewer, the refit starts far
-from the optimum; with more, the refinement takes longer."""
-_GRID = 5
-"""Points of each shape constant in a step of the refinement [1]. Chosen: a smaller number may overlook the optimum, a
+"""Number of laws that are refitted after each later search [1]. Chosen: a smaller number may omit the best form, a
 larger one costs time."""
+_KEPT = 48
+"""Number of laws that take part in the later searches [1]. Chosen: a smaller number may omit the best form, a larger
+one costs time."""
+_SEARCHES = 3
+"""Number of searches; each later search scores about the best refit so far [1]. Chosen: a smaller number leaves scores
+about a wrong motion, a larger one costs time and changes little."""
+_POINTS = 1000
+"""Number of points of a curve along the motion [1]. Chosen: a smaller number blurs narrow laws, a larger one costs
+time."""
+_COMPARABLE_SHARE = 0.8
+"""Smallest fall of deviance of an effect of the library, divided by the fall of the best law, for which the effect is
+fitted at the same noise [1]. Chosen: a smaller value costs time, a larger one names a formula although a known effect
+describes the data as well."""
+_EXPLAINED_TIE = 0.01
+"""Difference of explained shares below which two variables count as equal [1]. Chosen: with a smaller value, chance
+decides between them; a larger value hides the better variable."""
+_ROUNDS = 4
+"""Number of steps of the refinement of two shape constants [1]. Chosen: each step narrows the grid; with fewer, the
+refit starts far from the optimum; with more, the refinement takes longer."""
+_GRID = 5
+"""Number of points of each shape constant in a step of the refinement [1]. Chosen: a smaller number may overlook the
+optimum, a larger one costs time."""
 _STEPS = 8
-"""Steps of the progress bar [1]. Chosen: the usual number of searches and refits; another value makes the bar jump or
-stop before its end."""
+"""Number of steps of the progress bar [1]. Chosen: the usual number of searches and refits; with another value, the bar
+jumps or stops before its end."""
 _RANK = 1e-9
 """Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one ignores some nuisance columns."""
@@ -138,11 +140,11 @@ class Difference:
 
 
 _SHOWN = 6
-"""Laws, and lines of the sentence, of a repr [1]. Chosen: a smaller number hides equivalent laws, a larger one fills
-the console."""
+"""Largest number of laws, and of lines of the sentence, in a repr [1]. Chosen: a smaller number hides equivalent laws,
+a larger one fills the console."""
 _WIDTH = 100
-"""Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller
-one needs more lines."""
+"""Width of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger width wraps there, a
+smaller one needs more lines."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -151,7 +153,7 @@ class Law:
 
     formula: str  # terms as ``body: law``, joined by " + "; `fit --add` takes a single term
     form: str  # in words
-    effects: tuple[Effect, ...]  # its terms, one or two
+    effects: tuple[Effect, ...]  # terms of the law, one or two
     score: float  # fall of the deviance when the law is added to the base
     delta_bic: float  # BIC with the law minus BIC of the base
     description_length: float  # penalty of the length of the formula, added to BIC in the ranking
@@ -159,8 +161,8 @@ class Law:
     torque_rms_Nm: float  # along the measured motion [N m]
     estimates: dict[str, Estimate]  # by ``<effect>.<symbol>``
     indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
-    same_torque_as: tuple[str, ...]  # those of them with the same torque along the recorded motion
-    differences: tuple[Difference, ...]  # its largest difference from each other law of the answer
+    same_torque_as: tuple[str, ...]  # formulas of laws with the same torque along the recorded motion
+    differences: tuple[Difference, ...]  # largest difference of this law from each other law of the answer
     fit: Fit = field(repr=False)  # the refit of base and law
 
     def __repr__(self) -> str:
@@ -172,7 +174,7 @@ class Law:
 
     @property
     def body(self) -> str:
-        """The body or joint on which the law acts; both, joined by " and ", if two terms act on different ones."""
+        """The body or joint on which the law acts; if two terms act on different ones, both, joined by " and "."""
         return " and ".join(dict.fromkeys(e.joint for e in self.effects))
 
     @property
@@ -199,7 +201,7 @@ class Laws:
     trials: int  # number of scored columns
     diagnosis: Diagnosis | None = field(default=None, repr=False)  # of the base, if it was made
     differs: DifferentParameter | None = (
-        None  # separate values of it describe the data as well as the laws do
+        None  # shared parameter whose separate values describe the data as well as the laws do
     )
     trace: tuple[Refit, ...] = field(
         default=(), repr=False
@@ -257,8 +259,8 @@ def laws(
     beyond_library : bool
         Search for laws although an effect of the library describes the data.
     criteria : Criteria, optional
-        Thresholds of every decision; those of the fit by default. If the criteria of the noise differ from those of the
-        fit, the fit is repeated first, and `diagnosis` is ignored.
+        Thresholds of every decision; by default the criteria of the fit. If the criteria of the noise differ from those
+        of the fit, the fit is repeated first, and `diagnosis` is ignored.
     workers : WorkerPool, optional
         Processes that share the refits.
     progress : callable, optional
@@ -370,8 +372,9 @@ def _laws(
 def library_answer(known: Diagnosis, criteria: Criteria = DEFAULT) -> Candidate | None:
     """Return the effect of the library that makes other laws unnecessary; None if there is none.
 
-    There is none if the diagnosis has a remainder or if the equivalence class contains an unknown law. There is also
-    none if the fit needs more process noise than the recording has, because this noise then describes the data.
+    The result is None if the diagnosis has a remainder, or if the equivalence class contains a law outside the library.
+    It is also None if the fit needs more process noise than the recording shows, because the excess noise then
+    describes a part of the data.
     """
     if known.verdict != "missing_effect" or known.remainder is not None or not known.candidates:
         return None
@@ -555,8 +558,8 @@ class _Search:
         """Return the scores of all laws about a fit with some of its effects removed.
 
         If the right law is added, a friction coefficient at its bound may become positive or may remain at the bound.
-        Scores with `release` free the parameters at a bound and find laws of the first kind; scores without `release`
-        hold these parameters and find laws of the second kind.
+        Scores with `release` treat parameters at a bound as free and find laws of the first kind. Scores without
+        `release` hold these parameters and find laws of the second kind.
         """
         cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
         effects = [f.effect for f in self.forms]
@@ -754,7 +757,7 @@ def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
 
 
 def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
-    """Return the laws, each with the other laws of the answer, those of equal torque, and its differences from them."""
+    """Return the laws, each with the formulas of the other laws and of laws of equal torque, and its differences."""
     answer = [x for x in found if x.penalised - found[0].penalised < criteria.equivalence_width]
     groups: list[list[Law]] = []
     for law in answer:
@@ -780,7 +783,7 @@ def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
 
 
 def _separation(one: Fit, other: Fit) -> float:
-    """Return the deviance of a fit for noise-free data predicted by another one, nuisance parameters projected out."""
+    """Return the deviance of a fit for noise-free data of another fit, with nuisance parameters projected out."""
     total = 0.0
     both = zip(one.problem.data, one.noise, one.predictions, other.predictions, strict=True)
     for data, noise, a, b in both:
@@ -863,7 +866,7 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
             "found, so it is listed first."
         )
     best, depends_on = found.laws[0], found.depends_on
-    # in a single run, one variable may nearly be a function of another; then the variable of the law is named
+    # in a single run, one variable may nearly be a function of another; in this case the variable of the law is named
     of_law = {(e.joint, v) for e in best.effects for v in symbols(e.expression)}
     least = depends_on[0].explained - _EXPLAINED_TIE if depends_on else 0.0
     preferred = [d for d in depends_on if (d.body, d.variable) in of_law and d.explained > least]

@@ -14,7 +14,10 @@ from fitting.planning._plan import Plan
 
 
 class LimitsDocument(TypedDict):
-    """Limits and power for one effect; numbers are null if the model absorbs it, torques also if it has no torque."""
+    """Limits and power for one effect.
+
+    All numbers are null if the model absorbs the effect; torques are also null if the effect is not a torque.
+    """
 
     unit: str  #: Unit of the strength.
     shape: dict[str, float]  #: Shape constants of the limits, by symbol [SI units].
@@ -23,7 +26,7 @@ class LimitsDocument(TypedDict):
     upper_limit: float  #: Upper limit of the strength; null if the effect is significant [`unit`].
     size: float  #: Strength for which `power` and `runs_needed` are computed [`unit`].
     power: float  #: Probability of finding an effect of this size [1].
-    #: Number of such runs, including these, that are needed to find it; null also if no number suffices [1].
+    #: Number of runs like these, including these, needed to find the effect; null also if no number suffices [1].
     runs_needed: float
     absorbed: bool  #: Whether the model absorbs the effect, so that it has no limit.
     #: Effects that are not separated at the larger of `size` and `detection_limit`.
@@ -33,7 +36,7 @@ class LimitsDocument(TypedDict):
     symbol: str  #: Symbol of the strength.
     torque_Nm: float  #: Detection limit as an rms torque along the motion [torque].
     upper_torque_Nm: float  #: Upper limit as an rms torque along the motion [torque].
-    #: Smallest and largest detection limit of the shapes, as rms torques [torque].
+    #: Smallest and largest detection limit over all trial shapes, as rms torques [torque].
     detection_range_Nm: list[float]
     size_Nm: float  #: `size` as an rms torque along the motion [torque].
     words: str  #: Name of the effect in words.
@@ -53,10 +56,10 @@ class NextRunDocument(TypedDict):
     inertia_casing_ratio: float  #: Moment of inertia of the casing, divided by the present one [1].
     touchpoint_ratio: float  #: Friction at the touch point, divided by the present one [1].
     separation_sigma: float  #: Expected separation of the rivals after the run [standard uncertainties].
-    present_sigma: float  #: Their separation without the run [standard uncertainties].
-    #: Their separation after one more run like the present ones [standard uncertainties].
+    present_sigma: float  #: Separation of the rivals without the run [standard uncertainties].
+    #: Separation of the rivals after one more run like the present runs [standard uncertainties].
     repeated_sigma: float
-    #: Detection limit after the run, divided by the present one, by effect [1].
+    #: Detection limit after the run, divided by the present limit, by effect [1].
     detection_limit_ratio: dict[str, float]
     bounds: Bounds  #: Bounds of the runs that are possible.
 
@@ -89,7 +92,7 @@ def plan_document(found: Plan) -> PlanDocument:
 
 
 def _limits(e: EffectLimits, found: Plan) -> LimitsDocument:
-    """Return limits and power for one effect; they are not finite if the model absorbs it, or if it has no torque."""
+    """Return limits and power for one effect; not finite if the model absorbs the effect, or if it is not a torque."""
     return as_document(
         LimitsDocument,
         e,

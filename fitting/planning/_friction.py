@@ -2,10 +2,11 @@
 
 Each law acts along a motion with the strength of the present dry friction and typical shape constants. A rival law,
 together with Coulomb and viscous friction, is fitted to this torque with the best of its trial shapes. The square of
-the residual, in the whitened rows of the recording, is the expected difference of the deviances by which the right law
-is preferred. Three motions of equal length are compared, with the same samples and noise: the motion of the recording,
-a motion that reverses about rest, and a slow ramp of the speed from rest. A body that turns in one sense slides after a
-small angle. Its friction is then a function of the speed, and even a long recording does not show pre-sliding.
+the residual, in the whitened rows of the recording, is the expected difference of deviance in favour of the right law.
+Three motions of equal length are compared, with the same samples and noise: the motion of the recording, a motion that
+reverses about rest, and a slow ramp of the speed from rest. A body that turns in one sense begins to slide after a
+small angle. From then on its friction is a function of the speed, and even a long recording does not show pre-sliding,
+the elastic yielding of the contact before it slides.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ Array = NDArray[np.float64]
 # laws that are always fitted: Coulomb and viscous friction
 _ALWAYS = FRICTION[:2]
 _FINE = 16
-"""Times at which a law is evaluated in each cell of the recording [1]. Chosen: a smaller number blurs laws that change
-within a cell, a larger one costs time."""
+"""Number of times in each cell of the recording at which a law is evaluated [1]. Chosen: a smaller number blurs laws
+that change within a cell, a larger one costs time."""
 _REVERSALS = 10
 """Number of reversals of the second motion [1]. Chosen: a smaller number shows less of the hysteresis, a larger one is
 not practical."""
@@ -59,7 +60,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two laws, and for each motion the expected difference of deviances by which the first is preferred."""
+    """Two laws, and for each motion the expected difference of deviance in favour of the first law."""
 
     first: str
     second: str
@@ -284,7 +285,7 @@ class _Responses:
         return self._known[key]
 
     def evidence(self, one: Effect, other: Effect, motion: Motion, strength: float) -> float:
-        """Return the smallest chi-square of a law after the other law and the simple laws are fitted to it."""
+        """Return the smallest chi-square of the torque of `one` after a fit of `other` and the simple laws to it."""
         target = strength * self.of(one, _typical(one), motion)
         simple = [self.of(find(n), _typical(find(n)), motion) for n in _ALWAYS]
         least = math.inf

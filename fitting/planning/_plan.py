@@ -79,10 +79,10 @@ _EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
 
 
 _SHOWN = 8
-"""Effects in a repr [1]. Chosen: a smaller number hides detection limits, a larger one fills the console."""
+"""Number of effects in a repr [1]. Chosen: a smaller number hides detection limits, a larger one fills the console."""
 _WIDTH = 100
-"""Columns of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger value wraps, a smaller
-one needs more lines."""
+"""Width of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger width wraps there, a
+smaller one needs more lines."""
 
 
 class _Table(BaseModel):
@@ -176,8 +176,8 @@ class PlannedRecordings:
 def read_planned(path: str | Path) -> PlannedRecordings:
     """Read the description of recordings in a TOML file (format: docstring of the module).
 
-    An EstimationError names the key that is missing, unknown or out of range, or the window that ends after its
-    recording.
+    If the description is not valid, an EstimationError names the key that is missing, unknown or out of range, or the
+    window that ends after the recording.
     """
     name = Path(path).name
     try:
@@ -289,15 +289,15 @@ def _first_error(fault: ValidationError) -> str:
 Progress = Callable[[int, int | None], None]
 
 _EVALUATIONS = 60
-"""Runs that the search for the next run evaluates [1]. Chosen: a smaller number may omit the best run, a larger one
-costs time."""
+"""Number of runs that the search for the next run evaluates [1]. Chosen: a smaller number may omit the best run, a
+larger one costs time."""
 _SIMULATIONS = 2
-"""Simulations of described recordings over which the power is averaged [1]. Chosen: a smaller number makes the limits
-depend on the noise of one simulation, a larger one costs time."""
+"""Number of simulations of described recordings over which the power is averaged [1]. Chosen: a smaller number makes
+the limits depend on the noise of one simulation, a larger one costs time."""
 _ESTIMATES = 8
-"""Further simulations for estimates of the process noise alone [1]. Chosen: the threshold of a step was 66, 18 and 17
-in three simulations of one description; with fewer estimates, the limits depend on a single one; with more, the plan
-takes longer."""
+"""Number of further simulations, from which only the process noise is estimated [1]. Chosen: the threshold of a step
+was 66, 18 and 17 in three simulations of the same description; with fewer estimates, the limits depend on a single one;
+with more, the plan takes longer."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -350,9 +350,10 @@ def plan(
         Rms torque of an effect [N m] for `power` and `runs_needed`; by default 1 % of the rms torque of the bearing
         (for a single body, of the net torque).
     bounds : Bounds, optional
-        Smallest and largest values for the next run; by default those of the file, or derived from the recordings.
+        Smallest and largest values for the next run; by default the values of the file, or values derived from the
+        recordings.
     criteria : Criteria, optional
-        Thresholds of the search whose power is computed; those of the fit by default.
+        Thresholds of the search whose power is computed; by default the criteria of the fit.
     progress : callable, optional
         Called with the number of steps done and the total number.
 

@@ -61,7 +61,7 @@ from fitting.study._serialisation import (
 )
 
 _ELSEWHERE = "move it away or choose another with --ledger"
-# errors of a part of the file that was edited by hand; the program then computes this part again
+# errors that occur if a part of the file was edited by hand; the program then computes this part again
 _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
@@ -88,12 +88,12 @@ class Entry:
 
     @property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Parameters shared by all cases, and parameters with one value per case, if different from the default."""
+        """Parameters shared by all cases, and parameters with one value per case, if this is not the default."""
         return tuple(self.stored.share), tuple(self.stored.per_case)
 
     @cached_property
     def prior(self) -> Prior | None:
-        """The prior of the fit; None if it had no prior."""
+        """The prior of the fit; None without a prior."""
         stored = self.stored.prior
         if stored is None:
             return None
@@ -103,7 +103,7 @@ class Entry:
     def as_prior(self, source: str) -> Prior:
         """Return the parameters of the fit with their covariance as a prior of another study.
 
-        `source` is the name of this study. A LedgerError is raised if the ledger contains no covariance, an
+        `source` is the name of the study of this fit. A LedgerError is raised if the ledger contains no covariance, an
         EstimationError if the fit determines no parameter that another study can use.
         """
         if not self.stored.covariance:
@@ -134,7 +134,7 @@ class Entry:
         return self.stored.parameters
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit for display: restored if the same code made the fit, otherwise fitted again."""
+        """Return the fit for display: restored if the same version of the code made it, otherwise fitted again."""
         data = with_prior(data, self.prior)
         stored, found = self.document.get("restored_from"), None
         if stored:
@@ -143,7 +143,7 @@ class Entry:
         return found or self.refit(data)
 
     def diagnosis(self, fit: Fit, extra: Sequence[Effect] = ()) -> Diagnosis | None:
-        """Return the stored diagnosis; None if the same code with the same effects of the user did not make one."""
+        """Return the stored diagnosis; None unless the same version of the code made it with the same user effects."""
         stored = self.document.get("diagnosis")
         if stored:
             with suppress(*_DAMAGED):
@@ -153,7 +153,7 @@ class Entry:
     def certificate(
         self, found: Diagnosis, seed: int | None = None, *, film: bool | None = None
     ) -> Certificate | None:
-        """Return the stored certificate of the answer `found`, complete or not; None if the same code made none.
+        """Return the stored certificate of `found`, also an incomplete one; None if this version has stored none.
 
         `seed` selects certificates whose random errors have this seed; `film` selects certificates from films (True) or
         from simulated data (False). A certificate from films is preferred, because it tests the tracking as well.
@@ -171,7 +171,7 @@ class Entry:
         return None
 
     def latest_certificate(self) -> Certificate | None:
-        """Return the stored certificate of any answer, preferably from films; None if the same code made none."""
+        """Return the stored certificate of any answer, preferably from films; None if this version has stored none."""
         for key in (_OF_FILMS, _OF_DATA):
             stored = self.document.get(key)
             with suppress(*_DAMAGED):
@@ -286,9 +286,9 @@ class Ledger:
         previous : Fit, optional
             The fit with which the errors are compared.
         share, per_case : sequence of str
-            Parameters shared by all cases, and parameters with one value per case, where they differ from the default.
+            Parameters shared by all cases, and parameters with one value per case, if this is not the default.
         ranges : dict, optional
-            Bounds [unit of the parameter] that replace those of the effects.
+            Bounds [unit of the parameter] that replace the bounds of the effects.
         loss : str
             Robust loss of the fit.
         """
@@ -330,7 +330,7 @@ class Ledger:
         fit_id : str
             Name of the fit.
         found : Diagnosis
-            Its diagnosis.
+            The diagnosis of the fit.
         extra : sequence of Effect
             User-defined effects that were tested with the library.
         """
@@ -338,7 +338,7 @@ class Ledger:
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
 
     def keep_certificate(self, fit_id: str, found: Certificate) -> None:
-        """Store the test of the answer of a fit, complete or not; it replaces an earlier test of the same kind.
+        """Store the test of an answer, also an incomplete one; it replaces an earlier test of the same kind.
 
         Parameters
         ----------
@@ -359,7 +359,7 @@ class Ledger:
         fit_id : str
             The fit.
         name, note : str or None
-            Texts of at most 200 and 2000 characters (longer texts are cut); an empty text removes the old one.
+            Texts of at most 200 and 2000 characters (longer texts are cut); an empty text removes the present text.
 
         Raises
         ------
@@ -435,7 +435,7 @@ class Ledger:
                     raise LedgerError(what, "correct the text") from None
                 # on some network drives a lock does not exclude other hosts
                 write_text(self.path, text, unchanged=lambda: _content(self.path) == before)
-                # what an entry has read of its document may have changed
+                # entries cache values of their documents, which may have changed
                 self.entries = [Entry(e.document) for e in self.entries]
             except BaseException:
                 self.entries = kept

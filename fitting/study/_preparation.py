@@ -22,11 +22,11 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _POINTS = 2000
-"""Points of the generated rotor curve [1]. Chosen: a smooth curve needs few; a smaller number blurs its start, a larger
-one costs time."""
+"""Number of points of the generated rotor curve [1]. Chosen: a smooth curve needs few points; a smaller number blurs
+the start, a larger one costs time."""
 _STEPS = 400
-"""Steps of the integration of the rotor curve [1]. Chosen: with fewer, the curve is inaccurate; with more, it takes
-longer."""
+"""Number of steps of the integration of the rotor curve [1]. Chosen: with fewer, the curve is inaccurate; with more, it
+takes longer."""
 _SLOPES = 0.01
 """Weight of the slopes of the windows relative to their speeds [1]. Chosen: a smaller value lets the curve oscillate
 between windows, a larger one follows the noise of the slopes."""
@@ -59,12 +59,12 @@ def with_generated_rotor(record: Record) -> Record:
 
 @dataclass(frozen=True)
 class CurveBias:
-    """A parameter from a generated curve and from the rotor windows, each with its standard error."""
+    """The value of a parameter from a generated curve and from the rotor windows, with standard errors."""
 
     generated: float  # value from the curve
-    claimed: float  # its standard error
+    claimed: float  # standard error of `generated`, without the error of the curve
     measured: float  # value from the windows
-    stderr: float  # its standard error
+    stderr: float  # standard error of `measured`
 
     @property
     def errors(self) -> float:
@@ -79,8 +79,8 @@ class CurveBias:
 def curve_bias(found: Fit) -> dict[str, CurveBias]:
     """Return the shift of each parameter due to a generated rotor curve, relative to a fit of the model to the windows.
 
-    The shift arises because the law of the curve differs from the model, and its values between the windows are not
-    measured. The largest shift comes first; empty if no rotor curve was generated.
+    The shift has two reasons: the law of the curve differs from the model, and the values of the curve between the
+    windows are not measured. The largest shift comes first; empty if no rotor curve was generated.
     """
     layout = found.problem.layout
     if not any(r.generated for r in layout.records):

@@ -1,9 +1,9 @@
 """Fits, diagnoses and histories as documents of `fitting._schema`, and back.
 
-A fit is restored from its variables, its noise and the data by one prediction. A diagnosis is restored from its
-sentence and its ranking; its curves are computed from its fit. Stored states are valid only for the same code and the
-same data; see `fingerprint`. The documents of laws and plans are in separate modules, because only the commands for
-laws and plans need them.
+A fit is restored from its variables, its noise and the data by one prediction of the model. A diagnosis is restored
+from its sentence and its ranking; its curves are computed from its fit. Stored states are valid only for the same code
+and the same data; see `fingerprint`. The documents of laws and plans are in separate modules, because only the commands
+for laws and plans need them.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ Array = NDArray[np.float64]
 _CURVE_POINTS = 200
 """Number of points of a stored curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
 _FITS = 4
-"""Number of candidates whose fits are stored, best first [1]. Chosen: a report draws fewer; a larger number makes
-larger files; with fewer, some curves are missing."""
+"""Number of candidates whose fits are stored, best first [1]. Chosen: a report draws fewer candidates; a larger number
+makes larger files; with a smaller number, some curves are missing."""
 
 
 def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:
@@ -107,7 +107,7 @@ def fit_document(
     bias: Mapping[str, CurveBias] | None = None,
     predicted: Sequence[object] | None = None,
 ) -> dict[str, Any]:
-    """Return a fit under the keys of `fit --json`, with what its options add."""
+    """Return a fit under the keys of `fit --json`, including the results that other options add."""
     cases = [
         CaseDocument.model_validate(
             {**vars(c), **{k: getattr(n, k) for k in ("pure", "pure_u", "level", "unresolved", "scale")}}
@@ -164,7 +164,7 @@ class TruthDocument(TypedDict):
 
     n: int  #: Number of recordings.
     right_first: float  #: Share in which the effect is named first [1].
-    in_class: float  #: Share in which it, or an indistinguishable effect, is named [1].
+    in_class: float  #: Share in which the effect, or an indistinguishable effect, is named [1].
     coverage: dict[str, float]  #: Share of 95 % intervals that contain the simulated value, by parameter [1].
 
 
@@ -181,14 +181,14 @@ class CertificateDocument(TypedDict):
     fit_id: str  #: Name of the tested fit in the ledger.
     n: int  #: Number of recordings to simulate without the named effect.
     verdict: str  #: The tested verdict, as in a diagnosis.
-    named: list[str]  #: The named effect, and those indistinguishable from it.
-    named_words: list[str]  #: Their names in words.
+    named: list[str]  #: The named effect, and the effects indistinguishable from it.
+    named_words: list[str]  #: Names of these effects in words.
     sentence: str  #: The result in words.
     null: NullDocument  #: Recordings without the named effect.
     #: (1 + m) / (1 + n), if m of the n recordings without the effect have at least the score of the answer [1].
     p_empirical: float
     truth: TruthDocument | None  #: Recordings with the named effect; null if none is named.
-    rivals: list[SimulatedRival]  #: Recordings with each effect that could be mistaken for it.
+    rivals: list[SimulatedRival]  #: Recordings with each effect that could be mistaken for the named effect.
     film: bool  #: Whether films were rendered and tracked.
 
 
@@ -261,7 +261,7 @@ class TorqueCurve(TypedDict):
     omega_c: list[float]  #: Angular velocity of the casing or single body [rad s-1].
     delta: list[float]  #: Difference `omega_r` - `omega_c` [rad s-1].
     torque_Nm: list[float]  #: Unmodelled torque [torque].
-    sigma_Nm: list[float]  #: Its standard uncertainty [torque].
+    sigma_Nm: list[float]  #: Standard uncertainty of the torque [torque].
 
 
 class HarmonicCurve(TypedDict):
@@ -270,7 +270,7 @@ class HarmonicCurve(TypedDict):
     label: str  #: Name of the case.
     angle: list[float]  #: Angles of one turn [rad].
     torque_Nm: list[float]  #: Unmodelled torque at these angles [torque].
-    sigma_Nm: list[float]  #: Its standard uncertainty [torque].
+    sigma_Nm: list[float]  #: Standard uncertainty of the torque [torque].
 
 
 class DiagnosisDocument(TypedDict):
@@ -288,12 +288,12 @@ class DiagnosisDocument(TypedDict):
     next_experiment: str
     failures: list[FailureDocument]  #: Intervals of significant lack of fit, most significant first.
     candidates: list[CandidateDocument]  #: Candidate effects, best first.
-    remainder: RemainderDocument | None  #: What is still significant with the named effect.
+    remainder: RemainderDocument | None  #: Unmodelled torque that is still significant with the named effect.
     nuisance: list[ShownNuisance]  #: Camera effects that are always fitted.
     upper_limits: list[ShownLimit]  #: Effects that could still be hidden, if the verdict is `adequate`.
     #: Names of effects that could be hidden and have no useful upper limit, if the verdict is `adequate`.
     without_limit: list[str]
-    differs: DifferenceBetweenRecordings | None  #: A parameter whose difference explains the lack of fit.
+    differs: DifferenceBetweenRecordings | None  #: A parameter whose separate values explain the lack of fit.
     whiteness: list[Whiteness]  #: Tests of the independence of the residuals, by case.
     energy_drift: dict[str, float]  #: Energy balance error by case, as a share of the kinetic energy [1].
     residual_torque: list[TorqueCurve]  #: Unmodelled torque, by body and case.
@@ -517,9 +517,9 @@ def stored_fit(fit: Fit) -> StoredFit:
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
     """Return a stored fit; None if it was made by another version of the code.
 
-    The noise is linearised about the same motion as in the original fit, the start of its last optimisation. If a model
-    has a very large lack of fit, the optimum may be far from this start. The noise of a candidate is that of the fit
-    without the candidate, with strengths of zero.
+    The noise is linearised about the same motion as in the original fit, which is the motion at the start of its last
+    optimisation. If a model has a very large lack of fit, the optimum may be far from this start. The noise of a
+    candidate is linearised about the fit without the candidate, with strengths of zero.
     """
     if stored.code != fingerprint():
         return None

@@ -100,7 +100,7 @@ class TestRates:
         drag = "quadratic air drag of the casing (casing.air.quadratic)"
         assert f"Of 1 simulated recordings without the {drag}, 0 end in a false alarm" in text
         assert "p-value of this answer is 0.5" in text
-        assert "100 % name it first" in text
+        assert "100 % lead to an answer that names it first" in text
         assert "named" not in made(outcome(), named=(), verdict="adequate").sentence
 
 

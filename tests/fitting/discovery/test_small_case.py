@@ -537,7 +537,7 @@ class TestGrade:
         ("limit", "strong", "bounds_p", "words"),
         [
             (0.5, True, 1.0, None),
-            (0.5, False, 0.5, "only a deviation above 50 % of its torque"),
+            (0.5, False, 0.5, "only a deviation above 50 % of the torque of the law"),
             (1.5, False, 0.5, "any law of similar size and shape"),
             (np.inf, False, 0.5, "the other parameters absorb every deviation"),
             (0.5, False, 0.001, "the fit prefers x outside its bounds"),

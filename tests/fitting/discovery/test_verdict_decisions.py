@@ -890,7 +890,9 @@ class TestWords:
         noisy = self.missing(candidate(), Grade(None, 1.0, None, noisy=True), Found(noise=most))
         assert "needs a random torque of 3 uN m rms, the recording shows 1 uN m" in noisy
         weak = SimpleNamespace(limit=0.5, bounds=(), bounds_p=1.0, is_strong=lambda _: False)
-        assert "above 50 % of its torque" in self.missing(candidate(), Grade(None, 1.0, None, test=weak))
+        assert "above 50 % of the torque of the law" in self.missing(
+            candidate(), Grade(None, 1.0, None, test=weak)
+        )
         assert "torque" not in self.missing(candidate(), Grade("exact", 1.0, None, test=weak))
 
     def test_phases_of_each_case_have_an_option(self, monkeypatch):
@@ -926,10 +928,10 @@ class TestWords:
     @pytest.mark.parametrize(
         ("limit", "bounds_p", "strong", "words"),
         [
-            (0.5, 0.011, False, "only a deviation above 50 % of its torque would be detected"),
+            (0.5, 0.011, False, "only a deviation above 50 % of the torque of the law would be detected"),
             (0.5, 0.009, False, "the fit prefers a.k outside its bounds"),
             (0.5, 1e-4, False, "the fit prefers a.k outside its bounds"),
-            (0.99, 1.0, False, "only a deviation above 99 % of its torque"),
+            (0.99, 1.0, False, "only a deviation above 99 % of the torque of the law"),
             (1.01, 1.0, False, "any law of similar size and shape would fit equally well"),
             (math.inf, 1.0, False, "the other parameters absorb every deviation"),
             (0.5, 1.0, True, ""),
