@@ -118,7 +118,7 @@ class Criteria:
     """Smallest amplitude of a reported harmonic [sigma]. Derived: p = 1e-4, 2 dof; exp(-4.3^2 / 2); a smaller value
     reports noise, a larger one omits weak torques."""
     experiment_sigma: float = 5.0
-    """Separation of rivals by a proposed run below which its repetition is advised [sigma]. Chosen: a smaller value
+    """Separation of rivals by a proposed run below which repetition is advised [sigma]. Chosen: a smaller value
     proposes runs that may not decide, a larger one recommends needless repetitions."""
     shape_share: float = 0.1
     """Share of the best score above which shapes are refined [1]. Chosen: a smaller value costs time, a larger one may

@@ -454,7 +454,9 @@ def _diagnosis(
     # for an oscillation, camera effects are hardly distinguishable from harmonics of the motion
     told = nuisance if are_smooth(d.motion for d in fit.problem.data) else ()
     sentence = (
-        _undecided(selection, random, hint, told, criteria)
+        _undecided(
+            selection, random, hint, told, criteria, lack_of_fit=bool(hint) and fit.has_lack_of_fit(criteria)
+        )
         if verdict == "undecided"
         else _sentence(fit, verdict, selection, failures, doubt, size, told, criteria, hidden)
     )
@@ -598,9 +600,13 @@ def _undecided(
     hint: str,
     nuisance: Sequence[Nuisance],
     criteria: Criteria,
+    *,
+    lack_of_fit: bool = False,
 ) -> str:
     """Return the sentence of the verdict "undecided"."""
-    parts = ["Nothing is established."]
+    parts = [
+        "Significant lack of fit, but no effect is established." if lack_of_fit else "Nothing is established."
+    ]
     if hint:
         parts.append(hint)
     if random is not None:

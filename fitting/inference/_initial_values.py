@@ -92,7 +92,8 @@ def initial_values(problem: Problem, given: Mapping[str, float] | None) -> Array
     if not set(layout.names) <= set(known):
         rough = [d.initial_speeds for d in problem.data]
         deflections = [_deflection(d, times) for d, (times, _) in zip(problem.data, rough, strict=True)]
-        found = start_values(layout, problem.reference, rough, deflections, _prior_means(problem))
+        searched = unknown_shapes(layout, given)
+        found = start_values(layout, problem.reference, rough, deflections, _prior_means(problem), searched)
         if restoring and not known:
             slow = averaged(layout, problem.data, found, _strengths, _regress)
             follows = slow is not None and slow.phase_error < LARGEST_PHASE_ERROR
@@ -185,14 +186,17 @@ def start_values(
     rough: Sequence[tuple[Array, Array]],
     deflections: Sequence[Array],
     prior: Mapping[str, float] | None = None,
+    searched: Sequence[Effect] = (),
 ) -> Array:
     """Return initial values of all variables from the rough (times, speeds) of each case.
 
     A power law of the first joint starts with a tenth of the torque of the linear law at the speed `reference` of the
     joint [rad/s]. `deflections` are the angles from the equilibrium at the same times [rad]. Parameters in `prior` are
-    known; all others are estimated.
+    known. The strengths of the effects in `searched`, whose shapes will be searched, are 0: with a wrong shape, the
+    regression may give them very large values. All other parameters are estimated.
     """
-    prior = prior or {}
+    later = {f"{e.name}.{e.amplitude.symbol}": 0.0 for e in searched if e.amplitude is not None}
+    prior = later | dict(prior or {})
     theta = np.array([prior.get(name.partition("@")[0], _declared(layout, name)) for name in layout.names])
     for e in layout.model.effects:
         if e.joint == "contact" and RATIO in {p.symbol for p in e.free}:

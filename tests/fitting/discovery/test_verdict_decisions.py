@@ -388,6 +388,13 @@ class TestVerdict(Answer):
         found = self.answer(select=selection(candidate(), named=weak), grade=COMPLETE)
         assert (found.verdict, found.form, found.explained) == ("undecided", None, None)
         assert f"so {NAMED} is a hint only." in found.sentence
+        assert found.sentence.startswith(
+            "Significant lack of fit, but no effect is established. The strength"
+        )
+        consistent = self.answer(
+            Found(lack_of_fit=False), select=selection(candidate(), named=weak), grade=COMPLETE
+        )
+        assert consistent.sentence.startswith("Nothing is established. The strength")
         assert "with_random_torque" not in self.asked
         found = self.answer(select=selection(candidate(), named=weak, final=Found(wrong=True)))
         assert found.verdict == "unexplained"

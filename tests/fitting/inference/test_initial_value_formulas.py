@@ -34,7 +34,9 @@ def moved(names=LINEAR, values=None, **options):
     return TIME, Sampler(path.mesh, TIME).value(path.y)[:, :2]
 
 
-def started(names, rough, *, prior=None, reference=250.0, cases=("case",), per_case=(), deflections=None):
+def started(
+    names, rough, *, prior=None, reference=250.0, cases=("case",), per_case=(), deflections=None, searched=()
+):
     """Return the initial values by name."""
     records = [
         SimpleNamespace(
@@ -51,7 +53,7 @@ def started(names, rough, *, prior=None, reference=250.0, cases=("case",), per_c
         Model.of(names) if isinstance(names, tuple) else names, records, per_case=per_case
     )
     still = [np.zeros(len(t)) for t, _ in rough] if deflections is None else deflections
-    theta = start_values(layout, reference, rough, still, prior)
+    theta = start_values(layout, reference, rough, still, prior, searched)
     return dict(zip(layout.names, theta.tolist(), strict=True))
 
 
@@ -62,6 +64,36 @@ class TestStrengths:
             assert found[key] == pytest.approx(value, rel=2e-3)
         assert found["initial.omega_r@case"] == pytest.approx(300.0)
         assert found["initial.omega_c@case"] == pytest.approx(20.0)
+
+    @pytest.mark.parametrize("searched", [True, False])
+    def test_a_law_whose_shape_will_be_searched_starts_without_strength(self, searched):
+        """Errors of the first speeds otherwise give a large strength to a law that acts at the lowest speeds only."""
+        time, speeds = moved()
+        # the law is noticeable in the last second, where both speeds are too low
+        speeds = speeds - 5.0 * np.exp((time - time[-1]) / 0.5)[:, None]
+        law = LIBRARY["touchpoint.stribeck"]
+        found = started((*LINEAR, law.name), [(time, speeds)], searched=[law] if searched else [])
+        assert (found["touchpoint.stribeck.k"] == 0.0) is searched
+        without = started(LINEAR, [(time, speeds)])
+        same = [math.isclose(found[k], v, rel_tol=1e-9) for k, v in without.items()]
+        assert all(same) is searched
+
+    @pytest.mark.parametrize("given", [None, {"touchpoint.stribeck.w": 20.0}])
+    def test_a_shape_that_is_given_is_not_searched(self, given, monkeypatch):
+        shape = "touchpoint.stribeck.w"
+        fit = gyroscope((*LINEAR, "touchpoint.stribeck"), {shape: 20.0, "touchpoint.stribeck.k": 1e-6})
+        sought = []
+
+        def regress(layout, parts, old=module._regress):
+            sought.extend(layout.names[i] for places, *_ in parts for i in places)
+            return old(layout, parts)
+
+        monkeypatch.setattr(module, "_regress", regress)
+        initial_values(fit.problem, given)
+        assert ("touchpoint.stribeck.k@case" in sought or "touchpoint.stribeck.k" in sought) is (
+            given is not None
+        )
+        assert len(sought) == 4 + (given is not None)
 
     @pytest.mark.parametrize("fixed", ["bearing.linear.d", "casing.air.linear.b2", "touchpoint.constant.b1"])
     def test_a_law_of_fixed_strength_is_part_of_the_motion(self, fixed):
