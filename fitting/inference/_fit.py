@@ -73,7 +73,13 @@ def search_with_noise(
 
     With `quick` the search stops where chi-square is within about 0.01 of its minimum.
     """
-    problem = problem.with_noise(first_noise(problem, theta))
+    try:
+        noise = first_noise(problem, theta)
+    except SimulationError:
+        # a regression of nearly collinear laws may give strengths for which the motion diverges
+        theta = _without_strengths(problem, theta, given)
+        noise = first_noise(problem, theta)
+    problem = problem.with_noise(noise)
     problem, theta, held = with_initial_shapes(problem, theta, given)
     active = None
     is_smooth = are_smooth(d.motion for d in problem.data)
@@ -90,6 +96,17 @@ def search_with_noise(
     noise = measure_noise(problem, found.theta)
     # an oscillation was fitted period by period, so its fit is not in a wrong minimum
     return _with_less_noise(problem, found, noise, quick=quick) if is_smooth else (found, noise)
+
+
+def _without_strengths(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Array:
+    """Return initial values in which the strengths that were not given are 0, or the value nearest to 0."""
+    layout = problem.layout
+    names = [n for n in layout.names if layout.parameter(n).role == "amplitude" and n not in (given or {})]
+    places = [layout.index[n] for n in names]
+    lower, upper = layout.bounds()
+    begin = theta.copy()
+    begin[places] = np.clip(0.0, lower[places], upper[places])
+    return begin
 
 
 def with_initial_shapes(

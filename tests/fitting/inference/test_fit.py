@@ -8,7 +8,8 @@ import pytest
 import twobody
 from cases import data, fitted, pulls
 
-from fitting import LINEAR, REDUCED, EffectError, Model, make_record
+from fitting import LINEAR, REDUCED, EffectError, Model, SimulationError, make_record
+from fitting.inference import _fit as module
 from fitting.inference._case_data import CaseData
 from fitting.inference._fit import fit
 
@@ -30,6 +31,26 @@ def test_parameters_of_the_paper_are_recovered_without_initial_values(seed):
         assert 0.9 < body.reduced_chi2 < 1.1
         assert 0.95 < body.held_out < 1.06
     assert case.energy_drift < 1e-3
+
+
+def test_initial_strengths_for_which_the_motion_diverges_are_replaced(monkeypatch):
+    """A drag of 1 mN m s^2 on the rotor, 10^7 times the true one: no path of finite size starts at 900 rad/s."""
+    name = "rotor.air.quadratic.a2"
+    usual = module.initial_values
+
+    def diverging(problem, given):
+        found = usual(problem, given)
+        found[problem.layout.index[name]] = (given or {}).get(name, -1e-3)
+        return found
+
+    monkeypatch.setattr(module, "initial_values", diverging)
+    problem = [data(seed=0, few=True)]
+    estimates = fit(Model.of(REDUCED), problem).estimates
+    expected = fitted(seed=0, few=True).estimates
+    assert estimates[name].value == pytest.approx(expected[name].value, rel=1e-4)
+    # strengths of the user are not replaced
+    with pytest.raises(SimulationError, match="no bounded solution"):
+        fit(Model.of(REDUCED), problem, start={name: -1e-3})
 
 
 def test_uncertainties_of_a_long_record_are_small():
