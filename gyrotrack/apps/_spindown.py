@@ -25,7 +25,7 @@ from gyrotrack.apps._motion import (
     motion_of_speeds,
     start_of_motion,
 )
-from gyrotrack.apps._points import point_track, with_pivot_errors, write_point_picture
+from gyrotrack.apps._points import point_track, with_differences, with_pivot_errors, write_point_picture
 from gyrotrack.apps._study import Recorder, changed, open_study
 from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
@@ -720,6 +720,9 @@ def _analysed(
             if isinstance(body[1], TrackedPoint)
             else _with_view_errors(motion, series, recording, body[1])
         )
+    elif read.table is not None and read.table.changes is not None:
+        moved = [motion_of(series.time, series.angle + c, series.sigma) for c in read.table.changes.T]
+        motion = with_differences(motion, moved)
     # an uncertainty that all angles share, for example of the distance of the hub, also scales the range
     usual = min(float(np.median(series.sigma)), white_noise(series.angle, series.time))
     if motion.turns * TURN < _LEAST_RANGE * usual:

@@ -117,6 +117,9 @@ class MotionTable:
     inputs: tuple[Input, ...] = ()  # inputs that the user records, with their own times
     reading: Reading | None = None  # the meaning of each column
     modes: tuple[ErrorMode, ...] = ()  # errors that samples share, in the unit of `value`
+    # shape (n, m); changes of the values for each of m independent errors of one standard deviation, which parameters
+    # of the motion contain, but fits do not: an error of the centre is nearly a scale of all angles
+    changes: Floats | None = None
 
     def only(self, keep: npt.NDArray[np.bool_] | Integers, *notes: str) -> MotionTable:
         """Return the selected samples, with further notes."""
@@ -128,6 +131,7 @@ class MotionTable:
             line=self.line[keep],
             drivers=tuple(replace(i, value=i.value[keep]) for i in self.drivers),
             modes=tuple(replace(m, basis=m.basis[keep]) for m in self.modes),
+            changes=None if self.changes is None else self.changes[keep],
             notes=(*self.notes, *notes),
         )
 

@@ -896,7 +896,7 @@ def test_a_driven_body_without_a_recorded_drive_has_no_law(analysis):
     plain = _spindown.Drive("reason", None, None, "response")
     document, *_ = analysis(motion(), plain)
     assert document["motion"].omega == motion().omega
-    assert "--input" in analysis(motion(), plain, table="table")[0]["warnings"][-1]
+    assert "--input" in analysis(motion(), plain, table=SimpleNamespace(changes=None))[0]["warnings"][-1]
     for each in (None, plain):
         document, names, _ = analysis(motion("fluctuating"), each)
         assert (document["motion"].kind, document["response"]) == ("fluctuating", None)
