@@ -132,7 +132,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
             "fluctuating", turns, omega, _mean_speed(time, angle, sigma), alpha, omega_u=omega_u
         )
     windows = _speeds(time, angle, sigma)
-    reversing = windows is not None and _turns_back(*windows[1:])
+    reversing = windows is not None and (
+        _turns_back(*windows[1:]) or _turns_back_by_a_turn(angle, *windows[1:])
+    )
     kind = "reversing" if reversing else _kind(omega, omega_u, mean, alpha)
     return BodyMotion(kind, turns, omega, mean, alpha, omega_u=omega_u)
 
@@ -720,3 +722,14 @@ def _turns_back(speed: Floats, error: float) -> bool:
     """Return whether a body turns in both senses with more than 5 standard errors and a fifth of its largest speed."""
     fastest = float(np.abs(speed).max())
     return bool(min(-speed.min(), speed.max()) > max(5 * error, 0.2 * fastest))
+
+
+def _turns_back_by_a_turn(angle: Floats, speed: Floats, error: float) -> bool:
+    """Return whether a body turns back by more than a turn, with a speed that is significant compared with the largest.
+
+    No error of the hub or of the view makes a body seem to turn back by a turn; therefore a slow return is sufficient.
+    """
+    sense = 1.0 if angle[-1] >= angle[0] else -1.0
+    back = float(np.max(np.maximum.accumulate(sense * angle) - sense * angle))
+    slower, fastest = float(np.max(-sense * speed)), float(np.abs(speed).max())
+    return back > TURN and slower > max(_RISE_SIGMA * error, _RISE * fastest)
