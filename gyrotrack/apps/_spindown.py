@@ -795,6 +795,7 @@ def _analysed(
                 laws, base = fit_oscillator(laws, study.model, study.data[0])
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
+            _check_period(laws, base)
             recorder = study.recorder(parent, base)
             reversals = len(base.problem.data[0].motion.reversals)
             long = DEFAULT.refits_through(reversals) == 1
@@ -929,6 +930,15 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         raise FittingError(
             "the motion is an oscillation, and no exact fit with a restoring torque of the library succeeded."
         )
+
+
+def _check_period(laws: OscillatorLaws | None, fit: Fit) -> None:
+    """Raise an error for an exact fit that contradicts the period of an oscillation."""
+    from fitting._errors import FittingError
+
+    lost = "" if laws is None else laws.wrong_period(fit)
+    if lost:
+        raise FittingError(lost)
 
 
 _TURNS_WITH_HARMONICS = (

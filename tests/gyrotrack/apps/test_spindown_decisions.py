@@ -927,9 +927,11 @@ def test_a_recorded_drive_is_fitted(analysis):
     assert "fit" in analysis(motion(), None, inputs=(warm,))[1]
 
 
-def oscillator(disagreements=("", "")):
+def oscillator(disagreements=("", ""), wrong_period=""):
     names = dict(zip(("last", "base"), disagreements, strict=True))
-    return SimpleNamespace(with_fit=lambda fit: (fit.name, names[fit.name]))
+    return SimpleNamespace(
+        with_fit=lambda fit: (fit.name, names[fit.name]), wrong_period=lambda fit: wrong_period
+    )
 
 
 def test_an_oscillation_is_fitted_with_its_laws(analysis):
@@ -944,6 +946,10 @@ def test_an_oscillation_is_fitted_with_its_laws(analysis):
         assert "fit" not in names
         assert "rank" not in names
         assert (document["oscillator"], len(document["warnings"])) == (name, count)
+    document, names, _ = analysis(kind, laws=oscillator(wrong_period="it gives k = 1059"))
+    assert "improve" not in names
+    assert (list(document["laws"]), document["ladder"], document["diagnosis"]) == ([], [], None)
+    assert "it gives k = 1059" in document["warnings"][-1]
     many = 4000
     document, names, calls = analysis(kind, laws=oscillator(), reversals=many)
     assert calls["rank"][1] == {"refitting": False}
