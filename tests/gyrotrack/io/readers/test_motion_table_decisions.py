@@ -455,7 +455,7 @@ class TestScatter:
         assert np.median(found) == pytest.approx(expected, rel=0.04)
 
     @pytest.mark.parametrize("samples_per_period", [3.3, 5.0, 7.0, 11.2, 14.0, 20.0])
-    def test_a_fast_oscillation_is_no_noise(self, samples_per_period):
+    def test_a_fast_oscillation_is_not_noise(self, samples_per_period):
         rng, time = np.random.default_rng(3), np.arange(300) / 12
         swing = 0.6 * np.exp(-time / 60) * np.sin(TURN * 12 / samples_per_period * time + 1.0)
         found = module.scatter(time, 7.0 + swing + rng.normal(0.0, 0.01, 300))
@@ -467,7 +467,7 @@ class TestScatter:
         found = module.scatter(time, 0.6 * np.sin(phase) + rng.normal(0.0, 0.01, 300))
         assert np.median(found) == pytest.approx(0.01, rel=0.4)
 
-    def test_smoothed_noise_is_no_oscillation(self):
+    def test_smoothed_noise_does_not_oscillate(self):
         noise = gaussian_filter1d(np.random.default_rng(5).normal(0.0, 1.0, 3000), 1.0)
         cubics = noise.reshape(-1, 15)
         cubics = cubics - np.array(
