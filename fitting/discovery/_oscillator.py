@@ -108,10 +108,8 @@ class OscillatorLaws:
                 f"amplitude and phase alone are described by {' + '.join(self.restoring)}: the data separate these "
                 "laws, but none of them describes all data."
             )
-        values = {k: Strength(e.value, e.stderr, e.unit, approximate=False) for k, e in fit.estimates.items()}
-        wrong = next(
-            (k for k, v in self.parameters.items() if k in values and v.contradicts(values[k])), None
-        )
+        values = _exact_strengths(fit)
+        wrong = self._contradicted(values)
         if wrong is not None:
             return self, (
                 f"The exact fit gives {wrong} = {values[wrong].value:.4g} {values[wrong].unit}, but amplitude and "
@@ -125,6 +123,30 @@ class OscillatorLaws:
             if k.rpartition(".")[0] in (*exact[0], *damping)
         }
         return replace(self, restoring=exact[0], damping=damping, parameters=chosen), ""
+
+    def wrong_period(self, fit: Fit) -> str:
+        """Return a sentence if the spring or the gravity of an exact fit contradicts the measured period, else "".
+
+        Such a fit has converged to another frequency, and its random torque stands for the motion.
+        """
+        values = _exact_strengths(fit)
+        wrong = self._contradicted(
+            {k: v for k, v in values.items() if k in (f"{_SPRING}.k", f"{_GRAVITY}.k")}
+        )
+        if wrong is None:
+            return ""
+        exact, right = values[wrong], self.parameters[wrong]
+        return (
+            f"the exact fit gives {wrong} = {exact.value:.4g} {exact.unit}, but the measured period requires "
+            f"{right.value:.4g} {right.unit}: the fit does not describe the oscillation"
+        )
+
+    def _contradicted(self, values: dict[str, Strength]) -> str | None:
+        return next((k for k, v in self.parameters.items() if k in values and v.contradicts(values[k])), None)
+
+
+def _exact_strengths(fit: Fit) -> dict[str, Strength]:
+    return {k: Strength(e.value, e.stderr, e.unit, approximate=False) for k, e in fit.estimates.items()}
 
 
 def oscillator_laws(data: CaseData, criteria: Criteria = DEFAULT) -> OscillatorLaws | None:

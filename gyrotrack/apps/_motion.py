@@ -77,7 +77,8 @@ class BodyMotion:
     omega_mean: Value  #: Mean angular velocity [rad s-1].
     alpha: Value  #: Angular acceleration at the middle of the record [rad s-2].
     period: Value | None = None  #: Period of an oscillation [s].
-    amplitude: Value | None = None  #: Amplitude of an oscillation at the middle of the record [rad].
+    #: Amplitude of an oscillation at the middle of the record: deflection of the turning points [rad].
+    amplitude: Value | None = None
     decay: Value | None = None  #: Decay rate of an oscillation [s-1].
     #: Standard uncertainty of `omega`; unknown for an oscillation [rad s-1].
     omega_u: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("first", "last"), math.nan))
@@ -135,7 +136,9 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
             "fluctuating", turns, omega, _mean_speed(time, angle, sigma), alpha, omega_u=omega_u
         )
     windows = _speeds(time, angle, sigma)
-    reversing = windows is not None and _turns_back(*windows[1:])
+    reversing = windows is not None and (
+        _turns_back(*windows[1:]) or _turns_back_by_a_turn(angle, *windows[1:])
+    )
     kind = "reversing" if reversing else _kind(omega, omega_u, mean, alpha)
     return BodyMotion(kind, turns, omega, mean, alpha, omega_u=omega_u)
 
@@ -443,6 +446,21 @@ class _Wave:
         ]
         return np.stack([*first, *later], axis=1)
 
+    def third_harmonic(self, c: Floats, t: Floats, rest: Floats) -> Value:
+        """Return the third harmonic of the residuals at a turning point in the middle of the record, if significant.
+
+        It is proportional to the cube of the amplitude, as for a pendulum, whose turning points it moves inwards.
+        """
+        size, cos, sin = self._parts(c, t)
+        wave = (c[2] + 1j * c[3]) / max(float(np.hypot(c[2], c[3])), 1e-300)
+        third = size**3 * (wave.conjugate() * (cos + 1j * sin)) ** 3
+        columns = np.stack([third.real, third.imag], axis=1)
+        found = np.linalg.lstsq(columns, rest, rcond=None)[0]
+        left = rest - columns @ found
+        u = float(np.sqrt(left @ left / len(t) / (third.real @ third.real)))
+        significant = abs(found[0]) > _RISE_SIGMA * u
+        return Value(float(found[0]), u) if significant else Value(0.0, 0.0)
+
     def errors(
         self, c: Floats, t: Floats, rest: Floats, sigma: Floats
     ) -> tuple[float, tuple[float, float, float]]:
@@ -550,6 +568,8 @@ def _oscillation(
     frequency, decay, amplitude = (
         _with_rivals(value, others) for value, others in zip(best, zip(*rivals, strict=True), strict=True)
     )
+    third = wave.third_harmonic(c, t, angle - wave(c, t))
+    amplitude = Value(amplitude.value + third.value, math.hypot(amplitude.stderr, third.stderr))
     short = 1e-4 / float(c[0])
     first, last = ((wave(c, e + short) - wave(c, e - short)) / (2 * short) for e in (t[0], t[-1]))
     ends = {"first": float(first), "last": float(last)}
@@ -722,3 +742,14 @@ def _turns_back(speed: Floats, error: float) -> bool:
     """Return whether the speed in each sense exceeds 5 standard errors and a fifth of the largest speed."""
     fastest = float(np.abs(speed).max())
     return bool(min(-speed.min(), speed.max()) > max(5 * error, 0.2 * fastest))
+
+
+def _turns_back_by_a_turn(angle: Floats, speed: Floats, error: float) -> bool:
+    """Return whether a body turns back by more than a turn, with a speed that is significant compared with the largest.
+
+    No error of the hub or of the view makes a body seem to turn back by a turn; therefore a slow return is sufficient.
+    """
+    sense = 1.0 if angle[-1] >= angle[0] else -1.0
+    back = float(np.max(np.maximum.accumulate(sense * angle) - sense * angle))
+    slower, fastest = float(np.max(-sense * speed)), float(np.abs(speed).max())
+    return back > TURN and slower > max(_RISE_SIGMA * error, _RISE * fastest)

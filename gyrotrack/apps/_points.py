@@ -72,6 +72,14 @@ def with_pivot_errors(
     """
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     others = [motion_of(series.time, recording.sense * a[taken], series.sigma) for a in point.displaced()]
+    return with_differences(motion, others, point.view)
+
+
+def with_differences(motion: BodyMotion, others: list[BodyMotion], view: float = 0.0) -> BodyMotion:
+    """Add to the uncertainties of a motion its differences from those with one erroneous quantity each.
+
+    `view` is the relative uncertainty of all angles that the tilt of the camera causes.
+    """
 
     def widened(name: str, *, scales: bool) -> Any:
         value: Value | None = getattr(motion, name)
@@ -81,13 +89,13 @@ def with_pivot_errors(
             0.0 if (other := getattr(o, name)) is None else abs(abs(other.value) - abs(value.value))
             for o in others
         ]
-        shared = point.view * abs(value.value) if scales else 0.0
+        shared = view * abs(value.value) if scales else 0.0
         return replace(value, stderr=math.hypot(value.stderr, shared, *shifts))
 
     ends = {
         end: math.hypot(
             motion.omega_u[end],
-            point.view * abs(motion.omega[end]),
+            view * abs(motion.omega[end]),
             *(abs(o.omega[end] - motion.omega[end]) for o in others),
         )
         for end in motion.omega_u

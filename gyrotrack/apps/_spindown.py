@@ -25,7 +25,7 @@ from gyrotrack.apps._motion import (
     motion_of_speeds,
     start_of_motion,
 )
-from gyrotrack.apps._points import point_track, with_pivot_errors, write_point_picture
+from gyrotrack.apps._points import point_track, with_differences, with_pivot_errors, write_point_picture
 from gyrotrack.apps._study import Recorder, changed, open_study
 from gyrotrack.apps.report._laws import LawOfBody, laws_of_body
 from gyrotrack.apps.report._page import write_report
@@ -720,6 +720,9 @@ def _analysed(
             if isinstance(body[1], TrackedPoint)
             else _with_view_errors(motion, series, recording, body[1])
         )
+    elif read.table is not None and read.table.changes is not None:
+        moved = [motion_of(series.time, series.angle + c, series.sigma) for c in read.table.changes.T]
+        motion = with_differences(motion, moved)
     # an uncertainty that all angles share (for example, that of the distance of the hub) also scales the range
     usual = min(float(np.median(series.sigma)), white_noise(series.angle, series.time))
     if motion.turns * TURN < _LEAST_RANGE * usual:
@@ -792,6 +795,7 @@ def _analysed(
                 laws, base = fit_oscillator(laws, study.model, study.data[0])
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
+            _check_period(laws, base)
             recorder = study.recorder(parent, base)
             reversals = len(base.problem.data[0].motion.reversals)
             long = DEFAULT.refits_through(reversals) == 1
@@ -926,6 +930,15 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         raise FittingError(
             "the motion is an oscillation, and no exact fit with a restoring torque of the library succeeded."
         )
+
+
+def _check_period(laws: OscillatorLaws | None, fit: Fit) -> None:
+    """Raise an error for an exact fit that contradicts the period of an oscillation."""
+    from fitting._errors import FittingError
+
+    lost = "" if laws is None else laws.wrong_period(fit)
+    if lost:
+        raise FittingError(lost)
 
 
 # smallest number of turns in which harmonics of the angle are distinguishable from the motion

@@ -878,6 +878,8 @@ def _lines(document: Mapping[str, Any]) -> list[str]:
             if kind in own:
                 unit, scale = own[kind]
                 lines[-1] += f" ({rounded(q.value / scale, q.stderr / scale, unit)})"
+            if name == "amplitude":
+                lines[-1] += ", at the middle of the record"
     if motion.kind == "driven" and document["diagnosis"] is None:
         lines += _response_lines(document["response"])
     lines += _first_order_lines(document)

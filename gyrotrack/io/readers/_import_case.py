@@ -173,12 +173,28 @@ def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece
                 f"{table.path.name}: the values are quantised; sigma is at least step / sqrt(12) = "
                 f"{table.least_sigma:.2g}"
             )
-    make = from_angles if table.quantity == "angle" else from_speeds
-    made = [make(table.time[cut], value[cut], sigma[cut]) for cut in cuts]
+    if table.quantity == "angle":
+        made = [from_angles(table.time[cut], value[cut], sigma[cut]) for cut in cuts]
+    else:
+        made = _continued([from_speeds(table.time[cut], value[cut], sigma[cut]) for cut in cuts])
     for piece in made:
         if not np.isfinite(piece.omega).any():
             start = f"{table.path.name}: the piece at {piece.time[0]:.3f} s"
             notes.append(f"{start} is too short for a smoothed speed ({len(piece.time)} samples)")
+    return made
+
+
+def _continued(parts: list[Piece]) -> list[Piece]:
+    """Return pieces of measured speeds with angles that continue through the gaps, at the mean of the adjacent speeds.
+
+    The uncertainty of the angle in a gap is that of a speed between both, with a uniform distribution.
+    """
+    made = parts[:1]
+    for piece in parts[1:]:
+        last, gap = made[-1], piece.time[0] - made[-1].time[-1]
+        start = last.angle[-1] + gap * (last.omega[-1] + piece.omega[0]) / 2
+        u = np.hypot(last.sigma[-1], gap * (piece.omega[0] - last.omega[-1]) / np.sqrt(12))
+        made.append(replace(piece, angle=piece.angle + start, sigma=np.hypot(piece.sigma, u)))
     return made
 
 

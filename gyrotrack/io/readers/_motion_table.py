@@ -49,6 +49,12 @@ _DEGREES = (3, 5, 7, 9)  # the last degree only shows whether the previous degre
 # 1.36, white noise 1
 _INSUFFICIENT = 1.6
 _NEIGHBOURS = 41  # blocks of a running median, whose standard error is 8 %
+# smallest share of the variance, without a linear trend, at frequencies near the largest peak of the spectrum for which
+# the motion is an oscillation: more than all other motion together
+_OSCILLATES = 0.5
+# frequencies of a block [that of the largest peak of the record]: the frequency of a pendulum falls by 7 % for an
+# amplitude of 60 degrees
+_NEARBY = np.linspace(0.9, 1.1, 9)
 _FLOOR = 1e-6
 _MOST_REPEATED = 0.7  # largest share of rows with the time of the previous row
 _SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change]
@@ -111,6 +117,9 @@ class MotionTable:
     inputs: tuple[Input, ...] = ()  # inputs that the user records, with their own times
     reading: Reading | None = None  # the meaning of each column
     modes: tuple[ErrorMode, ...] = ()  # errors that samples share, in the unit of `value`
+    # shape (n, m); changes of the values for each of m independent errors of one standard deviation, which parameters
+    # of the motion contain, but fits do not: an error of the centre is nearly a scale of all angles
+    changes: Floats | None = None
 
     def only(self, keep: npt.NDArray[np.bool_] | Integers, *notes: str) -> MotionTable:
         """Return the selected samples, with further notes."""
@@ -122,6 +131,7 @@ class MotionTable:
             line=self.line[keep],
             drivers=tuple(replace(i, value=i.value[keep]) for i in self.drivers),
             modes=tuple(replace(m, basis=m.basis[keep]) for m in self.modes),
+            changes=None if self.changes is None else self.changes[keep],
             notes=(*self.notes, *notes),
         )
 
@@ -774,8 +784,9 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
     blocks, divided by the median of chi2 / dof; it is robust against outliers and follows slow changes. The degree is
     the lowest of 3, 5 and 7 whose variance is less than 1.6 times the variance of the next degree. Degree 3 is thus
     used for white and correlated noise. For an oscillation with few samples per period, cubics would leave a part of
-    the motion in the residuals. Errors that vary more slowly than a block (centre offset, tilt) are not included.
-    `floor` is a lower bound, in the unit of `value`.
+    the motion in the residuals. If an oscillation with a period of at most a block has most of the variance, a sinusoid
+    is added to the cubics. Errors that vary more slowly than a block (centre offset, tilt) are not included. `floor` is
+    a lower bound, in the unit of `value`.
     """
     size = min(_BLOCK, len(time))
     count = len(time) // size
@@ -784,21 +795,60 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
     away = (t - centre[:, None]) / np.maximum(np.ptp(t, axis=1), 1e-300)[:, None] * 2
     # column j of Q belongs to degree j: the coefficients of higher degrees give the squared residuals of a degree
     orthogonal = np.linalg.qr(legvander(away, min(_DEGREES[-1], size - 1)), mode="complete")[0]
-    squares = np.einsum("kij,ki->kj", orthogonal, v - v.mean(axis=1, keepdims=True)) ** 2
-    half = _NEIGHBOURS // 2
-    near = [slice(max(0, k - half), k + half + 1) for k in range(count)]
+    off = v - v.mean(axis=1, keepdims=True)
+    squares = np.einsum("kij,ki->kj", orthogonal, off) ** 2
     smooth = np.zeros((len(_DEGREES), count))
     for d, degree in enumerate(_DEGREES):
         free = size - degree - 1
         if free > 0:
-            variance = squares[:, degree + 1 :].sum(axis=1) / free
-            # the median of chi2 / dof (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931)
-            smooth[d] = np.array([np.median(variance[part]) for part in near]) / (1 - 2 / (9 * free)) ** 3
+            smooth[d] = _running_variance(squares[:, degree + 1 :].sum(axis=1), free)
     sufficient = smooth[:-1] < _INSUFFICIENT * smooth[1:]
     lowest = np.where(sufficient.any(axis=0), sufficient.argmax(axis=0), 0)
     known = smooth[lowest, np.arange(count)]
+    if frequency := _fast_oscillation(time, value):
+        remaining = np.array(
+            [_about_sinusoids(t - centre[:, None], off, frequency * near) for near in _NEARBY]
+        )
+        periodic = _running_variance(remaining.min(axis=0), size - _SINUSOID)
+        known = np.where(periodic < known / _INSUFFICIENT, periodic, known)
     # constant values of a body at rest, measured with a coarse resolution, do not show the noise
     shows = known > floor**2
     if shows.any():
         known = np.where(shows, known, np.median(known[shows]))
     return np.asarray(np.maximum(np.sqrt(np.interp(time, centre, known)), floor))
+
+
+def _running_variance(squares: Floats, free: int) -> Floats:
+    """Return the running median over blocks of the variance with `free` degrees of freedom in each block."""
+    half = _NEIGHBOURS // 2
+    middle = np.array([np.median(squares[max(0, k - half) : k + half + 1]) for k in range(len(squares))])
+    # the median of chi2 / dof (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931)
+    return np.asarray(middle / free / (1 - 2 / (9 * free)) ** 3)
+
+
+def _fast_oscillation(time: Floats, value: Floats) -> float:
+    """Return the frequency of an oscillation with most of the variance and at least one period in a block, else 0."""
+    count = len(time)
+    if count < 3 * _BLOCK:
+        return 0.0
+    even = np.linspace(time[0], time[-1], count)
+    at_even = np.interp(even, time, value)
+    deviation = at_even - np.polynomial.Polynomial.fit(even, at_even, 1)(even)
+    power = np.abs(np.fft.rfft(deviation * np.hanning(count), 8 * count)) ** 2
+    peak = int(np.argmax(power))
+    within = power[int(_NEARBY[0] * peak) : int(_NEARBY[-1] * peak) + 1]
+    if peak * _BLOCK < 8 * count or within.sum() < _OSCILLATES * power.sum():
+        return 0.0
+    return peak / 8 * (count - 1) / (count * float(time[-1] - time[0]))
+
+
+_SINUSOID = 7  # parameters of a cubic, and amplitude, phase and frequency of a sinusoid
+
+
+def _about_sinusoids(time: Floats, value: Floats, frequency: float) -> Floats:
+    """Return the sum of the squared residuals of each block (row) from a cubic and a sinusoid of a frequency."""
+    away = time / np.maximum(np.abs(time).max(axis=1, keepdims=True), 1e-300)
+    phase = TURN * frequency * time
+    columns = np.concatenate([legvander(away, 3), np.cos(phase)[..., None], np.sin(phase)[..., None]], axis=2)
+    along = np.einsum("kij,ki->kj", np.linalg.qr(columns)[0], value)
+    return np.asarray(np.maximum((value**2).sum(axis=1) - (along**2).sum(axis=1), 0.0))

@@ -84,15 +84,17 @@ def _tracker(path: Path, lines: Lines) -> Points | None:
     unit = header_of(names[time[0]])[1] if roles[time[0]] == "t" else ""
     if (scale := factor("t", unit) if unit else 1.0) is None:
         raise DatasetError(f"{path}, line {lines[above][0]}: unknown unit '{unit[:30]}' of the time.")
-    columns = _tracks(split(head, delimiter), titles, path)
-    table = _numbers(
-        path, lines[above + 1 :], delimiter, len(names), sorted({time[0], *sum(columns.values(), ())})
-    )
+    heads = split(head, delimiter)
+    columns = _tracks(heads, titles, path)
+    used = {time[0], *sum(columns.values(), ())}
+    left_out = tuple(h for i, h in enumerate(heads) if h and i not in used)
+    table = _numbers(path, lines[above + 1 :], delimiter, len(names), sorted(used))
     places = {name: np.stack([table[x], table[y]], axis=1) for name, (x, y) in columns.items()}
     counted = roles[time[0]] == "frame"
     if not counted and not unit:
         refuse_slow_clock(f"{path}, line {lines[above][0]}", names[time[0]], table[time[0]])
-    return Points(path, scale * table[time[0]], places, {}, y_down=False, counted=counted)
+    time_of_rows = scale * table[time[0]]
+    return Points(path, time_of_rows, places, {}, y_down=False, counted=counted, left_out=left_out)
 
 
 def _axis(name: str) -> tuple[str, str]:

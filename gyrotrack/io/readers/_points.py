@@ -21,6 +21,9 @@ ORBIT = "orbit"
 _LARGEST_DEVIATION = 0.15
 # smallest distance between given and fitted centre that causes a warning: in standard uncertainties, and in radii
 _SIGNIFICANT, _LEAST_OFFSET = 3.0, 0.05
+_UNCERTAIN = 0.01  # smallest uncertainty of the centre of an arc that triggers a warning [radius]
+_MOST_STEPS = 50  # of a fit, which converges in 10 if the path is an arc
+_CONVERGED = 1e-9  # last step of a fit [radius]
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Points:
     sha256: str = ""  # hash of the file
     # shape (n,); standard uncertainty of x and of y from the other program; empty if not available
     errors: Mapping[str, Floats] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()  # columns that are not used
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,16 @@ class PointAngle:
     used: frozenset[str]  # names of the points that were used
     sigma: Floats | None = None  # standard uncertainty of the angle, if the uncertainty of the point is known
     doubts: tuple[str, ...] = ()
+    # mean distance of the point from the centre, and covariance of the centre, if it was fitted to the path
+    radius: float = 0.0
+    centre_covariance: Floats | None = None  # shape (2, 2); of x and of y upwards
+
+
+def changes_by_centre(angle: Floats, radius: float, covariance: Floats) -> Floats:
+    """Return the changes (n, 2) of angles if the centre is displaced by one standard deviation along each axis."""
+    size, axes = np.linalg.eigh(covariance)
+    displacements = np.sqrt(np.maximum(size, 0.0)) * axes
+    return np.asarray(np.column_stack([np.sin(angle), -np.cos(angle)]) / radius @ displacements)
 
 
 def angle_of(points: Points, options: ReadOptions) -> PointAngle:
@@ -79,7 +93,7 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     up = -arm[:, 1] if points.y_down else arm[:, 1]
     sigma = points.errors[name] / length if name in points.errors else None
     doubts = () if options.centre == ORBIT else _doubt_of_centre(points.path.name, name, where, arm)
-    notes = (f"{points.path.name}: angle of '{name}' about {where}", *doubts)
+    notes: tuple[str, ...] = (f"{points.path.name}: angle of '{name}' about {where}", *doubts)
     clock = f"frames at {options.fps:g} 1/s" if points.counted else "times of the file"
     chosen = (
         "by --marker" if options.marker else "the only point" if len(points.places) < 3 else "by its name"
@@ -92,25 +106,29 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
     if sigma is not None:
         taken += (Taken("the uncertainty of x, y", "uncertainty", "", "divided by the radius"),)
     used = frozenset({name} if named_centre is None else {name, named_centre})
-    return PointAngle(time + options.start, np.arctan2(up, arm[:, 0]), notes, taken, used, sigma, doubts)
+    fitted = named_centre is None and _coordinates(options.centre or "") is None
+    arm = np.column_stack([arm[:, 0], up])
+    known = arm[np.isfinite(arm).all(axis=1)]
+    covariance = _centre_covariance(known) if fitted else None
+    if covariance is not None:
+        notes += _uncertain_centre(points.path.name, np.arctan2(known[:, 1], known[:, 0]), length, covariance)
+    return PointAngle(
+        time + options.start, np.arctan2(up, arm[:, 0]), notes, taken, used, sigma, doubts,
+        float(np.nanmean(length)), covariance,
+    )  # fmt: skip
 
 
 def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str, ...]:
     """Return a warning if the path is a circle about another centre than the given one.
 
-    The path of a point of a rigid body is a circle about the centre of rotation. The standard uncertainty of the
-    fitted centre is the uncertainty of the least-squares fit, increased for the correlation of the residuals.
+    The path of a point of a rigid body is a circle about the centre of rotation.
     """
     known = arm[np.isfinite(arm).all(axis=1)]
     found = circle_centre(known)
     radius = np.hypot(*(known - found).T)
     rest = radius - radius.mean()
     offset, mean = float(np.hypot(*found)), float(radius.mean())
-    ray = (known - found) / radius[:, None]
-    spread = np.linalg.pinv((ray - ray.mean(axis=0)).T @ (ray - ray.mean(axis=0)))
-    correlation = float(np.clip(np.corrcoef(rest[1:], rest[:-1])[0, 1], 0.0, 0.99)) if rest.any() else 0.0
-    inflation = (1 + correlation) / (1 - correlation)
-    u = float(np.sqrt(inflation * np.mean(rest**2) * np.trace(spread)))
+    u = float(np.sqrt(np.trace(_centre_covariance(known - found))))
     length = np.hypot(*known.T)
     if not (offset > _SIGNIFICANT * u and offset > _LEAST_OFFSET * mean and rest.std() < 0.5 * length.std()):
         return ()
@@ -121,6 +139,31 @@ def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str
         f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the latter."
     )
     return (doubt,)
+
+
+def _uncertain_centre(file: str, angle: Floats, length: Floats, covariance: Floats) -> tuple[str, ...]:
+    """Return a warning if the arc of a point leaves the distance of its centre uncertain."""
+    share = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]) / np.nanmean(length))
+    if share < _UNCERTAIN or np.ptp(np.unwrap(angle)) > np.pi:
+        return ()
+    doubt = (
+        f"{file}: the arc of the path leaves its centre uncertain: all angles share a relative uncertainty of "
+        f"{100 * share:.2g} %. --centre gives the centre."
+    )
+    return (doubt,)
+
+
+def _centre_covariance(arm: Floats) -> Floats:
+    """Return the covariance (2, 2) of the centre of a circle fitted to points (n, 2), given relative to this centre.
+
+    It is that of the least-squares fit, increased for the correlation of the residuals.
+    """
+    radius = np.hypot(*arm.T)
+    rest = radius - radius.mean()
+    ray = arm / radius[:, None]
+    spread = np.linalg.pinv((ray - ray.mean(axis=0)).T @ (ray - ray.mean(axis=0)))
+    correlation = float(np.clip(np.corrcoef(rest[1:], rest[:-1])[0, 1], 0.0, 0.99)) if rest.any() else 0.0
+    return np.asarray((1 + correlation) / (1 - correlation) * np.mean(rest**2) * spread)
 
 
 def _require_samples(points: Points, name: str, place: Floats) -> None:
@@ -186,10 +229,11 @@ def _centre(points: Points, options: ReadOptions, name: str | None, place: Float
 
 
 def circle_centre(place: Floats) -> Floats:
-    """Return the centre of a circle fitted to points (n, 2) by linear least squares (Kasa fit).
+    """Return the centre of the circle from which points (n, 2) have the least rms distance.
 
-    x^2 + y^2 = 2 a x + 2 b y + c is linear in the centre (a, b); I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976).
-    Over whole turns its bias is of the order noise^2 / radius, much smaller than the noise.
+    The start is the linear fit x^2 + y^2 = 2 a x + 2 b y + c (I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976)). Over
+    whole turns its bias is of the order noise^2 / radius, but a short arc is fitted with a radius that is too small:
+    by 17 % if the noise is 6 % of the height of the arc. Gauss-Newton steps remove this bias.
     """
     known = place[np.isfinite(place).all(axis=1)]
     if len(known) < 3:
@@ -198,7 +242,23 @@ def circle_centre(place: Floats) -> Floats:
     x = known - middle
     design = np.column_stack([2 * x, np.ones(len(x))])
     solution, *_ = np.linalg.lstsq(design, (x**2).sum(axis=1), rcond=None)
-    return np.asarray(middle + solution[:2])
+    return np.asarray(middle + _least_distance(x, solution[:2]))
+
+
+def _least_distance(place: Floats, start: Floats) -> Floats:
+    """Return the centre of least rms distance by Gauss-Newton steps from a start; the start if they do not converge."""
+    centre = start
+    for _ in range(_MOST_STEPS):
+        arm = place - centre
+        radius = np.hypot(*arm.T)
+        if not radius.min() > 0:
+            return start
+        ray = arm / radius[:, None]
+        step, *_ = np.linalg.lstsq(ray - ray.mean(axis=0), radius - radius.mean(), rcond=None)
+        centre = centre + step
+        if np.hypot(*step) < _CONVERGED * radius.mean():
+            return np.asarray(centre)
+    return start
 
 
 def _coordinates(text: str) -> Floats | None:

@@ -34,7 +34,7 @@ from gyrotrack.io.readers._motion_table import (
 from gyrotrack.io.readers._number_range import check_motion
 from gyrotrack.io.readers._point_files import read_hdf5, read_project
 from gyrotrack.io.readers._point_tables import particles_of, read_point_table
-from gyrotrack.io.readers._points import Points, angle_of
+from gyrotrack.io.readers._points import Points, angle_of, changes_by_centre
 from gyrotrack.io.readers._pulses import (
     Passages,
     counters_of,
@@ -244,6 +244,10 @@ def _from_points(points: Points, options: ReadOptions) -> MotionTable:
     sigma = None if found.sigma is None else found.sigma[rows]
     origin, values = (points.path, points.sha256, "angle"), (found.time[rows], found.angle[rows], sigma)
     table = in_order(MotionTable(*origin, *values, rows + 1, (), doubts=found.doubts), notes)
+    if found.centre_covariance is not None:
+        changes = changes_by_centre(table.value, found.radius, found.centre_covariance)
+        table = replace(table, changes=changes)
     others = tuple(f"point '{n}'" for n in points.places if n not in found.used)
+    others += tuple(f"'{name}'" for name in points.left_out)
     reading = Reading(points.path.name, "", len(points.time), found.taken, others)
     return replace(table, notes=tuple(notes), reading=reading)

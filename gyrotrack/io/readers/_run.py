@@ -3,7 +3,8 @@
 Speeds are estimated in blocks of samples. The end of a drive (by motor or hand) is a changepoint of the deceleration:
 before this point the speed is constant or increases, afterwards the body slows down. A brake is a deceleration of at
 least three times the previous deceleration, until the end of the motion. Rest is a speed that is consistent with zero.
-A disturbance is a speed that increases again. If the body never slows down, no part of its motion is excluded.
+A disturbance is a speed that increases again. If the body never slows down, no part of its motion is excluded. The
+motion of a motor whose speed rises and falls repeatedly is not cut either.
 
 The start of an oscillation is excluded while a hand holds or moves the body: there, periods and amplitudes do not
 continue the later values smoothly. Rest at the end of an oscillation is excluded only if the resolution of the file
@@ -24,6 +25,7 @@ from gyrotrack._errors import UsageError
 from gyrotrack.io._records import Floats
 from gyrotrack.io.readers._clock import MIN_SAMPLES
 from gyrotrack.io.readers._motion_table import MotionTable, scatter
+from gyrotrack.io.readers._plausibility import rises
 
 _BLOCKS = 400
 _MIN_BLOCK = 4
@@ -34,6 +36,10 @@ _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregu
 # largest range of the means at rest, in standard errors (200 normal deviates have a range of 5.5) and as a share of the
 # range of the record
 _STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
+# of a motor whose speed varies: smallest rise and fall of the speed [largest speed], number of rises, and largest share
+# of the time that seems to be free; a hand pushes a body several times, but the body hardly slows down in between, and
+# one of several runs in a record is free for longer
+_VARIES, _FEWEST_RISES, _SHORT = 0.25, 3, 0.2
 _MIN_STEPS = 2  # smallest deflection at which quantisation errors are independent [steps of the resolution]
 
 
@@ -111,6 +117,9 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
     last = time[end] if stopped else np.inf
     keep = (table.time >= first) & (table.time <= last)
     if keep.all() or keep.sum() < 60:
+        return table, value
+    short = np.ptp(table.time[keep]) < _SHORT * np.ptp(table.time)
+    if short and rises(speed, _VARIES * float(speed.max())) >= _FEWEST_RISES:
         return table, value
     notes = []
     if driven:

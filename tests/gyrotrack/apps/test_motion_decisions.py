@@ -20,6 +20,7 @@ from gyrotrack.apps._motion import (
     motion_of_speeds,
     start_of_motion,
 )
+from gyrotrack.apps._points import with_differences
 from gyrotrack.io.readers._pulses import Passages
 
 SIGMA = 1e-3
@@ -478,3 +479,13 @@ def test_response_to_a_drive(quantity, step):
         assert 0.7 * u[1] < found.final.stderr < 1.6 * u[1]
     few = slice(0, 11)
     assert _drive._response(series(angle[few], time[few], 1e-3, omega[few]), quantity, cause) is None
+
+
+def test_an_error_that_scales_all_angles_scales_amplitude_and_speeds():
+    time = np.arange(400) / 20
+    angle, sigma = noisy(0.3 * np.cos(2 * np.pi * time / 1.7))
+    motion, larger = (motion_of(time, a, sigma) for a in (angle, 1.05 * angle))
+    widened = with_differences(motion, [larger])
+    assert widened.amplitude.value == motion.amplitude.value
+    assert widened.amplitude.stderr == pytest.approx(0.05 * 0.3, rel=0.1)
+    assert widened.period.stderr == pytest.approx(motion.period.stderr, rel=0.01)

@@ -30,6 +30,14 @@ def test_a_body_that_turns_back_does_not_spin_down(back, kind):
     assert _motion(time, np.cumsum(speed) * (time[1] - time[0])).kind == kind
 
 
+@pytest.mark.parametrize(("speed", "reversing"), [(-1.5, True), (-0.5, False), (0.0, False)])
+def test_a_body_that_turns_back_by_more_than_a_turn_is_not_steady(speed, reversing):
+    """A motor at 13.8 rad/s, at rest, and slowly backwards; 0.5 rad/s is less than 5 % of the largest speed."""
+    time = np.arange(4000) / 100
+    speeds = np.select([time < 12, time < 24], [13.8, 0.0], speed)
+    assert (_motion(time, np.cumsum(speeds) / 100).kind == "reversing") == reversing
+
+
 @pytest.mark.parametrize(("share", "period"), [(0.15, True), (0.35, False)])
 def test_a_motion_that_no_damped_oscillation_explains_has_no_period(share, period):
     """A second mode of 2 % of the variance may be harmonics of a large amplitude; one of 12 % is another body."""

@@ -539,6 +539,21 @@ def test_a_strength_that_contradicts_amplitude_and_phase_does_not_replace_theirs
     found, sentence = laws.with_fit(_exact(value, stderr))
     assert (found == laws) is kept
     assert ("which are shown" in sentence) is kept
+    assert ("the measured period requires 12 rad/s2" in laws.wrong_period(_exact(value, stderr))) is kept
+
+
+def test_a_wrong_damping_does_not_change_the_period():
+    spring, dry = ("casing.spring.linear",), ("touchpoint.constant",)
+    strengths = {
+        "casing.spring.linear.k": Strength(12.0, 0.1, "rad/s2"),
+        "touchpoint.constant.b1": Strength(0.01, 1e-4, "rad/s2"),
+    }
+    laws = OscillatorLaws(spring, dry, (spring,), (dry,), strengths)
+    exact = {k: SimpleNamespace(value=v.value, stderr=v.stderr, unit=v.unit) for k, v in strengths.items()}
+    exact["touchpoint.constant.b1"].value = 0.0
+    fitted = SimpleNamespace(model=Model.of([*spring, *dry]), estimates=exact)
+    assert laws.with_fit(fitted)[1] != ""
+    assert laws.wrong_period(fitted) == ""
 
 
 def test_a_period_that_drifts_has_the_difference_of_the_models_in_its_uncertainty():

@@ -896,7 +896,7 @@ def test_a_driven_body_without_a_recorded_drive_has_no_law(analysis):
     plain = _spindown.Drive("reason", None, None, "response")
     document, *_ = analysis(motion(), plain)
     assert document["motion"].omega == motion().omega
-    assert "--input" in analysis(motion(), plain, table="table")[0]["warnings"][-1]
+    assert "--input" in analysis(motion(), plain, table=SimpleNamespace(changes=None))[0]["warnings"][-1]
     for each in (None, plain):
         document, names, _ = analysis(motion("fluctuating"), each)
         assert (document["motion"].kind, document["response"]) == ("fluctuating", None)
@@ -927,9 +927,11 @@ def test_a_recorded_drive_is_fitted(analysis):
     assert "fit" in analysis(motion(), None, inputs=(warm,))[1]
 
 
-def oscillator(disagreements=("", "")):
+def oscillator(disagreements=("", ""), wrong_period=""):
     names = dict(zip(("last", "base"), disagreements, strict=True))
-    return SimpleNamespace(with_fit=lambda fit: (fit.name, names[fit.name]))
+    return SimpleNamespace(
+        with_fit=lambda fit: (fit.name, names[fit.name]), wrong_period=lambda fit: wrong_period
+    )
 
 
 def test_an_oscillation_is_fitted_with_its_laws(analysis):
@@ -944,6 +946,10 @@ def test_an_oscillation_is_fitted_with_its_laws(analysis):
         assert "fit" not in names
         assert "rank" not in names
         assert (document["oscillator"], len(document["warnings"])) == (name, count)
+    document, names, _ = analysis(kind, laws=oscillator(wrong_period="it gives k = 1059"))
+    assert "improve" not in names
+    assert (list(document["laws"]), document["ladder"], document["diagnosis"]) == ([], [], None)
+    assert "it gives k = 1059" in document["warnings"][-1]
     many = 4000
     document, names, calls = analysis(kind, laws=oscillator(), reversals=many)
     assert calls["rank"][1] == {"refitting": False}

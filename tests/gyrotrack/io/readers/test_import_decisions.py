@@ -51,6 +51,18 @@ def test_angles_are_unwrapped_across_gaps():
     assert uncertain == []
 
 
+def test_the_angle_of_measured_speeds_continues_through_a_gap():
+    time = np.delete(0.01 * np.arange(3000), slice(1000, 1060))
+    speed = 56.0 - 0.3 * time
+    first, second = pieces_of(motion_table(time, speed, "omega", sigma=np.full(len(time), 0.01)), speed, [])
+    angle = 56.0 * time - 0.15 * time**2
+    np.testing.assert_allclose(np.concatenate([first.angle, second.angle]), angle, atol=1e-6)
+    between = math.hypot(first.sigma[-1], 0.61 * 0.3 * 0.61 / math.sqrt(12))
+    assert second.sigma[0] == pytest.approx(math.hypot(between, 0.01 * 0.01))
+    case, _ = case_of_body(motion_table(time, speed, "omega"))
+    assert np.ptp(case.casing.angle) == pytest.approx(angle[-1], rel=1e-6)
+
+
 @pytest.mark.parametrize(("change", "doubtful"), [(0.93, False), (1.05, True)])
 def test_a_gap_is_uncertain_if_the_speed_changes_by_eight_radians_divided_by_its_length(change, doubtful):
     """A gap of 8.1 s: a change of 0.99 rad/s is the limit."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers import _motion_table as module
@@ -452,6 +453,29 @@ class TestScatter:
         free = 14 - degree
         expected = math.sqrt(np.median(by_degree) / (1 - 2 / (9 * free)) ** 3)
         assert np.median(found) == pytest.approx(expected, rel=0.04)
+
+    @pytest.mark.parametrize("samples_per_period", [3.3, 5.0, 7.0, 11.2, 14.0, 20.0])
+    def test_a_fast_oscillation_is_not_noise(self, samples_per_period):
+        rng, time = np.random.default_rng(3), np.arange(300) / 12
+        swing = 0.6 * np.exp(-time / 60) * np.sin(TURN * 12 / samples_per_period * time + 1.0)
+        found = module.scatter(time, 7.0 + swing + rng.normal(0.0, 0.01, 300))
+        assert np.median(found) == pytest.approx(0.01, rel=0.25)
+
+    def test_the_frequency_of_a_fast_oscillation_may_change_by_7_percent(self):
+        rng, time = np.random.default_rng(4), np.arange(300) / 12
+        phase = TURN * 1.5 * (time + 0.07 * time**2 / (2 * time[-1]))
+        found = module.scatter(time, 0.6 * np.sin(phase) + rng.normal(0.0, 0.01, 300))
+        assert np.median(found) == pytest.approx(0.01, rel=0.4)
+
+    def test_smoothed_noise_does_not_oscillate(self):
+        noise = gaussian_filter1d(np.random.default_rng(5).normal(0.0, 1.0, 3000), 1.0)
+        cubics = noise.reshape(-1, 15)
+        cubics = cubics - np.array(
+            [np.polynomial.Polynomial.fit(range(15), c, 3)(np.arange(15)) for c in cubics]
+        )
+        assert np.median(module.scatter(np.arange(3000.0), noise)) == pytest.approx(
+            math.sqrt(np.median((cubics**2).sum(axis=1)) / 11), rel=0.1
+        )
 
     def test_a_change_of_the_noise_is_followed(self):
         noise = np.random.default_rng(1).normal(0.0, 1.0, 6000) * np.where(np.arange(6000) < 3000, 0.01, 0.03)

@@ -166,6 +166,36 @@ def test_the_circle_through_a_noisy_path():
     assert np.abs(np.mean(errors, axis=0)).max() < 4 * 0.1 * np.sqrt(2 / 300 / 200)
 
 
+def bob(seed, count, noise):
+    """Return the path of a bob 0.5 m below its pivot, with an amplitude of 0.19 rad."""
+    angle = 0.19 * np.cos(4.4 * np.arange(count) / 30)
+    path = 0.5 * np.column_stack([np.sin(angle), -np.cos(angle)])
+    return path + np.random.default_rng(seed).normal(0.0, noise, path.shape)
+
+
+def test_the_circle_through_a_short_arc_is_not_too_small():
+    """The linear fit alone gives a distance of 0.38 m."""
+    distances = np.array([-circle_centre(bob(seed, 4000, 0.0018))[1] + 0.5 for seed in range(8)])
+    assert np.mean(distances) == pytest.approx(0.5, rel=0.01)
+
+
+def test_the_uncertainty_of_a_fitted_centre_scales_all_angles(tmp_path):
+    scales, predicted = [], []
+    for seed in range(8):
+        rows = [f"{k / 30:.6f},{x:.9f},{y:.9f},{seed}" for k, (x, y) in enumerate(bob(seed, 600, 0.003))]
+        (path := tmp_path / f"{seed}.csv").write_text("\n".join(["t,x,y,other", *rows]))
+        table = read_motion(path, ReadOptions())
+        assert table.reading.left_out == ("'other'",)
+        assert "all angles share a relative uncertainty" in table.notes[-1]
+        swing = table.value - table.value.mean()
+        scales.append(np.ptp(table.value) / 0.38 - 1.0)
+        predicted.append(np.linalg.norm(table.changes.T @ swing / (swing @ swing)))
+    assert 0.4 < np.std(scales) / np.mean(predicted) < 2.0
+    given = read_motion(path, ReadOptions(centre="0,0"))
+    assert given.changes is None
+    assert not any("share" in note for note in given.notes)
+
+
 def test_a_marker_that_passes_the_centre_is_refused(tmp_path):
     path = write(
         tmp_path / "a.txt", "m\nt\tx\ty\n" + rows(TIME, np.linspace(-1, 1, N), np.zeros(N), sep="\t")

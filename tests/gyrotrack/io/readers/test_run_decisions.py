@@ -199,6 +199,18 @@ def test_a_disturbance_raises_a_low_speed_by_a_quarter(factor, low, disturbed):
         assert 145 <= block <= 151
 
 
+@pytest.mark.parametrize(("rises", "free", "cut"), [(5, 2.0, False), (2, 2.0, True), (5, 12.0, True)])
+def test_a_motor_whose_speed_varies_has_no_free_motion(rises, free, cut):
+    """Rises to 60 % of the last one, each with a fall to a fifth of it, and a last fall that looks like coasting."""
+    cycle = np.concatenate([np.linspace(4.0, 12.0, 120), np.linspace(12.0, 4.0, 80)])
+    steady = np.full(200 * (5 - rises), 4.0)
+    last = np.concatenate([np.linspace(4.0, 20.0, 120), np.linspace(20.0, 3.0, int(100 * free))])
+    speed = np.concatenate([steady, np.tile(cycle, rises - 1), last])
+    speed += np.random.default_rng(0).normal(0.0, 0.01, len(speed))
+    table, _ = run_of(table_of(np.arange(len(speed)) / 100, speed, "omega"), speed, Limits())
+    assert (len(table.time) < len(speed)) == cut
+
+
 def test_run_without_drive_and_rest():
     time = 0.01 * np.arange(4000)
     speed = np.where(time < 10, 30.0, np.maximum(30 - 1.5 * (time - 10), 0.0))

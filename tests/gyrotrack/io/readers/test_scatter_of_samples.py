@@ -10,15 +10,12 @@ def noise(n, sigma, seed=0):
     return sigma * np.random.default_rng(seed).standard_normal(n)
 
 
-@pytest.mark.parametrize(("per_period", "right"), [(1000, True), (44, True), (30, True), (12, False)])
-def test_an_oscillation_with_few_samples_a_period_is_not_noise(per_period, right):
-    """Cubics leave 4.5 mrad of it at 44 samples a period; a block of 15 samples describes no more than half of one."""
+@pytest.mark.parametrize("per_period", [1000, 44, 30, 12, 4])
+def test_an_oscillation_with_few_samples_a_period_is_not_noise(per_period):
+    """Cubics leave 4.5 mrad of it at 44 samples a period, and most of the amplitude at 12 and 4."""
     angle = 1.4 * np.cos(2 * np.pi * np.arange(900) / per_period)
     found = np.median(scatter(np.arange(900) / 40, angle + noise(900, 2e-3)))
-    if right:
-        assert found == pytest.approx(2e-3, rel=0.12)
-    else:
-        assert found > 0.1
+    assert found == pytest.approx(2e-3, rel=0.12)
 
 
 def test_white_noise_has_the_scatter_of_cubics():
