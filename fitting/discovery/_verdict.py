@@ -414,9 +414,10 @@ def _diagnosis(
     search = _Search(fit, ranked, tuple(extra), criteria, workers, history)
     found = search.graded()
     if search.suggests_two(found):
-        both = search.graded(follow_up=True)
+        both = search.of_determined().graded(follow_up=True)
         bic = found.size.unknown_bic if found.size.unknown else found.selection.final.bic
-        found = both if _are_two_effects(both, bic, criteria) else found
+        is_named = not _undetermined(both.selection, criteria)
+        found = both if is_named and _are_two_effects(both, bic, criteria) else found
     selection, as_given, rival, misfit, doubt, size = found
     if size.form is None and isinstance(doubt, PeriodogramPeak):
         # an effect that does not explain the sinusoidal torque is not part of the answer
@@ -519,13 +520,21 @@ class _Search(NamedTuple):
         size = _graded(fit, selection, doubt, rival, criteria, misfit=misfit)
         return _Graded(selection, as_given, rival, misfit, doubt, size)
 
+    def of_determined(self) -> _Search:
+        """Return the search without the refitted candidates whose strength is not determined."""
+        ranked = [
+            c for c in self.ranked if c.fit is None or not reason_undetermined(c.effect, c.fit, self.criteria)
+        ]
+        return self._replace(ranked=ranked)
+
     def suggests_two(self, found: _Graded) -> bool:
         """Return whether a second effect is worth a search: none was tried, and one effect does not suffice.
 
-        One effect does not suffice in two cases. In the first case a smooth law of a speed describes the data better
-        than the effect. In the second case a test of lack of fit is significant, and the score of a second effect about
-        the fit with the first effect exceeds the threshold of `_are_two_effects`. Without a lack of fit, a second
-        effect may be a tracking error.
+        One effect does not suffice in three cases. In the first case a smooth law of a speed describes the data better
+        than the effect. In the other cases a test of lack of fit is significant: without a lack of fit, a second effect
+        may be a tracking error. In the second case the strength of the effect is not determined: the shape of one law
+        may imitate the sum of two. In the third case the score of a second effect about the fit with the first effect
+        exceeds the threshold of `_are_two_effects`.
         """
         selection = found.selection
         end = selection.final
@@ -536,6 +545,8 @@ class _Search(NamedTuple):
         is_smooth = are_smooth(d.motion for d in end.problem.data)
         if found.misfit or not is_smooth or not self.fit.has_lack_of_fit(self.criteria):
             return False
+        if _undetermined(selection, self.criteria):
+            return True
         log_rows = math.log(end.rows)
         return any(
             c.significant and c.score - c.screened.columns * log_rows > _needed(selection, self.criteria)

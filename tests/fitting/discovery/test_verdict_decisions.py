@@ -364,6 +364,42 @@ class TestVerdict(Answer):
         monkeypatch.setattr(module, "grade", lambda fit, found, *_, **__: grades[id(found)])
         assert (self.answer(rank=[next_one]).remainder is LEFT) is (bic < 100 - 10 - 2 * math.log(2))
 
+    @pytest.mark.parametrize(
+        ("bic", "lack_of_fit", "weak_too", "named_two"),
+        [
+            (88.5, True, False, True),
+            (88.7, True, False, False),  # 10 + 2 ln 2 below 100
+            (88.5, False, False, False),
+            (88.5, True, True, False),
+        ],
+    )
+    def test_two_effects_replace_one_whose_strength_is_not_determined(
+        self, monkeypatch, bic, lack_of_fit, weak_too, named_two
+    ):
+        """The shape of the brake imitates drag and friction; the brake is no candidate of the second search."""
+        brake = "casing.brake.eddy"
+        weak = {f"{brake}.k": estimate(8e-8, 8e-8)}
+        alone = Found(model=named(brake), estimates=weak)
+        found = candidate(brake, fit=alone)
+        first = selection(found, named=alone)
+        drag = Found(model=named(DRAG), estimates={f"{DRAG}.k": estimate(2e-9, 1e-9 if weak_too else 1e-10)})
+        end = Found(model=named(DRAG, LAMINAR), bic=bic)
+        both = selection(candidate(), named=drag, final=end, others=[candidate(LAMINAR)])
+        asked = []
+
+        def select(fit, ranked, *_, follow_up):
+            asked.append([c.effect.name for c in ranked])
+            return both if follow_up else first
+
+        monkeypatch.setattr(module, "select", select)
+        grades = {id(first): COMPLETE, id(both): Grade(None, 0.7, LEFT)}
+        monkeypatch.setattr(module, "grade", lambda fit, found, *_, **__: grades[id(found)])
+        answer = self.answer(Found(lack_of_fit=lack_of_fit), rank=[found, candidate(LAMINAR, fit=None)])
+        assert asked == [[brake, LAMINAR], [LAMINAR]][: 1 + lack_of_fit]
+        assert (answer.verdict, answer.remainder is LEFT) == (
+            ("missing_effect", True) if named_two else ("undecided", False)
+        )
+
     def test_without_an_effect_no_second_one_is_sought(self, monkeypatch):
         asked = []
         monkeypatch.setattr(module, "select", lambda *_, follow_up: asked.append(follow_up) or selection())
