@@ -1,4 +1,4 @@
-"""Initial values against the exact motion of known laws, and the choice of shape constants on a grid."""
+"""Initial values against exact motions and averaged equations, and the choice of shape constants on a grid."""
 
 import math
 from dataclasses import replace
@@ -8,11 +8,13 @@ import numpy as np
 import oscillators
 import pytest
 from linearised import BEGIN, SPAN, VALUES, gyroscope
+from scipy.integrate import solve_ivp
 
 from fitting import LIBRARY, LINEAR, REDUCED, EstimationError, Model, Parameter, SimulationError
 from fitting.dynamics._collocation import Sampler
 from fitting.effects._user import resolve
-from fitting.inference import _initial_values as module
+from fitting.inference import _initial_values
+from fitting.inference._averaging import averaged
 from fitting.inference._initial_values import (
     equation_error,
     initial_shapes,
@@ -20,6 +22,7 @@ from fitting.inference._initial_values import (
     start_values,
     unknown_shapes,
 )
+from fitting.inference._oscillation import SlowMotion
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples
 
@@ -185,27 +188,31 @@ class TestSamples:
     def test_rest_is_left_out(self):
         """The longest interval above a hundredth of the largest speed."""
         speed = np.array([0.0, 0.5, 5.0, 9.0, 0.05, 100.0, -50.0, 1.01, 0.99, 2.0])
-        assert module._longest_motion(speed).tolist() == [False] * 5 + [True] * 3 + [False] * 2
-        assert module._longest_motion(np.zeros(4)).all()
-        assert module._longest_motion(np.ones(3)).all()
+        assert _initial_values._longest_motion(speed).tolist() == [False] * 5 + [True] * 3 + [False] * 2
+        assert _initial_values._longest_motion(np.zeros(4)).all()
+        assert _initial_values._longest_motion(np.ones(3)).all()
 
     def test_the_ratio_of_speeds_is_that_of_the_end_unless_rigid(self):
         casing = np.linspace(10.0, 5.0, 100)
         rotor = np.where(np.arange(100) < 80, 9.0, 2.0) * casing
         speeds = np.column_stack([rotor, casing])
-        assert module._ratio(speeds, rigid=False) == pytest.approx(2.0)
-        assert module._ratio(speeds, rigid=True) == pytest.approx(9.0)
+        assert _initial_values._ratio(speeds, rigid=False) == pytest.approx(2.0)
+        assert _initial_values._ratio(speeds, rigid=True) == pytest.approx(9.0)
         casing[::2] = 0.01
-        assert module._ratio(np.column_stack([rotor, casing]), rigid=False) == pytest.approx(2.0)
-        assert module._ratio(np.zeros((40, 2)), rigid=True) == 1.0
+        assert _initial_values._ratio(np.column_stack([rotor, casing]), rigid=False) == pytest.approx(2.0)
+        assert _initial_values._ratio(np.zeros((40, 2)), rigid=True) == 1.0
 
     def test_periods_begin_where_the_deflection_passes_upwards(self):
         x = np.array([1.0, -1.0, -2.0, 0.0, 1.0, 2.0, -1.0, 3.0])
-        assert module._periods(x).tolist() == [0, 0, 0, 0, 1, 1, 1, 2]
+        assert _initial_values._periods(x).tolist() == [0, 0, 0, 0, 1, 1, 1, 2]
 
     def test_means_of_groups(self):
         columns = np.array([[1.0, 5.0], [3.0, 7.0], [10.0, 0.0]])
-        assert module._means(np.array([0, 0, 1]), columns).tolist() == [[2.0, 6.0], [2.0, 6.0], [10.0, 0.0]]
+        assert _initial_values._means(np.array([0, 0, 1]), columns).tolist() == [
+            [2.0, 6.0],
+            [2.0, 6.0],
+            [10.0, 0.0],
+        ]
 
     @pytest.mark.parametrize(("count", "size"), [(2.0, 50), (0.1, 24), (30.0, 500)])
     def test_the_first_periods_of_a_record(self, count, size):
@@ -216,13 +223,13 @@ class TestSamples:
         made = []
         patched = lambda record, *, casing, digest: made.append(digest) or SimpleNamespace(casing=casing)  # noqa: E731
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "replace", patched)
-            found = module._first_periods(data, count)
+            patch.setattr(_initial_values, "replace", patched)
+            found = _initial_values._first_periods(data, count)
         assert len(found.casing) == size
         assert found.casing.time[0] == 3.0
         assert made == ([] if size == 500 else [""])
         data.motion = oscillators.stub()
-        assert module._first_periods(data, count) is record
+        assert _initial_values._first_periods(data, count) is record
 
 
 class TestEquationError:
@@ -266,7 +273,7 @@ class TestGivenValues:
         assert found[index["bearing.linear.d"]] == 5e-7
         others = [i for n, i in index.items() if n != "bearing.linear.d"]
         assert found[others] == pytest.approx(usual[others])
-        monkeypatch.setattr(module, "start_values", None)  # not asked for where all are given
+        monkeypatch.setattr(_initial_values, "start_values", None)  # not asked for where all are given
         everything = {n: float(i) for n, i in index.items()}
         assert initial_values(fit.problem, everything).tolist() == list(range(len(index)))
 
@@ -292,10 +299,10 @@ class TestGivenValues:
         problem = SimpleNamespace(
             layout=layout, data=[SimpleNamespace(initial_speeds=([], []), prior=None)], reference=1.0
         )
-        monkeypatch.setattr(module, "_deflection", lambda *_: None)
-        monkeypatch.setattr(module, "start_values", lambda *_: np.full(len(layout.names), 9.0))
-        monkeypatch.setattr(module, "averaged", lambda *_: None)
-        monkeypatch.setattr(module, "_period_by_period", lambda problem, theta: theta + 1.0)
+        monkeypatch.setattr(_initial_values, "_deflection", lambda *_: None)
+        monkeypatch.setattr(_initial_values, "start_values", lambda *_: np.full(len(layout.names), 9.0))
+        monkeypatch.setattr(_initial_values, "averaged", lambda *_: None)
+        monkeypatch.setattr(_initial_values, "_period_by_period", lambda problem, theta: theta + 1.0)
         found = dict(zip(layout.names, initial_values(problem, known), strict=True))
         assert found["casing.air.linear.b2"] == (7.0 if kept else 10.0)
         assert found["casing.spring.linear.k"] == (0.0 if zero else 9.0 if kept else 10.0)
@@ -312,10 +319,10 @@ class TestGivenValues:
         layout = ParameterLayout.of(Model.of(("casing.spring.linear", "casing.air.linear")), records)
         data = SimpleNamespace(initial_speeds=([], []), prior=None)
         problem = SimpleNamespace(layout=layout, data=[data] * 2, reference=1.0)
-        monkeypatch.setattr(module, "_deflection", lambda *_: None)
-        monkeypatch.setattr(module, "start_values", lambda *_: np.full(len(layout.names), 9.0))
-        monkeypatch.setattr(module, "averaged", lambda *_: None)
-        monkeypatch.setattr(module, "_period_by_period", lambda problem, theta: theta + 1.0)
+        monkeypatch.setattr(_initial_values, "_deflection", lambda *_: None)
+        monkeypatch.setattr(_initial_values, "start_values", lambda *_: np.full(len(layout.names), 9.0))
+        monkeypatch.setattr(_initial_values, "averaged", lambda *_: None)
+        monkeypatch.setattr(_initial_values, "_period_by_period", lambda problem, theta: theta + 1.0)
         found = dict(zip(layout.names, initial_values(problem, given), strict=True))
         assert (0.5 in found.values()) is (len(known) == 2)
 
@@ -332,23 +339,29 @@ class TestGivenValues:
         slow = (
             None
             if error is None
-            else SimpleNamespace(phase_error=error * module.LARGEST_PHASE_ERROR, theta=np.full(count, 5.0))
+            else SimpleNamespace(
+                phase_error=error * _initial_values.LARGEST_PHASE_ERROR, theta=np.full(count, 5.0)
+            )
         )
-        monkeypatch.setattr(module, "_deflection", lambda *_: None)
-        monkeypatch.setattr(module, "start_values", lambda *_: np.zeros(count))
-        monkeypatch.setattr(module, "averaged", lambda *_: slow)
-        monkeypatch.setattr(module, "_period_by_period", lambda problem, theta: np.full(count, 8.0))
+        monkeypatch.setattr(_initial_values, "_deflection", lambda *_: None)
+        monkeypatch.setattr(_initial_values, "start_values", lambda *_: np.zeros(count))
+        monkeypatch.setattr(_initial_values, "averaged", lambda *_: slow)
+        monkeypatch.setattr(_initial_values, "_period_by_period", lambda problem, theta: np.full(count, 8.0))
         assert set(initial_values(problem, None)) == {5.0 if taken == "averaged" else 8.0}
 
     def test_the_number_of_periods_is_doubled(self, monkeypatch):
         counts = []
-        monkeypatch.setattr(module, "_first_periods", lambda data, count: counts.append(count))
-        monkeypatch.setattr(module, "CaseData", SimpleNamespace(of=lambda r, _: SimpleNamespace(record=r)))
-        monkeypatch.setattr(module, "Problem", SimpleNamespace(of=lambda layout, data: None))
-        monkeypatch.setattr(module, "replace", lambda layout, records: layout)
-        monkeypatch.setattr(module, "search", lambda part, theta, **_: SimpleNamespace(theta=theta + 1))
+        monkeypatch.setattr(_initial_values, "_first_periods", lambda data, count: counts.append(count))
+        monkeypatch.setattr(
+            _initial_values, "CaseData", SimpleNamespace(of=lambda r, _: SimpleNamespace(record=r))
+        )
+        monkeypatch.setattr(_initial_values, "Problem", SimpleNamespace(of=lambda layout, data: None))
+        monkeypatch.setattr(_initial_values, "replace", lambda layout, records: layout)
+        monkeypatch.setattr(
+            _initial_values, "search", lambda part, theta, **_: SimpleNamespace(theta=theta + 1)
+        )
         data = [SimpleNamespace(motion=SimpleNamespace(periods=p), criteria=None) for p in (9.0, 17.0)]
-        found = module._period_by_period(SimpleNamespace(layout=None, data=data), np.zeros(1))
+        found = _initial_values._period_by_period(SimpleNamespace(layout=None, data=data), np.zeros(1))
         assert counts[::2] == [2.0, 4.0, 8.0, 16.0]
         assert found.tolist() == [4.0]
 
@@ -386,7 +399,7 @@ class TestShapes:
         record = SimpleNamespace(span=(2.0, 2.0 + SPAN), largest_speeds=SPEEDS)
         data = [SimpleNamespace(initial_speeds=moved())]
         problem = SimpleNamespace(layout=SimpleNamespace(records=[record]), data=data)
-        return list(module._grid(problem, effect))
+        return list(_initial_values._grid(problem, effect))
 
     def test_shapes_are_tried_as_declared(self):
         assert self.grid(LIBRARY["touchpoint.stribeck"]) == [
@@ -423,7 +436,7 @@ class TestShapes:
         r = np.array([1.0, -3.0, 0.5]) if residual is None else residual
         layout = SimpleNamespace(bounds=lambda: (np.array([-np.inf, lower]), np.array([np.inf, upper])))
         problem = SimpleNamespace(layout=layout, residuals=lambda predictions: (r, j))
-        return r, j, module._stepped(problem, np.array([5.0, strength]), [], np.array([1]))
+        return r, j, _initial_values._stepped(problem, np.array([5.0, strength]), [], np.array([1]))
 
     def test_one_step_of_all_variables_gives_the_strength(self):
         r, j, (cost, end) = self.stepped()
@@ -488,8 +501,8 @@ class TestShapes:
             tried.append(trial.level)
             return (abs(begin[1] - 2.0) * 30 + 1 / trial.level, begin + np.array([trial.level, 0.0]))
 
-        monkeypatch.setattr(module, "_grid", lambda *_: iter([{"w": w} for w in (1.0, 2.0, 3.0)]))
-        monkeypatch.setattr(module, "_stepped", stepped)
+        monkeypatch.setattr(_initial_values, "_grid", lambda *_: iter([{"w": w} for w in (1.0, 2.0, 3.0)]))
+        monkeypatch.setattr(_initial_values, "_stepped", stepped)
         noise = [Level(level=1.0, least=0.05)]
         found, theta = initial_shapes(
             self.problem(None),
@@ -518,8 +531,8 @@ class TestShapes:
             def at(self, level):
                 return Level(level=level, least=self.least, whitener=SimpleNamespace(log_determinant=0.0))
 
-        monkeypatch.setattr(module, "_grid", lambda *_: iter([{"w": 1.0}]))
-        monkeypatch.setattr(module, "_stepped", lambda *_: None)
+        monkeypatch.setattr(_initial_values, "_grid", lambda *_: iter([{"w": 1.0}]))
+        monkeypatch.setattr(_initial_values, "_stepped", lambda *_: None)
         noise = [Level(level=1.0, least=0.05)]
         found, theta = initial_shapes(
             self.problem(None),
@@ -529,3 +542,178 @@ class TestShapes:
             noise=noise,
         )
         assert (theta.tolist(), found.level) == ([0.0, 9.0], 1.0)
+
+
+SPRING, DRY, VISCOUS, QUADRATIC = (
+    "casing.spring.linear.k", "touchpoint.constant.b1", "casing.air.linear.b2", "casing.air.quadratic.k",
+)  # fmt: skip
+RATE = 3.5
+
+
+def slow_motion(dry, linear, quadratic, *, begin=2.0, span=60.0, phase=0.4):
+    """Return amplitude and phase of an oscillation of 3.5 rad/s that these frictions damp, by averaging."""
+    time = np.linspace(begin + 0.5, begin + span, 60)
+    fall = lambda t, a: -linear * a / 2 - 2 * dry / (np.pi * RATE) - 4 * quadratic * RATE * a**2 / (3 * np.pi)  # noqa: E731
+    a = solve_ivp(fall, (time[0], time[-1]), [1.2], t_eval=time, rtol=1e-10, atol=1e-12).y[0]
+    return SlowMotion(time, a, RATE * (time - begin) + phase)
+
+
+def fitted(frictions, *, noise=0.0, errors=None, begin=2.0):
+    values = dict.fromkeys((DRY, VISCOUS, QUADRATIC), 0.0) | frictions
+    slow = slow_motion(*values.values(), begin=begin)
+    if noise:
+        rng = np.random.default_rng(1)
+        slow = SlowMotion(
+            slow.time,
+            slow.amplitude + noise * rng.standard_normal(60),
+            slow.phase + 2 * noise / slow.amplitude * slow.amplitude.max() * rng.standard_normal(60),
+        )
+    t = np.linspace(begin, begin + 60.0, 400)
+    record = oscillators.record(t, np.cos(t), 1e-3, 0)
+    data = SimpleNamespace(motion=SimpleNamespace(slow_motion=slow), record=record)
+    model = Model.of(tuple(n.rpartition(".")[0] for n in (SPRING, *frictions)))
+    layout = ParameterLayout.of(model, [record])
+    theta = np.ones(len(layout.names))
+    found = averaged(layout, [data], theta, _initial_values._strengths, _initial_values._regress, errors)
+    assert (theta == 1.0).all()
+    return dict(zip(layout.names, found.theta, strict=True)), found, slow
+
+
+class TestAveraged:
+    @pytest.mark.parametrize(
+        "frictions",
+        [
+            {VISCOUS: 0.05},
+            {DRY: 0.02},
+            {QUADRATIC: 0.03},
+            {DRY: 0.02, VISCOUS: 0.01},
+            {VISCOUS: 0.02, QUADRATIC: 0.01},
+        ],
+    )
+    def test_strengths_are_those_that_damp_the_motion(self, frictions):
+        values, found, slow = fitted(frictions)
+        for name, value in frictions.items():
+            assert values[name] == pytest.approx(value, rel=0.01), name
+        # the curvature of the amplitude lowers the frequency by a millionth
+        assert values[SPRING] == pytest.approx(RATE**2, rel=1e-3)
+        assert found.phase_error < 1e-3
+        # the first sample is half a second before the first amplitude
+        a = slow.amplitude[0] - 0.5 * np.gradient(slow.amplitude, slow.time)[0]
+        (omega,) = (v for k, v in values.items() if k.startswith("initial.omega_c"))
+        (deflection,) = (v for k, v in values.items() if k.startswith("initial.deflection"))
+        assert deflection == pytest.approx(a * math.cos(0.4), rel=2e-3)
+        assert omega == pytest.approx(-a * RATE * math.sin(0.4), rel=2e-3)
+        assert next(v for k, v in values.items() if k.startswith("initial.omega_r")) == 0.0
+
+    def test_errors_follow_from_the_residuals_or_are_given(self):
+        """A phase has the error of the deflection divided by the amplitude; here it is twice that of the amplitude."""
+        _, found, slow = fitted({VISCOUS: 0.05}, noise=1e-3)
+        relative = slow.amplitude / slow.amplitude.max()
+        ((keys, design, rest),), (scale,) = found.rows, found.scales
+        amplitude, phase = scale.reshape(2, -1)
+        assert amplitude == pytest.approx(np.full(60, amplitude[0]))
+        assert amplitude[0] == pytest.approx(1e-3, rel=0.3)
+        assert phase * relative == pytest.approx(np.full(60, found.phase_error))
+        assert 1.3e-3 < found.phase_error < 3e-3
+        assert design.shape == (120, len(keys))
+        rest = rest.reshape(2, -1)
+        assert np.mean(rest**2, axis=1) == pytest.approx([1.0, 1.0])
+        # neither the initial amplitude nor the initial phase counts
+        assert rest[0].sum() == pytest.approx(0.0, abs=1e-6)
+        assert rest[1] @ relative == pytest.approx(0.0, abs=1e-6)
+        for column in design.T.reshape(len(keys), 2, -1):
+            assert column[0].sum() == pytest.approx(0.0, abs=1e-6 * np.abs(column).max())
+            assert column[1] @ relative == pytest.approx(0.0, abs=1e-6 * np.abs(column).max())
+        given = [np.full(120, 0.5)]
+        _, again, _ = fitted({VISCOUS: 0.05}, noise=1e-3, errors=given)
+        assert again.scales[0] is given[0]
+        assert again.rows[0][2].reshape(2, -1)[0] == pytest.approx(
+            rest[0] * amplitude / 0.5, rel=0.2, abs=2e-4
+        )
+
+    def test_a_motion_of_few_periods_has_no_averages(self):
+        record = oscillators.record(np.linspace(0.0, 9.0, 99), np.zeros(99), 1e-3, 0)
+        data = SimpleNamespace(motion=SimpleNamespace(slow_motion=None), record=record)
+        model = Model.of(("casing.spring.linear",))
+        layout = ParameterLayout.of(model, [record])
+        assert averaged(layout, [data], np.zeros(len(layout.names)), None, None) is None
+        assert _initial_values.averaged_fit(model, [data]) is None
+
+
+@pytest.mark.parametrize(("best", "found"), [(0.0, 0.0), (0.011, 0.0112), (0.5, 0.477), (3.0, 1.0)])
+def test_a_dead_time_is_that_of_the_best_regression(monkeypatch, best, found):
+    """Two recordings at intervals of 0.01 and 0.02 s, of 5 and 10 s; the error of the first one is 9 times as large."""
+    layout = SimpleNamespace(places=lambda case, keys: np.array([{"T": 0, "k": 1}[k] for k in keys]))
+    monkeypatch.setattr(_initial_values, "_dead_times", lambda layout: ["T"])
+
+    def equations(layout, case, times, speeds, deflection, trial):
+        off = (trial[0] - best) * (3.0 if case == 0 else 1.0)
+        return ["k"], np.array([[1.0], [1.0]]), np.array([2.0 + off, 2.0 - off])
+
+    monkeypatch.setattr(_initial_values, "_equations", equations)
+    monkeypatch.setattr(_initial_values, "_regress", lambda layout, parts: (np.array([1]), np.array([2.0])))
+    rough = [(np.arange(0.0, 5.0, 0.01), None), (np.arange(0.0, 10.005, 0.02), None)]
+    theta = _initial_values._with_dead_times(layout, rough, ("d1", "d2"), np.array([7.0, 5.0]))
+    grid = np.array([0.0, *np.geomspace(0.01, 1.0, 40)])
+    assert theta[0] == pytest.approx(grid[np.argmin(np.abs(grid - best))])
+    assert theta[0] == pytest.approx(found, rel=0.06)
+    assert theta[1] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("periods", "counts"), [((2.0,), []), ((2.1,), [2]), ((9.0, 3.0), [2, 4, 8]), ((8.0,), [2, 4])]
+)
+def test_an_oscillation_is_searched_through_doubled_numbers_of_periods(monkeypatch, periods, counts):
+    searched = []
+
+    def search(problem, theta, *, quick, max_iterations):
+        assert (quick, max_iterations) == (True, 60)
+        searched.append((problem, theta))
+        if len(searched) == 2:
+            raise EstimationError("no minimum")
+        return SimpleNamespace(theta=theta + 1)
+
+    monkeypatch.setattr(_initial_values, "search", search)
+    monkeypatch.setattr(
+        _initial_values, "_first_periods", lambda d, count: SimpleNamespace(of=(d.motion.periods, count))
+    )
+    monkeypatch.setattr(
+        _initial_values.CaseData,
+        "of",
+        lambda record, criteria: SimpleNamespace(record=record, criteria=criteria),
+    )
+    monkeypatch.setattr(_initial_values.Problem, "of", lambda layout, data: [d.record.of for d in data])
+    monkeypatch.setattr(_initial_values, "replace", lambda layout, records: None)
+    data = [SimpleNamespace(motion=SimpleNamespace(periods=p), criteria="c") for p in periods]
+    theta = _initial_values._period_by_period(SimpleNamespace(layout=None, data=data), 10)
+    assert [p for p, _ in searched] == [[(p, c) for p in periods] for c in counts]
+    assert theta == 10 + len(counts) - (len(counts) > 1)
+    # a search that fails leaves the values of the one before
+    assert [t for _, t in searched] == [10, 11, 11][: len(counts)]
+
+
+@pytest.mark.parametrize("target", [(3.0, 4.0, 0.0), (0.0, 0.0, 0.0)])
+def test_the_error_of_the_equations_is_the_share_that_the_strengths_leave(monkeypatch, target):
+    """Of two recordings, the second with twice the change of the speeds; the strength is half of that needed."""
+    layout = SimpleNamespace(places=lambda case, keys: [0])
+    monkeypatch.setattr(_initial_values.ParameterLayout, "of", lambda model, records: layout)
+    monkeypatch.setattr(_initial_values, "reference_speed", lambda data, mechanism: 1.0)
+    monkeypatch.setattr(_initial_values, "start_values", lambda *_: np.array([0.5]))
+    monkeypatch.setattr(
+        _initial_values, "_equations",
+        lambda layout, case, times, speeds, deflection, theta: (
+            ["k"],
+            (case + 1.0) * np.array([*target[:2], 0.0])[:, None],
+            (case + 1.0) * np.array([*target[:2], 5.0 * any(target)]),
+        ),
+    )  # fmt: skip
+    motion = SimpleNamespace(time=np.array([0.0, 1.0]), deflection=np.array([0.0, 1.0]))
+    data = [SimpleNamespace(record=None, initial_speeds=(np.zeros(3), np.zeros((3, 2))), motion=motion)] * 2
+    model = SimpleNamespace(restoring=False, mechanism=None)
+    # half of 5 and all of 5 are left, of 5 and 5
+    expected = math.sqrt((2.5**2 + 25.0) / 50.0) if any(target) else 0.0
+    assert _initial_values.equation_error(model, data) == pytest.approx(expected)
+    monkeypatch.setattr(_initial_values, "averaged_fit", lambda model, data: SimpleNamespace(phase_error=0.3))
+    assert _initial_values.equation_error(model, data) == pytest.approx(expected)
+    model.restoring = True
+    assert _initial_values.equation_error(model, data) == 0.3

@@ -1,10 +1,12 @@
-"""Backward elimination of effects that a later one makes unnecessary; shared parameters remain shared."""
+"""Steps of `improve`: the history after a failed fit, and backward elimination of unnecessary effects."""
 
+import numpy as np
+import oscillators
 import pytest
 import twobody
 from sinusoidal import APART, records, unbalance
 
-from fitting import REDUCED, Criteria, Model, make_record
+from fitting import REDUCED, Criteria, Model, SimulationError, make_record
 from fitting.discovery import _select
 from fitting.discovery._select import Step
 from fitting.inference._fit import fit
@@ -34,3 +36,22 @@ def test_per_case_phases_remain_when_another_effect_is_dropped():
     rung = _select._backward([Step("", base, ()), Step("+casing.unbalance", full, ())], Criteria())
     assert rung.change == "+casing.unbalance -bearing.drift"
     assert "casing.unbalance.phi@case2" in rung.fit.estimates
+
+
+@pytest.mark.slow
+def test_a_failed_step_keeps_the_previous_steps(monkeypatch):
+    t = np.arange(0, 6, 0.02)
+    slowed = 20 / 0.3 * (1 - np.exp(-0.3 * t))
+    base = fit(Model.of(["touchpoint.constant"]), [oscillators.record(t, slowed, 1e-3, 1)])
+    ranked = _select.rank(base)
+
+    def failing(fit, *_args, **_kwargs):
+        raise SimulationError("the casing stops and starts too often to be followed")
+
+    monkeypatch.setattr(_select, "rank", failing)
+    kept = []
+    history = _select.improve(base, first=ranked, keep=kept.append)
+    assert len(history) == 2
+    assert kept == history[1:]
+    assert history[1].fit.deviance < base.deviance
+    assert "too often" in history.stopped
