@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from fitting import LIBRARY, LINEAR, Estimate, diagnose
 from fitting._criteria import DEFAULT
-from fitting.discovery import _random_torque
+from fitting.discovery import _random_torque, _verdict
 from fitting.discovery._random_torque import (
     RandomTorque,
     describes,
@@ -23,7 +23,7 @@ from fitting.discovery._random_torque import (
     with_random_torque,
 )
 from fitting.discovery._select import Selection
-from fitting.discovery._verdict import _undetermined
+from fitting.discovery._verdict import _undecided, _undetermined
 from fitting.dynamics._collocation import Sampler
 from fitting.inference import _random_torque as likelihood
 from fitting.inference._noise import TorqueNoise, TorqueResponse
@@ -249,8 +249,6 @@ def test_drag_is_named_with_a_random_torque():
 @pytest.mark.parametrize("name", ["casing.precession", "bearing.drift", "camera.clock", "setup.inertia"])
 @pytest.mark.parametrize(("established", "alternative"), [(True, False), (False, True)])
 def test_every_effect_must_be_established_with_a_random_torque(monkeypatch, name, established, alternative):
-    from fitting.discovery import _verdict
-
     fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
     fit.smooth_test = SimpleNamespace(p_value=0.5)
     random = SimpleNamespace(fit=fit, is_raised=False)
@@ -267,8 +265,6 @@ def test_every_effect_must_be_established_with_a_random_torque(monkeypatch, name
 def test_without_an_effect_the_random_torque_must_be_larger_than_that_of_the_recording(
     monkeypatch, raised, alternative
 ):
-    from fitting.discovery import _verdict
-
     fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
     fit.smooth_test = SimpleNamespace(p_value=0.5)
     random = SimpleNamespace(fit=fit, is_raised=raised)
@@ -280,8 +276,6 @@ def test_without_an_effect_the_random_torque_must_be_larger_than_that_of_the_rec
 
 @pytest.mark.parametrize(("raised", "words"), [(True, "does not establish"), (False, "shows this level")])
 def test_the_answer_says_whether_the_recording_shows_the_random_torque(raised, words):
-    from fitting.discovery._verdict import _undecided
-
     noise = SimpleNamespace(level=2e-7)
     random = SimpleNamespace(words="a random torque of 2e-7 N m", is_raised=raised, noise=noise)
     chosen = SimpleNamespace(effect=LIBRARY["bearing.drift"], screened=None, indistinguishable_from=())
@@ -290,8 +284,6 @@ def test_the_answer_says_whether_the_recording_shows_the_random_torque(raised, w
 
 
 def test_starts_and_slips_are_found_without_a_model():
-    from fitting.discovery import _verdict
-
     fit = SimpleNamespace(problem=SimpleNamespace(data=[SimpleNamespace(motion=oscillators.stub())]))
     for effect in (_verdict.START, _verdict.SLIP):
         selection = Selection([], SimpleNamespace(effect=effect, screened=None), None, None)
