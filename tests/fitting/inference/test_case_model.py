@@ -1,5 +1,6 @@
-"""Predicted rows of a case and their derivatives; trials, meshes and integrated angles with a solver of known reach."""
+"""Predicted rows of a case and their derivatives; laws of an angle; trials and meshes with a solver of known reach."""
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -14,12 +15,14 @@ from cases import data, fitted
 
 from fitting import LIBRARY, REDUCED, Model, SimulationError, make_record
 from fitting.dynamics._collocation import Sampler
+from fitting.effects._library import find
 from fitting.inference import _case_model
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._initial_values import start_values
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._problem import Problem
+from fitting.inference._record import Samples
 
 SIGMA = {"angle": 1e-3, "omega": 0.05}
 EXTRA = {
@@ -463,3 +466,58 @@ class TestIntegratedAngle:
     def test_angles_and_models_without_a_law_of_the_angle_have_none(self, monkeypatch):
         for changed in ({"is_angle": True}, {"angle": False}, {"laws": ()}):
             assert self.errors(monkeypatch, **changed)[1].shape == (501, 0)
+
+
+T = np.arange(0.0, 20.0, 0.02)
+
+
+class TestLawsOfAnAngle:
+    def test_both_phases_have_the_present_strength(self):
+        effect = find("casing.unbalance")
+        laws, strength = _case_model._unit_laws(
+            effect, {"casing.unbalance.k": 3.0, "casing.unbalance.phi": 0.4}
+        )
+        assert [law["phi"] for law in laws] == [0.0, math.pi / 2]
+        assert [law["k"] for law in laws] == [1.0, 1.0]
+        assert strength == pytest.approx([3 * math.cos(0.4), 3 * math.sin(0.4)])
+        assert _case_model._unit_laws(effect, {})[1] == pytest.approx([0.0, 0.0])
+
+    def test_the_derivative_follows_strength_and_phase(self):
+        effect = find("casing.unbalance")
+        made = object.__new__(CaseModel)
+        sine, cosine = np.array([1.0, 2.0]), np.array([-3.0, 5.0])
+        strength = np.array([0.3, 0.2])
+        known = SimpleNamespace(
+            columns=np.stack([sine, cosine], axis=1), strength=strength, value=np.array([7.0, 8.0])
+        )
+        made._columns = {effect.name: known}
+        made.case, made._own = 0, {4: 0, 9: 1}
+        places = {"casing.unbalance.k": 4, "casing.unbalance.phi": 9}
+        made.layout = SimpleNamespace(places=lambda case, keys: np.array([places[keys[0]]]))
+
+        def at(k, phi):
+            rows, columns = np.zeros(2), np.zeros((2, 2))
+            made._add(effect, {"casing.unbalance.k": k, "casing.unbalance.phi": phi}, rows, columns)
+            return rows, columns
+
+        rows, columns = at(2.0, 0.7)
+        expected = (
+            known.value - 0.3 * sine - 0.2 * cosine + 2.0 * (math.cos(0.7) * sine + math.sin(0.7) * cosine)
+        )
+        assert rows == pytest.approx(expected)
+        assert columns[:, 0] == pytest.approx(
+            (at(2.0 + 1e-6, 0.7)[0] - at(2.0 - 1e-6, 0.7)[0]) / 2e-6, rel=1e-6
+        )
+        assert columns[:, 1] == pytest.approx(
+            (at(2.0, 0.7 + 1e-6)[0] - at(2.0, 0.7 - 1e-6)[0]) / 2e-6, rel=1e-6
+        )
+
+    def test_a_linear_iteration_ends_after_as_many_steps_as_it_has_dimensions(self):
+        matrix, b = np.array([[0.9, 0.3], [-0.2, 1.4]]), np.array([1.0, 2.0])
+        search, x = _case_model._FixedPoint(), np.zeros(2)
+        for _ in range(4):
+            x = search.next(x, matrix @ x + b)
+        assert x == pytest.approx(np.linalg.solve(np.eye(2) - matrix, b))
+
+    def test_the_error_of_a_mean_is_that_of_weights(self):
+        assert _case_model._unit_error(Samples(T[:2], T[:2], np.array([0.3, 0.4]))) == pytest.approx(0.24)

@@ -6,7 +6,7 @@ import pytest
 from fitting.discovery import _verdict
 from gyrotrack._correlated_noise import Estimate
 from gyrotrack.apps import _motion
-from gyrotrack.apps._motion import end_of_motion, motion_of, motion_of_speeds, start_of_motion
+from gyrotrack.apps._motion import Value, end_of_motion, motion_of, motion_of_speeds, start_of_motion
 
 SIGMA = 1e-3
 
@@ -269,3 +269,10 @@ def test_pulses_at_whole_periods_of_a_harmonic_give_the_mean_speed(per_turn):
 @pytest.mark.parametrize(("unit", "factor"), [("rad", 1e3), ("s", 1e3), ("s2", 1e6)])
 def test_amplitudes_of_the_camera_are_printed_in_milli_units(unit, factor):
     assert _verdict._PER_MILLI[unit] == factor
+
+
+def test_a_period_that_drifts_has_the_difference_of_the_models_in_its_uncertainty():
+    same = _motion._with_rivals(Value(10.0, 0.1), [Value(10.0, 0.1), Value(10.5, 0.3)])
+    assert same.stderr == pytest.approx(0.1)
+    other = _motion._with_rivals(Value(10.0, 0.1), [Value(10.0, 0.1), Value(12.0, 0.3)])
+    assert other.stderr == pytest.approx(np.hypot(0.1, 1.4))

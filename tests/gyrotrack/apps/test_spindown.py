@@ -14,8 +14,8 @@ from fitting import Model
 from fitting.discovery import _select
 from fitting.discovery._oscillator import OscillatorLaws, Strength
 from gyrotrack import TrackingError, import_body
-from gyrotrack.apps import _motion, _spindown
-from gyrotrack.apps._motion import Value, motion_of, start_of_motion
+from gyrotrack.apps import _spindown
+from gyrotrack.apps._motion import motion_of, start_of_motion
 from gyrotrack.apps._spindown import SpindownOptions, read_source
 from gyrotrack.apps.cli import _tracking
 from gyrotrack.tracking._diagnosis import RefusedFilmError
@@ -540,13 +540,6 @@ def test_a_strength_that_contradicts_amplitude_and_phase_does_not_replace_theirs
     assert ("which are shown" in sentence) is kept
 
 
-def test_a_period_that_drifts_has_the_difference_of_the_models_in_its_uncertainty():
-    same = _motion._with_rivals(Value(10.0, 0.1), [Value(10.0, 0.1), Value(10.5, 0.3)])
-    assert same.stderr == pytest.approx(0.1)
-    other = _motion._with_rivals(Value(10.0, 0.1), [Value(10.0, 0.1), Value(12.0, 0.3)])
-    assert other.stderr == pytest.approx(np.hypot(0.1, 1.4))
-
-
 @pytest.mark.slow
 def test_the_uncertainty_of_a_period_is_true_where_the_damping_is_not_that_of_the_model():
     """Friction of the square of the speed changes the amplitude unlike any exponential; noise alone is 1 mrad."""
@@ -703,3 +696,10 @@ def test_a_failed_trial_of_the_papers_markers_leaves_the_film_to_other_trackers(
 def test_laws_of_the_body_are_established(verdict, last):
     steps = [SimpleNamespace(fit=name) for name in ("base", "with a step")]
     assert _spindown._supported("base", steps, verdict) == ("with a step" if last else "base")
+
+
+@pytest.mark.parametrize(("interlaced", "rate"), [(True, 60.0), (False, 30.0)])
+def test_a_frame_of_an_interlaced_film_holds_two_pictures(interlaced, rate):
+    fps, origin, warnings = _spindown._rate(SimpleNamespace(interlaced=interlaced), 30.0)
+    assert (fps, origin) == (rate, "--capture-fps")
+    assert any("60 fields" in w for w in warnings) == interlaced

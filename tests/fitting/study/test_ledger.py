@@ -1,4 +1,4 @@
-"""Ledgers: several processes add fits at the same time; stored effects that the library does not have."""
+"""Ledgers: entries, several processes that add fits at the same time, and stored effects that the library lacks."""
 
 import json
 import os
@@ -8,12 +8,16 @@ import sys
 import tempfile
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from fitting import Ledger, LedgerError
 from fitting._schema import as_text, effects_of, locked, write_text
 from fitting.study import _history
+from fitting.study._history import Entry
+from fitting.study._serialisation import fingerprint
 
 ROOT = Path(__file__).parents[3]
 
@@ -200,3 +204,134 @@ def test_a_lock_names_no_file_but_its_own_temporary_one(tmp_path, name):
     (folder / f".{path.name}.lock").write_bytes(b"gyrotrack lock\n" + name.encode())
     with locked(path):
         assert other.read_text() == "precious"
+
+
+def ledger(tmp_path, *entries):
+    path = tmp_path / "x.fits.json"
+    documents = [
+        {"model": [], "parameters": {}, "digests": ["0" * 64], "verdict": "x", "fit_id": f"f{i + 1}"} | e
+        for i, e in enumerate(entries)
+    ]
+    path.write_text(json.dumps({"format": "gyrotrack ledger", "version": 1, "fits": documents}))
+    return Ledger(path)
+
+
+class TestLedger:
+    def test_only_a_fit_without_successors_is_deleted(self, tmp_path):
+        book = ledger(tmp_path, {}, {"parent": "f1"}, {"parent": "f2"})
+        for name in ("f1", "f2"):
+            with pytest.raises(LedgerError, match="has successors"):
+                book.delete(name)
+        removed = book.delete("f3")
+        assert [e.fit_id for e in Ledger(book.path).entries] == ["f1", "f2"]
+        with pytest.raises(LedgerError, match="has no fit 'f3'"):
+            book.find("f3")
+        with pytest.raises(LedgerError, match="has another fit f1"):
+            book.restore(book.find("f1"))
+        book.restore(removed)
+        assert [e.fit_id for e in Ledger(book.path).entries] == ["f1", "f2", "f3"]
+
+    def test_a_restored_fit_takes_its_place_by_number(self, tmp_path):
+        book = ledger(tmp_path, {"fit_id": "f2"}, {"fit_id": "f10"})
+        removed = book.delete("f2")
+        book.restore(removed)
+        assert [e.fit_id for e in Ledger(book.path).entries] == ["f2", "f10"]
+
+    def test_fits_belong_to_exactly_their_cases(self, tmp_path):
+        book = ledger(tmp_path, {"digests": ["b", "a"]}, {"digests": ["a"]}, {"digests": ["a", "b", "c"]})
+
+        def found(*digests):
+            cases = [SimpleNamespace(record=SimpleNamespace(digest=d)) for d in digests]
+            return [e.fit_id for e in book.of(cases)]
+
+        assert found("a", "b") == ["f1"]
+        assert found("a") == ["f2"]
+        assert found("c", "b", "a") == ["f3"]
+        assert found("b") == []
+
+    def test_texts_are_cut_at_200_and_2000_characters(self, tmp_path):
+        book = ledger(tmp_path, {})
+        book.annotate("f1", name="  " + 300 * "n", note=" " + 3000 * "m")
+        stored = book.find("f1").stored
+        assert (stored.name, stored.note) == (200 * "n", 2000 * "m")
+        book.annotate("f1", name=" short ")
+        assert (book.find("f1").stored.name, len(book.find("f1").stored.note)) == ("short", 2000)
+        book.annotate("f1", note="")
+        assert (book.find("f1").stored.name, book.find("f1").stored.note) == ("short", "")
+
+    def test_the_ledger_is_next_to_its_case(self, tmp_path):
+        book = Ledger.default_for(tmp_path / "case1.h5")
+        assert book.path == tmp_path / "case1.fits.json"
+        assert book.entries == []
+
+    def test_a_prior_needs_a_covariance(self):
+        known = {"fit_id": "f1", "model": [], "parameters": {}, "digests": [], "verdict": "x"}
+        with pytest.raises(LedgerError, match="without a covariance"):
+            Entry(known).as_prior("a study")
+        assert Entry(known).prior is None
+
+    def test_a_certificate_belongs_to_its_answer_seed_and_kind(self):
+        def stored(**changed):
+            return {"code": fingerprint(), "n": 9, "seed": 4, "verdict": "adequate"} | changed
+
+        found = SimpleNamespace(
+            verdict="adequate",
+            candidates=(),
+            fit=SimpleNamespace(
+                problem=SimpleNamespace(data=[SimpleNamespace(record=SimpleNamespace(body="disc"))])
+            ),
+        )
+        of_data = stored(score=1.0)
+        of_films = stored(seed=5, film=True, score=2.0)
+        both = Entry({"certificate": of_data, "certificate_of_films": of_films})
+        none = None
+        for seed, film, score in (
+            (none, none, 2.0),
+            (none, True, 2.0),
+            (none, False, 1.0),
+            (4, none, 1.0),
+            (5, none, 2.0),
+            (5, False, none),
+            (4, True, none),
+            (6, none, none),
+        ):
+            known = both.certificate(found, seed, film=film)
+            assert (known.score if known else none) == score
+        assert both.latest_certificate().score == 2.0
+        assert Entry({"certificate": of_data}).latest_certificate().score == 1.0
+        assert Entry({}).latest_certificate() is None
+        for change in ({"verdict": "unexplained"}, {"named": ["a"]}, {"code": "x"}):
+            assert Entry({"certificate": stored(**change)}).certificate(found) is None
+        assert Entry({"certificate": stored(code="x")}).latest_certificate() is None
+
+
+@pytest.mark.parametrize("loss", ["linear", "soft_l1"])
+def test_only_a_fit_of_least_squares_is_stored_for_display(tmp_path, monkeypatch, loss):
+    book = ledger(tmp_path, {"fit_id": "f3"}, {"fit_id": "f9"})
+    record = SimpleNamespace(digest="d", source="file", quantity="omega", generated=True)
+    layout = SimpleNamespace(choices=(("a",), ("b",)), names=("n",))
+    found = SimpleNamespace(
+        problem=SimpleNamespace(layout=layout, data=[SimpleNamespace(record=record)]),
+        model=SimpleNamespace(effects=()),
+        covariance=np.array([[4.0]]),
+    )
+    monkeypatch.setattr(
+        _history, "fit_document", lambda f, i: {"fit_id": i, "model": [], "parameters": {}, "verdict": "x"}
+    )
+    monkeypatch.setattr(_history, "step_document", lambda *given: None)
+    monkeypatch.setattr(_history, "stored_fit", lambda f: "stored")
+    monkeypatch.setattr(_history, "as_json", lambda x: {"kept": x})
+    entry = book.add(found, parent="f9", added="+x", loss=loss, ranges={"k": (0.0, 1.0)})
+    stored = Ledger(book.path).find("f10").stored
+    assert entry.fit_id == "f10"
+    assert stored.restored_from == ({"kept": "stored"} if loss == "linear" else None)
+    assert (stored.share, stored.per_case, stored.parent, stored.added) == (["a"], ["b"], "f9", "+x")
+    assert (stored.data, stored.rotor, stored.loss, stored.ranges) == (
+        "omega",
+        "generated",
+        loss,
+        {"k": (0.0, 1.0)},
+    )
+    assert (stored.digests, stored.sources, stored.covariance) == (["d"], ["file"], [[4.0]])
+    other = book.add(found, share=["s"])
+    assert other.choices == (("s",), ())

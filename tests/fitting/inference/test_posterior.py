@@ -1,4 +1,4 @@
-"""Draws by emcee, of which a stand-in shows where its walkers begin and what they are told."""
+"""Draws of a posterior: mean and covariance, held and tied parameters, and walkers of a stand-in for emcee."""
 
 import math
 import sys
@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import SimulationError
+from fitting import EstimationError, SimulationError
+from fitting.inference import _posterior
 from fitting.inference._posterior import draws
 
 INF = math.inf
@@ -122,3 +123,43 @@ def test_tied_parameters_follow_the_walkers(emcee):
     double.place = 2
     drawn = draws(fit(tied=(double,)), 9, 6, "emcee", 1)
     assert (drawn[..., 2] == 2 * drawn[..., 0]).all()
+
+
+class TestPosterior:
+    def fit(self, covariance, free=(True, True, True), tied=()):
+        layout = SimpleNamespace(is_free=np.array(free), tied=tied)
+        return SimpleNamespace(
+            problem=SimpleNamespace(layout=layout),
+            theta=np.array([1.0, 2.0, 3.0]),
+            covariance=np.array(covariance),
+        )
+
+    def test_draws_have_mean_and_covariance_and_hold_the_others(self):
+        covariance = np.array([[4.0, -1e-3, 0.0], [-1e-3, 1e-6, 0.0], [0.0, 0.0, np.inf]])
+        found = draws(self.fit(covariance), 4000, 2, "linearised", 1)
+        assert found.shape == (2, 4000, 3)
+        assert (found[..., 2] == 3.0).all()
+        flat = found[..., :2].reshape(-1, 2)
+        assert np.cov(flat.T) == pytest.approx(covariance[:2, :2], rel=0.06)
+        assert flat.mean(axis=0) == pytest.approx([1.0, 2.0], abs=0.07)
+        held = draws(self.fit(covariance, free=(False, True, True)), 10, 1, "linearised", 1)
+        assert (held[..., 0] == 1.0).all()
+        assert np.ptp(held[..., 1]) > 0
+
+    def test_without_an_uncertainty_there_are_no_draws(self):
+        for covariance in (np.zeros((3, 3)), np.diag([np.inf] * 3)):
+            with pytest.raises(EstimationError, match="no parameter"):
+                draws(self.fit(covariance), 10, 1, "linearised", 1)
+        with pytest.raises(EstimationError, match="no method"):
+            draws(self.fit(np.eye(3)), 10, 1, "other", 1)
+
+    def test_a_root_gives_the_covariance_even_if_it_is_singular(self):
+        v = np.array([2.0, 1e-6])
+        for covariance in (np.outer(v, v), np.array([[4.0, 1e-6], [1e-6, 1e-12]])):
+            root = _posterior._root(covariance)
+            assert root @ root.T == pytest.approx(covariance, rel=1e-6)
+
+    def test_tied_parameters_follow_each_draw(self, monkeypatch):
+        monkeypatch.setattr(_posterior, "follow", lambda row, tied: np.array([row[0], row[1], 2 * row[0]]))
+        found = draws(self.fit(np.eye(3), tied=("x",)), 5, 2, "linearised", 1)
+        assert found[..., 2] == pytest.approx(2 * found[..., 0])
