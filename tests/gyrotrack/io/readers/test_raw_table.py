@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import DatasetError
-from gyrotrack.io.readers import _raw_table, _text_table
+from gyrotrack.io.readers import _raw_table
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._raw_table import (
     RawTable,
@@ -284,15 +284,6 @@ def test_a_table_of_few_rows_is_transposed(rows, transposed):
     assert len(read(narrow).columns) == 25
     wide = "".join(",".join(str(100 * r + c) for c in range(26)) + "\n" for r in range(4))
     assert len(read(wide).columns) == 4
-
-
-def test_cells_of_text_are_limited(monkeypatch):
-    monkeypatch.setattr(_text_table, "MAX_CELLS", 18)
-    text = "t,angle\n" + ROWS
-    read(text + "8,x\n")
-    with pytest.raises(DatasetError, match="cells"):
-        read(text + "8,x\n9,90\n")
-    read(text + "8,80\n9,90\n")
 
 
 def zipped(name, parts):

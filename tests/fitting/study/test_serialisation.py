@@ -1,4 +1,4 @@
-"""What a ledger keeps, what counts as moved, and the rotor curve of the paper, with numbers known in closed form."""
+"""Documents of fits: what counts as moved, stored diagnoses and differences, and priors, with known numbers."""
 
 import json
 import math
