@@ -10,7 +10,7 @@ import pytest
 from cases import shared
 from scipy.integrate import solve_ivp
 
-from fitting import LIBRARY, Case, Criteria, Model, SimulationError, fit, improve
+from fitting import LIBRARY, Case, Criteria, Effect, Model, Parameter, SimulationError, fit, improve
 from fitting._criteria import DEFAULT
 from fitting.discovery import _exchange
 from fitting.discovery import _select as module
@@ -18,7 +18,6 @@ from fitting.discovery._exchange import exchanges
 from fitting.discovery._refine import with_shape_parameter
 from fitting.discovery._score import CaseColumns, Score
 from fitting.discovery._select import History, Step
-from fitting.effects._effect import Effect, Parameter
 from fitting.effects._words import change_name
 from fitting.inference._case_data import CaseData
 from fitting.study._serialisation import step_document

@@ -13,15 +13,17 @@ from fitting import (
     EffectError,
     Estimate,
     EstimationError,
+    FittingError,
     Input,
     Model,
+    Params,
     Record,
+    RecordError,
     effect,
     make_record,
 )
-from fitting._errors import FittingError, RecordError
+from fitting import Model as AnyModel
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
-from fitting.dynamics._model import Model as AnyModel
 from fitting.effects._expression import Tape
 from fitting.effects._user import resolve
 from fitting.inference import _parameters
@@ -38,7 +40,7 @@ from fitting.inference._parameters import (
     to_physical,
     to_polar,
 )
-from fitting.inference._params import Names, Params, Settings, note, settings_of, shown_name
+from fitting.inference._params import Names, Settings, note, settings_of, shown_name
 from fitting.inference._record import Samples
 from fitting.inference._ties import chain, follow, parse_tie
 from fitting.inference._trace import (

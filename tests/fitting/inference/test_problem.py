@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 import twobody
 
-from fitting import REDUCED, EffectError, ErrorMode, ExpressionError, Model, RecordError, fit, make_record
-from fitting._errors import SimulationError
+from fitting import (
+    REDUCED,
+    EffectError,
+    ErrorMode,
+    ExpressionError,
+    Model,
+    RecordError,
+    SimulationError,
+    fit,
+    make_record,
+)
 from fitting.effects._expression import Tape
 from fitting.effects._mechanism import GYROSCOPE
 from fitting.inference import _case_file, _problem

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from fitting import Case, Estimate, LedgerError, fit, load_fit
-from fitting.discovery._certificate import Certificate, Outcome
+from fitting import Case, Certificate, Estimate, LedgerError, fit, load_fit
+from fitting.discovery._certificate import Outcome
 from fitting.discovery._difference import DifferentParameter, ValuesPerRecording
 from fitting.inference._profile import Interval
 from fitting.study import _serialisation

@@ -9,13 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io._records import ErrorMode, Input, Piece, series_of
+from gyrotrack import DatasetError, ErrorMode, UsageError, import_case
+from gyrotrack.io._records import Input, Piece, series_of
 from gyrotrack.io.readers import _columnar, _import_case, _registry
 from gyrotrack.io.readers._columnar import read_json
 from gyrotrack.io.readers._import_case import (
     case_of_body,
-    import_case,
     modes_of,
     pieces_of,
     unwrap,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from gyrotrack import DatasetError, UsageError
+from gyrotrack import DatasetError, UsageError, import_chain
 from gyrotrack.io._records import Inertia
 from gyrotrack.io.readers import _outliers as outliers
 from gyrotrack.io.readers import _spreadsheets as sheets
-from gyrotrack.io.readers._import_chain import import_chain, read_bodies, read_inertias, read_joints
+from gyrotrack.io.readers._import_chain import read_bodies, read_inertias, read_joints
 from gyrotrack.io.readers._inputs import InputOption, read_input_options
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
 from gyrotrack.io.readers._points import Points, angle_of, circle_centre

@@ -11,8 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack import DatasetError
-from gyrotrack._errors import UsageError
+from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers import _point_files, _point_tables
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._point_files import listed_names, read_hdf5, read_project
