@@ -264,9 +264,9 @@ def own_peak() -> float:
 
 def nist(repeats: int) -> list[str]:
     """The NIST reference problems of nonlinear regression, from both starts."""
-    sys.path.insert(0, str(ROOT / "tests" / "fitting" / "estimation"))
+    sys.path[:0] = [str(ROOT / "tests" / "fitting"), str(ROOT / "tests" / "fitting" / "inference")]
     from nist import PROBLEMS
-    from test_levenberg import TRAPS, problem_of
+    from test_optimisation import TRAPS, problem_of
 
     from fitting.inference._optimisation import minimise
     from fitting.inference._problem import covariance_of

@@ -91,15 +91,22 @@ def rotor_clip(draw):
 
 
 @pytest.fixture(scope="session")
-def measured_film(made_once):
+def program():
+    """Run a command in this process: program(["fit", path]) returns the exit code."""
+    from gyrotrack.apps.cli import _app
+
+    return _app.run
+
+
+@pytest.fixture(scope="session")
+def measured_film(made_once, program):
     """Run `spindown` on a film once for all processes: (code, document, stderr, case) = measured_film(film, *words)."""
-    from gyrotrack.apps.cli import _app as app
 
     def measured(film, *words):
         def make(folder):
             out, err = io.StringIO(), io.StringIO()
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-                code = app.run(["spindown", str(film), *words, "-o", str(folder / "film.h5"), "--json"])
+                code = program(["spindown", str(film), *words, "-o", str(folder / "film.h5"), "--json"])
             said = {"code": code, "document": json.loads(out.getvalue()), "err": err.getvalue()}
             (folder / "said.json").write_text(json.dumps(said), encoding="utf-8")
 

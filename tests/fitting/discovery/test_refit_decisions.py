@@ -8,7 +8,7 @@ import numpy as np
 import oscillators
 import pytest
 
-from fitting import LIBRARY, Case, Criteria, Estimate, EstimationError, SimulationError, diagnose, fit
+from fitting import LIBRARY, Case, Criteria, Estimate, EstimationError, Model, SimulationError, diagnose, fit
 from fitting._criteria import DEFAULT
 from fitting.discovery import _refine as module
 from fitting.discovery._refine import (
@@ -31,7 +31,6 @@ from fitting.discovery._refine import (
     with_values_per_case,
 )
 from fitting.discovery._score import Score
-from fitting.dynamics._model import Model
 from fitting.effects._effect import State
 from fitting.effects._expression import Tape
 from fitting.effects._user import resolve

@@ -4,12 +4,10 @@ import math
 
 import pytest
 
-from fitting import EffectError, ExpressionError, RecordError
+from fitting import Effect, EffectError, ExpressionError, Parameter, RecordError
 from fitting.effects._effect import (
     MOMENTS,
     NONE,
-    Effect,
-    Parameter,
     State,
     bodies_of,
     dimension,

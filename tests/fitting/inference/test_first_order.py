@@ -6,12 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import EstimationError, Input, Model, effect, make_record
+from fitting import Estimate, EstimationError, FirstOrder, Input, Model, effect, make_record
 from fitting.inference import _first_order as module
 from fitting.inference._case_data import CaseData
-from fitting.inference._first_order import FirstOrder, first_order, first_order_lines
+from fitting.inference._first_order import first_order, first_order_lines
 from fitting.inference._parameters import ParameterLayout
-from fitting.inference._params import Estimate
 from fitting.inference._problem import Problem
 
 TIME = np.arange(0.0, 4.0, 0.02)

@@ -1,5 +1,6 @@
-"""Oscillators fitted without initial values, against independent integration and the analytic solution."""
+"""Oscillators fitted without initial values, against integration and analytic solutions; turning points and phases."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,18 +8,25 @@ import numpy as np
 import oscillators
 import pytest
 
-from fitting import LIBRARY, EstimationError, Model, SimulationError, diagnose, improve, plan
+from fitting import LIBRARY, EstimationError, Input, Model, Record, SimulationError, diagnose, improve, plan
 from fitting._criteria import DEFAULT
 from fitting.discovery._remainder import Torques
 from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.dynamics._events import solve
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR, Dynamics
 from fitting.effects._user import resolve
-from fitting.inference import _problem
+from fitting.inference import _oscillation, _problem
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._fit import fit
-from fitting.inference._oscillation import are_smooth, find_oscillation, motion_of, turning_points
+from fitting.inference._oscillation import (
+    ROTATION,
+    Oscillation,
+    are_smooth,
+    find_oscillation,
+    motion_of,
+    turning_points,
+)
 from fitting.inference._parameters import ParameterLayout
 from fitting.inference._record import Samples
 from fitting.inference._speed_residuals import SpeedMap
@@ -475,3 +483,151 @@ def test_a_search_far_from_the_minimum_has_a_hundredth_of_the_torque_on_the_othe
     )
     known = SimpleNamespace(level=level, at=lambda raised: raised)
     assert _problem.raised_noise(problem, None, [known]) == (pytest.approx(expected),)
+
+
+T = np.arange(0.0, 20.0, 0.02)
+
+
+def record(value, quantity="angle", sigma=1e-4, t=T, **more):
+    return Record("x", 1.0, 1.0, Samples(t, value, np.full(len(t), sigma)), (), quantity, **more)
+
+
+class TestTurningPoints:
+    def test_reversals_beyond_the_hysteresis_count(self):
+        curve = np.array([0.0, 2.0, 5.0, 4.5, 6.0, 3.0, 4.0, 1.0, 9.0, 0.0])
+        assert turning_points(curve, 0.9).tolist() == [4, 5, 6, 7, 8]
+        assert turning_points(curve, 1.1).tolist() == [4, 7, 8]
+        assert turning_points(-curve, 1.1).tolist() == [4, 7, 8]
+        assert turning_points(curve, 0.4).tolist() == [2, 3, 4, 5, 6, 7, 8]
+        assert turning_points(curve, 20.0).tolist() == []
+
+    def test_the_first_sense_is_that_of_the_first_large_change(self):
+        assert turning_points(np.array([0.0, -0.5, 0.4, -0.4, 3.0, 0.0]), 2.0).tolist() == [4]
+        assert turning_points(np.array([0.0, 0.5, -0.4, 0.4, -3.0, 0.0]), 2.0).tolist() == [4]
+
+    def test_a_speed_changes_its_sign_between_significant_samples(self):
+        speed = np.array([3.0, 0.1, -0.1, 0.1, -1.0, -4.0, 0.2, 4.0])
+        assert _oscillation._sign_changes(speed, 0.5).tolist() == [3, 6]
+        assert _oscillation._sign_changes(speed, 0.15).tolist() == [3, 6]
+        assert len(_oscillation._sign_changes(speed, 0.05)) == 4
+        assert _oscillation._sign_changes(speed, 5.0).tolist() == []
+
+
+class TestOscillation:
+    def test_a_decaying_oscillation_has_its_period_and_equilibrium(self):
+        angle = 0.7 + 1.5 * np.exp(-0.02 * T) * np.cos(2.5 * T)
+        found = find_oscillation(record(angle))
+        assert found.period == pytest.approx(2 * math.pi / 2.5, rel=0.01)
+        assert found.deflection == pytest.approx(angle - 0.7, abs=0.01)
+        assert found.periods == pytest.approx(19.98 / found.period)
+        assert found.amplitude == pytest.approx(0.5 * np.ptp(angle))
+        assert len(found.reversals) == int(20.0 * 2.5 / math.pi)
+        assert found.phase(found.reversals) == pytest.approx(
+            math.pi * np.arange(len(found.reversals)), abs=0.06
+        )
+
+    def test_measured_speeds_oscillate_beside_a_drift(self):
+        speed = 0.05 + 1.5 * np.cos(2.5 * T)
+        found = find_oscillation(record(speed, "omega"))
+        assert found.period == pytest.approx(2 * math.pi / 2.5, rel=0.02)
+        assert found.deflection == pytest.approx(0.6 * np.sin(2.5 * T), abs=0.03)
+
+    @pytest.mark.parametrize(("reversals", "found"), [(2, False), (3, True), (4, True)])
+    def test_it_has_at_least_three_reversals(self, reversals, found):
+        t = T[(reversals + 0.4) * math.pi / 2.5 > T]
+        assert (find_oscillation(record(np.sin(2.5 * t - 1.2), t=t)) is not None) is found
+
+    @pytest.mark.parametrize(("drift", "found"), [(0.95, True), (1.15, False)])
+    def test_a_body_with_a_net_rotation_does_not_oscillate(self, drift, found):
+        """The extremes of sin(2.5 t) + drift t advance by the drift; the share of the path is 0.6 at about 1.05."""
+        angle = np.sin(2.5 * T) + drift * T
+        turns = turning_points(angle, 0.01 * np.ptp(angle))
+        extreme = angle[turns]
+        share = abs(extreme[-1] - extreme[0]) / np.abs(np.diff(extreme)).sum()
+        assert bool(share < 0.6) is found
+        assert (find_oscillation(record(angle)) is not None) is found
+        assert (find_oscillation(record(-angle)) is not None) is found
+
+    @pytest.mark.parametrize(("sigma", "found"), [(0.24, True), (0.26, False)])
+    def test_noise_hides_reversals(self, sigma, found):
+        """The range is 2; reversals by less than 8 sigma do not count."""
+        assert (find_oscillation(record(np.cos(2.5 * T), sigma=sigma)) is not None) is found
+        speed = record(np.cos(2.5 * T), "omega", sigma=sigma / 2)
+        assert (find_oscillation(speed) is not None) is found
+
+    def test_the_middle_of_angles_is_fixed_and_that_of_integrated_speeds_drifts(self):
+        """Of three extremes about the equilibrium e, the sum e1 + 2 e2 + e3 is 4 e."""
+        angle = np.cos(2.5 * T) + 0.02 * T
+        found = find_oscillation(record(angle))
+        rest = angle - found.deflection
+        assert rest == pytest.approx(np.full(len(T), rest[0]))
+        assert rest[0] == pytest.approx(0.2, abs=0.03)
+        speed = -2.5 * np.sin(2.5 * T) + 0.02
+        drifting = find_oscillation(record(speed, "omega"))
+        assert drifting.deflection == pytest.approx(np.cos(2.5 * T), abs=0.03)
+        short = T[4.5 * math.pi / 2.5 > T]
+        few = find_oscillation(record(-2.5 * np.sin(2.5 * short) + 0.02, "omega", t=short))
+        assert len(few.reversals) == 4
+        integral = np.cos(2.5 * short) - 1.0 + 0.02 * short
+        assert np.ptp(integral - few.deflection) < 2e-3
+
+    def test_windows_follow_a_motion_with_a_third_harmonic(self):
+        t = np.arange(0.0, 60.0, 0.02)
+        phase = 3.0 * t
+        angle = np.cos(phase) + 0.2 * np.cos(3 * phase + 0.5)
+        swing = Oscillation(np.arange(1, 57) * math.pi / 3.0, 2 * math.pi / 3.0, t, angle)
+        assert swing.slow_motion.amplitude == pytest.approx(np.ones(20), abs=1e-3)
+
+    def test_a_driven_body_or_one_with_a_joint_rotates(self):
+        angle = np.cos(2.5 * T)
+        assert isinstance(motion_of(record(angle)), Oscillation)
+        u = Input("u", T[[0, -1]], np.array([0.0, 1.0]), "A")
+        assert motion_of(record(angle, inputs=(u,))) is ROTATION
+        both = Record("x", 1.0, 1.0, record(angle).casing, (record(90 * T).casing,))
+        assert motion_of(both) is ROTATION
+
+    def test_windows_follow_amplitude_and_phase(self):
+        t = np.arange(0.0, 60.0, 0.02)
+        amplitude, phase = 1.5 * np.exp(-0.02 * t), 6.0 * t - 0.01 * t**2
+        found = find_oscillation(record(0.3 + amplitude * np.cos(phase), t=t)).slow_motion
+        assert len(found.time) == 20
+        assert found.amplitude == pytest.approx(1.5 * np.exp(-0.02 * found.time), rel=2e-3)
+        change = found.phase - (6.0 * found.time - 0.01 * found.time**2)
+        assert change - 2 * math.pi * np.round(change / (2 * math.pi)) == pytest.approx(
+            np.zeros(20), abs=5e-3
+        )
+
+    @pytest.mark.parametrize(
+        ("periods", "windows"), [(2.7, None), (3.5, 3), (12.0, 11), (45.0, 20), (90.0, 29)]
+    )
+    def test_the_number_of_windows_grows_with_the_periods(self, periods, windows):
+        t = np.linspace(0.0, periods * 2 * math.pi, 4000)
+        found = Oscillation(np.arange(1, int(2 * periods)) * math.pi, 2 * math.pi, t, np.cos(t)).slow_motion
+        assert (None if found is None else len(found.time)) in {
+            windows,
+            None if windows is None else windows + 1,
+        }
+
+    def test_windows_need_ten_samples(self):
+        t = np.linspace(0.0, 40 * math.pi, 180)
+        assert Oscillation(np.arange(1, 40) * math.pi, 2 * math.pi, t, np.cos(t)).slow_motion is None
+        t = np.linspace(0.0, 40 * math.pi, 230)
+        assert Oscillation(np.arange(1, 40) * math.pi, 2 * math.pi, t, np.cos(t)).slow_motion is not None
+
+    def test_a_phase_is_continued_linearly(self):
+        at = np.linspace(2.0, 6.0, 9)
+        phase = 1.0 + 3.0 * at - 0.2 * at**2
+        found = _oscillation._smooth_phase(at, phase, np.array([1.0, 2.0, 5.0, 6.0, 8.0]))
+        assert found == pytest.approx([6.2 - 2.2, 6.2, 11.0, 11.8, 11.8 + 2 * 0.6])
+        few = _oscillation._smooth_phase(at[:3], phase[:3], at[:3])
+        assert few == pytest.approx(np.polyval(np.polyfit(at[:3], phase[:3], 1), at[:3]))
+
+    def test_harmonics_are_products_with_powers_of_time(self):
+        t = np.linspace(0.0, 10.0, 300)
+        swing = Oscillation(np.arange(1, 6) * 1.7, 3.4, t, np.cos(t))
+        columns = swing.harmonics(300)
+        assert columns.shape == (300, 24)
+        x = t / 5 - 1
+        assert columns[:, 0] == pytest.approx(np.cos(swing.phase(t)))
+        assert columns[:, 5] == pytest.approx(np.sin(swing.phase(t)) * x)
+        assert columns[:, 22] == pytest.approx(np.sin(3 * swing.phase(t)) * (1.5 * x**2 - 0.5))

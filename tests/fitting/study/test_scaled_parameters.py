@@ -6,9 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting import Model, make_record
+from fitting import Effect, Model, Parameter, make_record
 from fitting.discovery import _next_run
-from fitting.effects._effect import Effect, Parameter
 from fitting.inference._parameters import ParameterLayout, parameters_at
 from fitting.law_search import _documents, _laws
 from fitting.paper import _scan

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gyrotrack import DatasetError
 from gyrotrack._correlated_noise import Estimate
-from gyrotrack._errors import DatasetError
 from gyrotrack.apps import _drive, _motion
 from gyrotrack.apps._motion import (
     BodyMotion,

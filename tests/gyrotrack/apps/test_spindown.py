@@ -14,10 +14,9 @@ from fitting import Model
 from fitting.discovery import _select
 from fitting.discovery._oscillator import OscillatorLaws, Strength
 from gyrotrack import TrackingError, import_body
-from gyrotrack.apps import _motion, _spindown
-from gyrotrack.apps._motion import Value, motion_of, start_of_motion
+from gyrotrack.apps import _spindown
+from gyrotrack.apps._motion import motion_of, start_of_motion
 from gyrotrack.apps._spindown import SpindownOptions, read_source
-from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _tracking
 from gyrotrack.tracking._diagnosis import RefusedFilmError
 from gyrotrack.tracking._film import Film
@@ -154,13 +153,13 @@ def test_a_hand_at_the_start_is_found():
 
 
 @pytest.mark.slow
-def test_command_on_a_table(tmp_path, monkeypatch, capsys):
+def test_command_on_a_table(tmp_path, monkeypatch, capsys, program):
     monkeypatch.chdir(tmp_path)
     t = np.arange(400) / 40
     rate = 0.12
     angle = 20 / rate * (1 - np.exp(-rate * t)) + np.random.default_rng(0).normal(0, 1e-3, len(t))
     np.savetxt("wheel.csv", np.stack([t, angle], axis=1), delimiter=",", header="t,angle", comments="")
-    code = app.run(["spindown", "wheel.csv", "-o", "wheel.h5", "--json"])
+    code = program(["spindown", "wheel.csv", "-o", "wheel.h5", "--json"])
     document = json.loads(capsys.readouterr().out)
     assert code in (0, 3), document
     assert set(document) >= {"case", "report", "motion", "ladder", "diagnosis"}
@@ -177,7 +176,7 @@ def test_command_on_a_table(tmp_path, monkeypatch, capsys):
 @pytest.mark.slow
 @pytest.mark.usefixtures("unsearched")
 @pytest.mark.release
-def test_units_follow_the_inertia(tmp_path, monkeypatch, capsys):
+def test_units_follow_the_inertia(tmp_path, monkeypatch, capsys, program):
     monkeypatch.chdir(tmp_path)
     t = np.arange(200) / 20
     angle = 20 * t - 0.3 * t**2 + 0.002 * t**3 + np.random.default_rng(0).normal(0, 1e-3, len(t))
@@ -188,10 +187,10 @@ def test_units_follow_the_inertia(tmp_path, monkeypatch, capsys):
         (["--inertia", "1"], "N m", "rad/s2 rms", ("fit", "ladder")),
     )
     for inertia, unit, foreign, commands in runs:
-        assert app.run(["spindown", "wheel.csv", "-o", "wheel.h5", "--force", *inertia]) in (0, 3)
+        assert program(["spindown", "wheel.csv", "-o", "wheel.h5", "--force", *inertia]) in (0, 3)
         texts = [capsys.readouterr().out]
         for command in commands:
-            app.run([command, "wheel.h5"])
+            program([command, "wheel.h5"])
             texts.append(capsys.readouterr().out)
         whole = "\n".join(texts)
         assert unit in whole
@@ -205,43 +204,43 @@ def test_units_follow_the_inertia(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unsearched")
-def test_a_table_of_points_without_header(tmp_path, monkeypatch, capsys):
+def test_a_table_of_points_without_header(tmp_path, monkeypatch, capsys, program):
     monkeypatch.chdir(tmp_path)
     t = np.arange(500) / 50
     angle, _ = noisy(t, 9 * t - 0.3 * t**2, 1e-3, 4)
     np.savetxt("points.txt", np.stack([t, 40 + 5 * np.cos(angle), 30 + 5 * np.sin(angle)], axis=1))
     columns = ["--column", "t=1", "--column", "x=2", "--column", "y=3"]
-    app.run(["spindown", "points.txt", *columns, "--centre", "40,30", "--json"])
+    program(["spindown", "points.txt", *columns, "--centre", "40,30", "--json"])
     alpha = json.loads(capsys.readouterr().out)["motion"]["alpha"]
     assert alpha["value"] == pytest.approx(-0.6, abs=4 * alpha["stderr"])
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unsearched")
-def test_command_on_pulses(tmp_path, monkeypatch, capsys):
+def test_command_on_pulses(tmp_path, monkeypatch, capsys, program):
     monkeypatch.chdir(tmp_path)
     turns = np.arange(0, 60, 0.5)
     a = -0.6
     t = (-25 + np.sqrt(25**2 + 2 * a * 2 * np.pi * turns)) / a  # angle = 25 t + a t^2 / 2
     np.savetxt("pulses.txt", t + np.random.default_rng(0).normal(0, 1e-5, len(t)))
-    app.run(["spindown", "pulses.txt", "--pulses-per-turn", "2", "-o", "p.h5", "--json"])
+    program(["spindown", "pulses.txt", "--pulses-per-turn", "2", "-o", "p.h5", "--json"])
     motion = json.loads(capsys.readouterr().out)["motion"]
     assert motion["alpha"]["value"] == pytest.approx(a, abs=5 * motion["alpha"]["stderr"] + 1e-3)
 
 
 @pytest.mark.parametrize("extra", [["--hub", "a,b"], ["--inertia", "-1"]])
-def test_wrong_options(tmp_path, monkeypatch, extra, capsys):
+def test_wrong_options(tmp_path, monkeypatch, extra, capsys, program):
     monkeypatch.chdir(tmp_path)
     Path("wheel.csv").write_text("t,angle\n0,0\n1,1\n")
-    assert app.run(["spindown", "wheel.csv", *extra]) in (1, 2)
+    assert program(["spindown", "wheel.csv", *extra]) in (1, 2)
     assert not Path("wheel.h5").exists()
 
 
 @pytest.mark.parametrize("name", ["film.mpg", "FILM.MTS", "film.gif"])
-def test_films_of_all_cameras_are_read_as_films(tmp_path, monkeypatch, name, capsys):
+def test_films_of_all_cameras_are_read_as_films(tmp_path, monkeypatch, name, capsys, program):
     monkeypatch.chdir(tmp_path)
     Path(name).write_bytes(b"no film")
-    assert app.run(["spindown", name]) == 1
+    assert program(["spindown", name]) == 1
     assert "is not a film that can be read" in capsys.readouterr().err
 
 
@@ -326,7 +325,7 @@ def dots(film):
 @pytest.mark.slow
 @pytest.mark.usefixtures("unsearched")
 @pytest.mark.release
-def test_a_film_that_shows_two_rotations_ends_with_exit_code_3(tmp_path, monkeypatch, capsys):
+def test_a_film_that_shows_two_rotations_ends_with_exit_code_3(tmp_path, monkeypatch, capsys, program):
     """Three equal arms that turn by 66 to 40 degrees a frame look like +54 to +80; both are stated, one is taken."""
     monkeypatch.chdir(tmp_path)
     fps, omega, alpha = 30, 34.6, -4.5
@@ -345,7 +344,7 @@ def test_a_film_that_shows_two_rotations_ends_with_exit_code_3(tmp_path, monkeyp
         noisy_picture = np.clip(picture + rng.normal(0, 3, picture.shape), 0, 255).astype(np.uint8)
         film.write(cv2.cvtColor(noisy_picture, cv2.COLOR_GRAY2BGR))
     film.release()
-    code = app.run(["spindown", "spinner.mp4", "-o", "s.h5", "--json"])
+    code = program(["spindown", "spinner.mp4", "-o", "s.h5", "--json"])
     captured = capsys.readouterr()
     document = json.loads(captured.out)
     assert code == 3
@@ -469,14 +468,14 @@ def coast_down(path):
 
 
 @pytest.mark.slow
-def test_an_interrupted_command_can_be_repeated_as_it_is(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_command_can_be_repeated_as_it_is(tmp_path, monkeypatch, capsys, program):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
     coast_down(tmp_path / "wheel.csv")
     monkeypatch.setattr(_select, "improve", interrupted)
-    assert app.run(["spindown", "wheel.csv"]) == 130
+    assert program(["spindown", "wheel.csv"]) == 130
     assert "Interrupted" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.h5"))
 
@@ -556,13 +555,6 @@ def test_a_wrong_damping_does_not_change_the_period():
     assert laws.wrong_period(fitted) == ""
 
 
-def test_a_period_that_drifts_has_the_difference_of_the_models_in_its_uncertainty():
-    same = _motion._with_rivals(Value(10.0, 0.1), [Value(10.0, 0.1), Value(10.5, 0.3)])
-    assert same.stderr == pytest.approx(0.1)
-    other = _motion._with_rivals(Value(10.0, 0.1), [Value(10.0, 0.1), Value(12.0, 0.3)])
-    assert other.stderr == pytest.approx(np.hypot(0.1, 1.4))
-
-
 @pytest.mark.slow
 def test_the_uncertainty_of_a_period_is_true_where_the_damping_is_not_that_of_the_model():
     """Friction of the square of the speed changes the amplitude unlike any exponential; noise alone is 1 mrad."""
@@ -583,8 +575,8 @@ def test_the_uncertainty_of_a_period_is_true_where_the_damping_is_not_that_of_th
 CASES = Path(__file__).parents[4] / "shared" / "cases" / "tables"
 
 
-def _said(capsys, *arguments):
-    code = app.run(["spindown", *map(str, arguments), "--json"])
+def _said(program, capsys, *arguments):
+    code = program(["spindown", *map(str, arguments), "--json"])
     return code, json.loads(capsys.readouterr().out)
 
 
@@ -611,11 +603,11 @@ def _pendulum(tmp_path, law):
 )
 @pytest.mark.release
 def test_gravity_and_two_kinds_of_friction_are_named_together(
-    tmp_path, capsys, monkeypatch, quadratic, viscous, damping
+    tmp_path, capsys, monkeypatch, program, quadratic, viscous, damping
 ):
     monkeypatch.chdir(tmp_path)
     path = _pendulum(tmp_path, lambda x, v: -37.2 * np.sin(x) - (quadratic * abs(v) + viscous) * v)
-    code, found = _said(capsys, path)
+    code, found = _said(program, capsys, path)
     assert code == 0
     assert found["oscillator"]["restoring"] == ["casing.gravity"]
     assert set(found["oscillator"]["damping"]) == damping
@@ -627,18 +619,18 @@ def test_gravity_and_two_kinds_of_friction_are_named_together(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
-def test_a_computed_table_is_described(tmp_path, capsys, monkeypatch):
+def test_a_computed_table_is_described(tmp_path, capsys, monkeypatch, program):
     monkeypatch.chdir(tmp_path)
-    code, exact = _said(capsys, CASES / "exact.csv")
+    code, exact = _said(program, capsys, CASES / "exact.csv")
     assert (code, exact["diagnosis"]["verdict"], len(exact["ladder"])) == (0, "adequate", 1)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
 @pytest.mark.release
-def test_cases_of_oscillators(tmp_path, capsys, monkeypatch):
+def test_cases_of_oscillators(tmp_path, capsys, monkeypatch, program):
     monkeypatch.chdir(tmp_path)
-    _, found = _said(capsys, CASES / "pendulum_94deg.csv")
+    _, found = _said(program, capsys, CASES / "pendulum_94deg.csv")
     values = {k: v["value"] for k, v in found["oscillator"]["parameters"].items()}
     assert values == pytest.approx(
         {"casing.gravity.k": 37.2, "touchpoint.constant.b1": 0.067, "casing.air.quadratic.k": 0.0033},
@@ -650,10 +642,10 @@ def test_cases_of_oscillators(tmp_path, capsys, monkeypatch):
 @pytest.mark.skipif(not CASES.exists(), reason="the shared cases are not here")
 @pytest.mark.usefixtures("unsearched")
 @pytest.mark.release
-def test_an_oscillator_whose_period_drifts(tmp_path, capsys, monkeypatch):
+def test_an_oscillator_whose_period_drifts(tmp_path, capsys, monkeypatch, program):
     """A kink after 9 s, and a period that shortens from 15.5 to 14 s: no further law describes that either."""
     monkeypatch.chdir(tmp_path)
-    code, found = _said(capsys, CASES / "title_line.txt", "--column", "angle=2")
+    code, found = _said(program, capsys, CASES / "title_line.txt", "--column", "angle=2")
     period = found["motion"]["period"]
     assert code == 3
     assert abs(period["value"] - 15) < 2 * period["stderr"]
@@ -664,7 +656,7 @@ def test_an_oscillator_whose_period_drifts(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(("periods", "searched"), [(12, True), (130, False)])
 @pytest.mark.release
 def test_an_oscillation_of_hundreds_of_reversals_is_not_searched_for_further_laws(
-    tmp_path, capsys, monkeypatch, unsearched, periods, searched
+    tmp_path, capsys, monkeypatch, program, unsearched, periods, searched
 ):
     """A dry friction that begins halfway is no law of the list; 12 periods would be searched for it."""
     monkeypatch.chdir(tmp_path)
@@ -677,7 +669,7 @@ def test_an_oscillation_of_hundreds_of_reversals_is_not_searched_for_further_law
     )  # fmt: skip
     angle = noisy(t, run.y[0], 2e-3, 5)[0]
     np.savetxt("s.csv", np.c_[t, angle], delimiter=",", header="t [s],theta [rad]", comments="")
-    _, found = _said(capsys, "s.csv")
+    _, found = _said(program, capsys, "s.csv")
     assert found["oscillator"]["restoring"] == ["casing.spring.linear"]
     assert unsearched == [None if searched else 0]
     assert any("no law beyond" in w for w in found["warnings"]) is not searched
@@ -719,3 +711,10 @@ def test_a_failed_trial_of_the_papers_markers_leaves_the_film_to_other_trackers(
 def test_laws_of_the_body_are_established(verdict, last):
     steps = [SimpleNamespace(fit=name) for name in ("base", "with a step")]
     assert _spindown._supported("base", steps, verdict) == ("with a step" if last else "base")
+
+
+@pytest.mark.parametrize(("interlaced", "rate"), [(True, 60.0), (False, 30.0)])
+def test_a_frame_of_an_interlaced_film_holds_two_pictures(interlaced, rate):
+    fps, origin, warnings = _spindown._rate(SimpleNamespace(interlaced=interlaced), 30.0)
+    assert (fps, origin) == (rate, "--capture-fps")
+    assert any("60 fields" in w for w in warnings) == interlaced

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting._errors import FittingError
-from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
+from fitting import FittingError
+from gyrotrack import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack.apps import _points, _spindown
 from gyrotrack.apps._motion import BodyMotion, Value
 from gyrotrack.apps._spindown import SpindownOptions

@@ -8,15 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting._errors import FittingError, LedgerError
-from fitting.dynamics._model import Model
-from fitting.effects._library import GENERAL, LIBRARY, LINEAR, REDUCED
-from fitting.inference._simulation import Experiment
-from gyrotrack._errors import DatasetError, UsageError
+from fitting import GENERAL, LIBRARY, LINEAR, REDUCED, Experiment, FittingError, LedgerError, Model
+from gyrotrack import DatasetError, FitRequest, SimulatedRun, Study, UsageError
 from gyrotrack.apps import _simulation, _study
 from gyrotrack.apps._points import read_point, read_tilt
-from gyrotrack.apps._simulation import OUTSIDE, Seal, SimulatedRun, answer_of, draw_effect, grade, hide_effect
-from gyrotrack.apps._study import FitRequest, Recorder, Study, checked_body_name, latest_fits, with_ledgers
+from gyrotrack.apps._simulation import OUTSIDE, Seal, answer_of, draw_effect, grade, hide_effect
+from gyrotrack.apps._study import Recorder, checked_body_name, latest_fits, with_ledgers
 
 MECHANISM = Model.of(REDUCED).mechanism
 

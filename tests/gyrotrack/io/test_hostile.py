@@ -124,13 +124,12 @@ def test_other_layouts_by_rule(path, version, words):
             read_case(path)
 
 
-def test_a_name_is_shown_and_not_obeyed(path, capsys):
-    from gyrotrack.apps.cli import _app as app
+def test_a_name_is_shown_and_not_obeyed(path, capsys, program):
 
     with h5py.File(path, "r+") as file:
         file.attrs["label"] = "\x1b]0;owned\x07\u202egnp.exe"
         file.attrs["command"] = "rm -rf /\x1b[2J"
-    assert app.run(["info", str(path)]) == 0
+    assert program(["info", str(path)]) == 0
     out = capsys.readouterr().out
     assert not {"\x1b", "\x07", "\u202e"} & set(out)
     assert "\\x1b]0;owned" in out

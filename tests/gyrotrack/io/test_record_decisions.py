@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from gyrotrack import _column_store
-from gyrotrack._errors import ConfigurationError, OutputError, UsageError
+from gyrotrack import Case, ChainBody, ConfigurationError, ErrorMode, OutputError, UsageError, _column_store
 from gyrotrack._toml import line_of, read_document
 from gyrotrack.io import _bodies, _contents, _tracker_project
 from gyrotrack.io._atomic import CheckpointFile, checkpoint_path, new_file, refuse_existing, written_records
@@ -22,10 +21,7 @@ from gyrotrack.io._command_end import marking, marks, unmarked
 from gyrotrack.io._hdf5 import WriteBuffer
 from gyrotrack.io._outputs import new_outputs
 from gyrotrack.io._records import (
-    Case,
-    ChainBody,
     Column,
-    ErrorMode,
     Inertia,
     Input,
     Piece,

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from fitting._case_format import INDICES, Attribute, Field, Table
-from gyrotrack import UsageError, write_case
+from gyrotrack import ErrorMode, UsageError, write_case
 from gyrotrack.io import _bodies as bodies
 from gyrotrack.io._hdf5 import WriteBuffer
-from gyrotrack.io._records import ErrorMode, no_series
+from gyrotrack.io._records import no_series
 from gyrotrack.io._tables import create_dataset, to_json, valid, write_attributes, write_table
 from gyrotrack.io._tracker_project import write_project
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack import TrackingError
+from gyrotrack import Profile, TrackingError
 from gyrotrack.tracking import _acquisition as module
 from gyrotrack.tracking._acquisition import (
     Extent,
@@ -27,7 +27,7 @@ from gyrotrack.tracking._acquisition import (
 )
 from gyrotrack.tracking._orbit import Orbit, common_centre
 from gyrotrack.tracking._polar import Ring
-from gyrotrack.tracking._profile import PAPER, Blob, MarkerProfile, Profile
+from gyrotrack.tracking._profile import PAPER, Blob, MarkerProfile
 from gyrotrack.tracking._scene import Disc, Marker
 
 RING = Ring((100.0, 80.0), 30.0, 50.0, 21, 256)  # 1 px from row to row

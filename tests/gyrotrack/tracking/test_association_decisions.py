@@ -1,4 +1,4 @@
-"""Locks, predictions and their corrections, and repeated frames: hand-made cases on either side of each limit."""
+"""Locks, senses, predictions and their corrections, and repeated frames: cases on either side of each limit."""
 
 import math
 from dataclasses import dataclass
@@ -7,9 +7,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack.tracking import _association as module
+from gyrotrack.tracking import _association as _association
 from gyrotrack.tracking import _frame_repeats as repeats
-from gyrotrack.tracking._association import Motion, Prediction, find_lock, follow
+from gyrotrack.tracking._association import (
+    Motion,
+    Prediction,
+    find_lock,
+    find_rotation_sense,
+    follow,
+    net_turn,
+    unfold,
+)
+from gyrotrack.tracking._frame_repeats import Repetition, without_repeats
+from gyrotrack.video import _decoder as decoder
 from gyrotrack.video._time_base import CaptureRate, FrameTimes
 
 TURN = 2 * np.pi
@@ -138,7 +148,7 @@ class TestFollow:
          ((3, 2, 0), -0.5), ((2, 2, 2), 0.0), ((3, 2, 4), 0.0)],
     )  # fmt: skip
     def test_a_vertex_is_within_half_a_column(self, values, offset):
-        assert module._vertex(*values) == pytest.approx(offset)
+        assert _association._vertex(*values) == pytest.approx(offset)
 
     def test_the_motion_goes_on_by_the_periods_between_frames(self):
         """Missing frames advance it by more, repeated ones not at all; it is lost after 40 frames."""
@@ -146,7 +156,7 @@ class TestFollow:
         angle, seen, after = follow(np.zeros((64, COLUMNS)), Motion(1.0, 0.1), 0.5, advance)
         assert not seen.any()
         assert angle[:5] == pytest.approx([1.0, 1.1, 1.4, 1.4, 1.55])
-        assert np.isfinite(angle).sum() == module.LONGEST_COAST + 1 == 41
+        assert np.isfinite(angle).sum() == _association.LONGEST_COAST + 1 == 41
         assert np.isnan(angle[41:]).all()
         assert after.missed == 41
         plain, _, _ = follow(np.zeros((4, COLUMNS)), Motion(1.0, 0.1), 0.5)
@@ -223,7 +233,7 @@ class TestPrediction:
 
     def test_the_scatter_of_quiet_angles_is_1_5_mrad(self):
         rows = np.stack([np.ones(40), np.linspace(-1, 1, 40)], axis=1)
-        solution, inverse, scatter = module._robust(rows, rows @ [2.0, 3.0], np.zeros(2))
+        solution, inverse, scatter = _association._robust(rows, rows @ [2.0, 3.0], np.zeros(2))
         assert solution == pytest.approx([2.0, 3.0])
         assert inverse == pytest.approx(np.linalg.inv(rows.T @ rows))
         assert scatter == 1.5e-3
@@ -232,7 +242,7 @@ class TestPrediction:
     def test_angles_beyond_three_standard_deviations_are_outliers(self, off, used):
         values = 0.1 * np.where(np.arange(401) % 2, 1.0, -1.0)
         values[200] = off * 0.14826
-        solution, _, scatter = module._robust(np.ones((401, 1)), values, np.zeros(1))
+        solution, _, scatter = _association._robust(np.ones((401, 1)), values, np.zeros(1))
         assert scatter == pytest.approx(0.14826, rel=0.02)
         kept = values if used else np.delete(values, 200)
         assert solution == pytest.approx([kept.mean()], abs=1e-5)
@@ -377,3 +387,180 @@ class TestRepeatedFrames:
         assert "frame 12" in found.warnings[-1]
         nothing = repeats.without_repeats(times, repeats.Repetition(again & False), rate, info)
         assert nothing == (times, rate)
+
+
+FRAMES = np.arange(60)
+
+
+class TestSense:
+    @pytest.mark.parametrize(
+        ("turns", "given", "sense"),
+        [
+            ({"casing": 1.0, "rotor": -9.0}, None, 1),
+            ({"casing": -1.0, "rotor": 9.0}, None, -1),
+            ({"casing": 0.4, "rotor": 9.0}, None, 1),
+            ({"casing": 0.4, "rotor": -9.0}, None, -1),
+            ({"casing": 0.6, "rotor": -9.0}, None, 1),
+            ({"casing": 0.4, "rotor": 0.4}, None, -1),
+            ({}, None, -1),
+            ({"casing": -9.0}, 1, 1),
+        ],
+    )
+    def test_the_casing_decides_then_the_rotor_then_clockwise(self, turns, given, sense):
+        assert find_rotation_sense(turns, given) == sense
+
+    @pytest.mark.parametrize(
+        ("step", "sense", "unfolded"),
+        [
+            (0.5, 1, 0.5),
+            (-0.5, 1, TURN - 0.5),
+            (0.5, -1, 0.5 - TURN),
+            (-0.03, 1, TURN - 0.03),
+            (-0.01, 1, -0.01),
+        ],
+    )
+    def test_a_body_against_the_sense_turns_by_a_turn_less_a_step(self, step, sense, unfolded):
+        angle, changed = unfold(0.3 + step * FRAMES, sense)
+        assert np.diff(angle) == pytest.approx(np.full(59, unfolded))
+        assert angle[0] == 0.3
+        assert changed is (step != unfolded)
+
+    def test_the_net_turn_ignores_gaps(self):
+        assert net_turn(np.array([np.nan, 1.0, 5.0, 4.0, np.nan])) == 3.0
+        assert net_turn(np.array([np.nan, 2.0])) == 0.0
+
+    def test_the_vertex_of_a_parabola(self):
+        value = lambda x: 3.0 - (x - 0.3) ** 2  # noqa: E731
+        assert _association._vertex(value(-1), value(0), value(1)) == pytest.approx(0.3)
+        assert _association._vertex(1.0, 1.0, 1.0) == 0.0
+        assert _association._vertex(0.0, 0.0, 1.0) == 0.0  # a minimum
+        assert _association._vertex(0.0, 1.0, 1.0 - 1e-9) == pytest.approx(0.5)
+
+    def test_a_prediction_is_corrected_by_a_part_of_the_error(self):
+        found = _association._corrected(Motion(1.0, 0.2, 0), 1.1)
+        assert (found.angle, found.step) == pytest.approx((1.06, 0.212))
+        found = _association._corrected(Motion(1.0, 0.2, 2), 1.1)
+        assert (found.angle, found.step, found.missed) == pytest.approx((1.06, 0.204, 0))
+
+    @pytest.mark.parametrize(("share", "locked"), [(0.65, False), (0.75, True)])
+    def test_a_lock_agrees_with_seven_frames_in_ten(self, share, locked):
+        column = np.arange(256) * TURN / 256
+        rng = np.random.default_rng(0)
+        angle = 0.7 + 0.3 * np.arange(60)
+        wrong = rng.permutation(60) >= share * 60
+        angle = np.where(wrong, angle + np.pi + rng.uniform(-1.0, 1.0, 60), angle)
+        score = np.exp(-(np.angle(np.exp(1j * (column - angle[:, None]))) ** 2) / 0.02)
+        assert (_association.find_lock(score, 0.4) is not None) is locked
+
+
+class TestRepeats:
+    def steps(self, rate=0.1, repeated=(20, 30, 31), inserted=False, noise=0.0):
+        n = 60
+        again = np.zeros(n, dtype=bool)
+        again[list(repeated)] = True
+        moved = np.full(n, rate)
+        moved[again] = 0.0
+        if not inserted:
+            for k in repeated:
+                after = k + 1
+                while again[after]:
+                    after += 1
+                moved[after] += rate
+        angle = np.cumsum(moved) + noise * np.random.default_rng(0).standard_normal(n)
+        return repeats._Steps(angle, again), again
+
+    def test_a_body_that_should_have_moved_and_has_not(self):
+        body, _ = self.steps()
+        usual, clear = body.around(20)
+        assert usual == pytest.approx(0.1)
+        assert clear
+        assert body.still(20) is True
+        assert body.still(40) is False
+
+    @pytest.mark.parametrize(("moved", "still"), [(0.45, True), (0.55, False)])
+    def test_half_a_step_is_the_limit(self, moved, still):
+        body, _ = self.steps()
+        body.angle[20] = body.angle[19] + 0.1 * moved
+        assert body.still(20) is still
+        body.angle[20] = np.nan
+        assert body.still(20) is None
+
+    @pytest.mark.parametrize(("noise", "clear"), [(0.006, True), (0.03, False)])
+    def test_the_step_is_six_times_its_scatter(self, noise, clear):
+        assert self.steps(noise=noise)[0].around(20)[1] is clear
+
+    def test_three_steps_are_too_few(self):
+        angle = np.full(60, np.nan)
+        angle[18:22] = 0.1 * np.arange(4)
+        assert repeats._Steps(angle, np.zeros(60, dtype=bool)).around(20)[1] is False
+        angle[18:23] = 0.1 * np.arange(5)
+        assert repeats._Steps(angle, np.zeros(60, dtype=bool)).around(20)[1] is True
+
+    @pytest.mark.parametrize(("inserted", "share"), [(True, 0.0), (False, 1.0)])
+    def test_the_motion_across_a_run_shows_its_origin(self, inserted, share):
+        body, again = self.steps(inserted=inserted)
+        runs = repeats._runs(again)
+        assert runs == [(20, 21), (30, 32)]
+        assert body.shares(runs) == pytest.approx([share, share])
+
+    def test_the_body_that_turns_most(self):
+        bodies = {
+            n: SimpleNamespace(coarse=np.array([0.0, a])) for n, a in (("casing", 1.0), ("rotor", -9.0))
+        }
+        assert repeats.turning_most(SimpleNamespace(bodies=bodies)) == "rotor"
+
+    def test_regular_runs_have_a_period(self):
+        runs = lambda first: [(k, k + 1) for k in first]  # noqa: E731
+        assert repeats._period(runs(range(5, 60, 5))) == pytest.approx(5.0)
+        assert repeats._period(runs([5, 10, 16, 20, 25, 30, 35])) == pytest.approx(5.0, rel=0.05)
+        assert np.isnan(repeats._period(runs([5, 10, 20, 22, 40, 41, 59])))
+        assert np.isnan(repeats._period(runs([5, 10, 15])))
+        assert np.isfinite(repeats._period(runs([5, 10, 15, 20])))
+
+    def test_the_share_of_original_frames(self):
+        again = np.zeros(60, dtype=bool)
+        again[4::5] = True
+        assert Repetition(again, inserted=True, period=5.0).original_share == pytest.approx(0.8)
+
+    @pytest.mark.parametrize(
+        ("fps", "stored", "rate", "number"),
+        [(25.0, 25.0, 20.0, 47), (20.0, 25.0, 20.0, 47), (240.0, 25.0, 240.0, 47)],
+    )
+    def test_inserted_frames_do_not_count(self, fps, stored, rate, number):
+        again = np.zeros(60, dtype=bool)
+        again[4::5] = True
+        info = SimpleNamespace(container_fps=stored)
+        times, found = without_repeats(
+            FrameTimes(np.arange(60)), Repetition(again, True, 5.0), CaptureRate(fps, "asked for"), info
+        )
+        assert found.fps == pytest.approx(rate)
+        assert times.number[-1] == number
+        assert times.number[:6].tolist() == [0, 1, 2, 3, 3, 4]
+        replaced, same = without_repeats(
+            FrameTimes(np.arange(60)), Repetition(again, False, 5.0), CaptureRate(fps, "asked for"), info
+        )
+        assert same.fps == fps
+        assert replaced.number[-1] == 59
+
+
+class TestRegularRepeats:
+    """Repeats of a conversion are at equal distances, up to one frame of rounding."""
+
+    @pytest.mark.parametrize(
+        ("steps", "regular"),
+        [
+            ((10, 10, 10, 10), True),
+            ((9, 11, 10, 9, 11, 10), True),
+            ((8, 12, 10, 8, 12, 10), False),
+            ((10, 10), False),
+            ((10, 10, 10, 10, 10, 10, 10, 10, 30), True),
+            ((10, 10, 10, 10, 30), False),
+        ],
+    )
+    def test_distances(self, steps, regular):
+        first = 5 + np.concatenate([[0], np.cumsum(steps)])
+        found = repeats._period([(i, i + 1) for i in first])
+        assert np.isfinite(found) == regular
+        if regular:
+            assert found == pytest.approx(np.polyfit(np.arange(len(first)), first, 1)[0])
+        assert decoder._regular(first) is regular

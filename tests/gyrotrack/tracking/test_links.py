@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gyrotrack.tracking import _links
+from gyrotrack.tracking import _silhouettes as module
 from gyrotrack.tracking._links import carries_a_link, move_as_links, one_rests, paths_of, share_a_joint
 from gyrotrack.tracking._registration import Ring
 from gyrotrack.tracking._silhouettes import Foreground, Spot, differs, median_picture, spots_in
@@ -194,3 +195,80 @@ def test_each_body_has_its_own_reach(monkeypatch):
 def test_equal_parts_are_one_part(monkeypatch):
     """Both bodies nearest to one of two parts."""
     assert len(_followed(monkeypatch, [(0, 8), (4, 100)])) == 1
+
+
+GREY = np.full((120, 160), 120.0, np.float32)
+
+
+@pytest.mark.parametrize(("count", "step"), [(61, 2), (60, 2), (59, 1), (90, 3)])
+def test_thirty_frames_are_compared_with_the_background(count, step):
+    assert len(module.Foreground(range(count), GREY, 1.0).few) == len(range(0, count, step))
+
+
+@pytest.mark.parametrize(("count", "extent", "rests"), [(4, 2.9, True), (4, 3.1, False), (3, 2.9, False)])
+def test_a_body_rests_if_it_moves_by_less_than_three_pixels(count, extent, rests):
+    paths = np.zeros((count, 2, 2))
+    paths[:, 0, 0] = np.linspace(0.0, 40.0, count)
+    paths[:, 1] = np.linspace(0.0, 1.0, count)[:, None] * extent * np.array([0.6, 0.8])
+    assert _links.one_rests(paths) == rests
+    assert _links.one_rests(paths[:, ::-1]) == rests
+
+
+@pytest.mark.parametrize(("scatter", "shared"), [(1.6, True), (1.8, False)])
+def test_a_shared_joint_has_a_constant_distance_from_the_hub(scatter, shared):
+    """1.4826 times a median deviation s is below 5 % of 50 px for s < 1.69 px."""
+    count = 40
+    hub = 20.0 + 30.0j
+    turn, other = 0.1 + 0.05 * np.arange(count) / count, -0.2 - 0.02 * np.arange(count)
+    off = scatter * np.where(np.arange(count) % 2, 1.0, -1.0)
+    joint = hub + (50.0 + off) * np.exp(1j * np.linspace(0.0, 2.0, count))
+    first = np.stack([np.exp(1j * turn), (1.0 - np.exp(1j * turn)) * hub], axis=1)
+    # the second motion displaces the joint in the same way
+    moved = first[:, 0] * joint + first[:, 1]
+    second = np.stack([np.exp(1j * other), moved - np.exp(1j * other) * joint], axis=1)
+    assert _links.share_a_joint(hub, first, second) == shared
+
+
+def _with_link(share, own, monkeypatch):
+    """A link is seen in a share of the frames, and in one direction of the body in a share `own` of these."""
+    count, ring = 40, Ring.about((80.0, 60.0), 5.0, 30.0)
+    seen = round(share * count)
+    alike = round(own * seen)
+    frames = []
+    beyond = Ring.about(ring.hub, 1.3 * 30.0, 1.5 * 30.0)
+    angle = np.linspace(0.0, 6.0, count)
+    for k in range(count):
+        there = np.zeros(beyond.columns, bool)
+        if k < seen:
+            direction = angle[k] if k < alike else angle[k] + 0.5 + 5.0 * (k - alike) / max(seen - alike, 1)
+            there[round(direction / beyond.step) % beyond.columns] = True
+        frames.append(there)
+    given = iter(frames)
+    monkeypatch.setattr(_links, "median_picture", lambda _: None)
+    monkeypatch.setattr(_links, "differs", lambda *_: None)
+    monkeypatch.setattr(_links, "_joined", lambda *_: next(given))
+    return _links.carries_a_link(ring, frames, angle, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("share", "own", "link"), [(0.65, 0.3, True), (0.55, 0.3, False), (1.0, 0.45, True), (1.0, 0.9, False)]
+)
+def test_a_link_is_seen_in_most_frames_and_turns_differently(share, own, link, monkeypatch):
+    assert _with_link(share, own, monkeypatch) == link
+
+
+def test_a_part_beyond_the_body_is_joined_if_it_is_connected():
+    body, beyond = Ring.about((80.0, 40.0), 16.0, 20.0), Ring.about((80.0, 40.0), 26.0, 30.0)
+    region = np.zeros((80, 160), np.uint8)
+    region[39:42, 80:118] = 1  # to the right, from the hub
+    region[66:70, 78:83] = 1  # below, beyond the body only
+    found = _links._joined(region, body, beyond)
+    angle = np.angle(np.exp(1j * beyond.angle))[found]
+    assert len(angle) > 0
+    assert np.abs(angle).max() < 0.12
+
+
+def test_labels_outside_the_picture_are_none():
+    label = np.arange(1, 201, dtype=np.int32).reshape(10, 20)
+    ring = Ring((18.0, 5.0), 2.0, 4.0, 1, 4)  # 3 px right, down, left and up
+    assert _links._labels(label, ring)[0].tolist() == [0, label[8, 18], label[5, 15], label[2, 18]]

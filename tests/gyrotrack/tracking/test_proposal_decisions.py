@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gyrotrack import TrackingError
+from gyrotrack import Profile, TrackingError
 from gyrotrack.tracking import _proposal as module
 from gyrotrack.tracking._acquisition import Rings, SampledMarker
 from gyrotrack.tracking._orbit import Orbit
 from gyrotrack.tracking._polar import Ring
-from gyrotrack.tracking._profile import MarkerProfile, Profile
+from gyrotrack.tracking._profile import MarkerProfile
 from gyrotrack.tracking._proposal import (
     Candidate,
     Circle,

@@ -2,14 +2,11 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gyrotrack.tracking import _fixed_hub as fixed
 from gyrotrack.tracking import _registration as module
-from gyrotrack.tracking import _tracked as tracked
 from gyrotrack.tracking._live_angles import FrameAngles, angles_sent_to, current_sink, report_angles
 from gyrotrack.tracking._registration import TURN, Ring, Template, explained, follow, learn, register, rolled
 
@@ -323,129 +320,6 @@ def test_half_of_the_change_may_be_explained():
     np.testing.assert_allclose(rows[4:], 1.0, atol=0.02)
     assert rows[:4].max() < 0.2
     assert 0.2 < found < 0.8
-
-
-@pytest.mark.parametrize("order", [0, 1])
-def test_white_noise_is_found_beside_a_polynomial(order):
-    rng = np.random.default_rng(0)
-    at = np.cumsum(rng.integers(1, 3, 900)) if order else np.arange(900)
-    value = 1e-4 * (at - 300.0) ** 2 + rng.normal(0.0, 0.2, 900)
-    assert tracked.white_noise(value, at) == pytest.approx(0.2, rel=0.1)
-    assert np.isnan(tracked.white_noise(value[:6]))
-    assert np.isfinite(tracked.white_noise(value[:7]))
-
-
-def _parts(r1, r2, r):
-    """Two halves of a template with given effective radii, and the whole."""
-    ring = SimpleNamespace(radius=np.array([r1, r2, r]))
-    one = lambda k: SimpleNamespace(information=lambda: np.eye(3)[k], ring=ring)  # noqa: E731
-    first, second, whole = (one(k) for k in range(3))
-    first.whole = lambda: whole
-    return first, second
-
-
-def test_the_leverage_of_a_displaced_hub_is_that_of_the_radii():
-    assert tracked.hub_leverage(_parts(20.0, 40.0, 30.0)) == pytest.approx((1 / 30) / (1 / 20 - 1 / 40))
-    ring = SimpleNamespace(radius=np.array([10.0, 20.0, 40.0]))
-    part = SimpleNamespace(information=lambda: np.array([1.0, 1.0, 2.0]), ring=ring)
-    assert tracked._radius_of(part) == pytest.approx(27.5)
-
-
-@pytest.mark.parametrize("turns", [2.9, 3.1, 0.4])
-def test_the_error_due_to_a_displaced_hub_is_that_of_the_difference_of_the_halves(turns):
-    angle = np.linspace(0.0, turns * TURN, 600)
-    wave = 4e-3 * np.cos(angle) if turns > 0.5 else 4e-3 * (angle - angle.mean())
-    apart = wave + 0.01 + 2e-3 * np.linspace(-1, 1, 600)
-    apart += 1e-4 * np.where(np.arange(600) % 2, 1.0, -1.0)
-    halves = np.stack([apart, np.zeros(600)])
-    found = tracked.hub_error(angle, halves, _parts(20.0, 40.0, 30.0))
-    leverage = (1 / 30) / (1 / 20 - 1 / 40)
-    # over less than half a turn, a trend is not distinguished from the angle
-    if turns > 3.0:
-        assert found == 0.0
-    elif turns > 0.5:
-        assert found == pytest.approx(4e-3 / math.sqrt(2.0) * leverage, rel=0.1)
-
-
-def test_an_insignificant_difference_of_the_halves_is_not_an_error():
-    angle = np.linspace(0.0, 2.0 * TURN, 400)
-    noise = np.random.default_rng(0).normal(0.0, 1e-3, 400)
-    # the two amplitudes have the variance 2 s^2 / n each: three standard errors of both are 3 s sqrt(4 / n)
-    limit = 3.0 * 1e-3 * math.sqrt(4.0 / 400)
-    for size, found in ((0.6, False), (1.5, True)):
-        rows = np.stack([np.cos(angle), np.sin(angle), np.ones(400), np.linspace(-1, 1, 400)], axis=1)
-        rest = noise - rows @ np.linalg.lstsq(rows, noise, rcond=None)[0]
-        halves = np.stack([rest + size * limit * np.cos(angle), np.zeros(400)])
-        assert (tracked.hub_error(angle, halves, _parts(20.0, 40.0, 30.0)) > 0) == found
-
-
-@pytest.mark.parametrize(
-    ("turns", "size", "found"), [(4.0, 11e-3, True), (4.0, 9e-3, False), (2.9, 11e-3, False)]
-)
-def test_halves_that_turn_differently_are_two_bodies(turns, size, found):
-    """A sine of amplitude a has the standard deviation a / sqrt(2); the limit is five times 1.414 mrad."""
-    angle = np.linspace(0.0, turns * TURN, 900)
-    slow = size * np.sin(np.linspace(0.0, 45.0, 900))
-    halves = np.stack([slow + 3e-3 * np.cos(angle) + 2e-3 * np.sin(2 * angle), np.zeros(900)])
-    error = tracked.apart_beyond_harmonics(angle, halves, np.arange(900), 1e-3 * math.sqrt(2.0))
-    assert (error is not None) == found
-    if found:
-        assert error == pytest.approx(0.5 * size / math.sqrt(2.0), rel=0.05)
-
-
-@pytest.mark.parametrize(("error", "share"), [(0.019, None), (0.021, 0.021)])
-def test_halves_differ_by_two_percent_of_the_motion(error, share):
-    angle = np.where(np.arange(50) % 2, 1.0, -1.0)
-    assert fixed.halves_differ(angle, error) == (share and pytest.approx(share))
-
-
-@pytest.mark.parametrize(("film", "fell"), [(0.61, False), (0.59, True)])
-def test_an_explained_share_that_falls_by_a_fifth_is_refused(film, fell):
-    assert fixed.fallen(0.8, film) == fell
-
-
-def test_the_middle_of_the_details_turns_with_the_body():
-    ring = Ring((60.0, 50.0), 10.0, 26.0, 8, 64)
-    body = np.full((8, 64), 100.0, np.float32)
-    body[3:5, 10:13] += np.float32([[20, 60, 20]] * 2)
-    full = np.ones((8, 64), np.float32)
-    place = fixed._middle_of(Template(ring, body, 0 * body, full, full, 1.0, full > 0))
-    radius, angle = 18.0, 11 * ring.step
-    np.testing.assert_allclose(place(0.0), [radius * math.cos(angle), radius * math.sin(angle)], atol=0.6)
-    np.testing.assert_allclose(
-        place(1.0), [radius * math.cos(angle + 1), radius * math.sin(angle + 1)], atol=0.6
-    )
-
-
-def test_a_displacement_is_found_in_steps_of_two_pixels(monkeypatch):
-    true = np.array([5.0, -3.0])
-
-    def near(polar, template, angle, move):
-        return SimpleNamespace(shift=tuple(true - polar), angle=angle + 0.1)
-
-    monkeypatch.setattr(fixed, "register", near)
-    template = SimpleNamespace(ring=SimpleNamespace(unwrap=lambda picture, shift: np.array(shift)))
-    angle, shift = fixed.displaced(None, template, 0.0)
-    np.testing.assert_allclose(shift, true)
-    assert angle == pytest.approx(0.4)  # steps of 2, 2, 1 and 0 px
-    true[:] = (17.0, 0.0)
-    assert fixed.displaced(None, template, 0.0)[1].tolist() == [16.0, 0.0]  # eight steps
-
-
-@pytest.mark.parametrize(("outer", "limit"), [(100.0, 2.3), (400.0, 0.015 * 225.0)])
-def test_the_drift_of_a_hub_is_that_of_four_frames_of_five(outer, limit, monkeypatch):
-    ring = replace(Ring.about((0.0, 0.0), 50.0, outer), rows=4, columns=8)
-    offs = iter([*[0.1] * 30, *[1.0] * 5, *[9.0] * 5])
-    monkeypatch.setattr(Ring, "unwrap", lambda *_: None)
-    monkeypatch.setattr(fixed, "learn", lambda *_, **__: None)
-    monkeypatch.setattr(fixed, "_middle_of", lambda _: lambda angle: np.array([50.0 * angle, 0.0]))
-    # the angle is refined by 0.02 rad, which displaces the middle by 1 px
-    monkeypatch.setattr(fixed, "displaced", lambda p, t, a: (a + 0.02, np.array([next(offs) - 1.0, 0.0])))
-    moved, most = fixed.drift(ring, [None] * 80, np.zeros(80), (0, 0, 9, 9), separate=False)
-    assert most == pytest.approx(limit)
-    assert moved == pytest.approx(
-        np.quantile(np.abs(np.array([0.1] * 30 + [1.0] * 5 + [9.0] * 5) - 0.1), 0.8)
-    )
 
 
 def test_angles_are_reported_sixteen_at_a_time():

@@ -15,13 +15,12 @@ import pytest
 
 from gyrotrack import read_recording
 from gyrotrack.apps.batch._workers import Child, LocalWorkers, checked, run_once
-from gyrotrack.apps.cli import _app as app
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def films(casing_clip, rotor_clip, tmp_path_factory):
+def films(casing_clip, rotor_clip, tmp_path_factory, program):
     """Six good films, three bad ones, and a case that exists already, with a manifest of them all."""
     folder = tmp_path_factory.mktemp("batch films")
     for i in range(3):
@@ -31,7 +30,7 @@ def films(casing_clip, rotor_clip, tmp_path_factory):
     (folder / "\x1b[31mred.mp4").write_text("no film")
     shutil.copy(rotor_clip[0], folder / "rotor.mp4")
     assert (
-        app.run(["simulate", "-o", str(folder / "old.h5"), "--duration", "12", "--window-length", "1"]) == 0
+        program(["simulate", "-o", str(folder / "old.h5"), "--duration", "12", "--window-length", "1"]) == 0
     )
     names = sorted(p.name for p in folder.glob("*.mp4"))
     text = "".join(
@@ -43,12 +42,12 @@ def films(casing_clip, rotor_clip, tmp_path_factory):
 
 
 @pytest.fixture
-def batch(films, tmp_path, capsys):
+def batch(films, tmp_path, capsys, program):
     """Run the command on the films: batch("--until", "fit") -> (exit code, document)."""
 
     def run(*words, source="m.toml"):
         capsys.readouterr()
-        code = app.run(["batch", str(films / source), "-o", str(tmp_path / "out"), "--json", *words])
+        code = program(["batch", str(films / source), "-o", str(tmp_path / "out"), "--json", *words])
         said = capsys.readouterr()
         assert "Traceback" not in said.err
         return code, json.loads(said.out)
@@ -82,10 +81,10 @@ def test_a_batch_from_films_to_fit_and_again(batch, tmp_path, capsys):
     assert {p: p.stat().st_mtime_ns for p in before} == before
 
 
-def test_names_of_files_are_shown_and_not_obeyed(films, tmp_path, capsys):
+def test_names_of_files_are_shown_and_not_obeyed(films, tmp_path, capsys, program):
     (tmp_path / "\x1b[31mred\u202e").mkdir()
     shutil.copy(films / "cut.mp4", tmp_path / "\x1b[31mred\u202e" / "a\x9bb.mp4")
-    assert app.run(["batch", str(tmp_path), "-o", str(tmp_path / "out"), "--until", "extract"]) == 1
+    assert program(["batch", str(tmp_path), "-o", str(tmp_path / "out"), "--until", "extract"]) == 1
     said = capsys.readouterr()
     assert not {"\x1b", "\x9b", "\u202e"} & set(said.out + said.err)
     assert "\\x1b[31mred" in said.out

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import pytest
 
-from gyrotrack.apps.cli import _app as app
-
 # one run of 40 s: 1,200 samples of the casing and 1,800 of the rotor
 LENGTH = ["--duration", "40", "--casing-fps", "30", "--rotor-fps", "200"]
 
@@ -34,12 +32,12 @@ class Said:
 
 
 @pytest.fixture
-def gyrotrack(capsys):
+def gyrotrack(capsys, program):
     """Run a command in this process: gyrotrack("fit", path, "--json") -> Said."""
 
     def run(*words):
         capsys.readouterr()
-        code = app.run([str(w) for w in words])
+        code = program([str(w) for w in words])
         said = capsys.readouterr()
         assert "Traceback" not in said.out + said.err
         return Said(code, said.out, said.err)
@@ -48,7 +46,7 @@ def gyrotrack(capsys):
 
 
 @pytest.fixture(scope="session")
-def simulated(made_once):
+def simulated(made_once, program):
     """Cases made once: plain (nothing hidden), drag (quadratic drag hidden), other (plain, other start)."""
 
     def make(folder):
@@ -60,7 +58,7 @@ def simulated(made_once):
             ),
             ("other", ["--seed", "3", "--omega-rotor", "700", "--set", "touchpoint.constant.b1=5e-6"]),
         ):
-            assert app.run(["simulate", "-o", str(folder / f"{name}.h5"), *LENGTH, *settings]) == 0
+            assert program(["simulate", "-o", str(folder / f"{name}.h5"), *LENGTH, *settings]) == 0
 
     return made_once("simulated", make)
 
@@ -76,14 +74,14 @@ def case(simulated, tmp_path):
 
 
 @pytest.fixture(scope="session")
-def studied(simulated, made_once):
+def studied(simulated, made_once, program):
     """The case `drag`, fitted without and with the effect that it hides: two steps, made once."""
 
     def make(folder):
         path = shutil.copy(simulated / "drag.h5", folder / "drag.h5")
         with contextlib.redirect_stdout(io.StringIO()):
-            assert app.run(["fit", str(path), "-q"]) == 0
-            assert app.run(["fit", str(path), "--from", "f1", "--add", "casing.air.quadratic", "-q"]) == 0
+            assert program(["fit", str(path), "-q"]) == 0
+            assert program(["fit", str(path), "--from", "f1", "--add", "casing.air.quadratic", "-q"]) == 0
 
     return made_once("studied", make)
 

@@ -11,9 +11,8 @@ from gyrotrack.apps.workbench._server import Laboratory
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
+def wheel(tmp_path_factory, program):
     """A table of the speeds 80 exp(-t/60) - 4 t/60 rad/s with white noise: dry friction and viscous drag."""
-    from gyrotrack.apps.cli import _app as app
 
     folder = tmp_path_factory.mktemp("wheel")
     t = np.arange(0, 30, 0.1)
@@ -22,10 +21,10 @@ def wheel(tmp_path_factory):
     (folder / "wheel.csv").write_text("t,omega,sigma\n" + rows, encoding="utf-8")
     case = folder / "wheel.h5"
     assert (
-        app.run(["import", "--body", str(folder / "wheel.csv"), "--inertia", "2e-3", "-o", str(case), "-q"])
+        program(["import", "--body", str(folder / "wheel.csv"), "--inertia", "2e-3", "-o", str(case), "-q"])
         == 0
     )
-    assert app.run(["diagnose", str(case), "-q"]) == 0
+    assert program(["diagnose", str(case), "-q"]) == 0
     return case
 
 

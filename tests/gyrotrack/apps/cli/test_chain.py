@@ -53,13 +53,12 @@ def words_of(folder, columns, *, sense=1, quantity="omega", sigma=0.1):
 
 
 @pytest.fixture(scope="module")
-def case(tmp_path_factory, values):
+def case(tmp_path_factory, values, program):
     """Return a case file of the three bodies."""
-    from gyrotrack.apps.cli import _app as app
 
     folder = tmp_path_factory.mktemp("chain")
     words = ["import", *words_of(folder, values["omega"]), *STATED, "-o", str(folder / "case.h5"), "-q"]
-    assert app.run(words) == 0
+    assert program(words) == 0
     return folder / "case.h5"
 
 

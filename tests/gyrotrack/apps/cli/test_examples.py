@@ -37,19 +37,18 @@ def example(entry):
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory, simulated):
+def lab(tmp_path_factory, simulated, program):
     """A folder with all that the examples name: cases, tables, a seal."""
-    from gyrotrack.apps.cli import _app as app
 
     folder = tmp_path_factory.mktemp("lab")
     for name, kind, again in (("case1", "drag", "left"), ("case2", "other", "right")):
         shutil.copy(simulated / f"{kind}.h5", folder / f"{name}.h5")
-        assert app.run(["fit", str(folder / f"{name}.h5"), "-q"]) == 0
+        assert program(["fit", str(folder / f"{name}.h5"), "-q"]) == 0
         for suffix in (".h5", ".fits.json"):
             shutil.copy(folder / f"{name}{suffix}", folder / f"{again}{suffix}")
     words = ["simulate", "-o", str(folder / "case.h5"), "--hide", "--duration", "30", "--window-length", "1"]
-    assert app.run(words) == 0
-    assert app.run(["fit", str(folder / "case.h5"), "-q"]) == 0
+    assert program(words) == 0
+    assert program(["fit", str(folder / "case.h5"), "-q"]) == 0
     rows = "".join(f"{i / 100},{3 * i / 100}\n" for i in range(300))
     for name in ("casing.csv", "r1.csv", "r2.csv"):
         (folder / name).write_text("t,angle\n" + rows)

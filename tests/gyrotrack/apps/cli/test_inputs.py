@@ -15,7 +15,6 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._case_file import read_record
 from gyrotrack import read_case, write_case
 from gyrotrack.apps import _spindown
-from gyrotrack.apps.cli import _app as app
 from gyrotrack.apps.cli import _tracking
 
 CASES = Path(__file__).parents[5] / "shared" / "cases" / "tables"
@@ -34,16 +33,15 @@ def motor(tmp_path):
     return path
 
 
-def run(capsys, *words):
-    code = app.run([str(w) for w in words])
-    out, err = capsys.readouterr()
-    return code, out, err
+def run(gyrotrack, *words):
+    said = gyrotrack(*words)
+    return said.code, said.out, said.err
 
 
-def imported(capsys, motor, *more):
+def imported(gyrotrack, motor, *more):
     case = motor.with_suffix(".h5")
     code, out, err = run(
-        capsys,
+        gyrotrack,
         "import",
         "--body",
         motor,
@@ -60,29 +58,29 @@ def imported(capsys, motor, *more):
 
 
 @pytest.mark.slow
-def test_import_info_and_export_of_an_input(capsys, motor, tmp_path):
-    case, out = imported(capsys, motor)
+def test_import_info_and_export_of_an_input(gyrotrack, motor, tmp_path):
+    case, out = imported(gyrotrack, motor)
     assert "input voltage from 'voltage [V]' [V] (by --input; the last value holds)" in out
-    code, out, _ = run(capsys, "info", case)
+    code, out, _ = run(gyrotrack, "info", case)
     assert code == 0
     assert "0.0000 to 3.0000  V, u 0.03, hold" in out
-    _, out, _ = run(capsys, "info", case, "--json")
+    _, out, _ = run(gyrotrack, "info", case, "--json")
     assert json.loads(out)["inputs"]["voltage"]["samples"] == len(TIME)
     for name in ("i.csv", "i.json", "i.parquet"):
-        assert run(capsys, "export", case, "-o", tmp_path / name, "--table", "inputs")[0] == 0
+        assert run(gyrotrack, "export", case, "-o", tmp_path / name, "--table", "inputs")[0] == 0
     with (tmp_path / "i.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [float(r["value"]) for r in rows] == pytest.approx(VOLTAGE)
     assert {(r["input"], r["unit"], r["interpolation"], r["delay [s]"]) for r in rows} == {
         ("voltage", "V", "hold", "0.0")
     }
-    assert run(capsys, "export", case, "-o", tmp_path / "i.nc")[0] == 0
+    assert run(gyrotrack, "export", case, "-o", tmp_path / "i.nc")[0] == 0
     with h5py.File(tmp_path / "i.nc") as file:
         assert file["input/voltage/value"].attrs["units"] == "V"
 
 
-def test_a_case_with_inputs_is_written_and_read_back_by_both_readers(capsys, motor, tmp_path):
-    case, _ = imported(capsys, motor)
+def test_a_case_with_inputs_is_written_and_read_back_by_both_readers(gyrotrack, motor, tmp_path):
+    case, _ = imported(gyrotrack, motor)
     content = read_case(case)
     write_case(tmp_path / "again.h5", content, command="", settings={})
     for path in (case, tmp_path / "again.h5"):
@@ -106,38 +104,40 @@ def test_a_case_with_inputs_is_written_and_read_back_by_both_readers(capsys, mot
         (lambda g: g.__delitem__("u"), "lacks 'u'"),
     ],
 )
-def test_info_finds_a_damaged_input(capsys, motor, damage, words):
-    case, _ = imported(capsys, motor)
+def test_info_finds_a_damaged_input(gyrotrack, motor, damage, words):
+    case, _ = imported(gyrotrack, motor)
     with h5py.File(case, "r+") as file:
         damage(file["input/voltage"])
     content = case.read_bytes()
     case.write_bytes(
         content[: content.rindex(b"\ngyrotrack sha256") if b"\ngyrotrack sha256" in content else None]
     )
-    code, out, err = run(capsys, "info", case)
+    code, out, err = run(gyrotrack, "info", case)
     assert code in {1, 3}
     assert words in out + err
-    code, out, err = run(capsys, "fit", case)
+    code, out, err = run(gyrotrack, "fit", case)
     assert code == 1
     assert "Traceback" not in out + err
 
 
-def test_a_likely_input_is_proposed(capsys, motor):
-    code, _, err = run(capsys, "import", "--body", motor, "--inertia", "1", "--dry-run")
+def test_a_likely_input_is_proposed(gyrotrack, motor):
+    code, _, err = run(gyrotrack, "import", "--body", motor, "--inertia", "1", "--dry-run")
     assert code == 0
     assert "'voltage' of motor.csv may drive the motion and is not recorded" in err
     assert "--input 'voltage=voltage [V]'" in err
 
 
 @pytest.mark.slow
-def test_a_fit_prints_time_constant_and_gain(capsys, motor):
-    case, _ = imported(capsys, motor)
-    code, out, err = run(capsys, "fit", case, "--add", "casing: k*voltage", "--drop", "touchpoint.constant")
+def test_a_fit_prints_time_constant_and_gain(gyrotrack, motor):
+    case, _ = imported(gyrotrack, motor)
+    code, out, err = run(
+        gyrotrack, "fit", case, "--add", "casing: k*voltage", "--drop", "touchpoint.constant"
+    )
     assert code == 0, err
     assert "time constant" in out
     assert "gain of voltage" in out
     code, out, _ = run(
-        capsys, "fit", case, "--add", "casing.input.voltage", "--drop", "casing: k*voltage", "--json"
+        gyrotrack, "fit", case, "--add", "casing.input.voltage", "--drop", "casing: k*voltage", "--json"
     )
     (found,) = json.loads(out)["first_order"]
     for key, truth, unit in (("time_constant", TAU, "s"), ("gains", GAIN, "rad s-1 V-1")):
@@ -145,16 +145,16 @@ def test_a_fit_prints_time_constant_and_gain(capsys, motor):
         assert abs(one["value"] - truth) < 3 * one["stderr"] < 0.1 * truth
         assert one["unit"] == unit
     assert json.loads(out)["parameters"]["casing.input.voltage.k"]["unit"] == "N m V-1"
-    code, out, _ = run(capsys, "budget", case, "--json")
+    code, out, _ = run(gyrotrack, "budget", case, "--json")
     parts = {c["source"] for c in json.loads(out)["parameters"]["casing.input.voltage.k"]["contributions"]}
     assert "calibration of voltage" in parts
 
 
 @pytest.mark.slow
-def test_a_report_shows_the_response_of_a_driven_body(capsys, motor, tmp_path):
-    case, _ = imported(capsys, motor)
-    assert run(capsys, "fit", case, "--add", "casing: k*voltage", "--drop", "touchpoint.constant")[0] == 0
-    code, _, err = run(capsys, "report", case, "-o", tmp_path / "a.html", "--from", "f2")
+def test_a_report_shows_the_response_of_a_driven_body(gyrotrack, motor, tmp_path):
+    case, _ = imported(gyrotrack, motor)
+    assert run(gyrotrack, "fit", case, "--add", "casing: k*voltage", "--drop", "touchpoint.constant")[0] == 0
+    code, _, err = run(gyrotrack, "report", case, "-o", tmp_path / "a.html", "--from", "f2")
     assert code == 0, err
     page = (tmp_path / "a.html").read_text()
     assert page.count("first-order response") == 2  # time constant and gain
@@ -162,17 +162,17 @@ def test_a_report_shows_the_response_of_a_driven_body(capsys, motor, tmp_path):
     assert "rad s⁻¹ V⁻¹" in page.replace("\xa0", " ")
 
 
-def test_a_law_of_an_input_that_was_not_recorded_gets_one_sentence(capsys, motor):
-    case, _ = imported(capsys, motor)
-    code, out, err = run(capsys, "fit", case, "--add", "casing: k*current")
+def test_a_law_of_an_input_that_was_not_recorded_gets_one_sentence(gyrotrack, motor):
+    case, _ = imported(gyrotrack, motor)
+    code, out, err = run(gyrotrack, "fit", case, "--add", "casing: k*current")
     assert code == 1
     assert "Recorded inputs: voltage." in err
     assert "Traceback" not in out + err
 
 
-def test_a_diagnosis_names_the_recorded_input(capsys, motor):
-    case, _ = imported(capsys, motor)
-    code, out, err = run(capsys, "diagnose", case, "--json")
+def test_a_diagnosis_names_the_recorded_input(gyrotrack, motor):
+    case, _ = imported(gyrotrack, motor)
+    code, out, err = run(gyrotrack, "diagnose", case, "--json")
     assert code == 0, err
     found = json.loads(out)
     assert found["verdict"] == "missing_effect"
@@ -233,7 +233,7 @@ REAL = {
 @pytest.mark.parametrize("name", REAL)
 @pytest.mark.slow
 @pytest.mark.release
-def test_constants_of_real_motors_are_those_of_a_plain_fit(capsys, tmp_path, name):
+def test_constants_of_real_motors_are_those_of_a_plain_fit(gyrotrack, tmp_path, name):
     table, columns, given, delay, start = REAL[name]
     if not (CASES / table).is_file():
         pytest.skip("the shared cases are not here")
@@ -241,9 +241,9 @@ def test_constants_of_real_motors_are_those_of_a_plain_fit(capsys, tmp_path, nam
     words = ["import", "--body", CASES / table, "--inertia", "1", "--input", given, "-o", case]
     words += [w for c in columns for w in ("--column", c)]
     words += ["--marker", "fast-forward left"] if name == "sysid" else []
-    assert run(capsys, *words)[0] == 0
+    assert run(gyrotrack, *words)[0] == 0
     effects = ["--add", "casing.input.u", *(["--add", "input.u.delay"] if delay else [])]
-    code, out, err = run(capsys, "fit", case, *effects, "--drop", "touchpoint.constant", "--json")
+    code, out, err = run(gyrotrack, "fit", case, *effects, "--drop", "touchpoint.constant", "--json")
     assert code == 0, err
     (found,) = json.loads(out)["first_order"]
     record = fitting.load(case)
@@ -256,7 +256,7 @@ def test_constants_of_real_motors_are_those_of_a_plain_fit(capsys, tmp_path, nam
 @pytest.mark.slow
 @pytest.mark.parametrize("late", [0, 12])
 @pytest.mark.release
-def test_spindown_measures_the_response_of_a_driven_body(capsys, tmp_path, late):
+def test_spindown_measures_the_response_of_a_driven_body(gyrotrack, tmp_path, late):
     a, path = np.exp(-0.01 / TAU), tmp_path / "motor.csv"
     acting = np.concatenate([np.full(late, VOLTAGE[0]), VOLTAGE[: len(VOLTAGE) - late]])
     speed = np.asarray(lfilter([0.0, 1 - a], [1.0, -a], GAIN * acting))
@@ -264,7 +264,7 @@ def test_spindown_measures_the_response_of_a_driven_body(capsys, tmp_path, late)
     rows = np.stack([TIME, speed, VOLTAGE], axis=1)
     np.savetxt(path, rows, delimiter=",", header="t [s],omega [rad/s],voltage [V]", comments="", fmt="%.9g")
     words = ["spindown", path, "--input", "voltage=3", "-o", tmp_path / "motor.h5"]
-    code, out, err = run(capsys, *words, "--json")
+    code, out, err = run(gyrotrack, *words, "--json")
     assert code == 0, err
     found = json.loads(out)
     assert found["motion"]["kind"] == "driven"
@@ -283,8 +283,8 @@ def test_spindown_measures_the_response_of_a_driven_body(capsys, tmp_path, late)
     assert (tmp_path / "motor.html").exists()
 
 
-def test_spindown_prints_the_constants_of_the_first_order(capsys, motor):
-    case, _ = imported(capsys, motor)
+def test_spindown_prints_the_constants_of_the_first_order(gyrotrack, motor):
+    case, _ = imported(gyrotrack, motor)
     found = _spindown._first_order_fit([CaseData.of(read_record(case))], ["voltage"])
     document = {"first_order": [vars(r) for r in fitting.first_order(found)]}
     title, *lines = _tracking._first_order_lines({**document, "diagnosis": {"verdict": "adequate"}})
@@ -297,15 +297,15 @@ def test_spindown_prints_the_constants_of_the_first_order(capsys, motor):
     assert _tracking._first_order_lines({"first_order": []}) == []
 
 
-def test_an_input_of_spindown_needs_a_table(capsys, motor, tmp_path):
-    case, _ = imported(capsys, motor)
-    code, _, err = run(capsys, "spindown", case, "--input", "voltage=3", "-o", tmp_path / "b.h5")
+def test_an_input_of_spindown_needs_a_table(gyrotrack, motor, tmp_path):
+    case, _ = imported(gyrotrack, motor)
+    code, _, err = run(gyrotrack, "spindown", case, "--input", "voltage=3", "-o", tmp_path / "b.h5")
     assert code == 2
     assert "--input names a column of a table" in err
 
 
 @pytest.mark.slow
-def test_a_recorded_temperature_drives_nothing(capsys, tmp_path):
+def test_a_recorded_temperature_drives_nothing(gyrotrack, tmp_path):
     time = np.arange(0.0, 4.0, 0.1)
     speed = 20 * np.exp(-time / 2) + 0.01 * np.random.default_rng(2).standard_normal(len(time))
     path = tmp_path / "coast.csv"
@@ -313,7 +313,7 @@ def test_a_recorded_temperature_drives_nothing(capsys, tmp_path):
         path, np.stack([time, speed, 20 + time], axis=1), delimiter=",", comments="", fmt="%.9g",
         header="t [s],omega [rad/s],room [degC]",
     )  # fmt: skip
-    code, out, err = run(capsys, "spindown", path, "--input", "room=3", "-o", tmp_path / "m.h5", "--json")
+    code, out, err = run(gyrotrack, "spindown", path, "--input", "room=3", "-o", tmp_path / "m.h5", "--json")
     assert code == 0, err
     found = json.loads(out)
     assert found["motion"]["kind"] == "spin-down"

@@ -11,12 +11,12 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack import DatasetError, UsageError, import_chain
 from gyrotrack.apps import _api
 from gyrotrack.io._records import Inertia
 from gyrotrack.io.readers import _archives, _matlab, _matlab_process, _spreadsheets
 from gyrotrack.io.readers._archives import read_zip
-from gyrotrack.io.readers._import_chain import import_chain, read_bodies, read_inertias, read_joints
+from gyrotrack.io.readers._import_chain import read_bodies, read_inertias, read_joints
 from gyrotrack.io.readers._matlab import read_matlab_hdf5, table_of_arrays
 from gyrotrack.io.readers._matlab_process import description
 from gyrotrack.io.readers._motion_table import ReadOptions

@@ -4,17 +4,17 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
-from gyrotrack.io._records import ErrorMode, Input, Piece, series_of
+from gyrotrack import DatasetError, ErrorMode, UsageError, import_case
+from gyrotrack.io._records import Input, Piece, series_of
 from gyrotrack.io.readers import _columnar, _import_case, _registry
 from gyrotrack.io.readers._columnar import read_json
 from gyrotrack.io.readers._import_case import (
     case_of_body,
-    import_case,
     modes_of,
     pieces_of,
     unwrap,
@@ -498,3 +498,78 @@ def test_paths_of_points_in_tables(tmp_path):
     found = read_motion(tmp_path / "q.csv", ReadOptions(centre="3,1"))
     assert len(found.time) == 79
     assert any("1 frames without" in note for note in found.notes)
+
+
+class TestCases:
+    def piece(self, first, last, turned=1.0):
+        return SimpleNamespace(time=np.array([first, last]), angle=np.array([0.0, turned]))
+
+    def test_windows_are_within_the_record_of_the_first_body(self):
+        record = [self.piece(0.0, 3.0), self.piece(4.0, 9.0)]
+        for first, last, count in ((0.0, 9.0, 0), (-0.1, 2.0, 1), (2.0, 9.1, 1)):
+            assert len(_import_case.window_warnings({"a": record, "b": [self.piece(first, last)]})) == count
+        for first, count in ((3.1, 0), (3.0, 1), (2.0, 1)):
+            windows = [self.piece(1.0, 3.0), self.piece(first, 5.0)]
+            assert len(_import_case.window_warnings({"a": record, "b": windows})) == count
+
+    def test_a_common_second_is_the_origin_of_dates(self):
+        def table(first):
+            time = first + np.arange(3.0)
+            return MotionTable(PATH, "", "angle", time, time, None, np.arange(3), ("n",))
+
+        one, two = _import_case._from_origin([table(1.6e9 + 5.75), table(1.6e9 + 3.25)])
+        assert one.time == pytest.approx([2.75, 3.75, 4.75])
+        assert two.time == pytest.approx([0.25, 1.25, 2.25])
+        assert "1600000003 s" in one.notes[1]
+        kept = [table(50.0), table(1.6e9)]
+        assert _import_case._from_origin(kept) is kept
+
+    @pytest.mark.parametrize(
+        ("sigmas", "source"), [([1.0, 1.0], "given"), ([None], "estimated"), ([None, 1.0], "mixed")]
+    )
+    def test_uncertainties_are_given_or_estimated(self, sigmas, source):
+        assert _import_case.sigma_source([SimpleNamespace(sigma=s) for s in sigmas]) == source
+
+    def test_modes_of_a_table_act_on_its_own_samples(self):
+        def table(time, names):
+            time = np.asarray(time)
+            modes = tuple(ErrorMode(n, 10.0 * time[:, None], np.eye(1)) for n in names)
+            return SimpleNamespace(time=time, modes=modes)
+
+        series = SimpleNamespace(time=np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
+        found = _import_case.modes_of([table([1.0, 2.0, 4.5], ["m"]), table([3.0, 4.0], ["m", "n"])], series)
+        assert [m.name for m in found] == ["m", "m 2", "n 2"]
+        assert found[0].basis[:, 0].tolist() == [10.0, 20.0, 0.0, 0.0, 0.0]
+        assert found[1].basis[:, 0].tolist() == [0.0, 0.0, 30.0, 40.0, 0.0]
+
+    @pytest.mark.parametrize(
+        ("casing", "rotor", "sense", "count"),
+        [
+            ([(5.0, 6.0)], [(-9.0, -7.0)], 1, 0),
+            ([(6.0, 5.0)], [(9.0, 7.0)], -1, 1),
+            ([(-6.0, -5.0)], [(9.0, 7.0)], 1, 1),
+            ([(6.0, 5.0)], [(7.0, 9.0)], 1, 1),
+            ([(5.0, 5.0)], [(9.0, 7.0)], -1, 1),
+            ([(6.0, 5.0)], [(7.0, 7.0)], 1, 0),
+            ([(5.0, 6.0), (6.0, 4.0)], [(9.0, 7.0), (1.0, 1.5)], -1, 2),
+        ],
+    )
+    def test_the_sense_is_that_in_which_the_angles_increase(self, casing, rotor, sense, count):
+        pieces = [
+            [SimpleNamespace(angle=np.array([a, 99.0, b])) for a, b in group] for group in (casing, rotor)
+        ]
+        found, warnings = _import_case._sense(*pieces)
+        assert (found, len(warnings)) == (sense, count)
+
+    def test_only_a_piece_without_any_speed_is_reported(self):
+        time = np.concatenate([np.arange(200) / 50, 30.0 + np.arange(5) / 50])
+        value = 3.0 * time + 1e-3 * np.where(np.arange(205) % 2, 1.0, -1.0)
+        made = MotionTable(PATH, "", "angle", time, value, np.full(205, 1e-3), np.arange(205), ())
+        notes = []
+        first, second = _import_case.pieces_of(made, value, notes)
+        assert (len(first.time), len(second.time)) == (200, 5)
+        assert 0 < np.isfinite(first.omega).sum() < 200
+        assert not np.isfinite(second.omega).any()
+        assert [n for n in notes if "too short" in n] == [
+            "a.csv: the piece at 30.000 s is too short for a smoothed speed (5 samples)"
+        ]

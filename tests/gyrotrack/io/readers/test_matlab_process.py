@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,3 +85,38 @@ def test_limits_of_the_process(work, ends_well):
     program += f"m._MOST_CPU_S = {1 if 'while' in work else 20}\nm._limit()\n{work}"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60, check=False)
     assert (ended.returncode == 0) == ends_well
+
+
+def test_memory_and_time_of_a_reading_process_are_limited(monkeypatch):
+    resource = pytest.importorskip("resource")
+    pages = 1000
+    limits = {
+        resource.RLIMIT_AS: (resource.RLIM_INFINITY, resource.RLIM_INFINITY),
+        resource.RLIMIT_CPU: (5, 7),
+        resource.RLIMIT_CORE: (3, resource.RLIM_INFINITY),
+    }
+    found = {}
+    monkeypatch.setattr(Path, "read_text", lambda self, encoding: f"{pages} 5 3")
+    monkeypatch.setattr(resource, "getpagesize", lambda: 4096)
+    monkeypatch.setattr(resource, "getrlimit", limits.get)
+    monkeypatch.setattr(resource, "setrlimit", lambda kind, both: found.update({kind: both}))
+    monkeypatch.setattr(_matlab_process.os, "times", lambda: (1.5, 2.6, 100.0, 100.0, 100.0))
+    _matlab_process._limit()
+    memory = pages * 4096 + _matlab_process._MOST_MEMORY
+    assert found[resource.RLIMIT_AS] == (memory, memory)
+    assert found[resource.RLIMIT_CPU] == (5, 5)
+    assert found[resource.RLIMIT_CORE] == (0, 0)
+    limits[resource.RLIMIT_CPU] = (resource.RLIM_INFINITY,) * 2
+    limits[resource.RLIMIT_AS] = (2**20, 2**30)
+    _matlab_process._limit()
+    seconds = 4 + _matlab_process._MOST_CPU_S
+    assert found[resource.RLIMIT_CPU] == (seconds, seconds)
+    assert found[resource.RLIMIT_AS] == (2**20, 2**20)
+
+    def absent(self, encoding):
+        raise OSError
+
+    found.clear()
+    monkeypatch.setattr(Path, "read_text", absent)
+    _matlab_process._limit()
+    assert found == {}

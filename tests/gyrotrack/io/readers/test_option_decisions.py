@@ -5,18 +5,16 @@ import math
 import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from gyrotrack import DatasetError, UsageError
-from gyrotrack.io._records import ErrorMode, Inertia
-from gyrotrack.io.readers import _import_case as cases
+from gyrotrack import DatasetError, UsageError, import_chain
+from gyrotrack.io._records import Inertia
 from gyrotrack.io.readers import _outliers as outliers
 from gyrotrack.io.readers import _spreadsheets as sheets
-from gyrotrack.io.readers._import_chain import import_chain, read_bodies, read_inertias, read_joints
+from gyrotrack.io.readers._import_chain import read_bodies, read_inertias, read_joints
 from gyrotrack.io.readers._inputs import InputOption, read_input_options
 from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
 from gyrotrack.io.readers._points import Points, angle_of, circle_centre
@@ -290,81 +288,6 @@ class TestReadings:
         assert "time from 't' [ms] (why); angle from 'a' (why)" in first
         assert second.endswith(end)
         assert reading_of(made.document()) == made
-
-
-class TestCases:
-    def piece(self, first, last, turned=1.0):
-        return SimpleNamespace(time=np.array([first, last]), angle=np.array([0.0, turned]))
-
-    def test_windows_are_within_the_record_of_the_first_body(self):
-        record = [self.piece(0.0, 3.0), self.piece(4.0, 9.0)]
-        for first, last, count in ((0.0, 9.0, 0), (-0.1, 2.0, 1), (2.0, 9.1, 1)):
-            assert len(cases.window_warnings({"a": record, "b": [self.piece(first, last)]})) == count
-        for first, count in ((3.1, 0), (3.0, 1), (2.0, 1)):
-            windows = [self.piece(1.0, 3.0), self.piece(first, 5.0)]
-            assert len(cases.window_warnings({"a": record, "b": windows})) == count
-
-    def test_a_common_second_is_the_origin_of_dates(self):
-        def table(first):
-            time = first + np.arange(3.0)
-            return MotionTable(PATH, "", "angle", time, time, None, np.arange(3), ("n",))
-
-        one, two = cases._from_origin([table(1.6e9 + 5.75), table(1.6e9 + 3.25)])
-        assert one.time == pytest.approx([2.75, 3.75, 4.75])
-        assert two.time == pytest.approx([0.25, 1.25, 2.25])
-        assert "1600000003 s" in one.notes[1]
-        kept = [table(50.0), table(1.6e9)]
-        assert cases._from_origin(kept) is kept
-
-    @pytest.mark.parametrize(
-        ("sigmas", "source"), [([1.0, 1.0], "given"), ([None], "estimated"), ([None, 1.0], "mixed")]
-    )
-    def test_uncertainties_are_given_or_estimated(self, sigmas, source):
-        assert cases.sigma_source([SimpleNamespace(sigma=s) for s in sigmas]) == source
-
-    def test_modes_of_a_table_act_on_its_own_samples(self):
-        def table(time, names):
-            time = np.asarray(time)
-            modes = tuple(ErrorMode(n, 10.0 * time[:, None], np.eye(1)) for n in names)
-            return SimpleNamespace(time=time, modes=modes)
-
-        series = SimpleNamespace(time=np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
-        found = cases.modes_of([table([1.0, 2.0, 4.5], ["m"]), table([3.0, 4.0], ["m", "n"])], series)
-        assert [m.name for m in found] == ["m", "m 2", "n 2"]
-        assert found[0].basis[:, 0].tolist() == [10.0, 20.0, 0.0, 0.0, 0.0]
-        assert found[1].basis[:, 0].tolist() == [0.0, 0.0, 30.0, 40.0, 0.0]
-
-    @pytest.mark.parametrize(
-        ("casing", "rotor", "sense", "count"),
-        [
-            ([(5.0, 6.0)], [(-9.0, -7.0)], 1, 0),
-            ([(6.0, 5.0)], [(9.0, 7.0)], -1, 1),
-            ([(-6.0, -5.0)], [(9.0, 7.0)], 1, 1),
-            ([(6.0, 5.0)], [(7.0, 9.0)], 1, 1),
-            ([(5.0, 5.0)], [(9.0, 7.0)], -1, 1),
-            ([(6.0, 5.0)], [(7.0, 7.0)], 1, 0),
-            ([(5.0, 6.0), (6.0, 4.0)], [(9.0, 7.0), (1.0, 1.5)], -1, 2),
-        ],
-    )
-    def test_the_sense_is_that_in_which_the_angles_increase(self, casing, rotor, sense, count):
-        pieces = [
-            [SimpleNamespace(angle=np.array([a, 99.0, b])) for a, b in group] for group in (casing, rotor)
-        ]
-        found, warnings = cases._sense(*pieces)
-        assert (found, len(warnings)) == (sense, count)
-
-    def test_only_a_piece_without_any_speed_is_reported(self):
-        time = np.concatenate([np.arange(200) / 50, 30.0 + np.arange(5) / 50])
-        value = 3.0 * time + 1e-3 * np.where(np.arange(205) % 2, 1.0, -1.0)
-        made = MotionTable(PATH, "", "angle", time, value, np.full(205, 1e-3), np.arange(205), ())
-        notes = []
-        first, second = cases.pieces_of(made, value, notes)
-        assert (len(first.time), len(second.time)) == (200, 5)
-        assert 0 < np.isfinite(first.omega).sum() < 200
-        assert not np.isfinite(second.omega).any()
-        assert [n for n in notes if "too short" in n] == [
-            "a.csv: the piece at 30.000 s is too short for a smoothed speed (5 samples)"
-        ]
 
 
 class TestOutliers:

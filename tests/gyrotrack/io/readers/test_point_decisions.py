@@ -1,4 +1,4 @@
-"""Points tracked by other programs: files whose points, frames and angles are known."""
+"""Points tracked by other programs, and bodies of exported cases: files whose points, frames and angles are known."""
 
 import math
 import pickle
@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers import _point_files, _point_tables
 from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._point_files import listed_names, read_hdf5, read_project
@@ -458,3 +458,35 @@ def test_a_table_of_one_row_has_no_truncated_row():
     assert len(table("t,x,y\n0,1,2\n0.3,4").time) == 2
     assert len(table("t,x,y\n0,1,2\n0.1,2,3\n0.3,4").time) == 2
     assert len(table("t,x,y\n0,1,2\n0.1,2,3\n0.3,4,5").time) == 3
+
+
+EXPORT = Path("a.nc")
+
+
+@pytest.fixture
+def exported():
+    with h5py.File("memory", "w", driver="core", backing_store=False) as file:
+        for name, factor in (("casing", 1.0), ("rotor", 10.0)):
+            group = file.create_group(name)
+            columns = ("time", "angle", "sigma", "omega", "omega_sigma")
+            for k, column in enumerate(columns):
+                group[column] = factor * (k + np.arange(3.0))
+        yield file
+
+
+@pytest.mark.parametrize(("body", "factor"), [("", 1.0), ("casing", 1.0), ("rotor", 10.0)])
+@pytest.mark.parametrize(("quantity", "first"), [(None, 1), ("angle", 1), ("omega", 3)])
+def test_an_exported_body_has_the_measured_quantity(exported, body, factor, quantity, first):
+    if quantity:
+        exported.attrs["quantity"] = quantity
+    raw = _point_files._exported_body(EXPORT, exported, body)
+    assert raw.names == ("t", quantity or "angle", "sigma")
+    for place, k in enumerate((0, first, first + 1)):
+        assert raw.numbers(place) == pytest.approx(factor * (k + np.arange(3.0)))
+
+
+def test_a_body_that_was_not_exported_is_refused(exported):
+    exported.create_group("empty")
+    for body in ("wheel", "empty"):
+        with pytest.raises(DatasetError, match=f"no series '{body}'"):
+            _point_files._exported_body(EXPORT, exported, body)

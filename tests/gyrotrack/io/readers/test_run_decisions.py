@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gyrotrack._errors import UsageError
+from gyrotrack import UsageError
 from gyrotrack.io.readers import _run
 from gyrotrack.io.readers._motion_table import MotionTable
 from gyrotrack.io.readers._outliers import outliers, without_outliers

@@ -18,6 +18,7 @@ from gyrotrack.io.readers._motion_table import (
     without_spikes,
 )
 from gyrotrack.io.readers._registry import read_motion
+from gyrotrack.io.readers._text_table import content_lines, read_text
 
 ROWS = [(0.1 * k, 1.5 * k, 0.01) for k in range(12)]
 
@@ -290,3 +291,23 @@ def test_a_line_of_units_has_units_in_half_of_its_cells(cells, units):
 )
 def test_the_header_is_the_last_line_of_the_most_known_names(above, names, line):
     assert _text_table._header(list(enumerate(above, start=1)), ",", 2) == (names, [], line)
+
+
+PATH = Path("a.csv")
+
+
+def read(text):
+    content = text if isinstance(text, bytes) else text.encode()
+    return read_text(PATH, *content_lines(PATH, content))
+
+
+NUMBERS = "".join(f"{k},{10 * k}\n" for k in range(8))
+
+
+def test_cells_of_text_are_limited(monkeypatch):
+    monkeypatch.setattr(_text_table, "MAX_CELLS", 18)
+    text = "t,angle\n" + NUMBERS
+    read(text + "8,x\n")
+    with pytest.raises(DatasetError, match="cells"):
+        read(text + "8,x\n9,90\n")
+    read(text + "8,80\n9,90\n")
