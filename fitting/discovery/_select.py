@@ -871,6 +871,8 @@ def _improved(
     first: Sequence[Candidate] | None,
     workers: WorkerPool | None,
     keep: Callable[[Step], object] | None,
+    *,
+    alternatives: bool = True,
 ) -> History:
     known = first if first is not None else rank(base, extra, criteria=criteria, workers=workers)
     history = History([Step("", base, tuple(known))])
@@ -896,9 +898,12 @@ def _improved(
                 f"a random torque describes the remainder as well as {chosen.effect.name}, which is not added"
             )
             break
+        two = (
+            _of_determined(history[-1], chosen, chosen.fit, extra, criteria, workers) if alternatives else []
+        )
         try:
             known_steps = len(history)
-            for following in _steps(history, chosen, chosen.fit, extra, criteria, workers):
+            for following in two or _steps(history, chosen, chosen.fit, extra, criteria, workers):
                 history.append(following)
                 if keep is not None:
                     keep(following)
@@ -910,6 +915,29 @@ def _improved(
         if progress is not None:
             progress(step + 1, None)
     return history
+
+
+def _of_determined(
+    last: Step,
+    chosen: Candidate,
+    found: Fit,
+    extra: Sequence[Effect],
+    criteria: Criteria,
+    workers: WorkerPool | None,
+) -> Sequence[Step]:
+    """Return steps that add two effects instead of `chosen`, whose refit is `found` and whose strength is undetermined.
+
+    The shape of one law may imitate the sum of two laws. The steps are returned if BIC is not higher with them.
+    """
+    if not reason_undetermined(chosen.effect, found, criteria):
+        return []
+    others = [
+        c for c in last.candidates if c.fit is None or not reason_undetermined(c.effect, c.fit, criteria)
+    ]
+    steps: Sequence[Step] = []
+    with attempt("two effects of determined strength"):
+        steps = _improved(last.fit, extra, criteria, 2, None, others, workers, None, alternatives=False)[1:]
+    return steps if len(steps) > 1 and steps[-1].fit.bic <= found.bic else []
 
 
 def _steps(

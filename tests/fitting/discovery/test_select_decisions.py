@@ -1196,6 +1196,39 @@ class TestImprove:
         if random or established:
             assert asked == [(("random", 60.0), chosen.screened, found, 2, DEFAULT)]
 
+    @pytest.mark.parametrize(
+        ("bic", "names", "second", "replaced"),
+        [
+            (
+                50.0,
+                True,
+                True,
+                True,
+            ),  # BIC of the two effects; of the one whose strength is not determined: 50
+            (50.1, True, True, False),
+            (40.0, False, True, False),  # its strength is determined
+            (40.0, True, False, False),  # a single effect is no sum that the one could imitate
+        ],
+    )
+    def test_two_effects_are_added_instead_of_one_whose_strength_is_not_determined(
+        self, monkeypatch, bic, names, second, replaced
+    ):
+        monkeypatch.setattr(module, "_may_be_random", lambda *_: False)
+        monkeypatch.setattr(
+            module,
+            "reason_undetermined",
+            lambda effect, found, criteria: "undetermined" if names and effect is STEP else "",
+        )
+        two = [candidate(LAMINAR, -60.0, fit=Found(bic))] if second else []
+
+        def steps(history, chosen, found, *_):
+            yield Step(f"+{chosen.effect.name}", found, {DRAG: tuple(two)}.get(chosen.effect, ()))
+
+        ranking = [candidate(STEP, -70.0, fit=Found(50.0)), candidate(DRAG, -40.0, fit=Found(60.0))]
+        found, _ = self.improved(monkeypatch, [ranking], steps)
+        expected = [DRAG.name, LAMINAR.name] if replaced else [STEP.name]
+        assert [step.change for step in found[1:]] == [f"+{name}" for name in expected]
+
     def test_a_random_torque_that_describes_the_remainder_ends_the_search_with_a_reason(self, monkeypatch):
         monkeypatch.setattr(module, "_may_be_random", lambda history, *_: len(history) > 1)
         found, counted = self.improved(monkeypatch, [[candidate()]], self.always)
