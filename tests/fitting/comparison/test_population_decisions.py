@@ -30,8 +30,8 @@ class TestColumns:
         inside[[0, 3, 11]] = False
         drift = module._columns("drift", 0, TIMES, inside)
         assert drift[:, 1] == pytest.approx(TIMES - TIMES[inside].mean())
-        step = module._columns("step", 4, TIMES, inside)
-        # runs 1, 2, 4, 5, 6 ... are inside, so the fifth of them is run 6
+        step = module._columns("step", 6, TIMES, inside)
+        # nine runs are inside, and five of them (6 to 10) are after the step
         assert step[:, 1] == pytest.approx(np.where(np.arange(12) >= 6, 1.0, 0.0) - 5 / 9)
         assert (step[:, 0] == 1).all()
 
