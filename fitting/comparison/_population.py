@@ -60,8 +60,8 @@ _AT_A_TIME = 2**21
 """Random numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
 result."""
 _NEIGHBOURS = 7
-"""Number of runs on each side of a run in its running median [runs]. In the first round, this median replaces the
-fitted mean. Chosen: a smaller number follows outlying runs, a larger one blurs a drift."""
+"""Number of runs on each side of a run in its running median, which replaces the fitted mean in the first round [runs].
+Chosen: a smaller number follows outlying runs, a larger one blurs a drift."""
 _ROUNDS = 8
 """Largest number of rounds that omit outlying runs [1]. Chosen: a smaller number stops before the set is stable, a
 larger one delays the end."""
@@ -135,9 +135,8 @@ class OutlyingRun(TypedDict):
     """A run whose parameters differ from the parameters of the other runs."""
 
     run: str  #: Name of the run.
-    p_adjusted: (
-        float  #: Probability of an equal or larger deviation by chance, adjusted for the number of runs [1].
-    )
+    #: Probability of an equal or larger deviation by chance, adjusted for the number of runs [1].
+    p_adjusted: float
 
 
 class PopulationDocument(TypedDict):
