@@ -45,10 +45,11 @@ class Criteria:
     in simulated recordings with nothing hidden are 0 of 54 and, with correlated angle noise, 4 of 100; a smaller value
     overlooks weak effects."""
     evidence: float = 2.0
-    """Fall of BIC that an added effect needs [1]. Source: Kass & Raftery 1995; positive evidence."""
+    """An effect is added if this lowers the BIC by at least this value [1]. Source: Kass & Raftery 1995; positive
+    evidence."""
     evidence_periodic: float = 10.0
-    """Fall of BIC that an added periodic law on tracked film needs [1]. Source: Kass & Raftery 1995; very strong
-    evidence, because tracking errors are periodic as well."""
+    """A periodic law on tracked film is added if this lowers the BIC by at least this value [1]. Source: Kass & Raftery
+    1995; very strong evidence, because tracking errors are periodic as well."""
     equivalence_width: float = 10.0
     """Two candidates are indistinguishable if their BIC differ by less than this value [1]. Source: Kass & Raftery
     1995; a larger difference is very strong evidence against the worse candidate."""
@@ -144,8 +145,8 @@ class Criteria:
     """Share of the best score above which a poor refit is repeated [1]. Chosen: a smaller value costs time, a larger
     one ranks rivals by refits in a wrong minimum."""
     refit_shortfall: float = 10.0
-    """Score minus fall of deviance above which a refit is poor [1]. Source: Kass & Raftery 1995; a larger difference
-    between score and refit would change the order of the candidates."""
+    """A refit is poor if the score minus the fall of deviance exceeds this value [1]. Source: Kass & Raftery 1995; a
+    larger difference between score and refit would change the order of the candidates."""
     own_phase: float = 10.0
     """The cases have separate phases if these lower the deviance by more than this value for each case after the first
     [1]. Source: Kass & Raftery 1995; very strong evidence."""

@@ -452,7 +452,7 @@ class Search:
         return np.asarray(found.mean(axis=1))
 
     def scores(self) -> dict[str, SearchScore]:
-        """Return the score of each candidate in the recordings, its best shape, and its threshold."""
+        """Return for each candidate the score in the recordings, the best shape, and the threshold."""
         found = {}
         for e in self.effects:
             common = self._common[e.name]

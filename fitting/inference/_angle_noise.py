@@ -92,8 +92,8 @@ _LARGEST_RELATIVE_U = 0.7
 [1]. Chosen: a factor of two; a smaller value understates the uncertainty, a larger one lets improbable high levels
 dominate the mean."""
 TURNS_PER_BLOCK = 3.0
-"""Largest number of turns per block with which noise periodic in the angle affects the rows [1]. Chosen: in longer
-blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
+"""Noise periodic in the angle affects the rows of a block if the block contains at most this number of turns [1].
+Chosen: in longer blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
 _PERIODIC_TIMES = 5
 """Number of trial correlation times of noise periodic in the angle [1]. Chosen: a smaller number passes over the
 maximum of the likelihood, a larger one costs time."""

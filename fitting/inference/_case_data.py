@@ -921,8 +921,9 @@ def _reverses(record: Record) -> bool:
 
 
 _ONE_SENSE = 0.9
-"""Smallest ratio of net rotation to path of a driven body for which harmonics of its angle are tested [1]. Chosen: a
-smaller value tests bodies that turn back and forth, a larger one omits bodies that reverse slightly."""
+"""The harmonics of the angle of a driven body are tested if the ratio of its net rotation to its path is at least this
+value [1]. Chosen: a smaller value tests bodies that turn back and forth, a larger one omits bodies that reverse
+slightly."""
 
 
 def _turning_angle(record: Record) -> Array | None:

@@ -137,11 +137,11 @@ costs time."""
 
 @dataclass(frozen=True, repr=False)
 class EnergyBalance:
-    """Energy balance: times [s], energy K + losses [J], and its change relative to the initial energy.
+    """Energy balance: times [s], energy K + losses [J], and the relative change of this energy.
 
-    The energy is constant for a right model. If a motion begins at a turning point, the change is relative to the
-    largest kinetic energy. If an input drives a body, the change is relative to the energy that the body loses by
-    friction, if this is more.
+    The energy is constant for a right model. The change is relative to the initial energy. If a motion begins at a
+    turning point, the change is relative to the largest kinetic energy. If an input drives a body, the change is
+    relative to the energy that the body loses by friction, if this is more.
     """
 
     time: Array

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 ResidualFunction = Callable[[Array], tuple[Array, Array]]
 
 _NEGLIGIBLE_FALL = 0.01
-"""Fall of the sum of squares below which no parameter changes by a tenth of its standard error [variances of the
-noise]. Derived: the square of a tenth."""
+"""If the sum of squares falls by less than this value, no parameter changes by a tenth of its standard error [variances
+of the noise]. Derived: the square of a tenth."""
 _NO_DAMPING = 1e-20
 """Damping of a Gauss-Newton step [1]. Derived: far below rounding errors, so that the step is undamped."""
 

@@ -46,7 +46,7 @@ _FINER = 16
 """Number of trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: a smaller number
 understates the peak, a larger one costs time."""
 _RETAINED = 1e-3
-"""Smallest share of a response that is orthogonal to the free columns, for a torque to be tested [1]. Chosen: a smaller
+"""A torque is tested if at least this share of its response is orthogonal to the free columns [1]. Chosen: a smaller
 value tests rounding errors, a larger one omits torques that are nearly absorbed."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests

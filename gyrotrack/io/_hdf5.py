@@ -189,7 +189,7 @@ def load_recording(group: Any) -> Recording:
 
 
 def _load(group: Any, table: layout.Table) -> dict[str, Any]:
-    """Return the columns of a table as arrays stored in a file (`gyrotrack._column_store`), and its attributes."""
+    """Return the attributes of a table, and its columns as arrays stored in a file (`gyrotrack._column_store`)."""
     return {**in_file(READER.table(group, table)), **READER.attributes(group, table.attributes)}
 
 

@@ -426,7 +426,7 @@ def once_a_turn(curve: Floats) -> complex:
 
 
 LEAST_TURNING = 0.5
-"""Smallest share of frames within whole turns for which position-dependent errors are known [1]. Chosen: a smaller
+"""Position-dependent errors are known if at least this share of the frames is within whole turns [1]. Chosen: a smaller
 value gives errors from few turns, a larger one gives none for short films."""
 MOST_FRAMES = 2000
 """Number of frames from which errors of the view are estimated [frames]. Chosen: a larger number costs time, a smaller
@@ -756,9 +756,9 @@ class BodyAngles:
     count: npt.NDArray[np.int64]
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
-    # `slow`: standard uncertainty [rad] and correlation time [frames] of a slowly varying error. `periodic`:
-    # uncertainty of an error once and twice per turn [rad]. `harmonic`: standard deviation of the amplitudes of an
-    # error of more periods per turn [rad]
+    # `slow`: standard uncertainty [rad] and correlation time [frames] of a slowly varying error. `periodic`: standard
+    # deviation of the amplitudes of an error with one and two periods per turn [rad]. `harmonic`: standard deviation of
+    # the amplitudes of an error of more periods per turn [rad]
     slow: tuple[float, float] = (0.0, 0.0)
     # middle [frames] of each part of the film and the uncertainty of the slowly varying error in it [rad], (parts, 2)
     slow_parts: Floats = field(default_factory=lambda: np.zeros((0, 2)))

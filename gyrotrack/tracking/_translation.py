@@ -36,8 +36,8 @@ _SMALL_STEP = 1e-3
 """Change of the correlation that ends an alignment [1]. Chosen: a larger value stops early, a smaller one costs
 time."""
 _GAIN = 0.5
-"""Largest residual of translation, divided by the residual of rotation, of a body that does not turn [1]. Chosen: a
-larger value takes bodies that turn little for carts, a smaller one takes carts for rotating bodies."""
+"""A body does not turn if the residual of translation, divided by the residual of rotation, is less than this value
+[1]. Chosen: a larger value takes bodies that turn little for carts, a smaller one takes carts for rotating bodies."""
 
 
 def translates(
