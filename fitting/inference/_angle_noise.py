@@ -60,8 +60,8 @@ from fitting.inference._process_noise import (
 Array = NDArray[np.float64]
 
 _UNLIKELY = 0.25
-"""Share of `Criteria.correlated_noise` above which the gain of a coarse search, or the sum of the gains of both kinds
-of noise, leads to a finer search [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine
+"""A finer search follows if the gain of a coarse search, or the sum of the gains of both kinds of noise, exceeds this
+share of `Criteria.correlated_noise` [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine
 search would find."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
 """Trial correlation times [lengths of a block]. Chosen: noise of shorter times is white for the rows, noise of longer

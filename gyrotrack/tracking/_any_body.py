@@ -86,8 +86,8 @@ _HUB_FRAMES = 100
 """Number of frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: a smaller number
 gives an uncertain hub, a larger one costs time."""
 _PATH_SETTLED = 0.02
-"""Step below which the iterations for the displacement of a body far from its hub end, in one frame [px]. Chosen: a
-larger value stops early, a smaller one costs time."""
+"""For a body far from its hub, the iterations for the displacement in a frame end if a step is smaller than this value
+[px]. Chosen: a larger value stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
 """Number of iterations for the hub of a body far from it [iterations]. Chosen: a smaller number stops before distance
 and template agree, a larger one costs time."""

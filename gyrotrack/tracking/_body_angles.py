@@ -465,10 +465,10 @@ def separate_perspective(
     e, where a is proportional to the square of the radius, while its angles are the angles about e. The markers of the
     rotor turn fast, so their angles determine e, and their radii determine a + e.
 
-    The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
-    and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or the offset of
-    the rotor, if the disc is above both bodies. Both expected values have the uncertainty `_height_error`. All
-    measurements have position-dependent errors.
+    The offset of the casing is measured by its radii minus the perspective. Two values are expected. It is zero if the
+    disc and the marker of the casing are on one body; the offset of the rotor is then due to the depth of the rotor. It
+    is the offset of the rotor if the disc is above both bodies. Both expected values have the uncertainty
+    `_height_error`. All measurements have position-dependent errors.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -746,7 +746,7 @@ def _followed(
 
 
 MANY_TURNS = 10.0
-"""Smallest number of turns over which errors of the markers that repeat in each turn average out [turns]. Chosen: a
+"""Errors of the markers that repeat in each turn average out over at least this number of turns [turns]. Chosen: a
 smaller number lets markers with harmonics set the zero of a template, a larger one ignores the markers."""
 
 
@@ -767,9 +767,9 @@ def by_texture(
     The zeros of the templates follow from the markers (`template_zeros`). A marker that passes a marker of another body
     has an error; `others` are the angles of the other bodies, (n,) [rad] each. If the body makes only a few turns, all
     templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
-    marker (`join`). If position-dependent errors common to the zones cannot be estimated, they are assumed to be at
-    least `error_of_ring`, computed from `usual` [px] and the mean `radius` of the markers [px], because in a compressed
-    film a body at rest has one error in all zones.
+    marker (`join`). In a compressed film, a body at rest has one error in all zones. If such position-dependent errors
+    cannot be estimated, they are assumed to be at least `error_of_ring`. This error is computed from `usual` [px] and
+    the mean `radius` of the markers [px].
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     # an error that repeats in each turn does not change the zeros of batches
@@ -830,8 +830,8 @@ def by_texture(
 
 
 RING_ERROR = 0.055
-"""Position-dependent error of a slow ring whose oblique view is determined from the ring itself, rms [px]. Measured: in
-eleven films by two other renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers,
+"""Position-dependent error (rms) of a slow ring if its oblique view is determined from the ring itself [px]. Measured:
+in eleven films by two other renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers,
 0.054 px rms. A ring whose view is unknown has the error of a marker, because an encoder repeats pictures of a slow
 body."""
 LEAST_PERIODIC = 0.3e-3

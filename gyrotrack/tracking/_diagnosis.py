@@ -301,9 +301,9 @@ def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
 def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float, float, float] | None:
     """Return the motion of the whole picture, or None if it turns about a hub.
 
-    The result contains the median displacement of the features per frame [px], the share of the features that move
-    together, and the rms residual of the displacements after the fit of a rotation about the best hub, divided by the
-    rms displacement.
+    The result has three numbers. The first is the median displacement of the features per frame [px]. The second is the
+    share of the features that move together. The third is the rms residual of the displacements after the fit of a
+    rotation about the best hub, divided by the rms displacement.
     """
     steps, shares, left, right = [], [], [], []
     at_rest = 0

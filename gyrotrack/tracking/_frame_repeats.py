@@ -31,7 +31,7 @@ AROUND = 20
 """Number of frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number
 gives a noisy step, a larger one includes a change of the speed."""
 CLEAR = 6.0
-"""Smallest step of a body for which a repetition can be detected, in standard deviations of its steps [1]. Derived:
+"""A repetition is detected if the step of a body, in standard deviations of its steps, exceeds this value [1]. Derived:
 half a step, below which the body counts as unmoved, is then three standard deviations."""
 FEWEST = 4
 """A scatter is computed from at least this number of steps, and a period from at least this number of runs of repeated

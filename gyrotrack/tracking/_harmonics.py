@@ -43,8 +43,8 @@ _LEAST_KNOWN = 0.7
 """Smallest share of known angles of a batch that is used [1]. Chosen: a smaller value fits harmonics across long gaps,
 a larger one discards batches for a few frames, among them the first ones, whose speeds differ most."""
 _RESEMBLES_MOTION = 2.0
-"""Variance of an amplitude, divided by the variance for a complete set of angles, above which an order resembles the
-motion [1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""
+"""An order resembles the motion if the variance of its amplitude, divided by the variance for a complete set of angles,
+exceeds this value [1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""
 _FAR_FROM_NOISE = 3.0
 """Smallest mean square of an error that is stated, in standard deviations of the noise [1]. Chosen: a smaller value
 states noise as an error, a larger one hides small errors."""

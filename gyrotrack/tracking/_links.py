@@ -1,8 +1,8 @@
 """Evidence of two links: a joint on a circle about a pivot, and a point at a fixed distance from the joint.
 
-The evidence is found in the paths of two compact bodies, in the motions of the features of two bodies, which both move
-the joint in the same way, or in the silhouettes of a tracked body with a part that extends beyond the body and does
-not turn with it.
+There are three kinds of evidence. The paths of two compact bodies may show a joint. The features of two bodies may have
+motions that both move the joint in the same way. Or the silhouettes of a tracked body have a part that extends beyond
+the body and does not turn with the body.
 """
 
 from __future__ import annotations

@@ -56,9 +56,9 @@ _EXPLAINED = 0.4
 """Smallest share of the change of brightness about the path that the rotation explains [1]. Chosen: a smaller value
 accepts bodies that only translate, a larger one refuses uneven light."""
 _RIGID = 0.7
-"""Smallest explained share for a body whose path is the path of its outline; for a rigid body, rotation explains
-nearly the whole change [1]. Measured: 0.79 to 0.99 for real pucks and a cylinder, 0.56 to 0.63 for a wave, a part of a
-turning rod and wires on a puck."""
+"""If the path of a body is the path of its outline, rotation must explain at least this share of the change; for a
+rigid body, it explains nearly the whole change [1]. Measured: 0.79 to 0.99 for real pucks and a cylinder, 0.56 to 0.63
+for a wave, a part of a turning rod and wires on a puck."""
 _ROUGHLY_RIGID = 0.5
 """Smallest explained share with rough angles, for which a body is registered [1]. Measured: registration changes the
 share by less than 0.1; the films are not recorded."""

@@ -72,9 +72,9 @@ _ANCHORED = 0.5
 """The template is not renewed if the mean square difference of a match, divided by its limit, is at most this value
 [1]. Chosen: a smaller value lets the template drift, a larger one loses a patch that turns."""
 _PRESENT = 0.4
-"""Smallest mean square difference of a match from the background, divided by the mean square difference of the patch
-from the background in the first frame [1]. Chosen: a smaller value matches the background, a larger one loses a patch
-in shadow."""
+"""A match shows the patch if its mean square difference from the background, divided by the mean square difference of
+the patch from the background in the first frame, is at least this value [1]. Chosen: a smaller value matches the
+background, a larger one loses a patch in shadow."""
 _TEMPLATE = 12.0
 """Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: a larger radius costs time,
 a smaller one loses precision."""
