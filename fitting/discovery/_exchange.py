@@ -49,7 +49,8 @@ class Exchange(NamedTuple):
     """A law that is removed from the model, the laws in its place, and the first-order change of BIC."""
 
     removed: Effect
-    scores: tuple[Score, ...]  # of the laws in its place, with their strengths; empty if it is only removed
+    # of the laws that replace the removed law, with their strengths; empty if no law replaces it
+    scores: tuple[Score, ...]
     delta_bic: float
 
     @property

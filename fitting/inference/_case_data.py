@@ -885,7 +885,7 @@ _OF_THE_SAMPLES = frozenset({
     "mode_columns", "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds",
     "speeds",
 })  # fmt: skip
-# those of these properties that also depend on the share of the random torque that acts on the rotor
+# properties of the samples that also depend on the share of the random torque on the rotor
 _OF_THE_INERTIA_RATIO = frozenset({"_correlated_rotor_noise", "rotor_angle_noise", "findings"})
 
 

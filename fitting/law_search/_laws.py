@@ -157,7 +157,8 @@ class Law:
     score: float  # fall of the deviance when the law is added to the base
     delta_bic: float  # BIC with the law minus BIC of the base
     description_length: float  # penalty of the length of the formula, added to BIC in the ranking
-    p_value: float  # family-wise: probability of such a score in the whole search if no law is missing
+    # family-wise: probability of an equal or larger score in the whole search if no law is missing
+    p_value: float
     torque_rms_Nm: float  # along the measured motion [N m]
     estimates: dict[str, Estimate]  # by ``<effect>.<symbol>``
     indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
