@@ -29,9 +29,10 @@ class Criteria:
     ratio and have no unit. The unit "sigma" is one standard error.
 
     Sources: R. Kass, A. Raftery, J. Am. Stat. Assoc. 90, 773 (1995): a BIC difference of 2 is positive evidence, a
-    difference of 10 is very strong evidence. P. Westfall, S. Young, Resampling-Based Multiple Testing (1993): p-values
-    over a list from simulated null data. J. Hart, Nonparametric Smoothing and Lack-of-Fit Tests (1997). N. Draper, H.
-    Smith, Applied Regression Analysis (1998). R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008).
+    difference of 10 is very strong evidence. P. Westfall, S. Young, Resampling-Based Multiple Testing (1993): simulated
+    data without any effect give the p-value of the best of a list of candidates. J. Hart, Nonparametric Smoothing and
+    Lack-of-Fit Tests (1997). N. Draper, H. Smith, Applied Regression Analysis (1998). R. Baluev, Mon. Not. R. Astron.
+    Soc. 385, 1279 (2008).
 
     Raises
     ------
@@ -44,21 +45,22 @@ class Criteria:
     in simulated recordings with nothing hidden are 0 of 54 and, with correlated angle noise, 4 of 100; a smaller value
     overlooks weak effects."""
     evidence: float = 2.0
-    """Fall of BIC that an added effect needs [1]. Source: Kass & Raftery 1995; positive evidence."""
+    """Smallest fall of BIC for which an effect is added [1]. Source: Kass & Raftery 1995; positive evidence."""
     evidence_periodic: float = 10.0
-    """Fall of BIC that an added periodic law on tracked film needs [1]. Source: Kass & Raftery 1995; very strong
-    evidence, because tracking errors are periodic as well."""
+    """Smallest fall of BIC for a periodic law on tracked film [1]. Source: Kass & Raftery 1995; very strong evidence,
+    because tracking errors are periodic as well."""
     equivalence_width: float = 10.0
-    """BIC difference of indistinguishable candidates [1]. Source: Kass & Raftery 1995; a larger difference is very
-    strong evidence against the worse candidate."""
+    """Largest BIC difference of indistinguishable candidates [1]. Source: Kass & Raftery 1995; a larger difference is
+    very strong evidence against the worse candidate."""
     collinearity: float = 0.9999
     """Smallest cosine between responses that no data can separate [1]. Chosen: a smaller value joins effects that more
-    data would separate, a larger one separates equal effects by rounding errors."""
+    data would separate; with a larger value, rounding errors separate equal effects."""
     measurement_penalty: float = 3.2
-    """BIC added to measurement effects [1]. Derived: prior odds 1:5, 2 ln 5; a smaller value takes torques for camera
-    errors, a larger one takes camera errors for torques."""
+    """Penalty that is added to the BIC of a measurement effect [1]. Derived: prior odds 1:5, 2 ln 5; a smaller value
+    takes torques for camera errors, a larger one takes camera errors for torques."""
     shape_evidence: float = 10.0
-    """Fall of BIC that frees a shape constant of a law [1]. Source: Kass & Raftery 1995; very strong evidence."""
+    """Smallest fall of BIC for which a shape constant is fitted [1]. Source: Kass & Raftery 1995; very strong
+    evidence."""
     essential_sigma: float = 3.3
     """Strength of an added effect below which its removal is tried [sigma]. Derived: p = 0.001; a smaller value keeps
     superfluous effects, a larger one costs time."""
@@ -78,36 +80,39 @@ class Criteria:
     """Smallest share of the unmodelled torque that an approximate answer explains [1]. Chosen: a smaller value hides a
     second effect, a larger one doubts small remainders."""
     lack_of_fit: float = 1e-5
-    """P-value of slow torques below which a fit fails [1]. Source: Draper 1998 for the test; errors of the noise model
-    do not reach this value; with a larger value, these errors make fits fail, a smaller one overlooks missing laws."""
+    """Slow-torque test: p-value below which a fit fails [1]. Source: Draper 1998 for the test; errors of the noise
+    model do not reach this value; a larger value makes fits fail because of these errors, a smaller value overlooks
+    missing laws."""
     reduced_chi2: float = 1.4
-    """Reduced chi2 of rows above which a fit fails, at p < `lack_of_fit` [1]. Chosen: noise alone gives 1.00 +- 0.03 in
-    2000 rows; a smaller value rejects fits with irrelevant deviations, a larger one accepts a lack of fit."""
+    """A fit fails if chi2 per row exceeds this value with a p-value below `lack_of_fit` [1]. Chosen: noise alone gives
+    1.00 +- 0.03 in 2000 rows; a smaller value rejects fits with irrelevant deviations, a larger one accepts a lack of
+    fit."""
     undetermined: float = 100.0
     """Relative standard uncertainty above which a parameter is undetermined [1]. Chosen: a smaller value refuses
     parameters near zero, a larger one reports values without meaning."""
     correlated_noise: float = 8.0
-    """Smallest fall of the deviance due to correlated angle noise [1]. Derived: chi2, 2 dof; with white noise, chi2
-    exceeds this value in 2 % of the recordings; a smaller value adds noise that is absent, a larger one understates
-    uncertainties."""
+    """Smallest fall of deviance for which correlated angle noise is added [1]. Derived: chi2, 2 dof; with white noise,
+    chi2 exceeds this value in 2 % of the recordings; a smaller value adds noise that is absent, a larger one
+    understates uncertainties."""
     excess_noise: float = 4.0
-    """Excess process noise of a fit above which its form is not established [sigma]. Chosen: a smaller value doubts
-    right forms, a larger one lets noise absorb a wrong form."""
+    """Excess process noise above which the form of a law is not established [sigma]. Chosen: the excess is relative to
+    the process noise of the recording without a model; a smaller value doubts right forms, a larger one lets noise
+    absorb a wrong form."""
     spectral_line: float = 0.001
-    """P-value of a sinusoid that is not noise [1]. Source: Baluev 2008 for the test; a larger value finds lines by
-    chance, a smaller one leaves lines in the process noise."""
+    """P-value below which a sinusoid is a line, not noise [1]. Source: Baluev 2008 for the test; a larger value finds
+    lines by chance, a smaller one leaves lines in the process noise."""
     periodic_torque: float = 0.001
-    """P-value of an angle-dependent torque that is not noise [1]. Chosen: a larger value finds torques by chance, a
+    """P-value below which an angle-dependent torque is not noise [1]. Chosen: a larger value finds torques by chance, a
     smaller one counts torques as noise."""
     doubt_named: float = 0.01
-    """Smooth-test p-value that contradicts a named effect [1]. Source: Hart 1997 for the test; a larger value doubts
+    """Smooth test: p-value below which an effect is doubted [1]. Source: Hart 1997 for the test; a larger value doubts
     right forms, a smaller one accepts wrong forms."""
     doubt_adequate: float = 0.001
-    """P-value of a test that contradicts an adequate fit [1]. Source: Baluev 2008 for one test; a larger value doubts
+    """Test p-value below which an adequate fit is doubted [1]. Source: Baluev 2008 for one test; a larger value doubts
     right fits, a smaller one overlooks missing laws."""
     inertia_sigma: float = 2.0
-    """Largest error of an inertia that its uncertainty allows [sigma]. Chosen: a smaller value names effects that a
-    wrong inertia imitates, a larger one explains effects by the inertia."""
+    """Largest error of an inertia that is compatible with the stated uncertainty [sigma]. Chosen: a smaller value names
+    effects that a wrong inertia imitates, a larger one explains effects by the inertia."""
     inertia_largest: float = 0.05
     """Largest relative error of an inertia whose uncertainty is not stated [1]. Chosen: a smaller value names effects
     that a wrong inertia imitates, a larger one explains effects by the inertia."""
@@ -140,20 +145,21 @@ class Criteria:
     one ranks rivals by refits in a wrong minimum."""
     refit_shortfall: float = 10.0
     """Score minus fall of deviance above which a refit is poor [1]. Source: Kass & Raftery 1995; a larger difference
-    changes the ranking."""
+    between score and refit would change the order of the candidates."""
     own_phase: float = 10.0
-    """Fall of deviance per case that separate phases need [1]. Source: Kass & Raftery 1995; very strong evidence."""
+    """Smallest fall of deviance per case for separate phases [1]. Source: Kass & Raftery 1995; very strong evidence for
+    each case after the first."""
     changepoint_score: float = 25.0
     """Smallest score at which a changepoint is moved to a distant time [1]. Derived: 5 sigma; a smaller value follows
     noise, a larger one leaves a wrong time."""
     equation_error: float = 3.0
-    """Largest error of the equation of motion of a fitted spring, relative to the best [1]. Chosen: a smaller value
-    may omit the right spring, a larger one costs time."""
+    """Largest equation-of-motion error of a fitted spring, divided by the smallest [1]. Chosen: a smaller value may
+    omit the right spring, a larger one costs time."""
     refit_reversals: int = 500
-    """Largest number of reversals in all refits of a step [1]. Chosen: refits take 15 s of one core; a smaller value
-    may omit the right effect, a larger one costs time."""
+    """Largest number of reversals of the motion in all refits of a search step [1]. Chosen: refits take 15 s of one
+    core; a smaller value may omit the right effect, a larger one costs time."""
     refit_oscillation_p: float = 0.1
-    """Family-wise p-value above which candidates of an oscillation are not refitted [1]. Chosen: a larger value costs
+    """Family-wise p-value above which candidates for oscillations are not refitted [1]. Chosen: a larger value costs
     time, a smaller one may omit the right effect."""
     gross_misfit: float = 0.7
     """Rms phase drift due to residual torque above which a lack of fit is gross [rad]. Chosen: a smaller value takes
@@ -169,8 +175,8 @@ class Criteria:
     simulated recordings with a random torque and nothing hidden end with a named effect; a smaller value names effects
     that a random torque imitates, a larger one explains effects by a random torque."""
     random_torque_evidence: float = 10.0
-    """Fall of deviance that a random torque above noise needs [1]. Source: Kass & Raftery 1995; very strong
-    evidence."""
+    """Smallest fall of deviance for an additional random torque [1]. Source: Kass & Raftery 1995; very strong evidence
+    of a torque beyond the process noise of the recording."""
     random_torque_shortest: float = 0.05
     """Shortest correlation time of a random torque [s]. Chosen: a torque of a shorter time is part of the measured
     process noise; a larger value leaves times untried."""
@@ -178,11 +184,11 @@ class Criteria:
     """Longest correlation time of a random torque [s]. Chosen: a torque of a longer time absorbs any slow law; a
     smaller value leaves times untried."""
     start_u: float = 3e-3
-    """Typical error of a start whose uncertainty is not stated [s]. Chosen: a few frames; a smaller value overlooks
-    start errors, a larger one explains effects by start errors."""
+    """Typical error of the start of a clip if its uncertainty is not stated [s]. Chosen: a few frames; a smaller value
+    overlooks start errors, a larger one explains effects by start errors."""
     slip_tolerance: float = 0.1
-    """Largest deviation of a slip from a whole turn [turns]. Chosen: a smaller value overlooks slips in noise, a larger
-    one takes other steps for slips."""
+    """Largest deviation from a whole turn of a step that counts as a slip [turns]. Chosen: a smaller value overlooks
+    slips in noise, a larger one takes other steps for slips."""
     slip_sigma: float = 8.0
     """Smallest ratio of `slip_tolerance` to the scatter of the angle steps [sigma]. Chosen: a smaller value takes noise
     for slips, a larger one overlooks slips in noise."""

@@ -31,8 +31,8 @@ MAX_INFLATION = 1100
 """Largest ratio of the size of a dataset to its stored size [1]. Derived: the compression by deflate reaches 1032; the
 rest is a margin."""
 SLACK = 2**22
-"""Size that a dataset may have in addition to its stored size times `MAX_INFLATION` [bytes]. Chosen: chunks are padded;
-a smaller value refuses small datasets, a larger one admits malicious files."""
+"""A dataset may exceed its stored size times `MAX_INFLATION` by at most this size [bytes]. Chosen: chunks are padded; a
+smaller value refuses small datasets, a larger one admits malicious files."""
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 CHECKSUM_MARK = b"\ngyrotrack sha256 "
 CHECKSUM_LENGTH = len(CHECKSUM_MARK) + 65

@@ -324,7 +324,7 @@ class CandidateDocument(Document):
     kind: str  #: `physical` or `measurement`.
     score: Number  #: Decrease of the deviance when the effect is added [1].
     delta_bic: Number  #: BIC with the effect minus BIC without it; null without a refit [1].
-    p_value: Number  #: False-alarm probability of such a score anywhere in the list [1].
+    p_value: Number  #: Probability of an equal or larger score anywhere in the list if no law is missing [1].
     significant: Flag  #: Whether `p_value` is below the level of the search.
     held_out_gain: Number  #: Decrease of the cross-validation error / noise; null without a refit [1].
     indistinguishable_from: list[str]  #: Candidates that the data cannot separate from this candidate.
@@ -338,7 +338,7 @@ class RemainderDocument(Document):
 
     torque_rms_Nm: Number  #: Rms torque on the body where it is larger [torque].
     share: Number  #: Share of the mean square unmodelled torque, 0 to 1 [1].
-    p_value: Number  #: Probability that noise alone causes such a remainder [1].
+    p_value: Number  #: Probability that noise alone causes an equal or larger remainder [1].
     sentence: str  #: Size, and the variable on which it depends.
     effects: list[str] = []  #: Further effects that describe the remainder.
 
@@ -351,7 +351,7 @@ class NuisanceDocument(Document):
     value: Number  #: Amplitude [`unit`].
     stderr: Number  #: Standard error of the amplitude [`unit`].
     unit: str  #: Unit of the amplitude.
-    p_value: Number  #: Probability that noise alone causes such an amplitude [1].
+    p_value: Number  #: Probability that noise alone causes an equal or larger amplitude [1].
 
 
 class UpperLimitDocument(Document):
@@ -377,7 +377,8 @@ class DifferenceBetweenRecordings(ValuesInRecordings):
     """A parameter shared by the recordings that differs between them."""
 
     delta_bic: Number  #: BIC with a value for each recording minus BIC with a shared value [1].
-    p_value: Number  #: Probability of such a difference in any shared parameter if all are equal [1].
+    #: Probability of an equal or more significant difference in any shared parameter if all are equal [1].
+    p_value: Number
     indistinguishable_from: list[str]  #: Parameters whose difference describes the data as well.
     others: list[ValuesInRecordings] = []  #: Further parameters with a value for each recording.
 

@@ -73,7 +73,10 @@ def release_pages() -> None:
 
 
 def release_memory() -> None:
-    """Return freed memory to the system; glibc retains it, and its heap is fragmented by freed frames."""
+    """Return freed memory to the system.
+
+    Otherwise glibc retains this memory, and the heap is fragmented by freed frames.
+    """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # a libc other than glibc
             ctypes.CDLL(None).malloc_trim(0)

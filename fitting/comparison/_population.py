@@ -1,9 +1,9 @@
-"""Many runs of one machine: population of the parameters, outlying runs, drifts and steps with run time.
+"""Many runs of one machine: population of the parameters, outlying runs, drifts and steps over the times of the runs.
 
-**Population.** Run i has estimates y_i of p parameters with the covariance C_i of its fit. The true values are mu + X_i
-beta + b_i. Here X_i beta is a drift or a step with the time of the run, and b_i is a random deviation with the
-distribution N(0, T). Mean and T follow from restricted maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 320
-(1977)) with V_i = C_i + T and T = L L':
+**Population.** Run i has estimates y_i of p parameters with the covariance C_i of its fit. The true values are X_i beta
++ b_i. X_i beta is the mean, with a drift or a step over the times of the runs if there is one. b_i is a random
+deviation with the distribution N(0, T). Let r_i = y_i - X_i beta be the residuals, V_i = C_i + T, and T = L L' with a
+lower triangular L. Restricted maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 320 (1977)) minimises
 
     -2 log L_R = sum log|V_i| + log|sum X_i' V_i^-1 X_i| + sum r_i' V_i^-1 r_i.
 
@@ -13,15 +13,16 @@ element j.
 
 **Outlying runs.** Let T be estimated from m runs. If the spread dominates the uncertainties of the fits, the statistic
 (m - p) / (p (m - 1)) r_i' V_i^-1 r_i has an F distribution with p and m - p degrees of freedom (H. Hotelling, Ann.
-Math. Statist. 2, 360 (1931)); if the uncertainties dominate, the statistic is smaller. A run is outlying if its p-value
-is below the level divided by the number of runs (Bonferroni). Outlying runs are omitted, and T is estimated again until
-the set of outlying runs no longer changes. The mean of the first round is a median of neighbouring runs.
+Math. Statist. 2, 360 (1931)); if the uncertainties dominate, the statistic has smaller quantiles than this
+distribution, so that fewer runs are outlying. A run is outlying if its p-value is below the level divided by the number
+of runs (Bonferroni). Outlying runs are omitted, and T is estimated again until the set of outlying runs no longer
+changes. In the first round, the median of neighbouring runs replaces the fitted mean.
 
-**Changes.** Each parameter is tested for a drift (regression on the run time, Student's t) and for a step at any time.
-The statistic of the step is the largest F over all changepoints with at least `FEWEST` runs on each side; its null
-distribution is simulated with the same weights. Holm's procedure (S. Holm, Scand. J. Statist. 6, 65 (1979)) over all
-parameters and both tests limits the probability of any false change in the whole set of runs to the level. BIC decides
-between drift and step; a step has one parameter more than a drift.
+**Changes.** Each parameter is tested for a drift (regression on the time of the run, Student's t) and for a step at any
+time. The statistic of the step is the largest F over all changepoints with at least `FEWEST` runs on each side; its
+null distribution is simulated with the weights of the runs in this regression. Holm's procedure (S. Holm, Scand. J.
+Statist. 6, 65 (1979)) over all parameters and both tests limits the probability of any false change in the whole set of
+runs to the level. BIC decides between drift and step; a step has one parameter more than a drift.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ _AT_A_TIME = 2**21
 """Random numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
 result."""
 _NEIGHBOURS = 7
-"""Number of runs on each side whose median is the mean of the first round [runs]. Chosen: a smaller number follows
-outlying runs, a larger one blurs a drift."""
+"""Number of runs on each side of a run in its running median, which replaces the fitted mean in the first round [runs].
+Chosen: a smaller number follows outlying runs, a larger one blurs a drift."""
 _ROUNDS = 8
 """Largest number of rounds that omit outlying runs [1]. Chosen: a smaller number stops before the set is stable, a
 larger one delays the end."""
@@ -72,10 +73,10 @@ _PREFERRED = 2.0
 (1995)."""
 _UNKNOWN = 1e10
 """Variance of a parameter that a run does not determine, in units of its variance over the runs [1]. Derived: so large
-that the parameter has no weight, but small enough for the rounding error of the inverse."""
+that the parameter has no weight, but small enough that rounding errors of the inverse matrix are negligible."""
 _LEAST_SHARE = 0.8
-"""Share of the runs that must determine a parameter [1]. Chosen: a smaller value tests parameters of few runs, a larger
-one drops parameters for single runs."""
+"""Share of the runs that must determine a parameter [1]. Chosen: a smaller value tests parameters that few runs
+determine; with a larger one, a single run that does not determine a parameter excludes it."""
 _SHOWN = 12
 """Largest number of outlying runs in a sentence [1]. Chosen: a smaller number hides runs, a larger one makes the
 sentence unreadable."""
@@ -120,11 +121,11 @@ class PopulationParameterDocument(TypedDict):
 
     unit: str  #: Unit of the parameter.
     mean: MeanDocument  #: Mean of the runs.
-    #: Standard deviation between the runs, in addition to the uncertainties of the fits.
+    #: Standard deviation between the runs, beyond the uncertainties of the fits.
     spread: MeanDocument
     runs: int  #: Number of runs that determine the parameter and are not outlying.
-    p_drift: float  #: Probability of such a drift if there is none [1].
-    p_step: float  #: Probability of such a step if there is none [1].
+    p_drift: float  #: Probability of an equal or more significant drift if there is no drift [1].
+    p_step: float  #: Probability of an equal or more significant step if there is no step [1].
     #: The smaller of `p_drift` and `p_step`, adjusted for all parameters and both tests [1].
     p_adjusted: float
     change: ChangeDocument | None  #: Drift or step; null if not significant.
@@ -134,7 +135,8 @@ class OutlyingRun(TypedDict):
     """A run whose parameters differ from the parameters of the other runs."""
 
     run: str  #: Name of the run.
-    p_adjusted: float  #: Probability of such a run, adjusted for the number of runs [1].
+    #: Probability of an equal or larger deviation by chance, adjusted for the number of runs [1].
+    p_adjusted: float
 
 
 class PopulationDocument(TypedDict):
@@ -143,11 +145,11 @@ class PopulationDocument(TypedDict):
     level: float  #: False-alarm probability of all tests together [1].
     time_unit: str  #: Unit of the times of the runs.
     times: dict[str, float]  #: Time of each run [`time_unit`].
-    parameters: dict[str, PopulationParameterDocument]  #: By key as in a fit.
-    #: Correlation of the parameters between runs; null if a spread is zero [1].
+    parameters: dict[str, PopulationParameterDocument]  #: Parameters by key, as in a fit.
+    #: Correlation between the true values of two parameters, over the runs; null if a spread is zero [1].
     correlation: list[list[float]]
     outlying: list[OutlyingRun]  #: Outlying runs, which are excluded.
-    #: Number of runs that do not determine a parameter, for each parameter that too few runs determine.
+    #: Parameters that too few runs determine, each with the number of runs that do not determine it.
     untested: dict[str, int]
     sentences: list[str]  #: The result in words.
 
@@ -160,7 +162,9 @@ class PopulationParameter:
     unit: str
     mean: float
     mean_u: float
-    spread: float  # standard deviation between runs in addition to their uncertainties, about a significant change
+    # standard deviation between runs, beyond the uncertainties of the fits: about the drift or step if that is
+    # significant, otherwise about the mean
+    spread: float
     spread_u: float
     runs: int  # number of runs that determine the parameter and are not outlying
     p_drift: float
@@ -177,7 +181,8 @@ class Population:
     times: Array  # shape (n,)
     time_unit: str
     parameters: tuple[PopulationParameter, ...]
-    correlation: Array  # shape (p, p); correlation of the true values between runs; NaN if a spread is zero
+    # shape (p, p); correlation between the true values of two parameters, over the runs; NaN if a spread is zero
+    correlation: Array
     outlying: tuple[tuple[str, float], ...]  # runs, and p-values adjusted for the number of runs
     untested: Mapping[
         str, int
@@ -320,11 +325,11 @@ def population(
     for j, t in enumerate(tests):
         change = None
         if adjusted[j] < level:
-            k = t.place
-            here = np.flatnonzero(inside & known[:, j])
+            after = t.place
+            before = np.flatnonzero((inside & known[:, j])[:after])[-1]
             change = Change(
                 t.label, t.slope * scale[j], t.slope_u * scale[j],
-                0.5 * float(times[here[k - 1]] + times[here[k]]), runs[here[k - 1]], runs[here[k]],
+                0.5 * float(times[before] + times[after]), runs[before], runs[after],
                 t.size * scale[j], t.size_u * scale[j], t.delta_bic,
             )  # fmt: skip
         found.append(
@@ -349,7 +354,7 @@ def population(
 
 
 class Fitted(Protocol):
-    """A fit, a saved fit, or an entry of a ledger."""
+    """A fit, a saved fit, or a fit in a ledger (a file of saved fits)."""
 
     @property
     def model(self) -> Model: ...
@@ -359,7 +364,10 @@ class Fitted(Protocol):
 
 
 def compared_parameters(fits: Mapping[str, Fitted]) -> Iterator[tuple[str, str, str, str]]:
-    """Yield run, name of the run with its case, key and name of each parameter that is compared between runs.
+    """For each parameter that is compared between runs, yield its run, case, key and name.
+
+    The case is ``run:case``, or the run for a parameter without a case; the key is without the case; the name in the
+    fit is ``key@case``.
 
     Initial values, constants and changepoints are not compared.
     """
@@ -437,16 +445,17 @@ def _filled(y: Array, c: Array, known: Flags) -> tuple[Array, Array]:
 
 
 def _columns(kind: str, place: int, times: Array, inside: Flags) -> Array:
-    """Return the columns (n, k) of a mean model: a constant and, for a `kind`, a centred drift or step.
+    """Return the columns (n, k) of a mean model: a constant and, unless `kind` is empty, a centred drift or step.
 
-    `place` is the index of the first run after the step, among the runs `inside`.
+    `place` is the index of the first run after the step, among all n runs. `inside` marks the runs that are not
+    outlying; the columns are centred on their mean.
     """
     columns = [np.ones(len(times))]
     if kind == "drift":
         columns.append(times - times[inside].mean())
     elif kind == "step":
         after = np.zeros(len(times))
-        after[np.flatnonzero(inside)[place] :] = 1.0
+        after[place:] = 1.0
         columns.append(after - after[inside].mean())
     return np.stack(columns, axis=1)
 
@@ -498,7 +507,7 @@ class _Tests:
     p_step: float
     kind: str  # the mean model of smaller BIC: "drift" or "step"
     label: str  # `kind`, or "drift or step" if BIC does not prefer one
-    place: int  # index of the first run after the step, among the runs inside
+    place: int  # index of the first run after the step, among all runs
     slope: float
     slope_u: float
     size: float
@@ -530,7 +539,7 @@ def _tests(y: Array, u2: Array, times: Array, used: Flags, rng: np.random.Genera
     y, u2, times = y[used], u2[used], times[used]
     n = len(y)
     ones = np.ones((n, 1))
-    # a constant and a drift, with the spread about each
+    # a line: a constant and a drift; the spread is estimated about it and, below, about the constant alone
     straight = np.column_stack([np.ones(n), times - times.mean()])
     p_drift, slope, slope_u = 1.0, 0.0, 0.0
     from scipy.special import stdtr
@@ -551,11 +560,15 @@ def _tests(y: Array, u2: Array, times: Array, used: Flags, rng: np.random.Genera
     delta = _deviance(y, u2, step) + 2 * math.log(n) - _deviance(y, u2, line) - math.log(n)
     kind = "drift" if delta > 0 and np.ptp(times) > 0 else "step"
     label = kind if abs(delta) > _PREFERRED else "drift or step"
+    place = int(np.flatnonzero(used)[place])
     return _Tests(p_drift, p_step, kind, label, place, slope, slope_u, size, size_u, delta)
 
 
 def _best(y: Array, u2: Array, times: Array, used: Flags) -> tuple[str, int]:
-    """Return kind and place of the mean model of smallest BIC: constant (""), drift or step."""
+    """Return kind and place of the mean model of smallest BIC: constant (""), drift or step.
+
+    The place of a step is the index of the first run after it, among all runs.
+    """
     y, u2, times = y[used], u2[used], times[used]
     n, inside = len(y), np.ones(len(y), dtype=bool)
     w, _ = _weights(y, u2, np.ones((n, 1)))
@@ -565,7 +578,8 @@ def _best(y: Array, u2: Array, times: Array, used: Flags) -> tuple[str, int]:
     costs["step", place] = _deviance(y, u2, step) + 2 * math.log(n)
     if np.ptp(times) > 0:
         costs["drift", 0] = _deviance(y, u2, _columns("drift", 0, times, inside)) + math.log(n)
-    return min(costs, key=lambda k: costs[k])
+    kind, place = min(costs, key=lambda k: costs[k])
+    return kind, int(np.flatnonzero(used)[place]) if kind == "step" else 0
 
 
 def _deviance(y: Array, u2: Array, design: Array) -> float:
@@ -647,7 +661,9 @@ def _holm(p: Array) -> Array:
 
 
 def _reml(y: Array, c: Array, design: Sequence[Array]) -> tuple[Array, list[Array], list[Array]]:
-    """Return T by restricted maximum likelihood, and the standard uncertainties and values of the mean models.
+    """Return T by restricted maximum likelihood, and the mean model of each parameter.
+
+    The mean models are two lists: the standard uncertainties of the coefficients, and the coefficients.
 
     `design` contains the columns (n, k) of the mean model of each parameter.
     """
@@ -711,7 +727,8 @@ def _spread_u(c: Array, spread: Array) -> Array:
     covariance = np.linalg.pinv(information, hermitian=True)
     variance_u = np.array([math.sqrt(max(covariance[k, k], 0.0)) for k, (a, b) in enumerate(pairs) if a == b])
     size = np.sqrt(np.diag(spread))
-    # near zero, where the spread is not linear in its square, its uncertainty is the root of that of the square
+    # Near zero, the uncertainty of the variance cannot be propagated linearly to the spread. The uncertainty of the
+    # spread is then the square root of the uncertainty of the variance.
     return np.asarray(
         np.where(size**2 > variance_u, variance_u / np.maximum(2 * size, 1e-300), np.sqrt(variance_u))
     )

@@ -99,7 +99,8 @@ class Dependence:
 
     variable: str  # "omega_c", "t", ...; two joined by "*"
     body: str  # "casing", "rotor", or "bearing" (internal)
-    p_value: float  # family-wise: probability of such a dependence on any tested variable if there is none
+    # family-wise: probability of an equal or more significant dependence if there is no dependence
+    p_value: float
     explained: float  # share of the lack of fit (excess of chi-square over its degrees of freedom), 0-1
     score: float  # fall of the deviance
     columns: int  # number of functions of the test that the base cannot represent

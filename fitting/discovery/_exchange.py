@@ -37,8 +37,8 @@ _LAWS = 2
 """Largest number of laws that replace one law [1]. Chosen: with 1, a wrong law that imitates two missing laws remains;
 a larger number costs time and fits noise."""
 _EQUAL = 1e-9
-"""One minus the cosine of the angle between the responses of two laws, below which the laws are equal in a recording
-and only the first law takes part [1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a
+"""Two laws are equal in a recording, and only the first one takes part, if one minus the cosine of the angle between
+their responses is at most this value [1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a
 larger one omits laws that differ."""
 _SINGULAR = 1e-9
 """Relative singular value of normal equations below which a combination of columns is rounding error [1]. Chosen: a
@@ -49,7 +49,8 @@ class Exchange(NamedTuple):
     """A law that is removed from the model, the laws in its place, and the first-order change of BIC."""
 
     removed: Effect
-    scores: tuple[Score, ...]  # of the laws in its place, with their strengths; empty if it is only removed
+    # of the laws that replace the removed law, with their strengths; empty if no law replaces it
+    scores: tuple[Score, ...]
     delta_bic: float
 
     @property

@@ -233,9 +233,9 @@ _COLLINEAR = 1e-6
 """Determinant of the correlation of candidates below which no data separate them [1]. Chosen: a smaller value keeps
 sets with undetermined strengths, a larger one drops rivals that data could separate."""
 _ABSORBED = 1e-12
-"""Smallest ratio of the information about a strength with free shared parameters to the information with fixed shared
-parameters; below it, the shared parameters absorb the candidate [1]. Chosen: the rounding error of the projection; a
-larger value drops weakly determined candidates, a smaller one keeps rounding errors."""
+"""The shared parameters absorb a candidate if the information about its strength with free shared parameters, divided
+by the information with fixed shared parameters, is below this value [1]. Chosen: the rounding error of the projection;
+a larger value drops weakly determined candidates, a smaller one keeps rounding errors."""
 
 
 @dataclass(frozen=True)

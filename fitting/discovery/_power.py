@@ -95,8 +95,9 @@ _RANK = 1e-6
 """Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value amplifies rounding errors,
 a larger one omits weakly determined strengths."""
 _RARE = 0.5
-"""Share of the data sets in which one parameter is at its bound, summed over the strengths, below which this bound is
-neglected [1]. Chosen: a smaller value costs time for rare bounds, a larger one biases the power."""
+"""The bound of one parameter is neglected if the share of the data sets in which this parameter is at its bound, summed
+over the strengths, is below this value [1]. Chosen: a smaller value costs time for rare bounds, a larger one biases the
+power."""
 
 
 @dataclass(frozen=True)
@@ -452,7 +453,7 @@ class Search:
         return np.asarray(found.mean(axis=1))
 
     def scores(self) -> dict[str, SearchScore]:
-        """Return the score of each candidate in the recordings, its best shape, and its threshold."""
+        """Return for each candidate the score in the recordings, the best shape, and the threshold."""
         found = {}
         for e in self.effects:
             common = self._common[e.name]

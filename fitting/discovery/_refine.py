@@ -43,8 +43,8 @@ _STEPS = 48
 """Number of trial times in the neighbourhood of a changepoint [1]. Chosen: a smaller number overlooks the minimum, a
 larger one costs time."""
 _SEARCHES = 3
-"""Largest number of searches for changepoints of cases whose process noise remains high [1]. Chosen: a smaller number
-leaves cases with a wrong time, a larger one costs time."""
+"""Largest number of searches for changepoints in cases with a high remaining process noise [1]. Chosen: a smaller
+number leaves cases with a wrong time, a larger one costs time."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one ignores some free columns."""

@@ -350,9 +350,9 @@ def ranges_of(fit: Fit) -> dict[str, tuple[float, float]]:
 
 
 _NO_TORQUE = 1e-12
-"""Share of the mean square torque below which the named effect and the most complete fit count as the same torque [1].
-Chosen: the rounding error of the difference; a larger value treats small remainders as zero, a smaller one compares
-rounding errors."""
+"""The named effect and the most complete fit count as the same torque if the mean square of their difference, divided
+by the mean square torque, is at most this value [1]. Chosen: the rounding error of the difference; a larger value
+treats small remainders as zero, a smaller one compares rounding errors."""
 
 
 def grade(

@@ -138,7 +138,7 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
 def _of_the_measured_motion(
     fit: Fit, index: int, times: Array, y: Array, width: float
 ) -> tuple[Array, Array, Array]:
-    """Return speed, unmodelled torque I dw/dt - T(w), and its uncertainty, from the measured motion of the main body.
+    """Return the measured speed of the main body, the unmodelled torque I dw/dt - T(w), and the torque uncertainty.
 
     Speed and acceleration are derivatives of a local polynomial that is fitted to the samples within `width` [s] about
     each time. Its degree is 3 for an angle and 2 for a speed. `y` are the states of the model. The variances of the

@@ -51,9 +51,9 @@ _LEVELS = 9
 """Number of trial levels of the process noise [1]. Chosen: a smaller number makes the profiled score coarse, a larger
 one costs time and memory."""
 _ABSORBED = 1e-7
-"""The base absorbs a column if the part of the column that is orthogonal to the free columns, before whitening, has a
-norm below this share of the norm of the column [1]. Chosen: a smaller value scores rounding errors, a larger one drops
-weakly determined effects."""
+"""The base absorbs a column if, before whitening, the norm of the part orthogonal to the free columns, divided by the
+norm of the column, is below this value [1]. Chosen: a smaller value scores rounding errors, a larger one drops weakly
+determined effects."""
 RANK = 1e-10
 """Relative singular value below which a direction of the free columns is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
@@ -265,7 +265,7 @@ class CaseColumns:
         return [Trial(c, rows[:, i * width : (i + 1) * width]) for i, c in enumerate(choices)]
 
     def fitted(self, effect: Effect) -> tuple[dict[str, float], Array]:
-        """Return the shape constants of an effect of the fit, and its strengths at phase 0 and at a quarter period."""
+        """Return the shape constants of an effect of the fit, and the strengths at phase 0 and at a quarter period."""
         values = [(p, self.numbers[f"{effect.name}.{p.symbol}"]) for p in effect.parameters]
         role = {p.role: x for p, x in values}
         phase = role.get("phase", 0.0)

@@ -263,9 +263,9 @@ def applicable_effects(base: Fit, extra: Sequence[Effect]) -> list[Effect]:
 
 
 _DRIVE_ERROR = 0.5
-"""Rms residual speed with a law of a recorded input, divided by the rms without this law, below which the input counts
-as the drive of the body [1]. Chosen: a larger value mistakes a chance correlation for a drive, a smaller one overlooks
-weak drives."""
+"""A recorded input counts as the drive of the body if the rms residual speed with a law of this input, divided by the
+rms without this law, is below this value [1]. Chosen: a larger value mistakes a chance correlation for a drive, a
+smaller one overlooks weak drives."""
 
 
 def needed_drives(base: Fit, effects: Sequence[Effect]) -> set[str]:

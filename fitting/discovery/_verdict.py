@@ -780,7 +780,7 @@ def _sentence(
 def _opening(
     fit: Fit, failures: Sequence[Failure], criteria: Criteria, added: Candidate | None = None
 ) -> str:
-    """Return whether the tests of the fit find a lack of fit, and the p-value of the best effect if they do not."""
+    """Return a sentence on the lack of fit; without one, it contains the p-value of an added effect."""
     if fit.has_lack_of_fit(criteria):
         return f"Significant lack of fit{f': {failures[0]}' if failures else ''}."
     but = "" if added is None else f", but an added effect is ({stated_probability(added.p_value)})"

@@ -468,7 +468,9 @@ def newton(
 
 
 def _stretched(mesh: Mesh, y: Array, edges: Array, f: Array, pivot: float) -> tuple[Mesh, float]:
-    """Return the mesh that ends where the speed of the casing vanishes to first order, and its relative change.
+    """Return the mesh that ends where the speed of the casing vanishes to first order.
+
+    Also return the relative change of the length of the mesh after `pivot`.
 
     The states are extrapolated along their rates to the new times, in place.
     """

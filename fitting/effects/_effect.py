@@ -214,7 +214,7 @@ _SITES = {"factor": "bearing", "inertia": "casing"}
 
 
 def bodies_of(joint: str, variables: Iterable[str], mechanism: Mechanism = GYROSCOPE) -> frozenset[str]:
-    """Return the bodies on which a law acts at its joint, or on which it depends through its variables."""
+    """Return the bodies on which a law acts at its joint, and the bodies of the variables in the law."""
     known = _BODIES | mechanism.bodies_by_symbol if mechanism == GYROSCOPE else mechanism.bodies_by_symbol
     return frozenset().union(*(known.get(name, frozenset()) for name in (joint, *variables)))
 

@@ -60,8 +60,8 @@ from fitting.inference._process_noise import (
 Array = NDArray[np.float64]
 
 _UNLIKELY = 0.25
-"""Share of `Criteria.correlated_noise` above which the gain of a coarse search, or the sum of the gains of both kinds
-of noise, leads to a finer search [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine
+"""A finer search follows if the gain of a coarse search, or the sum of the gains of both kinds of noise, exceeds this
+share of `Criteria.correlated_noise` [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine
 search would find."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
 """Trial correlation times [lengths of a block]. Chosen: noise of shorter times is white for the rows, noise of longer
@@ -92,8 +92,8 @@ _LARGEST_RELATIVE_U = 0.7
 [1]. Chosen: a factor of two; a smaller value understates the uncertainty, a larger one lets improbable high levels
 dominate the mean."""
 TURNS_PER_BLOCK = 3.0
-"""Largest number of turns per block with which noise periodic in the angle affects the rows [1]. Chosen: in longer
-blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
+"""Noise periodic in the angle affects the rows of a block if the block contains at most this number of turns [1].
+Chosen: in longer blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
 _PERIODIC_TIMES = 5
 """Number of trial correlation times of noise periodic in the angle [1]. Chosen: a smaller number passes over the
 maximum of the likelihood, a larger one costs time."""

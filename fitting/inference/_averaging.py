@@ -41,8 +41,8 @@ _NEGLIGIBLE = 1e-6
 """Smallest ratio of the averages of a torque to its harmonics; below it, the averages count as zero [1]. Chosen: a
 smaller value fits rounding errors, a larger one drops weak laws."""
 LARGEST_PHASE_ERROR = 0.7
-"""Largest rms error of the phase with which a search over the whole record does not slip by a period [rad]. Chosen:
-well below half a period; a larger value starts searches at a wrong period, a smaller one refuses usable initial
+"""A search over the whole record does not slip by a period if the rms error of the phase is at most this value [rad].
+Chosen: well below half a period; a larger value starts searches at a wrong period, a smaller one refuses usable initial
 values."""
 
 

@@ -203,7 +203,10 @@ def _calibrations(linear: _Linearised) -> Iterator[tuple[str, Array]]:
 
 
 def _input_rows(case: CaseModel, prediction: Prediction, theta: Array, name: str) -> Array:
-    """Return the change of the rows of a case by one standard uncertainty of the calibration of an input."""
+    """Return the change of the rows of a case due to an error of the calibration of an input.
+
+    The error is one standard uncertainty.
+    """
     rows = np.zeros(len(case.data.z))
     response = TorqueResponse(case.data, prediction.motion)
     path, numbers = prediction.path, case.layout.numbers(theta, case.case)

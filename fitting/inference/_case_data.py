@@ -885,7 +885,7 @@ _OF_THE_SAMPLES = frozenset({
     "mode_columns", "spectral_lines", "measured_angle", "camera_columns", "harmonic_row_responses", "initial_speeds",
     "speeds",
 })  # fmt: skip
-# those of these properties that also depend on the share of the random torque that acts on the rotor
+# properties of the samples that also depend on the share of the random torque on the rotor
 _OF_THE_INERTIA_RATIO = frozenset({"_correlated_rotor_noise", "rotor_angle_noise", "findings"})
 
 
@@ -921,8 +921,9 @@ def _reverses(record: Record) -> bool:
 
 
 _ONE_SENSE = 0.9
-"""Smallest ratio of net rotation to path of a driven body for which harmonics of its angle are tested [1]. Chosen: a
-smaller value tests bodies that turn back and forth, a larger one omits bodies that reverse slightly."""
+"""The harmonics of the angle of a driven body are tested if the ratio of its net rotation to its path is at least this
+value [1]. Chosen: a smaller value tests bodies that turn back and forth, a larger one omits bodies that reverse
+slightly."""
 
 
 def _turning_angle(record: Record) -> Array | None:

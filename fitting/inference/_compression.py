@@ -2,8 +2,8 @@
 
 The samples of a block are projected on polynomials in time, and on the first two harmonics of the measured angle, by a
 weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so the chi-square of the
-model depends only on these projections; the orthogonal part of the samples is noise. Polynomials of the next higher
-degrees do not contain the model either. Their rows measure the noise at the relevant low frequencies, including any
+model depends only on these projections; the orthogonal part of the samples is noise. The polynomials of the next higher
+degrees contain no part of the model. Their rows measure the noise at the relevant low frequencies, including any
 correlation between neighbouring samples.
 """
 
@@ -30,14 +30,16 @@ HARMONICS = 4
 """Number of rows for the harmonics of the angle [rows]. Derived: sine and cosine of the first two, which a displaced
 centre and a tilt of the camera cause."""
 _MIN_INDEPENDENCE = 0.2
-"""A harmonic has rows if its part orthogonal to the polynomials has at least this share of its amplitude [1]. Chosen: a
-smaller value adds rows of slow blocks that contain motion, a larger one drops information about harmonics."""
+"""A harmonic has rows if its part orthogonal to the polynomials has at least this share of its amplitude [1]. Chosen:
+with a smaller value, the harmonic rows of slow blocks contain motion; a larger one drops information about
+harmonics."""
 _SMALL_CHANGE = 1e-3
 """Change of an angle below which the integrals of its harmonics are computed as series [rad]. Derived: the neglected
 fourth power is 1e-12."""
 _MIN_RESPONSE = 1e-6
-"""Share of a response to a harmonic torque that is orthogonal to polynomials and harmonics, below which this part is
-rounding error [1]. Chosen: a smaller value adds rows of rounding errors, a larger one drops weak responses."""
+"""A response to a harmonic torque has a part that is orthogonal to polynomials and harmonics. If this part is a smaller
+share than this value, it is rounding error [1]. Chosen: a smaller value adds rows of rounding errors, a larger one
+drops weak responses."""
 
 
 def _harmonics(y: Array) -> Array:
@@ -195,8 +197,8 @@ _SPEED_RATIO = 1.6
 """Ratio of the largest to the smallest speed in a block above which the block is cut [1]. Chosen: a smaller value makes
 short blocks, a larger one fits a single polynomial to an angle whose speed changes much."""
 _AT_REST = 0.003
-"""Speed below which a body counts as at rest, as a share of the largest speed [1]. Source: the casing of the paper, 0.5
-rad/s of 160 rad/s."""
+"""Speed below which a body counts as at rest, as a share of the largest speed [1]. Chosen: a smaller value divides the
+blocks of a record in which the casing comes to rest, a larger one leaves slow turns in long blocks."""
 _MOST_CUTS = 12
 """Largest number of cuts [1]. Chosen: a smaller number leaves fast changes in a block, a larger one leaves few samples
 for the noise."""
@@ -408,18 +410,20 @@ def _block(
     powers = chebyshev.chebvander((t - middle) / half, degree + extra)
     periodic, responses = np.zeros((len(t), 0)), np.zeros((len(t), 0))
     if angle is not None:
-        # smoothed, because the noise of the measured angle would be correlated with the harmonics, and would enter the
-        # rows that measure the noise if the harmonics are nearly polynomials
+        # The angle is smoothed. Otherwise its noise would also be in the harmonics. If the harmonics are nearly
+        # polynomials, this noise would enter the rows that measure the noise.
         smooth = np.linalg.qr(powers[:, :k] / sigma[:, None])[0]
         smoothed = smooth @ (smooth.T @ (angle[where] / sigma)) * sigma
         psi = smoothed if angle is samples.value else angle[where]
         responses = responses_to_harmonics(t, smoothed)[int(angle is samples.value)]
-        # a harmonic that is equal in all pulses would turn into an error of their times if the angle were smoothed
+        # If a sensor gives pulses at equal angles, a harmonic may be equal in all samples. With a smoothed angle, it
+        # would seem to vary because of errors of the times of the pulses. Therefore the angle is not smoothed here.
         varies = np.ptp(_harmonics(angle[where]), axis=0) > _SAME
         periodic = independent_harmonics(psi, powers[:, :k]) * varies
         responses = responses * np.repeat(varies.reshape(2, 2).any(axis=1), 2)
     chosen = np.flatnonzero(np.any(periodic != 0, axis=0))
-    # a torque periodic in the angle is not noise, but its response is not a harmonic where the speed changes
+    # The response to a torque periodic in the angle is not noise. Where the speed changes, it is not a harmonic and
+    # needs separate columns.
     model = np.concatenate([powers[:, :k], periodic[:, chosen]], axis=1) / sigma[:, None]
     responses = responses / sigma[:, None]
     rest_of = responses - model @ np.linalg.lstsq(model, responses, rcond=None)[0]

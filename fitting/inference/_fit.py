@@ -245,9 +245,9 @@ def _from_other_starts(
 
 
 _GIVEN_UP = 30.0
-"""Random torque of a case, relative to the random torque that its recording shows, above which the model does not
-describe the case [1]. Chosen: a smaller value gives up recordings with a small lack of fit, a larger one lets a wrong
-motion determine shared parameters."""
+"""The model does not describe a case if the random torque of the case, relative to the random torque that its recording
+shows, exceeds this value [1]. Chosen: a smaller value gives up recordings with a small lack of fit, a larger one lets a
+wrong motion determine shared parameters."""
 
 
 def _from_separate_fits(

@@ -137,11 +137,11 @@ costs time."""
 
 @dataclass(frozen=True, repr=False)
 class EnergyBalance:
-    """Energy balance: times [s], energy K + losses [J], and its change relative to the initial energy.
+    """Energy balance: times [s], energy K + losses [J], and the relative change of this energy.
 
-    The energy is constant for a right model. If a motion begins at a turning point, the change is relative to the
-    largest kinetic energy. If an input drives a body, the change is relative to the energy that the body loses by
-    friction, if this is more.
+    The energy is constant for a right model. The change is relative to the initial energy. If a motion begins at a
+    turning point, the change is relative to the largest kinetic energy. If an input drives a body, the change is
+    relative to the energy that the body loses by friction, if this is more.
     """
 
     time: Array
@@ -182,8 +182,8 @@ def energy_balance(case: CaseModel, theta: Array, path: Path) -> EnergyBalance:
 
 
 _SLOW_START = 0.1
-"""Initial kinetic energy, divided by the largest kinetic energy, below which a motion begins at a turning point [1].
-Chosen: a smaller value divides by a small energy, a larger one changes the scale of usual runs."""
+"""A motion begins at a turning point if the initial kinetic energy, divided by the largest kinetic energy, is below
+this value [1]. Chosen: a smaller value divides by a small energy, a larger one changes the scale of usual runs."""
 FOLDS = 6
 """Number of folds of the cross-validation [1]. Chosen: a smaller number leaves large gaps in the data, a larger one
 leaves neighbours that share slow torques."""

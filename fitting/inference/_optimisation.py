@@ -1,7 +1,7 @@
 """Nonlinear least squares with bounds: Levenberg-Marquardt, and the search for the minimum of a fit.
 
-J. J. More, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630 (1978), with H. B. Nielsen's update of
-the damping (IMM-REP-1999-05). A variable at its bound whose gradient points outward is held for the step.
+J. J. More, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630 (1978), with H. B. Nielsen's update of the damping
+(IMM-REP-1999-05). A variable at its bound is held for the step if the negative gradient points out of the bounds.
 
 If chi-square at the end of a search is far above that of noise, the initial values or the model are wrong. The search
 is then repeated from automatic initial values and from other exponents.
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 ResidualFunction = Callable[[Array], tuple[Array, Array]]
 
 _NEGLIGIBLE_FALL = 0.01
-"""Fall of the sum of squares below which no parameter changes by a tenth of its standard error [variances of the
-noise]. Derived: the square of a tenth."""
+"""If the sum of squares falls by less than this value, no parameter changes by a tenth of its standard error [variances
+of the noise]. Derived: the square of a tenth."""
 _NO_DAMPING = 1e-20
 """Damping of a Gauss-Newton step [1]. Derived: far below rounding errors, so that the step is undamped."""
 
@@ -154,8 +154,8 @@ _QUICK_STEPS = 40
 """Largest number of steps of a quick search [1]. Chosen: a smaller number stops before the minimum is known, a larger
 one costs time."""
 _EXPONENTS = 241
-"""Number of trial exponents of a law at a bound [1]. Chosen: a smaller number may omit the minimum, a larger one costs
-time; the rows are linear in the strengths."""
+"""Number of trial exponents of a power law whose strength f is at a bound [1]. Chosen: a smaller number may omit the
+best start, a larger one costs time."""
 _SAME = 1e-3
 """Relative difference of chi-square below which two searches have the same minimum [1]. Chosen: a smaller value repeats
 searches, a larger one takes neighbouring minima for a single minimum."""
@@ -163,7 +163,11 @@ searches, a larger one takes neighbouring minima for a single minimum."""
 
 @dataclass(frozen=True)
 class ActiveBounds:
-    """Bounds of d and f at which a search ended: the power laws that remain free, and the indices of held variables."""
+    """The bounds at which a search ended.
+
+    d and f are the strengths of a pair of laws d x^m + f x^g. `power_laws` are those that are still fitted in
+    transformed variables, and `held` are the indices of the variables that are held at a bound.
+    """
 
     power_laws: tuple[PowerLaw, ...]
     held: tuple[int, ...] = ()
@@ -171,7 +175,7 @@ class ActiveBounds:
 
 @dataclass(frozen=True)
 class Solution:
-    """The result of a search: physical variables, the minimum in transformed variables, active bounds of d and f."""
+    """The result of a search: physical variables, the minimum in transformed variables, and active bounds."""
 
     theta: Array
     minimum: Minimum
@@ -218,9 +222,10 @@ def search(
     max_iterations: int = 200,
     active: ActiveBounds | None = None,
 ) -> Solution:
-    """Minimise chi-square at the noise of a problem; with `quick`, within about 0.01 of its minimum.
+    """Minimise chi-square; the noise is the noise of the problem and does not change.
 
-    `active` bounds of an earlier solution near this one are tried first.
+    With `quick`, the search ends within about 0.01 of the minimum of chi-square. `active` are the bounds at which an
+    earlier search of a similar problem ended; the minimum along these bounds is tried first.
     """
     enough, most = (
         (_CONVERGED_QUICK, min(_QUICK_STEPS, max_iterations)) if quick else (_CONVERGED, max_iterations)
@@ -269,7 +274,10 @@ def search(
 def _minimum_at_bounds(
     problem: Problem, theta: Array, active: ActiveBounds, enough: float, most: int
 ) -> Solution | None:
-    """Return the minimum along active bounds, from variables at them; None if the model cannot be computed there."""
+    """Return the minimum along active bounds; None if the model cannot be computed there.
+
+    The search starts at `theta`, whose held variables are at their bounds.
+    """
     lower, upper = problem.layout.bounds()
     held = list(active.held)
     lower[held] = upper[held] = theta[held]
@@ -313,14 +321,15 @@ def _out_of_bounds(
 def _choices_of_bound(
     active: ActiveBounds, theta: Array, lower: Array, upper: Array
 ) -> Iterator[tuple[ActiveBounds, Array]]:
-    """Yield the bounds of d and f of the first power law that violates them, and the variables at each of them.
+    """Yield the bounds of the first power law with d or f out of its bounds.
 
-    The torque and its slope at the reference speed remain the same.
+    For each bound of d and of f, yield the active bounds and the initial variables at this bound. The torque and its
+    slope at the reference speed remain the same.
     """
     v = _out_of_bounds(active.power_laws, theta, lower, upper)[0]
     rest = tuple(w for w in active.power_laws if w.f != v.f)
     if v.d is None:
-        # a single power law is fitted in f, within its range
+        # a power law without a law of fixed power: f itself becomes the variable of the search and has bounds
         yield ActiveBounds(rest, active.held), np.clip(theta, lower, upper)
         return
     if v.held:

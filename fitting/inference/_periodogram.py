@@ -1,19 +1,20 @@
 """Periodogram of the residual torque: whether it contains a sinusoid in time.
 
 A sinusoidal torque in time (a vibrating table, a fan) is fast. Process noise of short correlation time therefore
-absorbs its variance, but cannot imitate a single frequency. The model is extended by a cosine and a sine of each
-frequency on the casing. With their whitened responses S, orthogonal to the free columns,
+absorbs its variance, but cannot imitate a single frequency. For each frequency, a cosine and a sine torque on the
+casing are added to the model. Let r be the whitened residuals and S the whitened responses to cosine and sine. Both are
+projected orthogonally to the derivatives with respect to the fitted parameters (the free columns). Then
 
     chi2 = r'S (S'S)^-1 S'r
 
 has 2 degrees of freedom if no torque is missing; it is twice the power z of a periodogram. The probability that noise
-exceeds z at some frequency up to f is
+exceeds z at some trial frequency is
 
-    p = W sqrt(z) exp(-z),   W = f sqrt(4 pi var t)
+    p = (1 + W sqrt(z)) exp(-z),   W = f T sqrt(4 pi / 12)
 
-(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Here W is computed from the highest frequency f and the
-variance var t of the times. The lack-of-fit test against slow torques covers torques with fewer than ten periods in the
-record.
+(R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Here f is the width of the band of trial frequencies,
+and T is the length of the record, which samples cover evenly. The lack-of-fit test against slow torques covers torques
+with fewer than ten periods in the record.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ _FINER = 16
 """Number of trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: a smaller number
 understates the peak, a larger one costs time."""
 _RETAINED = 1e-3
-"""Smallest share of the response to a torque that is orthogonal to the free columns [1]. Chosen: a smaller value tests
-rounding errors, a larger one omits torques that are nearly absorbed."""
+"""A torque is tested if at least this share of its response is orthogonal to the free columns [1]. Chosen: a smaller
+value tests rounding errors, a larger one omits torques that are nearly absorbed."""
 _RANK = 1e-4
 """Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
 rounding errors, a larger one omits deviations that are nearly absorbed."""
@@ -69,7 +70,7 @@ class PeriodogramPeak:
     body: str  # name of the body for the user, for example "casing"
     p_value: float  # probability that noise has a peak of this height (an upper bound)
     unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
-    site: str = "casing"  # the body in laws
+    site: str = "casing"  # name of the body in the keys and formulas of laws
 
     @property
     def words(self) -> str:

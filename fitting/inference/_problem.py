@@ -190,8 +190,9 @@ def typical_speed(speeds: Sequence[Array], mechanism: Mechanism, joint: Coupling
 
 
 _BEYOND = 3.0
-"""Distance of the unconstrained optimum beyond a bound above which the parameter is taken to equal the bound [standard
-errors]. Chosen: a smaller value ignores the uncertainty at a bound, a larger one treats a fixed parameter as free."""
+"""A parameter is taken to equal its bound if the unconstrained optimum is beyond the bound by more than this distance
+[standard errors]. Chosen: a smaller value ignores the uncertainty at a bound, a larger one treats a fixed parameter as
+free."""
 _LEAST_CHANGE = 0.2
 """Smallest relative change that is part of a degenerate direction [1]. Chosen: a smaller value lists uninvolved
 parameters, a larger one omits involved parameters."""
@@ -241,8 +242,8 @@ _FIRST_LEVEL = 0.01
 than the main one [1]. Chosen: a smaller value lets the worst interval dominate the search, a larger one hides the shape
 of laws."""
 _MOST_AT_REST = 0.5
-"""Share of blocks at rest above which these blocks are not left out of the estimate of the random torque [1]. Chosen: a
-smaller value includes blocks that do not respond, a larger one leaves few blocks."""
+"""Blocks at rest are left out of the estimate of the random torque if they are at most this share of the blocks [1].
+Chosen: a smaller value includes blocks that do not respond, a larger one leaves few blocks."""
 _FIRST_TIME = 1 / 200
 """Correlation time of the first random torque, divided by the length of the record [1]. Chosen: a slower torque would
 absorb the error of the initial values, a faster one is white noise."""

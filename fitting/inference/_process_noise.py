@@ -237,7 +237,10 @@ class WhitenedStretch:
         self._spectra: dict[float, tuple[Array, Array, float]] = {}
 
     def spectrum(self, time: float) -> tuple[Array, Array, float]:
-        """Return independent rows, the variance of each due to process noise, and its rms [rad/s2]."""
+        """Return independent rows, and the variance of each row due to process noise.
+
+        Also return the rms of the process noise [rad/s2].
+        """
         if time not in self._spectra:
             covariance, unit = self.stretch.torque_covariance(time)
             values, vectors = np.linalg.eigh(self.whitening @ covariance @ self.whitening.T)
@@ -356,7 +359,10 @@ class Stretch:
         return np.asarray((self._lift @ values).reshape(len(self.rows), -1))
 
     def torque_covariance(self, time: float) -> tuple[Array, float]:
-        """Return the covariance due to a random acceleration, with a median variance of 1, and its rms [rad/s2]."""
+        """Return the covariance due to a random acceleration, with a median variance of 1.
+
+        Also return the rms of the acceleration [rad/s2].
+        """
         if time not in self._torques:
             self._torques[time] = self._torque_covariance(time)
         return self._torques[time]

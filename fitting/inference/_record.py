@@ -148,7 +148,7 @@ class Record:
     source : str
         The file, for provenance.
     tracked : bool
-        Whether the angles come from film, with tracking errors once and twice per turn.
+        Whether the angles come from film, with tracking errors of one and two periods per turn.
     gradients : bool
         Whether the speeds are gradients of filmed angles, including the errors of the camera.
     generated : bool
@@ -161,8 +161,8 @@ class Record:
         Units of torques: SI units, or units per unit of inertia if the moment of inertia is unknown; it is then 1.
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
-        uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
-        periods per turn [rad]; zeros without one.
+        deviations of the amplitudes of an error with one and two periods per turn, and of an error of 1 to 12 periods
+        per turn [rad]; zeros without one.
     correlated_profile : tuple of (float, float)
         Times [s] and the standard uncertainty [rad] of the slowly varying error at each of them; empty if it is
         constant.
@@ -408,8 +408,8 @@ def make_record(
         Whether no moment of inertia is known: it is then 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
-        uncertainty of an error once and twice per turn, and standard deviation of the amplitudes of an error of 1 to 12
-        periods per turn [rad]; missing numbers are zero.
+        deviations of the amplitudes of an error with one and two periods per turn, and of an error of 1 to 12 periods
+        per turn [rad]; missing numbers are zero.
     correlated_profile : sequence of (float, float)
         Times [s] and the standard uncertainty [rad] of the slowly varying error at each of them, between which it is
         linear; empty if it is constant.
@@ -766,7 +766,7 @@ class PiecewiseCubics:
         return np.asarray((basis * np.repeat(cubic, length, axis=1)).sum(axis=0))
 
     def _basis(self, pieces: int) -> tuple[Array, Indices, Indices]:
-        """Return orthonormal cubics (4, n) of the pieces, the first sample of each, and its number of samples."""
+        """Return orthonormal cubics (4, n), and the first sample and the number of samples of each piece."""
         n = len(self._time)
         length: Indices = n // pieces + (np.arange(pieces) < n % pieces)
         first: Indices = np.cumsum(length) - length

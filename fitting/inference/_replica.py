@@ -2,10 +2,10 @@
 
 The expected values are the values of the fit at every sample, with the fitted initial angles, camera errors, laws of an
 angle and measurement effects. The random errors are those that the fit assumes (a parametric bootstrap; A. C. Davison,
-D. V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4): white noise at the measured level, correlated
-angle noise at a level drawn from its distribution, the random torque in the residuals of the fit, the errors that
-tracking states, errors of the starts of the windows, and errors of the stated moments of inertia, drawn from their
-standard uncertainties.
+D. V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4). They are white noise at the measured level,
+correlated angle noise at a level drawn from its distribution, the random torque in the residuals of the fit, and the
+errors that tracking states. Errors of the starts of the windows and of the stated moments of inertia are drawn from
+their standard uncertainties.
 """
 
 from __future__ import annotations

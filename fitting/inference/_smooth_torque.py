@@ -42,7 +42,7 @@ _DEGREE = 2
 """Degree of the smooth torques in time [1]. Chosen: the parameters of the model nearly absorb a constant and a trend; a
 larger value describes more torques and needs more evidence."""
 _TIMES = 5
-"""Number of trial correlation times of the random torque, in addition to the correlation time of the recording [1].
+"""Number of trial correlation times of the random torque; the correlation time of the recording is tried as well [1].
 Chosen: with fewer, the maximum of the likelihood is overlooked; with more, the test takes longer."""
 _FEWEST_TIMES = 6.0
 """Smallest ratio of the length of a record to the correlation time of the random torque [1]. Chosen: as in

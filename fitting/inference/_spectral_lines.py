@@ -54,8 +54,9 @@ _RETAINED = 0.05
 """Smallest norm of the rows of a line orthogonal to the polynomials, as a share of the norm of all its rows [1].
 Chosen: a smaller value finds lines in the motion, a larger one overlooks slow lines."""
 _TINY = 1e-6
-"""Determinant of the normal matrix of cosine and sine, divided by the product of its diagonal, below which the phase is
-not determined [1]. Chosen: a smaller value inverts rounding errors, a larger one drops lines in short stretches."""
+"""The phase is not determined if the determinant of the normal matrix of cosine and sine, divided by the product of its
+diagonal, is below this value [1]. Chosen: a smaller value inverts rounding errors, a larger one drops lines in short
+stretches."""
 _ROUNDING = 1e-7
 """Relative singular value of a direction that is rounding error [1]. Chosen: a smaller value projects out rounding
 errors, a larger one leaves a part of the nuisance columns."""

@@ -77,7 +77,7 @@ _MOVES = 0.01
 """Share of the largest speed above which a measured body moves [1]. Chosen: a smaller value takes noise at rest for a
 motion, a larger one overlooks a slow motion that the model excludes."""
 _HELD = 0.01
-"""Share of the times above which a model that holds a moving body at rest by friction counts as far from the motion
+"""A model counts as far from the motion if friction holds a moving body at rest in more than this share of the times
 [1]. Chosen: a smaller value excludes a rest that begins a little too early, a larger one accepts a wrong rest."""
 
 

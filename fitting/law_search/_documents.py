@@ -54,7 +54,7 @@ class LawDocument(TypedDict):
     score: float  #: Decrease of the deviance when the law is added [1].
     delta_bic: float  #: BIC with the law minus BIC of the base model [1].
     description_length: float  #: Penalty of the length of the formula, added to BIC in the ranking [1].
-    p_value: float  #: Probability of such a score in the whole search if no law is missing [1].
+    p_value: float  #: Probability of an equal or larger score in the whole search if no law is missing [1].
     torque_rms_Nm: float  #: Rms torque along the measured motion [torque].
     indistinguishable_from: list[str]  #: Formulas of laws that the data cannot separate from this one.
     same_torque_as: list[str]  #: Formulas of laws with the same torque along the recorded motion.
@@ -78,7 +78,8 @@ class DependenceDocument(TypedDict):
 
     variable: str  #: `omega_c`, `t`, ...; two are joined by `*`.
     body: str  #: Body, or `bearing`.
-    p_value: float  #: Probability of such a dependence on any tested variable if there is none [1].
+    #: Probability of an equal or more significant dependence on any tested variable if none exists [1].
+    p_value: float
     explained: float  #: Share of the lack of fit, 0 to 1 [1].
     score: float  #: Decrease of the deviance [1].
     curve: CurveDocument | None  #: The dependence as a curve; null for two variables.
@@ -95,7 +96,7 @@ class LawsDocument(TypedDict):
     trials: int  #: Number of scored candidates.
     laws: list[LawDocument]  #: Laws, best first.
     library: str | None  #: Name of the effect of the library that describes the data as well.
-    #: A parameter whose separate values in the cases describe the data as well; null without one.
+    #: A parameter whose separate values in the cases describe the data as well; null if there is no such parameter.
     differs: DifferenceBetweenRecordings | None
     depends_on: list[DependenceDocument]  #: Dependence on each variable, the largest share first.
 

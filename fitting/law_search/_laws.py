@@ -106,9 +106,9 @@ _POINTS = 1000
 """Number of points of a curve along the motion [1]. Chosen: a smaller number blurs narrow laws, a larger one costs
 time."""
 _COMPARABLE_SHARE = 0.8
-"""Smallest fall of deviance of an effect of the library, divided by the fall of the best law, for which the effect is
-fitted at the same noise [1]. Chosen: a smaller value costs time, a larger one names a formula although a known effect
-describes the data as well."""
+"""An effect of the library is fitted at the same noise as the best law if its fall of deviance, divided by the fall of
+the best law, is at least this value [1]. Chosen: a smaller value costs time, a larger one names a formula although a
+known effect describes the data as well."""
 _EXPLAINED_TIE = 0.01
 """Difference of explained shares below which two variables count as equal [1]. Chosen: with a smaller value, chance
 decides between them; a larger value hides the better variable."""
@@ -157,7 +157,8 @@ class Law:
     score: float  # fall of the deviance when the law is added to the base
     delta_bic: float  # BIC with the law minus BIC of the base
     description_length: float  # penalty of the length of the formula, added to BIC in the ranking
-    p_value: float  # family-wise: probability of such a score in the whole search if no law is missing
+    # family-wise: probability of an equal or larger score in the whole search if no law is missing
+    p_value: float
     torque_rms_Nm: float  # along the measured motion [N m]
     estimates: dict[str, Estimate]  # by ``<effect>.<symbol>``
     indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
@@ -757,7 +758,7 @@ def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
 
 
 def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
-    """Return the laws, each with the formulas of the other laws and of laws of equal torque, and its differences."""
+    """Return the laws, each with the formulas of the others and of laws of equal torque, and with its differences."""
     answer = [x for x in found if x.penalised - found[0].penalised < criteria.equivalence_width]
     groups: list[list[Law]] = []
     for law in answer:

@@ -73,7 +73,7 @@ class PlanDocument(TypedDict):
     power_wanted: float  #: Probability of detection at the detection limit [1].
     confidence: float  #: Confidence level of the upper limits [1].
     size_Nm: float  #: Rms torque for which `power` and `runs_needed` are computed [torque].
-    warning: str  #: Reason why the limits may not apply; empty without one.
+    warning: str  #: Reason why the limits may not apply; empty if they apply.
     friction: NotRequired[FrictionDocument]  #: Friction laws that the recordings separate, with `--friction`.
     picture: NotRequired[Path]  #: The drawing, with `--picture`.
 

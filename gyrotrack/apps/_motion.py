@@ -636,9 +636,9 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     """Return the first sample of the free motion, after a drive by hand or motor.
 
     The speeds of a rotation are means over 1/50 of the record, at least 5 samples. The rotation is driven up to the
-    maximum of its speed if the maximum is in the first half of the record, exceeds the initial speed by more than 5 %
-    and 5 standard errors, and is not followed by another rise of half that size, which would indicate a motor. The end
-    of the drive is then located to the sample. The free part of an oscillation is determined by
+    maximum of its speed under three conditions: the maximum is in the first half of the record; it exceeds the initial
+    speed by more than 5 % and 5 standard errors; and no rise of half that size follows. A later rise would indicate a
+    motor. The end of the drive is then located to the sample. The free part of an oscillation is determined by
     `start_of_oscillation`.
     """
     windows = _speeds(time, angle, sigma)

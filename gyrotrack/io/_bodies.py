@@ -43,7 +43,7 @@ def refuse(subject: str, defect: Defect | None) -> None:
 def write_bodies(file: Any, case: Case) -> None:
     """Write the groups of bodies, clocks and joints of a case, and the groups that older scripts read.
 
-    A UsageError is raised for a value that could not be read back.
+    A UsageError is raised for a value with which the written file could not be read.
     """
     subject = f"Case '{case.label[:40]}'"
     if case.bodies == "chain":

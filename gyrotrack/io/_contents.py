@@ -60,7 +60,7 @@ class MarkerCounts(TypedDict):
 
 
 class MarkerSummary(MarkerCounts):
-    """Number of frames by status of a marker, and its body."""
+    """Body of a marker, and its number of frames by status."""
 
     body: str  #: `casing` or `rotor`.
 

@@ -189,7 +189,7 @@ def load_recording(group: Any) -> Recording:
 
 
 def _load(group: Any, table: layout.Table) -> dict[str, Any]:
-    """Return the columns of a table as arrays stored in a file (`gyrotrack._column_store`), and its attributes."""
+    """Return the attributes of a table, and its columns as arrays stored in a file (`gyrotrack._column_store`)."""
     return {**in_file(READER.table(group, table)), **READER.attributes(group, table.attributes)}
 
 
@@ -223,7 +223,7 @@ def write_case(
     OutputError
         The file exists and `force` is not given, or the file cannot be written.
     UsageError
-        The file could not be read back: an inertia, an uncertainty or an error mode is not valid.
+        An inertia, an uncertainty or an error mode is not valid, so that the written file could not be read.
     """
     with new_hdf5(Path(path), force=force) as file:
         stamp(file, layout.CASE, command=command, settings=settings)
@@ -253,7 +253,7 @@ class LoadedCase:
     """The stored contents of a case file."""
 
     stored: StoredCase
-    others: dict[str, Any]  # fields of `Case` that are read without the series
+    others: dict[str, Any]  # fields of `Case` that are not in `stored`, for example recordings
 
     def case(self) -> Case:
         """Return the case; angles or speeds that the file does not contain are computed."""

@@ -3,7 +3,7 @@
 A `Recording` is one clip: frames, markers, and the angle of each body. A `Case` is one experiment: casing and rotor as
 `Series` on the clock of the casing camera, with the recordings and the `Placement` of each recording on this clock. An
 `Inertia` is read from a text with optional unit and standard uncertainty. Quantities are in SI units. Angles are in rad
-and increase in the sense of rotation. Lengths in the image are in px. Missing values are NaN. The paper is V.
+and increase in the sense of rotation. Lengths in the image are in px. Missing values are NaN. "The paper" below is V.
 Tanrıverdi and A. Erbasan, arXiv:2605.06700.
 """
 
@@ -37,8 +37,8 @@ class _Tabular:
         Parameters
         ----------
         table : {"motion", "markers", "frames", "inputs", "points", "errors"}
-            Motion of the bodies, every marker, every frame, recorded inputs, tracked points, or errors common to
-            samples.
+            Motion of the bodies, every marker, every frame, recorded inputs, tracked points, or errors that many
+            samples share.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class MarkerTrack:
     status : ndarray of int8, shape (n,)
         A value of `STATUS`.
     angle_fine, sigma_calibrated : ndarray, shape (n,)
-        The more accurate estimate of the angle, wrapped, and its calibrated uncertainty [rad].
+        An estimate of the angle that is more accurate than `angle`, wrapped, and its calibrated uncertainty [rad].
     """
 
     name: str
@@ -117,13 +117,16 @@ class BodyTrack:
     smoothing_width : int
         Number of points of the medians.
     correlated_sigma, correlated_time : float
-        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 if there is no
+        such error.
     correlated_profile : tuple of (float, float)
-        Times [s] and the standard uncertainty [rad] of this error at each of them; empty where it is constant.
+        Times [s], and the standard uncertainty [rad] of this error at each of them; empty if the uncertainty is
+        constant.
     periodic_sigma : float
-        Standard uncertainty of an error once and twice per turn while the body is slow [rad]; 0 without one.
+        Standard deviation of the amplitudes of an error of one and two periods per turn [rad]; 0 if there is no such
+        error.
     harmonic_sigma : float
-        Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
+        Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 if there is no such error.
     """
 
     name: str
@@ -260,15 +263,18 @@ class Series:
     sigma_source : str
         "measured" (by tracking), "given" (in a table), "estimated" (from the scatter), or "mixed".
     correlated_sigma, correlated_time : float
-        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 without one.
+        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 if there is no
+        such error.
     correlated_profile : tuple of (float, float)
-        Times [s] and the standard uncertainty [rad] of this error at each of them; empty where it is constant.
+        Times [s], and the standard uncertainty [rad] of this error at each of them; empty if the uncertainty is
+        constant.
     periodic_sigma : float
-        Standard uncertainty of an error once and twice per turn, of constant amplitude [rad]; 0 without one.
+        Standard deviation of the amplitudes of an error of one and two periods per turn [rad]; 0 if there is no such
+        error.
     harmonic_sigma : float
-        Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 without one.
+        Standard deviation of the amplitudes of an error of 1 to 12 periods per turn [rad]; 0 if there is no such error.
     modes : tuple of ErrorMode
-        Errors common to samples.
+        Errors that many samples of the series share.
     """
 
     time: Floats
@@ -288,7 +294,10 @@ class Series:
 
 
 def series_of(parts: Sequence[Any], sense: int = 1, sigma_source: str = "measured") -> Series:
-    """Concatenate motions with time, angle, sigma, omega and omega_sigma, each as a window; `sense` is the sign."""
+    """Join motions to one series; each motion becomes one window.
+
+    Each motion has time, angle, sigma, omega and omega_sigma. Angles and speeds are multiplied by `sense`.
+    """
     names = ("time", "angle", "sigma", "omega", "omega_sigma")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     joined |= {name: sense * joined[name] for name in ("angle", "omega")}
@@ -429,7 +438,7 @@ class Input:
 
 @dataclass(frozen=True)
 class ChainBody:
-    """A body of a chain that is not the first one.
+    """A body of a chain, other than the first body.
 
     Attributes
     ----------
@@ -500,7 +509,10 @@ class Case(_Tabular):
 
     @property
     def main_body(self) -> str:
-        """Name of the body of the series `casing`: "casing", or the name of a single or of the first body."""
+        """Name of the body whose motion is the series `casing`.
+
+        The name is "casing" for two bodies, otherwise `body_name`, or "body" if this is empty.
+        """
         return "casing" if self.bodies == "two" else self.body_name or "body"
 
     @property
@@ -557,11 +569,12 @@ _READABLE = {"rad s-1": "rad/s"}
 def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, ...]:
     """Return a recording or a case as columns of equal length: times in s, angles in rad, speeds in rad s-1.
 
-    Lengths are in px; lengths of points with a scale are in m. The table is "motion" (angles and speeds of the
-    bodies), "markers" (every marker in every frame), "frames" (of each clip), "inputs" (recorded inputs of a case,
-    each in its unit), "points" (paths of points) or "errors" (standard uncertainty of each sample by each error common
-    to samples, in rad or rad s-1). Several bodies, markers, points or clips are concatenated and identified by the
-    first columns; NaN where not measured. A UsageError is raised if the table is unknown or empty.
+    Lengths are in px; lengths of points with a scale are in m. The table is "motion" (angles and speeds of the bodies),
+    "markers" (every marker in every frame), "frames" (of each clip), "inputs" (recorded inputs of a case, each in its
+    unit), "points" (paths of points) or "errors" (for each shared error, the standard uncertainty that it causes in
+    each sample, in rad or rad s-1). Rows of several bodies, markers, points or clips follow each other; the first
+    columns identify them. Values that were not measured are NaN. A UsageError is raised if the table is unknown or
+    empty.
     """
     if table not in TABLES:
         raise UsageError(f"Unknown table '{table}'.", f"Use one of {', '.join(TABLES)}.")
@@ -569,10 +582,10 @@ def columns(content: Recording | Case, table: str = "motion") -> tuple[Column, .
     if not parts:
         hints = {
             "inputs": "`import --input` records them.",
-            "errors": "A file contains errors if its source states errors common to samples.",
+            "errors": "The source of the file states no error that many samples share.",
         }
         hint = hints.get(table, "Only recordings of films contain this table.")
-        raise UsageError(f"The file contains no {table}.", hint)
+        raise UsageError(f"The file contains no table '{table}'.", hint)
     return tuple(
         Column(c.name, c.unit, np.concatenate([part[i].values for part in parts]))
         for i, c in enumerate(parts[0])
@@ -617,9 +630,9 @@ def _inputs(content: Recording | Case) -> list[list[Column]]:
 
 
 _PERIODIC_ORDERS = 2
-"""Orders of `periodic_sigma` [1]. Derived: once and twice per turn."""
+"""Number of harmonics to which `periodic_sigma` applies [1]. Derived: one and two periods per turn."""
 _HARMONIC_ORDERS = 12
-"""Orders of `harmonic_sigma` [1]. Derived: 1 to 12 periods per turn."""
+"""Number of harmonics to which `harmonic_sigma` applies [1]. Derived: 1 to 12 periods per turn."""
 
 
 def _errors(content: Recording | Case) -> list[list[Column]]:
@@ -644,9 +657,10 @@ def _error(body: str, time: Floats, words: tuple[str, str, str], u: Floats, unit
 
 
 def _stated_errors(series: BodyTrack | Series) -> Iterator[tuple[str, Floats]]:
-    """Yield the errors that tracking states as scalars, and the standard uncertainty of each sample [rad].
+    """Yield each error that a track states by its standard uncertainty, and the resulting uncertainties [rad].
 
-    For an error that repeats with the turn, the amplitudes of cosine and sine of each order have the same variance.
+    Each sample has one standard uncertainty. For an error that repeats with the turn, the amplitudes of cosine and sine
+    of each order have the same variance.
     """
     if series.correlated_sigma > 0:
         profile = np.array(series.correlated_profile or ((0.0, series.correlated_sigma),))

@@ -27,7 +27,10 @@ _MEMBER = "motion.trk"
 def write_project(
     stream: BinaryIO, bodies: Sequence[tuple[str, Floats, Floats]], *, zipped: bool = False
 ) -> None:
-    """Write a project of bodies, each with its name, times [s] and angles [rad]; `zipped` as a .trz."""
+    """Write a project of bodies, each with its name, times [s] and angles [rad].
+
+    If `zipped`, a .trz archive is written.
+    """
     content = _document(bodies).encode()
     if not zipped:
         stream.write(content)
@@ -41,11 +44,14 @@ def _document(bodies: Sequence[tuple[str, Floats, Floats]]) -> str:
     times = np.unique(np.concatenate([time for _, time, _ in bodies]))
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     place = (times - times[0]) / step if step > 0 else np.zeros(len(times))
-    # the mean interval of the whole record, because intervals of neighbours are rounded
+    # the mean interval of the whole record, because the intervals between neighbouring times are rounded
     step = float(times[-1] - times[0]) / max(float(np.rint(place[-1])), 1.0) if step > 0 else 0.0
     place = (times - times[0]) / step if step > 0 else place
     if not step or np.abs(place - np.rint(place)).max() > _OFF_GRID or place[-1] > _MOST_FRAMES:
-        what = "The times are not at equal intervals, as a project of OSP Tracker requires."
+        what = (
+            f"A project of OSP Tracker needs times at equal intervals and at most {_MOST_FRAMES:,} frames; the times "
+            "do not meet this."
+        )
         raise UsageError(what, "Export text of OSP Tracker: -o FILE.txt.")
     last = int(np.rint(place[-1])) + 1
     axes = {"xorigin": _ORIGIN[0], "yorigin": _ORIGIN[1], "xangle": 0.0, "xscale": _RADIUS, "yscale": _RADIUS}

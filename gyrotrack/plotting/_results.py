@@ -260,9 +260,10 @@ _MAX_PARAMETERS = 14
 
 
 def _population_figure(found: Population) -> Figure:
-    """Return a figure with one chart per parameter: its value in each run, with bars of 2 u, against the run time.
+    """Return a figure with one chart per parameter: its value in each run, against the time of the run.
 
-    The line is the mean of the runs, or a significant drift or step; the band is the spread between the runs.
+    The bars show 2 u. The line is the mean of the runs, or a significant drift or step; the band is the spread between
+    the runs.
     """
     shown = sorted(found.parameters, key=lambda p: p.p_adjusted)[:_MAX_PARAMETERS]
     names = [p.name for p in found.parameters]
@@ -301,7 +302,7 @@ def _population_figure(found: Population) -> Figure:
             f"adjusted p {probability(p.p_adjusted)}", loc="right", fontweight="normal", fontsize="small"
         )
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
-    axes[-1].set_xlabel("run" if found.time_unit == "run" else f"run time [{found.time_unit}]")
+    axes[-1].set_xlabel("run" if found.time_unit == "run" else f"time of the run [{found.time_unit}]")
     return figure
 
 

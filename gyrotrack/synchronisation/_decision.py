@@ -86,8 +86,8 @@ BIC_BLOCKS = 30
 """Number of blocks whose means are taken as independent [1]. Chosen: with fewer, the number of intervals cannot be
 selected; with more, their means are correlated."""
 PARAMETERS = 16
-"""Number of parameters in addition to one per interval [1]. Derived: 5 for the ends of the spline, 8 harmonics, start,
-rate and direction."""
+"""Number of parameters besides one parameter per interval [1]. Derived: 5 for the ends of the spline, 8 harmonics,
+start, rate and direction."""
 ROUNDS = 2
 """Number of passes of the calibration of noise and the rejection of outliers [iterations]. Chosen: a smaller number
 keeps outliers, a larger one costs time."""
@@ -216,7 +216,7 @@ def _minima(distance: Floats) -> list[int]:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A clip with calibrated sigmas, and its possible starts with their chi2, best first."""
+    """A clip with calibrated uncertainties, and its possible starts, each with chi2, best first."""
 
     name: str
     pair: Pair

@@ -1,4 +1,4 @@
-"""Rendering of a film, with its exact angles, corners and visibilities: colour planes, encoding, truth.
+"""Render and encode a film, and compute its exact angles, corners and visibilities.
 
 A chroma sample (i, j) is centred at the luma position x = 2 i, y = 2 j + 1/2, the default of H.264. The conversion is
 implemented here because the results of common scalers differ by half a luma pixel.

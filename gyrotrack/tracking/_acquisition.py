@@ -242,8 +242,8 @@ _TYPICAL = 0.6
 """Quantile, over the samples, of the largest score in a sample; it is the typical score of the marker [1]. Chosen: the
 marker is occluded in less than half of the samples, and a hand has a larger score in less than a third of them."""
 _CLEARLY = 0.5
-"""Smallest value of the largest score in a sample, divided by the typical score, for a clearly visible marker [1].
-Chosen: a smaller value accepts residues of the codec, a larger one loses shaded markers."""
+"""A marker is clearly visible in a sample if the largest score in the sample, divided by the typical score, is at least
+this value [1]. Chosen: a smaller value accepts residues of the codec, a larger one loses shaded markers."""
 
 
 def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
@@ -272,8 +272,8 @@ def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> F
 
 
 _LEAST_KNOWN = 8
-"""Smallest number of samples with a known angle of the body for the search for a white marker [samples]. Chosen: with
-fewer the mean contains other objects, with more the marker is lost in short films."""
+"""A white marker is searched for if the angle of the body is known in at least this number of samples [samples].
+Chosen: with fewer the mean contains other objects, with more the marker is lost in short films."""
 
 
 def find_white(
@@ -423,11 +423,11 @@ def _coloured(rings: Rings, profile: Profile, body: str) -> dict[str, SampledMar
 
 
 LEAST_COVERED = 4.0
-"""Smallest angle covered by the samples of a body's markers for which the centre of the body is measured [rad]. Chosen:
-a smaller value mistakes the radius of an arc for an offset, a larger one needs more samples."""
+"""The centre of a body is measured if the samples of its markers cover at least this angle [rad]. Chosen: a smaller
+value mistakes the radius of an arc for an offset, a larger one needs more samples."""
 LEAST_TURNED = 0.5
-"""Smallest angle covered by the samples of a marker at which it is decided which other markers turn with this marker
-[rad]. Chosen: a smaller value compares markers at rest, a larger one compares none in slow films."""
+"""The markers that turn with a marker are determined if the samples of this marker cover at least this angle [rad].
+Chosen: a smaller value compares markers at rest, a larger one compares none in slow films."""
 LEAST_OFFSET = 1.0
 """Offset of the orbits from the hub below which rings about the hub are used [px]. Chosen: half a chroma sample; a
 smaller value follows noise, with a larger one the windows are off centre."""
@@ -699,8 +699,8 @@ _DISC_PEAK = 10.0
 """Smallest peak score of a disc; the peak is the 99th percentile of the scores [grey levels]. Chosen: a smaller value
 accepts reflections, a larger one loses faint discs."""
 _DISC_FILL = 0.7
-"""Smallest area of a disc, divided by the area of the smallest circle about it, if no orbit is known [1]. Chosen: a
-full disc has 1; a smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
+"""If no orbit is known, smallest area of a disc, divided by the area of the smallest circle about the disc [1]. Chosen:
+a full disc has 1; a smaller value accepts rectangles and arcs, a larger one loses noisy discs."""
 
 
 def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | None) -> Disc | None:

@@ -23,8 +23,9 @@ _MOST_FOLD = 48
 """Largest order of symmetry that is considered [1]. Chosen: a larger value takes fine texture for a symmetry, a smaller
 one overlooks wheels with many spokes."""
 _ALIKE = 0.5
-"""Smallest correlation between a body's picture and the same picture rotated by a period, for which the other rotation
-is tried [1]. Chosen: a smaller value tries more rotations, which costs time; a larger one overlooks an alias."""
+"""The other rotation is tried if the correlation between a body's picture and the same picture rotated by a period is
+at least this value [1]. Chosen: a smaller value tries more rotations, which costs time; a larger one overlooks an
+alias."""
 _FAST = 0.25
 """Smallest turn per frame, in periods, for which the other rotation is tried [1]. Chosen: if the motion is slower, the
 other rotation is implausibly fast; a smaller value adds needless warnings, a larger one overlooks aliases."""

@@ -86,8 +86,8 @@ _HUB_FRAMES = 100
 """Number of frames from which the motion of the hub, or its distance, is measured [frames]. Chosen: a smaller number
 gives an uncertain hub, a larger one costs time."""
 _PATH_SETTLED = 0.02
-"""Step below which the iterations for the displacement of a body far from its hub end, in one frame [px]. Chosen: a
-larger value stops early, a smaller one costs time."""
+"""For a body far from its hub, the iterations for the displacement in a frame end if a step is smaller than this value
+[px]. Chosen: a larger value stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
 """Number of iterations for the hub of a body far from it [iterations]. Chosen: a smaller number stops before distance
 and template agree, a larger one costs time."""
@@ -119,21 +119,21 @@ _SHOWN = 0.33
 """Largest share of a ring inside the picture for which `_OUTSIDE` applies [1]. Chosen: a body in a corner of the
 picture shows a smaller share; a larger value refuses cut discs, a smaller one accepts translation."""
 _WHOLE = 0.9
-"""Smallest moving share of the picture for which the camera may turn about a hub outside the picture [1]. Chosen: a
+"""The camera may turn about a hub outside the picture if at least this share of the picture moves [1]. Chosen: a
 smaller value refuses bodies that fill the picture, a larger one accepts moving cameras."""
 _UNDETERMINED = 0.25
 """Largest accepted error of the angles due to the hub, divided by the standard deviation of the angles [1]. Chosen: if
 the assumed hub is too near, all angles are too large; at this limit the amplitude of a pendulum does not determine its
 period."""
 _AS_MUCH = 1.1
-"""Largest unexplained share with another hub, divided by the unexplained share with the best hub, for which both hubs
-are reported [1]. Chosen: a smaller value hides alternatives, a larger one reports worse hubs."""
+"""Two hubs are reported if the unexplained share with the other hub, divided by the unexplained share with the best
+hub, is at most this value [1]. Chosen: a smaller value hides alternatives, a larger one reports worse hubs."""
 _OTHER_RANGE = 0.05
-"""Smallest relative difference of the ranges of the angles about two hubs for which both hubs are reported [1]. Chosen:
+"""Two hubs are reported if the ranges of the angles about them differ by at least this relative difference [1]. Chosen:
 a smaller value reports hubs with equal angles, a larger one hides different angles."""
 _AS_GOOD = 0.8
-"""Smallest explained share of a second body, relative to the best candidate, that makes the film ambiguous [1]. Chosen:
-a smaller value refuses films with shadows, a larger one may choose the wrong body."""
+"""The film is ambiguous if the explained share of a second body, relative to the best candidate, is at least this value
+[1]. Chosen: a smaller value refuses films with shadows, a larger one may choose the wrong body."""
 _GIVEN_IS_NEAR = 0.8
 """Explained share about a given hub below which proposed hubs near it are also tried [1]. Chosen: a local search finds
 the true hub only if it is near; a smaller value overlooks a distant hub, a larger one costs time."""
@@ -174,12 +174,12 @@ _TILTED = 0.35
 """Smallest tilt of the axis that the result states [rad]. Chosen: cos 0.35 = 0.94; a smaller value reports noise, a
 larger one hides a tilt."""
 _ELSEWHERE = 0.2
-"""Smallest ratio of the moving area outside the best ring to the moving area within it for which a second body is
-searched for [1]. Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
+"""A second body is searched for if the moving area outside the best ring, divided by the moving area within it, is at
+least this value [1]. Chosen: a smaller value costs time on shadows, a larger one overlooks a second body."""
 _COUPLED = 0.55
-"""Smallest ratio of the moving area outside the best ring to the moving area within it for which a second body may act
-on the first body [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with one link
-tracked."""
+"""A second body may act on the first body if the moving area outside the best ring, divided by the moving area within
+it, is at least this value [1]. Measured: up to 0.47 for real single bodies; 0.64 to 2.1 for drawn double pendulums with
+one link tracked."""
 _STRETCH_SPAN = 3.0
 """Smallest range of the angle for which the ellipse due to a tilted camera is fitted [rad]. Chosen: about half a turn;
 with a smaller value the ellipse is undetermined, with a larger one the tilt is not corrected."""
@@ -187,9 +187,9 @@ _STATIC_SPAN = 1.0
 """Smallest range of the angle for which a fixed picture is always part of the model [rad]. Chosen: a smaller value
 confuses the fixed picture with the body, a larger one leaves glare in the template."""
 _CLEARLY_BETTER = 0.02
-"""Smallest increase of the explained share for which a fixed picture is part of the model at ranges below
-`_STATIC_SPAN` [1]. Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds this picture due
-to noise, a larger one omits it."""
+"""A fixed picture is part of the model at ranges below `_STATIC_SPAN` if it increases the explained share by at least
+this value [1]. Chosen: a pendulum in front of a wall needs the fixed picture; a smaller value adds this picture due to
+noise, a larger one omits it."""
 
 
 class NothingMovesError(RefusedFilmError):

@@ -179,8 +179,8 @@ Measured: rms over films of many kinds."""
 
 
 _BETTER = 4.0
-"""Smallest reduction of the mean squared residual of the radii, in standard errors, for which another path of the hub
-is preferred [1]. Chosen: a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
+"""Another path of the hub is preferred if it reduces the mean squared residual of the radii by at least this number of
+standard errors [1]. Chosen: a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
 _TOGETHER = 16
 """Number of frames over which the errors of radii are taken as correlated [frames]. Chosen: twice `HOLE`; a smaller
 value overstates the significance, a larger one leaves few groups."""
@@ -205,8 +205,8 @@ def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> Centre
 
 
 LEAST_ARC = 1.0
-"""Smallest rotation of the casing for which the offset of the disc from the rotor's axis is determined [rad]. Chosen: a
-smaller value mistakes drift for an offset, a larger one ignores short films."""
+"""The offset of the disc from the rotor's axis is determined if the casing turns by at least this angle [rad]. Chosen:
+a smaller value mistakes drift for an offset, a larger one ignores short films."""
 SIGNIFICANT = 3.0
 """Smallest offset of the disc that is corrected, in standard errors of a harmonic of the radii [1]. Chosen: three
 standard deviations; a smaller value corrects noise, a larger one leaves offsets."""
@@ -465,10 +465,10 @@ def separate_perspective(
     e, where a is proportional to the square of the radius, while its angles are the angles about e. The markers of the
     rotor turn fast, so their angles determine e, and their radii determine a + e.
 
-    The offset of the casing is measured by its radii minus the perspective. Two values are expected: zero, if the disc
-    and the marker of the casing are on one body (the offset of the rotor is then due to its depth), or the offset of
-    the rotor, if the disc is above both bodies. Both expected values have the uncertainty `_height_error`. All
-    measurements have position-dependent errors.
+    The offset of the casing is measured by its radii minus the perspective. Two values are expected. It is zero if the
+    disc and the marker of the casing are on one body; the offset of the rotor is then due to the depth of the rotor. It
+    is the offset of the rotor if the disc is above both bodies. Both expected values have the uncertainty
+    `_height_error`. All measurements have position-dependent errors.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -524,8 +524,8 @@ def _tilt_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Flo
 Integers = npt.NDArray[np.int64]
 
 _FAR = 0.05
-"""Smallest range of the positions of the centre, relative to the radius of the orbit, for which the motion of the
-centre is followed [1]. Chosen: a smaller value follows noise, a larger one uses the mean position of a moving hub."""
+"""The motion of the centre is followed if the range of its positions, relative to the radius of the orbit, is at least
+this value [1]. Chosen: a smaller value follows noise, a larger one uses the mean position of a moving hub."""
 
 
 @dataclass(frozen=True)
@@ -746,7 +746,7 @@ def _followed(
 
 
 MANY_TURNS = 10.0
-"""Smallest number of turns over which errors of the markers that repeat in each turn average out [turns]. Chosen: a
+"""Errors of the markers that repeat in each turn average out over at least this number of turns [turns]. Chosen: a
 smaller number lets markers with harmonics set the zero of a template, a larger one ignores the markers."""
 
 
@@ -767,9 +767,9 @@ def by_texture(
     The zeros of the templates follow from the markers (`template_zeros`). A marker that passes a marker of another body
     has an error; `others` are the angles of the other bodies, (n,) [rad] each. If the body makes only a few turns, all
     templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
-    marker (`join`). If position-dependent errors common to the zones cannot be estimated, they are assumed to be at
-    least `error_of_ring`, computed from `usual` [px] and the mean `radius` of the markers [px], because in a compressed
-    film a body at rest has one error in all zones.
+    marker (`join`). In a compressed film, a body at rest has one error in all zones. If such position-dependent errors
+    cannot be estimated, they are assumed to be at least `error_of_ring`. This error is computed from `usual` [px] and
+    the mean `radius` of the markers [px].
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     # an error that repeats in each turn does not change the zeros of batches
@@ -830,26 +830,26 @@ def by_texture(
 
 
 RING_ERROR = 0.055
-"""Position-dependent error of a slow ring whose oblique view is determined from the ring itself, rms [px]. Measured: in
-eleven films by two other renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers,
+"""Position-dependent error (rms) of a slow ring if its oblique view is determined from the ring itself [px]. Measured:
+in eleven films by two other renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers,
 0.054 px rms. A ring whose view is unknown has the error of a marker, because an encoder repeats pictures of a slow
 body."""
 LEAST_PERIODIC = 0.3e-3
-"""Standard deviation of the amplitudes of an error once and twice per turn of a slow casing, in addition to the errors
-of centre and flattening [rad]. Measured: in the slow frames of five rendered films, the amplitudes exceeded these
-errors by 0.2 to 0.4 mrad; a smaller value reports shading as an unbalance, a larger one hides an unbalance."""
+"""Standard deviation of the amplitudes of an error with one and two periods per turn of a slow casing, beyond the
+errors of centre and flattening [rad]. Measured: in the slow frames of five rendered films, the amplitudes exceeded
+these errors by 0.2 to 0.4 mrad; a smaller value reports shading as an unbalance, a larger one hides an unbalance."""
 LEVEL = 0.005
 """Largest flattening for which a ring determines its own view; it corresponds to a tilt of 0.14 rad [1]. Measured: in
 rendered films of a near camera with a tilt of 0.15 rad (flattening 0.0056), the rms error of the angles is 0.75 to 1.2
 standard uncertainties over more than 0.6 turns, but 1.1 to 1.6 over half a turn; with 0.08 rad, 0.9 to 1.1."""
 _ALMOST_ALL = 0.95
-"""Smallest share of the frames of a ring that must be measured with the view determined from the ring itself [1].
-Chosen: the other frames have the angles of the markers; a smaller value mixes different errors, a larger one fails for
-a few disturbed frames."""
+"""The view that is determined from the ring itself is used if at least this share of the frames of the ring is measured
+with it [1]. Chosen: the other frames have the angles of the markers; a smaller value mixes different errors, a larger
+one fails for a few disturbed frames."""
 
 
 def periodic_error(texture: TextureObservations, centre: Floats, flattening: float, learnt: Mask) -> float:
-    """Return the largest standard deviation of the amplitudes of an error once and twice per turn [rad].
+    """Return the largest standard deviation of the amplitudes of an error with one and two periods per turn [rad].
 
     The errors of the frames `learnt` (n,) are known and removed from all frames. The remaining errors of the `centre`
     (n,) [px] and of the `flattening` are due to the difference between the responses of the templates. Shading also
@@ -895,8 +895,8 @@ _FEWEST_MEANS = 12
 """Smallest number of averages for a comparison [1]. Derived: the variance of 12 means is known within about 40 %,
 sqrt(2 / 11)."""
 _MOST_NOISE = 2.0
-"""Smallest ratio of the standard uncertainties of two angles for which the noisier angle is not used [1]. Chosen: a
-smaller value keeps angles with slow errors, a larger one accepts much noise."""
+"""The noisier of two angles is not used if its standard uncertainty, divided by the other standard uncertainty, is at
+least this value [1]. Chosen: a smaller value keeps angles with slow errors, a larger one accepts much noise."""
 
 
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
@@ -954,8 +954,8 @@ _REST = 0.05
 """Largest range of the angle of a body at rest [rad]. Chosen: a smaller value calls noise a motion, a larger one hides
 a slow body."""
 _TURNS = 1.0
-"""Smallest range of the angle of the other body for which the other body counts as rotating [rad]. Chosen: a smaller
-value omits a body although the other body hardly turns, a larger one keeps angles of the background."""
+"""The other body counts as rotating if the range of its angle is at least this value [rad]. Chosen: a smaller value
+omits a body although the other body hardly turns, a larger one keeps angles of the background."""
 
 
 def _at_rest(body: BodyAngles, other: BodyAngles) -> bool:

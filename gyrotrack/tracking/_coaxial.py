@@ -1,4 +1,4 @@
-"""Two bodies about one hub: another rotation explains the changes that the first rotation does not explain."""
+"""Two bodies about one hub: another rotation explains changes of brightness that the first one leaves unexplained."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _COARSE = 48.0
 """Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
 marks of the second body."""
 _OF_REST = 0.4
-"""Smallest share, explained by a second rotation, of the change that the first rotation does not explain [1]. Measured:
-less than 0.2 for one body with light fixed in the image or a displaced hub."""
+"""A second rotation must explain at least this share of the change of brightness that the first rotation leaves
+unexplained [1]. Measured: less than 0.2 for one body with light fixed in the image or a displaced hub."""
 _OF_ALL = 0.05
-"""Smallest share of the whole change that a second rotation explains [1]. Measured: less than 0.03 for one body with
-light fixed in the image or a displaced hub."""
+"""A second rotation must explain at least this share of the whole change of brightness [1]. Measured: less than 0.03
+for one body with light fixed in the image or a displaced hub."""
 _LESS_OF_REST = 0.2
-"""Limit that replaces `_OF_REST` for a rotation that explains at least `_MORE_OF_ALL` of the whole change [1].
-Measured: 0.22 for a rendered rotor in a slowly turning casing."""
+"""Limit that replaces `_OF_REST` if the rotation explains at least `_MORE_OF_ALL` of the whole change of brightness
+[1]. Measured: 0.22 for a rendered rotor in a slowly turning casing."""
 _MORE_OF_ALL = 0.1
-"""Smallest explained share of the whole change for which `_LESS_OF_REST` replaces `_OF_REST` [1]. Measured: 0.13 for a
-rendered rotor in a slowly turning casing, less than 0.03 for one body."""
+"""If a second rotation explains at least this share of the whole change of brightness, `_LESS_OF_REST` replaces
+`_OF_REST` [1]. Measured: 0.13 for a rendered rotor in a slowly turning casing, less than 0.03 for one body."""
 _APART = 0.2
-"""Smallest standard deviation of the difference of two angles, divided by the larger of their standard deviations, for
-different motions [1]. Measured: up to 0.1 for one body with a displaced hub, whose residual picture turns with the
-body."""
+"""Two angles belong to different motions if the standard deviation of their difference, divided by the larger of their
+two standard deviations, exceeds this value [1]. Measured: up to 0.1 for one body with a displaced hub. What the
+rotation leaves unexplained then turns with the body."""
 _LEAST_RANGE = 2e-3
 """Smallest range of the angle of a second rotation [rad]. Chosen: a smaller value takes noise for a body, a larger one
 overlooks small oscillations."""
@@ -47,7 +47,8 @@ class SecondRotation:
     angle : ndarray, shape (n,)
         Angle of this part in each frame, clockwise as seen [rad].
     of_rest, of_all : float
-        Explained share of the change of brightness that the first body does not explain, and of the whole change.
+        Shares that the second rotation explains: of the change of brightness left by the first body, and of the whole
+        change.
     """
 
     angle: Floats

@@ -52,15 +52,15 @@ _WHOLE = 0.4
 """Smallest share of the picture within the features that move with the camera [1]. Chosen: a smaller value takes a
 large body for the camera, a larger one overlooks a camera before blank walls."""
 _NO_HUB = 0.3
-"""Smallest rms residual of a rotation about one hub, divided by the rms displacement, for which a picture does not turn
-about a hub [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera held by
-hand."""
+"""A picture does not turn about a hub if the rms residual of a rotation about one hub, divided by the rms displacement,
+is at least this value [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera
+held by hand."""
 MOSTLY_TRANSLATES = 0.7
 """Limit that replaces `_NO_HUB` if the hub moves less than the rim, like the hub of a suspended body [1]. Measured:
 0.40 for a real trifilar table that fills 40 % of the picture, 0.94 to 0.97 for drawn and real cameras held by hand."""
 _SECOND = 0.25
-"""Smallest share of the moving features that are outliers of the first motion, for a second body [1]. Chosen: a smaller
-value finds a second body in outliers, a larger one overlooks a small second body."""
+"""There is a second body if at least this share of the moving features are outliers of the first motion [1]. Chosen: a
+smaller value finds a second body in outliers, a larger one overlooks a small second body."""
 _EXPLAINED = 0.5
 """Smallest share of the outliers of the first motion that are inliers of the second motion [1]. Chosen: a smaller value
 finds a second body in outliers, a larger one overlooks a blurred second body."""
@@ -71,9 +71,9 @@ _LEAST_TURN = 2e-3
 """Smallest rotation of each of two bodies [rad]. Chosen: a smaller value takes translation for rotation, a larger one
 overlooks slow bodies."""
 _LINKED = 0.25
-"""Smallest scatter, from pair to pair, of the fixed point of a body with a moving hub, divided by the largest distance
-of the features of a body from its hub [1]. Chosen: a smaller value takes noise for a link, a larger one overlooks
-links."""
+"""The hub of a body moves if the scatter of the fixed point from pair to pair, divided by the largest distance of the
+features of the body from its hub, is at least this value [1]. Chosen: a smaller value takes noise for a link, a larger
+one overlooks links."""
 _COAXIAL = 0.15
 """Smallest distance of two separate fixed points, divided by the largest distance of the features of a body from its
 hub [1]. Chosen: a smaller value refuses rotor and casing as two hubs, a larger one joins neighbouring bodies."""
@@ -93,9 +93,9 @@ _SHOT = 12
 """Length of the shortest shot [frames]. Chosen: a smaller value averages too few frames, a larger one overlooks short
 titles."""
 _SMEARED = 0.12
-"""Smallest detail along the circles of a ring, divided by the detail across them, for a sharp picture; the gradients of
-the noise are subtracted [1]. Chosen: only the stated cause of a refusal depends on it; a smaller value overlooks blur,
-a larger one calls discs with rings blurred."""
+"""A picture is sharp if the detail along the circles of a ring, divided by the detail across them, is at least this
+value; the gradients of the noise are subtracted [1]. Chosen: only the stated cause of a refusal depends on it; a
+smaller value overlooks blur, a larger one calls discs with rings blurred."""
 FOLLOW_LINKS = (
     "Follow the joint and a point of the second link; give their positions in the first frame, in this order: "
     "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
@@ -301,9 +301,9 @@ def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
 def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float, float, float] | None:
     """Return the motion of the whole picture, or None if it turns about a hub.
 
-    The result contains the median displacement of the features per frame [px], the share of the features that move
-    together, and the rms residual of the displacements after the fit of a rotation about the best hub, divided by the
-    rms displacement.
+    The result has three numbers. The first is the median displacement of the features per frame [px]. The second is the
+    share of the features that move together. The third is the rms residual of the displacements after the fit of a
+    rotation about the best hub, divided by the rms displacement.
     """
     steps, shares, left, right = [], [], [], []
     at_rest = 0

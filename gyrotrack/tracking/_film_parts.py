@@ -68,11 +68,11 @@ OVERLAP = 64
 """Number of frames that two neighbouring parts share [frames]. Chosen: a smaller number leaves the turns between parts
 uncertain, a larger one costs time because these frames are tracked twice."""
 LEARNT = 256
-"""Smallest number of frames at the beginning of a part for the maps of illumination and occlusion [frames]. Chosen: a
-smaller number gives noisy maps, a larger one delays the start."""
+"""The maps of illumination and occlusion need at least this number of frames at the beginning of a part [frames].
+Chosen: a smaller number gives noisy maps, a larger one delays the start."""
 MOST_LEARNT = 8
-"""Largest number of parts whose beginnings are used for the maps of illumination and occlusion [1]. Chosen: the cost
-does not grow with the film; a larger number costs time, a smaller one gives noisier maps."""
+"""The maps of illumination and occlusion use the beginnings of at most this number of parts [1]. Chosen: the cost does
+not grow with the film; a larger number costs time, a smaller one gives noisier maps."""
 _RATE = 24
 """Number of frames on either side of a gap between parts; their mean speed extrapolates the angle over the gap
 [frames]. Chosen: a smaller number gives a noisy speed, a larger one includes a change of the speed."""

@@ -1,8 +1,8 @@
 """Test whether a body turns about one fixed hub: the displacement of its hub is fitted frame by frame.
 
-Rotation about a hub also explains a part of the change in some films without rotation about a fixed axis, for example
-of a block that moves along a line beside a moving plot, or of several objects that move and change their size. The
-template about the hub then fits better at a position that changes from frame to frame.
+Some films show no rotation about a fixed axis, but rotation about a hub explains a part of the change. Examples are a
+block that moves along a line beside a moving plot, and several objects that move and change their size. The template
+about the hub then fits better at a position that changes from frame to frame.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def drift(
 
 
 _RIGID = 0.02
-"""Error of the angles due to the difference between the two halves of a ring (`hub_error`), divided by the standard
-deviation of the angles, above which the halves do not turn as one body [1]. Measured: up to 0.007 for real discs, drawn
+"""The two halves of a ring do not turn as one body if the error of the angles due to their difference (`hub_error`),
+divided by the standard deviation of the angles, exceeds this value [1]. Measured: up to 0.007 for real discs, drawn
 rods, bobs and wheels, 0.037 and 0.074 for double pendulums within one ring, 0.11 for a block on a spring."""
 
 
@@ -79,8 +79,9 @@ def halves_differ(angle: Floats, error: float) -> float | None:
 
 
 _FALLS = 0.15
-"""Share of the change explained by rotation in the frames of the search, minus the share in the whole film, above which
-the hub is not fixed [1]. Measured: up to 0.07 for real films on an axle, 0.23 for a drawn pole on a cart."""
+"""The hub is not fixed if the share of the change that rotation explains in the frames of the search exceeds the share
+in the whole film by more than this value [1]. Measured: up to 0.07 for real films on an axle, 0.23 for a drawn pole on
+a cart."""
 _FALLEN = 0.2
 """Decrease of the explained share, as for `_FALLS`, above which the film is refused [1]. Measured: 0.23 for a public
 film of a pole on a cart, up to 0.07 for real films on an axle."""

@@ -1,10 +1,10 @@
 """Confirmation of repeated frames by the motion of the bodies.
 
 Two pictures may be equal because nothing turns. A frame counts as a repetition, and is not measured, if a body should
-have moved by more than its scatter but has not moved. The next frame shows the origin of the repetition. If the body
-has then also moved by the step of the repeated frame, the repetition replaces a missing frame, and all other times are
-correct. Otherwise the repetition was inserted between two frames of the camera, for example by a conversion to a higher
-rate, and the frames are numbered without the repetition.
+have moved by more than its scatter but has not moved. The next frame shows the origin of the repetition. If in the next
+frame the body has moved by two steps, a frame is missing and the repetition has taken its place; the times of all other
+frames are correct. Otherwise the repetition was inserted between two frames of the camera, for example by a conversion
+to a higher rate, and the frames are numbered without the repetition.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ AROUND = 20
 """Number of frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number
 gives a noisy step, a larger one includes a change of the speed."""
 CLEAR = 6.0
-"""Smallest step of a body for which a repetition can be detected, in standard deviations of its steps [1]. Derived:
+"""A repetition is detected if the step of a body, in standard deviations of its steps, exceeds this value [1]. Derived:
 half a step, below which the body counts as unmoved, is then three standard deviations."""
 FEWEST = 4
-"""Smallest number of steps for a scatter, and of runs of repeats for a period [1]. Chosen: a smaller number gives a
-random scatter, a larger one leaves repeats undetected."""
+"""A scatter is computed from at least this number of steps, and a period from at least this number of runs of repeated
+frames [1]. Chosen: a smaller number gives a random scatter, a larger one leaves repeats undetected."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,10 @@ class _Steps:
         return bool(step < 0.5 * abs(self.around(frame)[0])) if np.isfinite(step) else None
 
     def shares(self, runs: list[tuple[int, int]]) -> list[float]:
-        """Return the additional motion across each run, in typical steps per repeated frame."""
+        """Return the additional motion across each run, divided by the number of repeated frames, in typical steps.
+
+        The additional motion is the motion from the frame before the run to the frame after it, minus one typical step.
+        """
         found = []
         for first, after in runs:
             usual, clear = self.around(first)
@@ -158,18 +161,21 @@ def without_repeats(
     count, first = int(found.again.sum()), int(np.argmax(found.again))
     warning = f"{count} frames repeat the previous frame (the first is frame {first}) and are omitted."
     if not found.inserted:
-        warning += " The repeats replace missing frames: in the following frames the bodies have moved on."
+        warning += (
+            " The repeats replace missing frames: in the frame after each repeat the bodies have moved by more than "
+            "one step."
+        )
     elif times.place is not None:
         warning += (
-            " The bodies have not moved on in the frames that follow, so the timestamps are not those of the camera "
-            "and the times are wrong; count the other frames with --times frames."
+            " In the frame after a repeat the bodies have moved by one step only, so the timestamps are not those of "
+            "the camera. Use --times frames to compute the times from the number of frames without repeats."
         )
     else:
         times = replace(times, number=times.number - np.cumsum(found.again))
         rate, more = _slower(rate, found, info)
         warning += (
-            " The other frames are counted without them: the bodies have not moved on in the frames that "
-            f"follow. {more}"
+            " The times are computed from the number of frames without repeats: in the frame after a repeat the bodies "
+            f"have moved by one step only. {more}"
         )
     return replace(times, again=found.again, warnings=(*times.warnings, warning)), rate
 
@@ -184,4 +190,4 @@ def _slower(rate: CaptureRate, found: Repetition, info: ClipInfo) -> tuple[Captu
         )
         return CaptureRate(true, "repeated frames"), warning
     hint = " If that is not the rate of the camera, give it with --capture-fps." if of_file else ""
-    return rate, f"Their rate is assumed to be {rate.fps:g} frames/s.{hint}"
+    return rate, f"The rate of the frames that are not repeats is assumed to be {rate.fps:g} frames/s.{hint}"

@@ -4,10 +4,10 @@ The coarse angle of the body gives the number of turns; the fine angle of each m
 markers are combined with their mount angles, weighted by the inverse variance of their scatter about the smooth motion;
 outliers are rejected.
 
-Systematic errors repeatable with angle are removed first. Reflections of lamps in the metal displace a marker in the
-same way at each passage of a place; the edge and the shadow of the bar of the casing do so at each passage of the bar.
-Such errors are functions of an angle. They are estimated from the residuals of the marker about the smooth motion of
-its body, as a smooth closed curve c that minimises
+Systematic errors that are functions of an angle are removed first. Reflections of lamps in the metal displace a marker
+in the same way at each passage of a place; the edge and the shadow of the bar of the casing do so at each passage of
+the bar. They are estimated from the residuals of the marker about the smooth motion of its body, as a smooth closed
+curve c that minimises
 
     sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
 
@@ -15,7 +15,7 @@ where r are the residuals with weights w, B are linear hat functions on equally 
 cyclic second differences, and bend and size are prior standard deviations.
 
 Real motion of a body must not be removed. An unbalance or a tilted table changes the motion once or twice per turn of
-the body, equally for all its markers. This is negligible for a fast body: an amplitude A of its acceleration is an
+the body, equally for all its markers. This is negligible for a fast body: an amplitude A of its acceleration causes an
 amplitude A / omega^2 of its angle. If there are fast frames, the curves are estimated from these and used for all
 frames; otherwise the common harmonics of orders 1 and 2 in the angle of the body are not removed
 (`without_common_motion`).
@@ -66,7 +66,7 @@ FAST = 70.0
 unbalance, an acceleration of amplitude 10 rad/s2, causes an amplitude of 10 / 70^2 = 2 mrad."""
 _LEFT = 0.2
 """Smallest share of the scatter of a marker that is independent of the other markers [1]. Chosen: a smaller value gives
-a marker too much weight, a larger one keeps the error of the times."""
+a marker too much weight, a larger one counts the error of the times of frames, which all markers share, twice."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,10 @@ class PlaceErrors(LearntErrors):
 
 @dataclass(frozen=True)
 class ViewErrors:
-    """Errors of the view of each marker (n,), and the resulting uncertainty of the angle of the body (n,) [rad]."""
+    """Errors of the view: errors of each marker due to a wrong centre of its orbit and a tilt of the camera.
+
+    `error` contains the errors (n,) [rad], and `sigma` the resulting uncertainty of the angle of the body (n,) [rad].
+    """
 
     error: dict[str, Floats]
     sigma: Floats
@@ -105,9 +108,10 @@ class ViewErrors:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of markers about the coarse path of their body (n,) [rad], NaN where lost, and their errors.
+    """Residuals of markers about the coarse path of their body (n,) [rad], and their errors.
 
-    Arrays of a record are never modified: each step of `join` estimates a part of it, which replaces that part.
+    Residuals are NaN where the body was lost. The arrays of a record are never modified: each step of `join` estimates
+    one field anew and returns a new record that contains it.
     """
 
     fps: float  # [1/s]
@@ -155,7 +159,10 @@ class Residuals:
         return np.abs(self.time_base.speed(self.path)) * self.time_base.sigma
 
     def residual(self, name: str, part: slice = ALL) -> Floats:
-        """Return the deviation from the path of the body's angle according to a marker, (n,) [rad]."""
+        """Return the angle of the body according to one marker, minus the path, (n,) [rad].
+
+        The mount angle and the bias of the marker are subtracted.
+        """
         off = self.candidates[name].angle[part] - self.path[part]
         off -= self.mounts[name]
         off -= self.bias(name, part)
@@ -275,8 +282,8 @@ def weights_about(state: Residuals, smooth: Floats, leverage: Floats) -> Weights
 def scatter_over_turns(state: Residuals, smooth: Floats, leverage: Floats) -> Scatter:
     """Return the scatter of each marker [rad] about a curve (n,) [rad] that is smooth over whole turns.
 
-    The scatter then contains errors that repeat in each turn, except those removed by the curves. It is limited to
-    2.5 times the scatter about the short curve, because a larger scatter is due to real motion.
+    The scatter then contains errors that repeat in each turn, except those removed by the curves. It is limited to 2.5
+    times the scatter about the curve of the short window, because a larger scatter is due to real motion.
     """
     scatter = {}
     for name, c in state.candidates.items():
@@ -291,7 +298,10 @@ def scatter_over_turns(state: Residuals, smooth: Floats, leverage: Floats) -> Sc
 
 
 def without_time_scatter(scatter: Scatter, from_time: Floats) -> Scatter:
-    """Subtract from the scatter [rad] the part `from_time` (n,) [rad] due to the times, which all markers share."""
+    """Subtract `from_time` (n,) [rad] from the scatter [rad].
+
+    This part of the scatter is due to the uncertainty of the times of frames and is equal for all markers.
+    """
     shared = float(np.nanmean(from_time**2))
     left = {}
     for name, both in scatter.items():
@@ -416,7 +426,7 @@ def once_a_turn(curve: Floats) -> complex:
 
 
 LEAST_TURNING = 0.5
-"""Smallest share of frames within whole turns for which position-dependent errors are known [1]. Chosen: a smaller
+"""Position-dependent errors are known if at least this share of the frames is within whole turns [1]. Chosen: a smaller
 value gives errors from few turns, a larger one gives none for short films."""
 MOST_FRAMES = 2000
 """Number of frames from which errors of the view are estimated [frames]. Chosen: a larger number costs time, a smaller
@@ -463,9 +473,10 @@ def errors_by_neighbour(
     `smooth` is the curve of the motion, `other` the angle of the other body, (n,) [rad]. Markers below the other body
     have errors where they are partly occluded, in its shadow, and at its blurred edge. Markers above the other body
     (`above`) have errors where markers of the other body pass next to them. Errors of unoccluded markers are estimated
-    where the bodies pass each other too fast for a real motion. If they pass nearly in step with the frames, the error
-    may vary as slowly as a motion: the part that a local polynomial (`window`: half width and degree) fits is treated
-    as motion and not removed from markers above.
+    only if there are enough frames in which the bodies pass each other so fast that no real motion resembles these
+    errors. If the time between passages is nearly a multiple of the time between frames, the recorded error varies as
+    slowly as a motion. Therefore, for markers above, the part of the error that a local polynomial fits counts as
+    motion and is not removed (`window`: half width and degree of the polynomial).
     """
     with np.errstate(invalid="ignore"):
         passing = state.turning & (speed(other - state.path, state.fps, state.time_base) > FAST)
@@ -509,21 +520,22 @@ VIEW_ORDERS = range(1, 3)
 """Orders of the harmonics of errors of the view [periods per turn]. Derived: an offset of the axis causes order 1, a
 tilt of the camera order 2."""
 _VIEW_SIZES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Trial standard deviations of errors of the view, relative to the typical value [1]. Chosen: factors of two; finer
-steps cost time, a smaller range limits the errors."""
+"""Trial standard deviations of errors of the view, relative to the standard deviation of one harmonic in `floor` [1].
+Chosen: factors of two; finer steps cost time, a smaller range limits the errors."""
 
 
 def errors_of_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> ViewErrors | None:
     """Estimate errors of the view from differences between markers.
 
     Within less than two turns, position-dependent errors look like motion. Motion, however, is common to all markers of
-    a body in each frame, while errors of the orbits' centres and of the tilt depend on the place of each marker. The
-    coefficients of the harmonics `VIEW_ORDERS` of each marker's angle have a common part and a separate part. They are
-    fitted, together with the mount angles, to the residuals minus their mean in each frame. Position-dependent errors
-    of standard deviation `floor` [rad] have one independent value per `CELL`. The standard deviations of both parts are
-    the most likely ones among a few multiples of a harmonic's share in `floor`. For markers that cover only an arc, the
-    covariances of the offsets, `arcs` (2, 2) [rad^2], are added. The result is None for a single marker, or if
-    position-dependent errors are estimated from whole turns.
+    a body in each frame, while errors due to the centres of the orbits and to the tilt of the camera depend on the
+    place of each marker. The coefficients of the harmonics `VIEW_ORDERS` of each marker's angle have a common part and
+    a separate part. They are fitted, together with the mount angles, to the residuals minus their mean in each frame.
+    Position-dependent errors of standard deviation `floor` [rad] have one independent value per `CELL`. Each part has a
+    standard deviation. The trial values are `_VIEW_SIZES` times floor / sqrt(number of `PLACE_ORDERS`), and the pair
+    with the largest likelihood is used. For each marker that covers only an arc, `arcs` contains the covariance (2, 2)
+    [rad^2] of the offset of its orbit; it is added to the prior covariance of the coefficients of order 1. The result
+    is None for a single marker, or if position-dependent errors are estimated from whole turns.
     """
     names, n = list(state.candidates), len(state.path)
     known = np.isfinite(state.path)
@@ -596,7 +608,10 @@ def _view_rows(
 
 
 def places_passed(state: Residuals) -> float:
-    """Return the number of places with independent errors that the body passes outside whole turns."""
+    """Return the number of places with independent errors that the body passes.
+
+    Only frames that are not within whole turns count.
+    """
     path = state.path[~state.turning & np.isfinite(state.path)]
     return float(np.ptp(path)) / CELL if len(path) else 0.0
 
@@ -610,7 +625,8 @@ def variance_left(angle: Floats, orders: range, frames: int | None = None) -> fl
     """Return the share of the variance of an angle-dependent error that remains if its mean over the film is removed.
 
     The zero of an angle is arbitrary, so an error that hardly changes along a short arc has no effect. The harmonics of
-    the error, of the given orders, have random phases, constant over `frames` frames, by default all.
+    the error, of the given orders, have random phases. A phase is constant over `frames` frames (by default over the
+    whole film).
     """
     pieces = np.array_split(angle, max(round(len(angle) / (frames or len(angle))), 1))
     known = max(int(np.isfinite(angle).sum()), 1)
@@ -652,17 +668,18 @@ def _curve(
 
 MOST_TURNS = 30.0
 """Number of turns above which the uncertainty of the curves is neglected [turns]. Chosen: the uncertainty decreases
-with this number; a smaller number understates the uncertainty, a larger one costs time."""
+with the number of turns; a lower limit understates the uncertainty, a higher one costs time."""
 
 
 def _variance_shares(state: Residuals, motion: int) -> tuple[Floats, Floats]:
     """Return the variances of the angle of the body and of its residual, divided by the variance of the noise, (n,).
 
     Within a few turns, a motion and a curve over the angle can hardly be distinguished, least of all at the ends of the
-    film. Motion (cubic B-splines with `motion` >= 4 parameters) and curves are one linear model r = a x + e with the
-    covariance C of x, given the observed size of the curves. dx is the error of x, and cov(e, dx) = C a var(e). With b,
-    the part of a that belongs to the curves, the angle minus the curves b x has the error e - b dx, and the residual
-    from the motion is e - a dx.
+    film. The mean residual is r = a x + e. Here x are the parameters of the motion (cubic B-splines, `motion` >= 4) and
+    of the curves, a are their coefficients in a frame, and e is noise. The estimate of x has the error dx with the
+    covariance C, in which the observed size of the curves is a prior. Then cov(e, dx) = C a. Let b be a with zeros for
+    the motion. The angle after subtraction of the curves has the error e - b dx. The residual from motion and curves is
+    e - a dx.
     """
     names, n = list(state.candidates), len(state.path)
     if not state.turning.any() or np.nanmax(state.path) - np.nanmin(state.path) > MOST_TURNS * TURN:
@@ -739,9 +756,9 @@ class BodyAngles:
     count: npt.NDArray[np.int64]
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
-    # `slow`: standard uncertainty [rad] and correlation time [frames] of a slowly varying error. `periodic`:
-    # uncertainty of an error once and twice per turn [rad]. `harmonic`: standard deviation of the amplitudes of an
-    # error of more periods per turn [rad]
+    # `slow`: standard uncertainty [rad] and correlation time [frames] of a slowly varying error. `periodic`: standard
+    # deviation of the amplitudes of an error with one and two periods per turn [rad]. `harmonic`: standard deviation of
+    # the amplitudes of an error of more periods per turn [rad]
     slow: tuple[float, float] = (0.0, 0.0)
     # middle [frames] of each part of the film and the uncertainty of the slowly varying error in it [rad], (parts, 2)
     slow_parts: Floats = field(default_factory=lambda: np.zeros((0, 2)))
@@ -786,9 +803,10 @@ def join(
 
     `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost. `other` is the coarse angle
     of the body that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are
-    uncertainties [rad] that do not appear as scatter outside whole turns: unobserved position-dependent errors, the
-    displacement of the axis, and the displacement of the orbits about it, which the markers determine together (`arcs`:
-    see `errors_of_view`).
+    uncertainties [rad]: of position-dependent errors, of the axis, and of the orbits relative to the axis. They are
+    added in frames that are not within whole turns, because they do not appear as scatter there. If `errors_of_view`
+    finds errors from differences between the markers, the uncertainty of these errors replaces `orbit`. `arcs` is
+    explained there.
     """
     state, arcs = Residuals.of(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
@@ -812,19 +830,20 @@ def join(
 
 
 WEAKEST_BODY = 10.0
-"""Smallest uncertainty, relative to the median of neighbouring frames, for which a frame has no angle [1]. Chosen: such
-a frame shows a small part of one marker and has 1/100 of the information; errors at the occluding edge are not normally
-distributed; a larger value admits such errors, a smaller one omits angles."""
+"""Uncertainty, relative to the median of neighbouring frames, above which the angle of a frame is discarded [1].
+Chosen: such a frame shows a small part of one marker and has 1/100 of the information; errors at the occluding edge are
+not normally distributed; a larger value admits such errors, a smaller one omits angles."""
 _NEIGHBOURS = 101
-"""Width of the running median of the uncertainty [frames]. Chosen: a smaller number follows a hand, a larger one
-ignores a change of light."""
+"""Width of the running median of the uncertainty [frames]. Chosen: with a smaller number, the median rises while a hand
+hides the markers; with a larger one, it does not follow a change of light."""
 UNCONFIRMED = 0.9
-"""Smallest leverage of a frame in the short curve for which no other frame confirms its angle, so that one marker is
-not enough [1]. Chosen: a smaller value omits frames next to gaps, a larger one admits wrong matches."""
+"""A frame needs two markers if its leverage in the curve of the short window exceeds this value, because neighbouring
+frames then do not confirm its angle [1]. Chosen: a smaller value omits frames next to gaps, a larger one admits wrong
+matches."""
 
 
 def _mostly_hidden(sigma: Floats) -> Mask:
-    """Return a mask of the frames whose uncertainty is at least `WEAKEST_BODY` times that of neighbouring frames."""
+    """Return a mask of the frames whose uncertainty exceeds `WEAKEST_BODY` times the median of neighbouring frames."""
     reach = min(_NEIGHBOURS // 2, len(sigma))
     # reflected at the ends, where a hand may hide the markers
     usual = median_smooth(np.pad(sigma, reach, mode="symmetric"), _NEIGHBOURS)[reach : reach + len(sigma)]
@@ -849,8 +868,8 @@ def _result(
     off = np.where(state.turning, np.nan, residual - smooth)
     absorbed = float(np.nansum(np.where(count > 0, np.minimum(leverage, 1.0), 0.0)))
     floor *= share_of_floor(off, sigma, floor, places_passed(state) - absorbed)
-    # encoders keep a marker that hardly moves fixed in the picture: its error behaves as if the marker moved between
-    # two places
+    # A video codec may keep a marker fixed in the picture although it moves a little. The share of variance is
+    # therefore at least the share for a marker that moves over one `CELL`.
     least = variance_left(np.linspace(0.0, CELL, KNOTS), PLACE_ORDERS)
     floor *= float(np.sqrt(max(variance_left(state.path, PLACE_ORDERS), least)))
     unlearnt = np.where(state.turning, 0.0, np.hypot(floor, axis))

@@ -33,9 +33,9 @@ _DEGREE = 5
 """Degree of the slow change of the angle in a batch [1]. Chosen: a smaller value leaves motion in the harmonics, a
 larger one absorbs harmonics of slow bodies."""
 _FEWEST_BATCHES = 3
-"""Smallest number of batches, beyond the number of free constants, for a variance of the amplitudes [1]. Chosen: the
-six amplitudes of three batches determine the error to 30 %; a smaller number gives an uncertain variance, a larger one
-leaves the error of short films unstated."""
+"""A variance of the amplitudes needs at least this number of batches beyond the number of free constants [1]. Chosen:
+the six amplitudes of three batches determine the error to 30 %; a smaller number gives an uncertain variance, a larger
+one leaves the error of short films unstated."""
 _FEWEST_OF_CHANGE = 5
 """Smallest number of batches for a change with the speed [1]. Chosen: a smaller number does not separate the change
 from a torque, a larger one leaves the error in short films."""
@@ -43,8 +43,8 @@ _LEAST_KNOWN = 0.7
 """Smallest share of known angles of a batch that is used [1]. Chosen: a smaller value fits harmonics across long gaps,
 a larger one discards batches for a few frames, among them the first ones, whose speeds differ most."""
 _RESEMBLES_MOTION = 2.0
-"""Variance of an amplitude, divided by the variance for a complete set of angles, above which an order resembles the
-motion [1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""
+"""An order resembles the motion if the variance of its amplitude, divided by the variance for a complete set of angles,
+exceeds this value [1]. Chosen: a smaller value discards batches, a larger one takes motion for error."""
 _FAR_FROM_NOISE = 3.0
 """Smallest mean square of an error that is stated, in standard deviations of the noise [1]. Chosen: a smaller value
 states noise as an error, a larger one hides small errors."""
@@ -128,8 +128,7 @@ _WIDE_SIGMA = 20e-3
 """Prior standard deviation of a constant amplitude, and of the amplitude due to a torque at `_REFERENCE_SPEED` [rad].
 Derived: wide enough to contain no information; an angular acceleration of 200 rad/s2 causes 20 mrad."""
 _BATCH_SIGMA = 0.1e-3
-"""Standard deviation of an amplitude in a batch in addition to noise [rad]. Chosen: a smaller value trusts few
-batches."""
+"""Standard deviation of an amplitude in a batch, beyond the noise [rad]. Chosen: a smaller value trusts few batches."""
 _LAW_ERROR = 0.1
 """Relative error of the law A / omega^2 for the amplitude due to a torque [1]. Chosen: a smaller value lets slow
 batches determine the change with the blur, a larger one ignores these batches."""

@@ -34,8 +34,9 @@ _FIRST = 5
 """Spacing of the pairs that decide whether the other pairs are needed [pairs]. Chosen: with a larger value few pairs
 decide, a smaller one costs time."""
 _NO_COMMON_HUB = 0.8
-"""Median residual of the displacements about one hub, divided by the median displacement, beyond which pairs have no
-common hub [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any rotation."""
+"""Pairs of frames have no common hub if the median residual of the displacements about one hub, divided by the median
+displacement, exceeds this value [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any
+rotation."""
 _FEWEST_PAIRS = 4
 """Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: with fewer, pairs agree by chance;
 with more, hubs are lost."""

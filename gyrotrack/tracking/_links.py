@@ -1,8 +1,8 @@
 """Evidence of two links: a joint on a circle about a pivot, and a point at a fixed distance from the joint.
 
-The evidence is found in the paths of two compact bodies, in the motions of the features of two bodies, which both move
-the joint in the same way, or in the silhouettes of a tracked body with a part that extends beyond the body and does
-not turn with it.
+There are three kinds of evidence. The paths of two compact bodies may show a joint. The features of two bodies may have
+motions that both move the joint in the same way. Or the silhouettes of a tracked body have a part that extends beyond
+the body and does not turn with the body.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _SHOWN = 0.6
 """Smallest share of the frames in which a link is seen [1]. Chosen: a smaller value finds links in shadows, a larger
 one overlooks links that cross the body."""
 _TURNS_WITH = 0.75
-"""Largest share, among the frames that show a link, of those that show it in one direction relative to the body [1].
+"""Largest share of the frames with a visible link in which the link has one direction relative to the body [1].
 Measured: 0.4 to 0.6 for links of drawn double pendulums, 1 for a part of the body."""
 _SEEN = 4
 """Smallest number of positions that show a body at rest [1]. Chosen: a smaller number takes a shadow for a body, a

@@ -56,9 +56,9 @@ _EXPLAINED = 0.4
 """Smallest share of the change of brightness about the path that the rotation explains [1]. Chosen: a smaller value
 accepts bodies that only translate, a larger one refuses uneven light."""
 _RIGID = 0.7
-"""Smallest explained share for a body whose path is the path of its outline; for a rigid body, rotation explains
-nearly the whole change [1]. Measured: 0.79 to 0.99 for real pucks and a cylinder, 0.56 to 0.63 for a wave, a part of a
-turning rod and wires on a puck."""
+"""If the path of a body is the path of its outline, rotation must explain at least this share of the change; for a
+rigid body, it explains nearly the whole change [1]. Measured: 0.79 to 0.99 for real pucks and a cylinder, 0.56 to 0.63
+for a wave, a part of a turning rod and wires on a puck."""
 _ROUGHLY_RIGID = 0.5
 """Smallest explained share with rough angles, for which a body is registered [1]. Measured: registration changes the
 share by less than 0.1; the films are not recorded."""
@@ -81,9 +81,9 @@ _HIDDEN = 6.0
 """Largest mean square residual, divided by its median, of a frame that shows the body [1]. Chosen: a smaller value
 omits frames of uneven light, a larger one keeps frames with a hand."""
 _AS_WELL = 1.2
-"""Largest misfit at the angle extrapolated from the last frames, divided by the misfit at the rough angle, for which
-the extrapolated angle is used [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a
-larger one removes true jumps."""
+"""The angle extrapolated from the last frames is used if its misfit, divided by the misfit at the rough angle, is at
+most this value [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one
+removes true jumps."""
 _RECENT = 6
 """Number of the last frames that predict the next angle [frames]. Chosen: a smaller number follows a single wrong
 angle, a larger one lags behind a change of the speed."""
@@ -95,8 +95,8 @@ _BACKGROUND = 60
 """Number of frames for the background, which is their median [frames]. Chosen: a larger number costs memory and time, a
 smaller one keeps a slow body in the background."""
 _ONE_SIGN = 3.0
-"""Smallest ratio of lighter to darker differences from the background, or the inverse, for which the whole body counts
-as lighter, or darker, than the background [1]. Chosen: a smaller value takes marks of a body for the background, a
+"""The whole body counts as lighter (or darker) than the background if the ratio of lighter to darker differences (or
+the inverse ratio) is at least this value [1]. Chosen: a smaller value takes marks of a body for the background, a
 larger one leaves a body at rest in the background."""
 _RARE = 0.15
 """Smallest share of the frames in which the background is visible where a body covers it most of the time [1]. Chosen:
@@ -125,9 +125,9 @@ _AREA = 0.3
 """Smallest relative change of the area of a body that touches another body or is occluded [1]. Chosen: a smaller value
 discards frames of uneven light, a larger one keeps touching bodies."""
 _RESCALED = 0.1
-"""Smallest share of the frames of a path in which only a changed distance from the camera explains the area of a body;
-above it, the size of the body is followed [1]. Chosen: a smaller value follows the noise of the areas, a larger one
-omits the ends of a path towards the camera."""
+"""The size of a body is followed if at least this share of the frames of a path show an area that only a changed
+distance from the camera explains [1]. Chosen: a smaller value follows the noise of the areas, a larger one omits the
+ends of a path towards the camera."""
 _SIMILAR = 0.25
 """Largest relative change of the moment of an outline, divided by its squared area, that a change of distance explains
 [1]. Derived: a disc of which half is hidden changes by 0.28; a larger value takes occlusion for distance, a smaller one

@@ -100,8 +100,8 @@ _SMALLEST = 16.0
 """Smallest square of the longest side of three points that determine a circle [px2]. Chosen: 4 px; a smaller value is
 dominated by noise, a larger one refuses small orbits."""
 _COLLINEAR = 0.05
-"""Smallest cross product of two sides, divided by the square of the longest side, for three points that determine a
-circle [1]. Chosen: a smaller value accepts circles that noise determines, a larger one refuses short arcs."""
+"""Three points determine a circle if the cross product of two sides, divided by the square of the longest side, is at
+least this value [1]. Chosen: a smaller value accepts circles that noise determines, a larger one refuses short arcs."""
 
 
 def circumcentre(triple: Floats) -> Floats | None:

@@ -82,9 +82,9 @@ _TURNS = 1.2
 """Smallest number of turns of an automatically selected point about a pivot [turns]. Chosen: a thrown ball does not
 retrace its path; a smaller value accepts such a ball, a larger one refuses short films."""
 _JUMP = 5.0
-"""Smallest step of the angle from frame to frame, divided by the median step, that counts as a jump, for example to the
-next throw of a ball [1]. Chosen: a pendulum passes its middle at 1.4 times the median step; a larger value follows
-jumps."""
+"""A step of the angle from frame to frame counts as a jump, for example to the next throw of a ball, if the step
+divided by the median step is at least this value [1]. Chosen: a pendulum passes its middle at 1.4 times the median
+step; a larger value follows jumps."""
 
 
 @dataclass(frozen=True)
@@ -397,7 +397,7 @@ def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats
 
 
 def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tuple[Floats, Floats, float]:
-    """Return the correction across the second link [px] for a point beside the joint, and its standard uncertainty.
+    """Return the correction across the second link for a point beside the joint, with its standard uncertainty [px].
 
     With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
     links, the distance is L - Re(d exp(-i phi)), where L is the length of the second link. The end appears displaced by

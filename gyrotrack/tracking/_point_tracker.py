@@ -69,12 +69,12 @@ _MATCHED = 0.35
 """Largest mean square difference of a match, divided by the contrast of the patch [1]. Chosen: a smaller value loses a
 patch that turns, a larger one matches other objects."""
 _ANCHORED = 0.5
-"""Largest mean square difference of a match, divided by its limit, for which the template is not renewed [1]. Chosen: a
-smaller value lets the template drift, a larger one loses a patch that turns."""
+"""The template is not renewed if the mean square difference of a match, divided by its limit, is at most this value
+[1]. Chosen: a smaller value lets the template drift, a larger one loses a patch that turns."""
 _PRESENT = 0.4
-"""Smallest mean square difference of a match from the background, divided by the mean square difference of the patch
-from the background in the first frame [1]. Chosen: a smaller value matches the background, a larger one loses a patch
-in shadow."""
+"""A match shows the patch if its mean square difference from the background, divided by the mean square difference of
+the patch from the background in the first frame, is at least this value [1]. Chosen: a smaller value matches the
+background, a larger one loses a patch in shadow."""
 _TEMPLATE = 12.0
 """Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: a larger radius costs time,
 a smaller one loses precision."""
@@ -115,9 +115,9 @@ _ROBUST = 4.0
 """Residual above which the weight of a pixel is reduced, in standard deviations [1]. Source: weights of P. Huber, Ann.
 Math. Statist. 35, 73 (1964); a smaller limit costs precision, a larger one admits disturbed pixels."""
 _TURNS_WITH = 0.95
-"""Largest residual with a rotation about the hub, divided by the residual without rotation, for which a patch is taken
-to rotate about the hub [1]. Chosen: a smaller value keeps the orientation of a bob on a rod; with a larger one, noise
-makes round bobs rotate."""
+"""A patch is taken to rotate about the hub if the residual with this rotation, divided by the residual without
+rotation, is at most this value [1]. Chosen: a smaller value keeps the orientation of a bob on a rod; with a larger one,
+noise makes round bobs rotate."""
 _UNSEEN = 1e9
 """Variance of a pixel that is visible in no frame [grey levels squared]. Chosen: large against any other variance, so
 that the pixel has no weight."""
@@ -134,8 +134,8 @@ _SILHOUETTE = 15.0
 """Largest radius of a patch whose radius is taken from the silhouette about it [px]. Chosen: a smaller value discards
 the edge of a large bob, a larger one includes the background."""
 _TURN_SEEN = 0.05
-"""Largest standard uncertainty of the rotation of a patch in one frame for which the rotation is followed, and prior
-standard deviation of a followed rotation [rad]. Chosen: a smaller value keeps the orientation of faint patches, a
+"""The rotation of a patch is followed if its standard uncertainty in one frame is at most this value, which is also the
+prior standard deviation of a followed rotation [rad]. Chosen: a smaller value keeps the orientation of faint patches, a
 larger one follows noise."""
 _TURN_STEPS = 6
 """Number of steps of the rotation of a patch [iterations]. Chosen: a smaller number stops early, a larger one costs
@@ -156,15 +156,15 @@ _TURN_STEP = 1.5
 """Distance between the additional initial angles of a rotation, multiplied by the radius of the patch [px]. Chosen: the
 width of an edge; a larger distance misses the minimum, a smaller one costs time."""
 _UNUSUAL = 1.5
-"""Smallest residual, divided by its running mean, for which additional initial angles of a rotation are tried [1].
-Chosen: a smaller value costs time, a larger one keeps a lost rotation."""
+"""Additional initial angles of a rotation are tried if the residual, divided by its running mean, is at least this
+value [1]. Chosen: a smaller value costs time, a larger one keeps a lost rotation."""
 _UPDATE = 0.1
 """Weight of a frame in the running mean of the residual [1]. Chosen: a smaller value follows the light late, a larger
 one follows a lost rotation."""
 _NECK = 0.7
-"""Largest depth (distance from the edge) of a body at the distance `_NECK_AT` from the middle of a part, divided by the
-depth of the part, if only rods join the part to the body [1]. Chosen: a smaller value joins the rod to the part, a
-larger one divides a compact body."""
+"""Only rods join a part to the body if the depth of the body (distance from its edge) at the distance `_NECK_AT` from
+the middle of the part, divided by the depth of the part, is at most this value [1]. Chosen: a smaller value joins the
+rod to the part, a larger one divides a compact body."""
 _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
 circle; a larger distance reaches other parts."""
@@ -907,7 +907,10 @@ def _crop(frame: Plane, place: Floats, grid: Floats) -> tuple[tuple[int, int], P
 
 @dataclass(frozen=True)
 class _Learnt:
-    """The average picture of a patch, and its positions (n, 2) and rotations (n,) in the frames; None: no rotation."""
+    """The average picture of a patch, and its positions (n, 2) and rotations (n,) in the frames.
+
+    The rotations are None if the patch does not rotate.
+    """
 
     layers: _Layers
     place: Floats

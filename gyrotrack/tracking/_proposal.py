@@ -141,9 +141,9 @@ TRIALS = 1500
 """Number of random triples of points for a centre [1]. Chosen: more than for a known profile, because most points may
 be outliers; a smaller number may not find the centre."""
 _AMBIGUOUS = 0.35
-"""Smallest product of contrast and share of samples, divided by this product for the first patch of a hue, for which a
-second patch may be confused with the first [1]. Chosen: with a smaller value, reflections count as second patches; with
-a larger one, two marks may be confused."""
+"""A second patch may be confused with the first patch of a hue if its product of contrast and share of samples, divided
+by the product for the first patch, is at least this value [1]. Chosen: with a smaller value, reflections count as
+second patches; with a larger one, two marks may be confused."""
 _SAME_HUE = 18.0
 """Largest difference of two hues that count as equal [degrees]. Chosen: below `APART`; a smaller value separates shades
 of one paper, a larger one joins colours."""
@@ -460,13 +460,13 @@ _FAINT = 0.3
 """Smallest contrast of a white patch that is reported, relative to the smallest contrast of a marker [1]. Chosen: a
 smaller value reports noise, a larger one leaves a faint marker unexplained."""
 SPREAD = 24
-"""Number of frames from the whole film in addition to the first frames [frames]. Chosen: a smaller number may overlook
-bodies that are at rest at the start, a larger one costs time."""
+"""Number of frames from the whole film that are read besides the first frames [frames]. Chosen: a smaller number may
+overlook bodies that are at rest at the start, a larger one costs time."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed profile, and its basis.
+    """A proposed profile, and what it is based on.
 
     Attributes
     ----------

@@ -486,13 +486,12 @@ def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Rin
 
 
 _RETURNS = 2.0
-"""Smallest deviation of one angle from the line through its neighbours, relative to the typical step, that is tested
-for a slip [1]. Chosen: a smaller value tests frames of impacts, a larger one keeps slips if there are many equal
-parts."""
+"""An angle is tested for a slip if its deviation from the line through its neighbours, relative to the typical step, is
+at least this value [1]. Chosen: a smaller value tests frames of impacts, a larger one keeps slips if there are many
+equal parts."""
 _AS_WELL = 1.2
-"""Largest misfit at the expected angle, divided by the misfit at the measured angle, for which the expected angle is
-used [1]. Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one removes true
-jumps."""
+"""The expected angle is used if its misfit, divided by the misfit at the measured angle, is at most this value [1].
+Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one removes true jumps."""
 
 
 def without_slips(

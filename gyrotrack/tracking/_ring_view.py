@@ -65,8 +65,9 @@ ORDERS = (1, 2, 1, 1)
 VIEW_SIZE = 2 * len(ORDERS)
 """Number of parameters of a view [1]. Derived: two for each of `ORDERS`."""
 LARGEST_UNEXPLAINED = 0.5
-"""Largest remaining share of the static power in a row after the fit of a view, for which circular edges are used [1].
-Chosen: a smaller value does not use edges beside faint shadows, a larger one takes shadows for displacements."""
+"""Circular edges are used if the share of the static power in a row that remains after the fit of a view is at most
+this value [1]. Chosen: a smaller value does not use edges beside faint shadows, a larger one takes shadows for
+displacements."""
 
 
 def slope(picture: npt.NDArray[np.floating]) -> Singles:

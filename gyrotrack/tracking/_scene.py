@@ -88,7 +88,7 @@ HEAD = 48
 """Number of consecutive frames at the start of a film [frames]. Derived: at 0.2 rad per frame they cover 9.6 rad, more
 than a turn."""
 KEYS = 20
-"""Smallest number of key frames for which the rest of a film is sampled by key frames alone [frames]. Chosen: key
+"""The rest of a film is sampled by key frames alone if it has at least this number of key frames [frames]. Chosen: key
 frames are decoded fastest; a smaller number gives a poor background."""
 LATER = 32
 """Number of samples from the rest of a film with fewer key frames [frames]. Chosen: a larger number costs time, a

@@ -43,8 +43,8 @@ _ORDERS = range(1, 13)
 """Orders of the harmonics of the error of a marker [periods per turn]. Chosen: as `_body_angles._HARMONICS`; a smaller
 number leaves errors of several equal marks in the zeros."""
 _AVERAGED_OUT = 0.2
-"""Largest absolute mean of exp(i k a) in a batch that is used for the amplitude of harmonic k [1]. Chosen: a
-smaller value uses few batches, a larger one includes the zero in the amplitude."""
+"""A batch is used for the amplitude of harmonic k if the absolute mean of exp(i k a) in it is at most this value [1].
+Chosen: a smaller value uses few batches, a larger one includes the zero in the amplitude."""
 _STEADY = 0.01
 """Largest change of speed (rms) of a steady body between batches, divided by the speed [1]. Chosen: a smaller value
 fits p to noise, a larger one ignores the change of motion blur."""

@@ -95,8 +95,8 @@ above the rounding errors of sums in single precision, which are all that remain
 FINENESS = 32
 """Number of steps per column to which rotations are rounded [1]. Source: OpenCV interpolates to 1/32 of a pixel."""
 UNUSUAL = 4.0
-"""Largest mean square residual of a zone, relative to the typical residual, of a frame that enters its template [1].
-Chosen: a smaller value discards good frames, a larger one admits a hand."""
+"""A frame enters the template of a zone if its mean square residual in the zone, relative to the typical residual, is
+at most this value [1]. Chosen: a smaller value discards good frames, a larger one admits a hand."""
 LARGEST_MISFIT = 25.0
 """Largest mean square residual of a zone with an angle, relative to the typical residual [1]. Chosen: another body
 below that stands still for some frames changes a zone less than a hand does; a smaller value omits these frames."""
@@ -107,12 +107,13 @@ LEAST_CONTRAST = 0.5
 """Smallest contrast of a zone that is not covered, relative to its template [1]. Chosen: a smaller value fits a hand
 of one brightness, a larger one omits zones in shadow."""
 LEAST_KNOWN = 0.9
-"""Smallest number of frames in which a used zone has an angle, divided by this number for the best zone [1]. Chosen: a
-zone has no angle where it disagrees, so its other angles seem too good; a smaller value admits such zones, a larger one
-omits zones that a cable covers."""
+"""A zone is used if the number of frames with an angle of this zone, divided by the number for the best zone, is at
+least this value [1]. Chosen: a zone has no angle where it disagrees, so its other angles seem too good; a smaller value
+admits such zones, a larger one omits zones that a cable covers."""
 LEAST_ZONES = 2
-"""Smallest number of informative zones for an estimate of their errors [1]. Derived: the differences of three angles
-determine three variances; the difference of two angles gives an upper limit of both variances."""
+"""The errors of the angles of informative zones are estimated if there are at least this number of such zones [1].
+Derived: the differences of three angles determine three variances; the difference of two angles gives an upper limit of
+both variances."""
 TOGETHER = 16
 """Number of frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do
 not average out; with fewer frames, these errors remain hidden in noise; with more, there are few averages."""
@@ -123,9 +124,9 @@ CENTRE_ERROR = 0.3
 """Standard uncertainty of the centre of a ring in the luma [px]. Derived: the centre is measured in the chroma, whose
 conventions differ by up to half a pixel in each direction; a uniform distribution has 0.29 px."""
 SHADOW_ERROR = 0.6
-"""Standard uncertainty of the displacement of a ring in addition to its measured view, per coordinate [px]. Measured:
-a shadow that a bar casts beside itself displaces its edges; on ten films by two other renderers, the largest error is
-1.04, 0.82 and 0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
+"""Standard uncertainty per coordinate of the displacement of a ring, beyond the uncertainty of its measured view [px].
+Measured: a shadow that a bar casts beside itself displaces its edges; on ten films by two other renderers, the largest
+error is 1.04, 0.82 and 0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
 _TEMPLATE_FRAMES = 256
 """Largest number of frames of a batch from which the templates of a fast body are learnt [frames]. Derived: the noise
 of a template is the noise of a frame divided by 16; a larger number costs time."""

@@ -36,14 +36,14 @@ _SMALL_STEP = 1e-3
 """Change of the correlation that ends an alignment [1]. Chosen: a larger value stops early, a smaller one costs
 time."""
 _GAIN = 0.5
-"""Largest residual of translation, divided by the residual of rotation, of a body that does not turn [1]. Chosen: a
-larger value refuses bodies that turn little, a smaller one measures carts."""
+"""A body does not turn if the residual of translation, divided by the residual of rotation, is less than this value
+[1]. Chosen: a larger value takes bodies that turn little for carts, a smaller one takes carts for rotating bodies."""
 
 
 def translates(
     pictures: Sequence[Plane], moving: Bools, hub: tuple[float, float], reach: float, angle: Floats
 ) -> bool:
-    """Return whether translation explains some frames clearly better than rotation about a hub.
+    """Return whether translation explains a selection of the frames clearly better than rotation about a hub.
 
     `moving` is the part of the picture that changes, `hub` the position (x, y) of the hub [px], `reach` the outer
     radius of the ring [px], and `angle` (n,) the rotation of each picture, clockwise as seen [rad].
@@ -70,7 +70,10 @@ def translates(
 
 
 def residual(pictures: Sequence[Plane], motions: Sequence[Picture], swept: Plane) -> float:
-    """Return the variance over some pixels of pictures that are transformed back by the motion (2, 3) of the body."""
+    """Return the variance between pictures that are transformed back by their motions, matrices (2, 3).
+
+    The variance is averaged over the pixels of `swept`.
+    """
     height, width = swept.shape
     back = [
         cv2.warpAffine(

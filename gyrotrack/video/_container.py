@@ -107,8 +107,8 @@ def orientation_of(frame: Any, stream: Any) -> Orientation:
 
 
 _WIDEST_PIXEL = 4.0
-"""Largest ratio of width to height of a pixel, or of height to width, with which a film is shown [1]. Chosen:
-anamorphic films have 4:3; a larger value accepts damaged headers, a smaller one distorts films."""
+"""A film is shown if the ratio of width to height of its pixels, or of height to width, is at most this value [1].
+Chosen: anamorphic films have 4:3; a larger value accepts damaged headers, a smaller one distorts films."""
 
 
 def _pixel_aspect(stream: Any) -> float:

@@ -1,8 +1,8 @@
 """Films in a TIFF file of many pictures (a stack), written by ImageJ, Micro-Manager and OME programs.
 
-Grey pictures of 8 to 32 bits are scaled to 8 bits, from the darkest to the brightest pixel of some of the pictures.
-Colours of 8 bits are not changed. The time between two pictures is read from the description of ImageJ (``finterval``
-[s]) or of OME (``TimeIncrement``), if present.
+Grey pictures of 8 bits are not changed. Other grey pictures are scaled to 8 bits; the range is from the darkest to the
+brightest pixel of some of the pictures. Colours of 8 bits are not changed. The time between two pictures is read from
+the description of ImageJ (``finterval`` [s]) or of OME (``TimeIncrement``), if present.
 """
 
 from __future__ import annotations
@@ -64,7 +64,9 @@ def read_stack(path: Path) -> TiffStack:
     if not alike or not (colour or (len(shape) == 2 and kind.kind in "uif")):
         size = "x".join(map(str, shape))
         what = f"{path} contains pictures of the shape {size} and the type {kind}, or pictures of different shapes."
-        raise VideoError(what, "Save it as a stack of equal grey pictures, or of colours with 8 bits.")
+        raise VideoError(
+            what, "Save it as a stack of grey pictures of equal size, or of colour pictures with 8 bits."
+        )
     return TiffStack(path, pages, shape[1], shape[0], colour, _rate(text))
 
 

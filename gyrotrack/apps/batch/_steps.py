@@ -268,7 +268,7 @@ def _parsed(text: str) -> Any:
 
 @contextmanager
 def locked_folder(results: Path) -> Iterator[None]:
-    """Create the folder if necessary, and lock it against other batches; other files in it are an OutputError."""
+    """Create the folder if necessary, and lock it against other batches; other files in it raise an OutputError."""
     mark = results / "batch.lock"
     try:
         results.mkdir(parents=True, exist_ok=True)

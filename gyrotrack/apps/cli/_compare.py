@@ -112,7 +112,10 @@ def compare_command(
 
 
 def _files(runs: Sequence[Path]) -> list[Path]:
-    """Return the files of the runs, with the cases of folders in the order of the numbers in their names."""
+    """Return the files of the runs.
+
+    The cases of a folder are in the order of the numbers in the names of the cases.
+    """
     files: list[Path] = []
     for run in runs:
         if not run.is_dir():

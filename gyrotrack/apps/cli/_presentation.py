@@ -30,7 +30,7 @@ class ReportFiles(TypedDict):
 class ReportDocument(ReportFiles):
     """A new report."""
 
-    fits: list[str]  #: Changes of the fits that it shows, oldest first; `base` for the first one.
+    fits: list[str]  #: Changes of the displayed fits, oldest first; `base` for the first fit.
     verdict: str  #: Verdict of the diagnosis.
 
 

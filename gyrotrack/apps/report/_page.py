@@ -99,7 +99,10 @@ class Equation:
 
 @dataclass(frozen=True)
 class Added:
-    """An added effect: words, key, joint, law (twice, because SVG ids must be unique), signature, parameters."""
+    """An added effect: name in words, key, joint, law, signature, parameters and their meanings.
+
+    The law appears at two places of the page. It is drawn twice, because SVG ids must be unique.
+    """
 
     name: str
     key: str
@@ -123,7 +126,10 @@ def report_parts(
     static: bool,
     certificate: Certificate | None = None,
 ) -> dict[str, Any]:
-    """Return the content of a report with lines of `provenance`; `static` adds figures of the interactive charts."""
+    """Return the content of a report with lines of `provenance`.
+
+    With `static`, the interactive charts are added as figures.
+    """
     by_label = {case.label: case for case in recordings}
     plausibility = tables.plausibility_rows(view.final)
     unphysical = sorted({p.effect for p in plausibility if p.is_unphysical})
@@ -198,7 +204,10 @@ def _section(
 
 
 def _torque_of_the_angle(view: StudyView, v: CaseView) -> list[Chart]:
-    """Return the chart of the unmodelled torque against the angle of a case, if the torque repeats in each turn."""
+    """Return the charts of the unmodelled torque of a case against the angle.
+
+    The list is empty unless the torque repeats in each turn.
+    """
     if not any(f.kind == "ripple" for f in v.failures):
         return []
     fits = (view.base, view.final) if view.improved else (view.base,)
@@ -207,7 +216,10 @@ def _torque_of_the_angle(view: StudyView, v: CaseView) -> list[Chart]:
 
 
 def ghost_stretches(view: StudyView, index: int, case: Case, films: Sequence[Path]) -> list[Stretch]:
-    """Return the parts of the films of a case that show the markers predicted by the base and by the final model."""
+    """Return the parts of the films of a case on which predicted markers are drawn.
+
+    The markers are predicted by the base model and, if it was improved, by the final model.
+    """
     fits, names = [view.base], ["base model"]
     if view.improved:
         fits.append(view.final)
@@ -279,7 +291,10 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
 
 
 def _where(view: StudyView) -> list[tuple[str, str]]:
-    """Return the shaded intervals: each unmodelled torque, and other intervals with the speed outside its band."""
+    """Return the shaded intervals: each unmodelled torque, and other intervals of the speed.
+
+    In the other intervals, the residual of the speed is outside its confidence band.
+    """
     named = len(view.cases) > 1
     rows = []
     failures = sorted((f for v in view.cases for f in v.failures), key=lambda f: -f.size_sigma)
@@ -292,13 +307,17 @@ def _where(view: StudyView) -> list[tuple[str, str]]:
             speeds.setdefault(body, []).append("–".join(interval(i.start, i.stop)))
     parts = [f"{body} {', '.join(spans)} s" for body, spans in speeds.items()]
     if parts:
-        title, text = ("", "Speed alone, due to an earlier torque") if failures else ("Where", "Speed")
+        speed = "Speed outside its band"
+        title, text = ("", f"{speed}, as an effect of an earlier torque") if failures else ("Where", speed)
         rows.append((title, f"{text}: {'; '.join(parts)}"))
     return rows
 
 
 def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str, str]]:
-    """Return the strengths of a single body's laws with their meanings, and its speed in the unit of the file."""
+    """Return the parameters of the laws of a single body with their meanings, and the largest speed.
+
+    The largest speed is also in the unit of the file.
+    """
     rows = [
         (
             view.name(
@@ -324,7 +343,7 @@ def _interval(f: Failure, *, named: bool) -> str:
     size = f"{sign}{short(factor * abs(f.residual_torque_Nm), 2)} {prefix}{unit_text(f.unit)}"
     of = f" of {f.label}" if named else ""
     first, last = f.times
-    largest = f"(≤ {f.size_sigma:.0f} σ)".replace(" ", "\N{NO-BREAK SPACE}")
+    largest = f"(up to {f.size_sigma:.0f} σ from zero)".replace(" ", "\N{NO-BREAK SPACE}")
     return f"{size} on the {f.called}{of}, {first}–{last} s {largest}"
 
 
@@ -563,7 +582,11 @@ def write_overlay(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of every lack of fit of a study, with the markers predicted by the base and by the final model.
+    """Write one film of the parts of a study with a lack of fit.
+
+    The film shows the markers predicted by the base model and, if it was improved, by the final model. It also shows
+    the run of the casing or of the single body, but at most `_MAX_GHOSTS` parts of each case. A ``.webp`` file contains
+    only the first part.
 
     Parameters
     ----------
@@ -616,7 +639,7 @@ def html(parts: Mapping[str, Any]) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: nonbreaking(value) if type(value) is str else value,  # never markup
+        finalize=lambda value: nonbreaking(value) if type(value) is str else value,  # Markup is not changed
     )
     environment.filters["themed"] = themed
     # a long key breaks at its dots

@@ -486,7 +486,7 @@ class Prediction:
         return math.sqrt(chi2_per_row(data, self._pure, self._pure(rows - data.z))[0])
 
     def with_candidate(self, candidate: Candidate, columns: CaseColumns) -> dict[str, Any]:
-        """Return the predicted residual speeds with an added candidate of the diagnosis, and its torque.
+        """Return the predicted residual speeds with an added candidate, and the torque of this candidate.
 
         If the search has refitted the candidate, residual speeds and torque come from this refit. Otherwise the
         strength of the candidate comes from its score test, the other parameters are refitted to first order, and the

@@ -197,7 +197,7 @@ def refusal(error: Exception) -> Response:
 
 
 def text(query: dict[str, Any], name: str) -> str:
-    """Return a text of a request; "" if it is missing or not a text. Invalid characters are a UsageError."""
+    """Return a text of a request; "" if it is missing or not a text. Invalid characters raise a UsageError."""
     value = query.get(name, "")
     if not isinstance(value, str):
         return ""
@@ -735,7 +735,10 @@ _MAX_DIGITS = 15  # largest number of digits of a number of bytes
 
 
 def sent(query: Mapping[str, Any], length: str = "") -> tuple[Sent, int]:
-    """Return the file that a page sends, and its first byte in the content; the default size is `length`."""
+    """Return the file that a page sends, and the position of the first sent byte in the file.
+
+    The default size of the file is `length`.
+    """
 
     def count(text: str) -> int:
         return int(text) if text.isascii() and text.isdigit() and len(text) < _MAX_DIGITS else -1

@@ -41,10 +41,10 @@ class Ordered(NamedTuple):
 
 
 def ordered(path: Path, time: Floats, line: Integers, value: Floats | None, notes: list[str]) -> Ordered:
-    """Return the times of a record and the order of its rows; an uncertain order is a DatasetError that names the line.
+    """Return the times of a record and the order of its rows.
 
     `value` is an unwrapped angle or a speed, which is used to test steps of the clock. Corrections are added to
-    `notes`.
+    `notes`. An uncertain order raises a DatasetError that names the line.
     """
     time = _continued_counter(path, time, line, notes)
     rows = np.arange(len(time))
@@ -128,7 +128,7 @@ def _continued(
 
 
 def _delay(time: Floats, value: Floats | None, k: int) -> tuple[float, float] | None:
-    """Return the delay after row k beyond the stated interval, as the values show it, and its standard error.
+    """Return the delay after row k that the values show beyond the stated interval, and its standard error.
 
     Two parabolas with a common slope and curvature are fitted to the rows on both sides. The jump between them is the
     delay times the slope. The result is None if the slope is too small to determine the delay.

@@ -575,7 +575,7 @@ def _without_motion(raw: RawTable, columns: Columns) -> DatasetError:
 
 
 def _unit_of_angle(raw: RawTable, column: int, unit: str, why: str, value: Floats) -> tuple[str, str]:
-    """Return the unit of an angle and the reason; a stated unit that contradicts the wrapping is a DatasetError."""
+    """Return the unit of an angle and the reason; a stated unit that contradicts the wrapping raises a DatasetError."""
     wraps = wrapping_unit(value)
     if not wraps:
         return unit, why
@@ -589,7 +589,7 @@ def _unit_of_angle(raw: RawTable, column: int, unit: str, why: str, value: Float
 
 
 def _compare(raw: RawTable, columns: Columns, time: Floats, angle: Floats) -> None:
-    """Compare an angle with the speed in the same table; contradictory units are a DatasetError."""
+    """Compare an angle with the speed in the same table; contradictory units raise a DatasetError."""
     units = columns.unit
     scales = [factor(role, units[role]) if units[role] else 1.0 for role in ("angle", "omega")]
     speed = raw.numeric(columns.place["omega"])
@@ -737,7 +737,7 @@ def is_wrapped(angle: Floats) -> bool:
 
 
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
-    """Order a table by time and average repeated times, with `notes`; an uncertain order is a DatasetError."""
+    """Order a table by time and average repeated times, with `notes`; an uncertain order raises a DatasetError."""
     name, value = table.path.name, table.value
     if table.quantity == "angle" and len(value) and is_wrapped(value):
         value = np.unwrap(value)

@@ -1,8 +1,8 @@
 """Binary and XML files: HDF5 of SLEAP, DeepLabCut, movement and gyrotrack, and projects of OSP Tracker.
 
-A project (.trk) is XML with the points of each track in every frame, scale, axes and frame rate. In HDF5 files, pandas
-stores the names of columns as a pickle, which can contain code. The pickle is never executed: only opcodes for lists
-and tuples of strings are interpreted; any other opcode raises an error.
+A project (.trk) is an XML file. It contains the scale, the axes, the frame rate, and the points of each track in every
+frame. In HDF5 files, pandas stores the names of columns as a pickle, which can contain code. The pickle is never
+executed: only opcodes for lists and tuples of strings are interpreted; any other opcode raises an error.
 """
 
 from __future__ import annotations
@@ -96,7 +96,10 @@ _FOREIGN = "Supported: analysis files of SLEAP, tables of DeepLabCut, poses of m
 
 
 def read_hdf5(path: Path, body: str = "") -> Points | RawTable:
-    """Read points from an HDF5 file of another program, or a body from a case or exported netCDF; refuse links."""
+    """Read points from an HDF5 file of another program, or a body from a case or exported netCDF.
+
+    A file with links to other files is refused.
+    """
     try:
         with h5py.File(path, "r", locking=False) as file:
             READER.check_tree(file)
@@ -128,7 +131,7 @@ def _case_body(path: Path, body: str) -> RawTable:
     """Return a body of a case from `sync` or `import`: the series that a fit uses."""
     with READER.open(path, CASE) as file:
         stored = read_stored_case(file, READER)
-    # a single body, or the first body of a chain, is found by its own name (optional) and as the casing
+    # the first body has the key "casing", and also its own name if it has one
     bodies = {"casing": stored.casing, **{s.name: s for s in (stored.casing, *stored.others)}}
     series = bodies.get(body or "casing")
     if series is None:
@@ -143,7 +146,7 @@ def _exported_body(path: Path, file: Any, body: str) -> RawTable:
     name = body or "casing"
     if name not in file or "time" not in file[name]:
         what = f"{path} has no series '{name}'."
-        raise DatasetError(what, "Give a case; use `gyrotrack sync` for recordings.")
+        raise DatasetError(what, "Name a body that the file contains, or give another case.")
     group = file[name]
     wanted = {"time": "t", "angle": "angle", "sigma": "sigma"}
     if str(file.attrs.get("quantity", "angle")) == "omega":
@@ -326,7 +329,10 @@ def _project_points(path: Path, root: ET.Element) -> Points:
 
 
 def _world_position(root: ET.Element, frame: int, place: tuple[float, float], metres: float) -> Floats:
-    """Transform a position in px to the axes of the project in a frame: origin, angle of the x axis, px per unit."""
+    """Transform a position [px] in a frame to the axes of the project.
+
+    The axes have an origin, an angle of the x axis, and a scale (px per unit). They may change from frame to frame.
+    """
     axes = [
         (int((c.get("name") or "[0]").strip("[]")), c.find("object"))
         for p in [_property(_object(root, "coords"), "framedata")] if p is not None for c in p.findall("property")

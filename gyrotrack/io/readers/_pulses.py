@@ -1,16 +1,17 @@
 """Angles from pulses: times of events, sampled signals, light gates and counters of revolutions.
 
-The angle of pulse k is 2 pi k / N for N pulses per turn, corrected for the errors of the marks. Its uncertainty is
-omega times the uncertainty of the time, which follows from the scatter of the times about local cubics in k and from
-the resolution q of the clock, q / sqrt(12). The correction for the marks is stored as an error mode.
+A pulse comes from a mark on the body, for example a hole or a stripe. The angle of pulse k is 2 pi k / N for N marks,
+corrected for the position errors of the marks. Its uncertainty is omega times the uncertainty of the time. The
+uncertainty of the time is the larger of the scatter of the times about local polynomials in k (cubics for white noise)
+and of q / sqrt(12), where q is the resolution of the clock. The correction for the marks is stored as an error mode.
 
 If counts were sampled so often that rows repeat the previous count, only the changes of the count are used
 (`from_changes`), because equal counts share one error and have no independent noise.
 
 A sampled signal is, for example, the voltage of a photodiode, a Hall sensor or a microphone, or the brightness of a
-window. A pulse is a rise of the signal from the lower third to the upper third of its local range. This is a Schmitt
-trigger, so noise near the middle causes no pulses. The time of a pulse is the time at which the signal passes the
-middle of the range, interpolated linearly.
+part of the image. A pulse is a rise of the signal from the lower third to the upper third of its local range. This is a
+Schmitt trigger, so noise near the middle causes no pulses. The time of a pulse is the time at which the signal passes
+the middle of the range, interpolated linearly.
 
 A pendulum also passes a light gate repeatedly, but its passages are not pulses of a rotation. Two properties show a
 pendulum: it passes two gates in the order A, B, B, A; or the passages become longer relative to the time between them,
@@ -48,11 +49,12 @@ from gyrotrack.io.readers._reading import Reading, Taken
 
 # a clocked sampler: 90 % of its intervals deviate from their median by less than this share
 _CLOCKED = 0.01
-_REGULAR_EDGES = 0.3  # largest relative change (median) between intervals of pulses; noise has 0.7
+_REGULAR_EDGES = 0.3  # largest relative change (median) between intervals of pulses; edges of noise give 0.7
 _LEVELS = 8  # smallest number of distinct values of a signal; states of a light gate have two
 _MOSTLY = 0.8  # no drift is searched for if regular pulses fill at least this share of the record
 _MORE = 1.25  # a drift is removed if its removal multiplies the number of pulses by at least this factor
-_PULSES_PER_PART = 6  # length of the parts whose extremes are taken [longest typical periods]
+# low and high level are determined in parts of the record; length of a part [long periods: 90th percentile of periods]
+_PULSES_PER_PART = 6
 _EXTREMES = (2.0, 98.0)  # percentiles of the low and the high level
 # smallest amplitude of a signal from a rotating body [typical amplitude]; below it the body is at rest or absent
 _PRESENT = 0.25
@@ -64,8 +66,9 @@ _MAX_MISSED = 20
 _SMOOTHED = 5  # number of intervals of the running median
 _SWING = 0.2  # smallest relative change of the speed between turning points of a driven motion
 _MOST_RISES = 1  # a motor at the start of a record may cause one rise of the speed
-# quantile of the periods of a pendulum; a passage is missing where a period exceeds the quantile by this factor;
-# largest permitted share of these periods
+# `_SHORT_PERIODS` is the quantile that gives the short period of a pendulum. A passage is missing where a period
+# exceeds the short period by the factor `_LONGER`. `_MOST_LOST` is the largest permitted share of periods with a
+# missing passage.
 _SHORT_PERIODS, _LONGER, _MOST_LOST = 0.1, 1.25, 0.3
 # speeds before and after a time without pulses count as equal up to this logarithm of their ratio
 _SAME_SPEED = 0.3
@@ -73,8 +76,8 @@ _LEAST_SINGLE = 0.5  # smallest share of different times among the times of puls
 _END = 3  # number of intervals at each end that have too few neighbours on one side
 _LINE = 4  # number of intervals whose speed is continued to the ends
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-# up to this relative scatter of the intervals, a single interval shows a missed or double pulse (which changes the
-# interval about five times as much)
+# up to this relative scatter of the intervals, a single interval shows a missed or double pulse (it changes the
+# interval by at least about five times the scatter)
 _REGULAR = 0.13
 _SIGNIFICANT_STEP = 3.5  # smallest significant step of the count [standard errors]
 _STRETCH = 60  # number of pulses between the knots of the spline through the counts
@@ -84,21 +87,23 @@ _MAX_MARKS = 512
 # marks are unequal if the cube root of chi2 exceeds its expected value by this number of standard deviations
 _UNEQUAL_MARKS = 3.0
 _MOST_HARMONICS = 32  # largest number of periods per turn in the error mode of the marks
-# only the changes of the count are used if at least this share of the equally spaced rows, while the body turns, has no
-# new count
+# only the changes of the count are used if more than this share of the equally spaced rows, while the body turns,
+# repeats the previous count
 _IDLE = 0.05
 # the body is at rest on one side of a change if the speed on the other side is this multiple of the mean speed
 _ONE_SIDED = 1.6
-# the ends of an interval without counts are samples if it exceeds its predecessor by this factor
+# where the body reverses, and at both ends of the record, the two ends of an interval without counts become samples if
+# the interval is longer than the neighbouring one by this factor
 _TURNING = 3.0
 # number of rows whose speed is continued over the next interval; largest unambiguous rotation in this interval [turns]
 _ROWS_BEFORE, _PART_OF_TURN = 20, 0.4
 # the scatter of the angles determines their uncertainty if it exceeds the quantisation error by this factor
 _BEYOND_QUANTISATION = 1.3
 _MAX_RESTARTS = 3
-# smallest share of passages through two gates in the opposite order to the previous passage, for a pendulum
+# the body is a pendulum if it passes two gates in alternating order (A B, B A) in more than this share of passages
 _ALTERNATING = 0.9
-# smallest rise of ln (duration / time between passages) from the first to the last quarter, for a pendulum
+# the body is a pendulum if ln (duration / time between passages) rises by more than this value from the first to the
+# last quarter of the passages
 _DURATION_CHANGE = 0.1
 _SIGNIFICANT_CHANGE = 5.0  # the same limit in standard errors
 _FLICKER = 0.1  # largest duration of a flicker of a light gate [median duration of a passage]
@@ -195,7 +200,10 @@ def _regular_pulses(edges: Floats, after: Integers) -> tuple[int, float]:
 
 
 def _local_edges(time: Floats, signal: Floats) -> tuple[Floats, Integers]:
-    """Return the rising edges, with the local range from parts of the record that last a few long periods."""
+    """Return the rising edges.
+
+    The range of the signal is determined in parts of the record; each part lasts about six long periods.
+    """
     part = len(signal)
     while True:
         edges, after = _edges(time, signal, part)
@@ -259,7 +267,8 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
     refuse_passages(raw, options)
     gate = _gate(raw, place, options)
     if not intervals and gate is None and are_intervals(time):
-        intervals, why = True, f"no times: {100 * np.mean(np.diff(time) < 0):.0f} % of the rows step back"
+        backward = 100 * np.mean(np.diff(time) < 0)
+        intervals, why = True, f"not times: {backward:.0f} % of the values are smaller than the value before"
     if not intervals and not (raw.headed or options.names) and len(raw.names) == 1 and may_be_intervals(time):
         raise DatasetError(
             f"{raw.path}: the column may contain times of pulses or intervals between them.",
@@ -306,11 +315,14 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
 
 
 def _times_of_intervals(raw: RawTable, interval: Floats) -> Floats:
-    """Return the times of the pulses after each interval; an interval that is not positive is a DatasetError."""
+    """Return the times of the pulses after each interval; an interval that is not positive raises a DatasetError."""
     wrong = ~(interval > 0)
     if wrong.any():
         what = f"{raw.path}, line {raw.line[np.argmax(wrong)]}: the interval is missing or not positive."
-        raise DatasetError(what, "Give a record without this interval, after which times are unknown.")
+        raise DatasetError(
+            what,
+            "After this interval the times are unknown. Give only the rows before it or only the rows after it.",
+        )
     return np.cumsum(interval)
 
 
@@ -334,7 +346,7 @@ def _signals(raw: RawTable, place: int, options: ReadOptions) -> list[int]:
 def _pulses_of_signal(
     raw: RawTable, columns: list[int], time: Floats, rows: Integers, notes: list[str]
 ) -> tuple[Floats, Integers, str] | None:
-    """Return times, lines and column of the rising edges of the only signal with regular edges; None without it.
+    """Return times, lines and column of the rising edges of the only signal with regular edges; None without one.
 
     Raises
     ------
@@ -430,14 +442,17 @@ def passages_of(raw: RawTable, options: ReadOptions) -> Passages | None:
 
 
 def _refuse_lost_passages(raw: RawTable, time: Floats) -> None:
-    """Refuse passages if missing passages make the usual period longer than the short periods."""
+    """Refuse passages if more than `_MOST_LOST` of the periods exceed the short period by a quarter.
+
+    Passages are then missing.
+    """
     pair = time[2:] - time[:-2]
     usual = float(np.quantile(pair, _SHORT_PERIODS))
     longer = float((pair > _LONGER * usual).mean())
     if longer > _MOST_LOST:
         raise DatasetError(
-            f"{raw.path}: {longer:.0%} of the times between passages of the same sense are longer than {usual:.4g} s "
-            f"by a quarter or more: passages are missing.",
+            f"{raw.path}: {100 * longer:.0f} % of the periods exceed the short period, {usual:.4g} s, by more than a "
+            "quarter: passages are missing.",
             "Give a recording with all passages.",
         )
 
@@ -529,8 +544,8 @@ def from_events(
 def varies_both_ways(time: Floats) -> bool:
     """Return whether the speed of pulses rises and falls repeatedly, which shows a drive.
 
-    A running median removes single intervals with missed or double pulses. Turning points of the result differ by at
-    least `_SWING` of the speed, in addition to the scatter of the intervals.
+    A running median removes single intervals with missed or double pulses. Only a change of the result that exceeds
+    both `_SWING` of the speed and the scatter of the median counts as a rise or fall.
     """
     interval = np.diff(time)
     if len(interval) < 3 * _SMOOTHED:
@@ -585,9 +600,9 @@ def _refuse_gap(raw: RawTable, step: Floats, ratio: Floats, counted: Floats, lin
 def _steps_of_jittering_counts(time: Floats) -> Integers | None:
     """Return the number of pulses missed before each pulse, -1 for a double pulse; None if single intervals suffice.
 
-    If the times scatter by a large share of an interval, one interval does not show whether a pulse is missed. All
-    later counts, however, are too small by one. The counts are described by a cubic spline in time. Whole steps are
-    added or removed at irregular intervals, one at a time, until no remaining step is larger than a half.
+    If the times scatter by a large share of an interval, one interval does not show whether a pulse is missed. But if a
+    pulse is missed, all later counts are too small by one. The counts are described by a cubic spline in time. Whole
+    steps are added or removed at irregular intervals, one at a time, until no remaining step is larger than a half.
     """
     interval = np.diff(time)
     if len(interval) < _STRETCH:
@@ -619,7 +634,7 @@ def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
     columns -= basis @ (basis.T @ columns)
     size = np.sum(columns**2, axis=0)
     at = ratio[places - 1]
-    # a short interval ends at a double pulse; a long interval contains the number of missed pulses that its length
+    # a short interval ends at a double pulse; a long interval contains at most as many missed pulses as its length
     # allows
     lowest = np.where(at < 1, -1, 0)
     highest = np.where(at < 1, 0, np.clip(np.round(at - 1 + 2 * spread), 0, _MAX_MISSED))
@@ -647,11 +662,14 @@ def _typical_interval(step: Floats) -> Floats:
 
 
 def _ratios_at_end(step: Floats) -> Floats:
-    """Return the ratios of intervals to those expected from the previous speed; only the last `_END` are changed.
+    """Return the ratios of intervals to the intervals expected from the previous speed.
+
+    The ratios are computed for the last `_END` intervals only; the others are 1.
 
     At the end of a motion the next intervals are unknown: an interval of twice the length shows a missed pulse, or a
-    body that comes to rest. The speed 1/T of the previous intervals is continued by a line in time, v - a s, over half
-    of the previous interval T0 and half of the next interval T: T (v - a (T0 + T) / 2) = 1.
+    body that comes to rest. A straight line in time is fitted to the speeds of the previous intervals: at the time s
+    after the middle of the last of them, the speed is v - a s. The middle of the next interval T is (T0 + T) / 2 later,
+    where T0 is the last interval. T is therefore the solution of T (v - a (T0 + T) / 2) = 1.
     """
     regular, ratio = step.copy(), np.ones(len(step))
     for k in range(max(len(step) - _END, _LINE), len(step)):
@@ -671,8 +689,9 @@ def _ratios_at_end(step: Floats) -> Floats:
 def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Return a mask of the pulses to keep: of two pulses closer than 0.35 typical intervals, the more regular one.
 
-    After the other pulse is removed, the merged interval is a whole number of typical intervals: one for a double
-    pulse, two for a pulse displaced by more than half an interval, which is then a missed pulse.
+    The other pulse is removed, and its two intervals are merged. The merged interval is one typical interval if the
+    pulse was double. It is two typical intervals if the pulse was displaced by more than half an interval; the pulse
+    then counts as missed.
     """
     keep = np.ones(len(time), dtype=bool)
     for _ in range(20):
@@ -750,8 +769,8 @@ def mark_errors(
     # the median of n normal values has pi / 2n times their variance; 1 / mean of Student's t^2 is (n - 3) / (n - 1)
     u2 = np.pi / 2 / number * np.array([np.var(off[pulses], ddof=1) for pulses in of_mark])
     t2 = errors**2 / np.maximum(u2, 1e-24) * (number - 3) / (number - 1)
-    # marks with mean zero have marks - 1 degrees of freedom, and the cube root of chi2 / dof is nearly normal
-    # (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931)
+    # errors of marks with mean zero have (number of marks - 1) degrees of freedom, and the cube root of chi2 / dof is
+    # nearly normal (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931)
     variance = 2 / (9 * (marks - 1))
     if np.cbrt(t2.mean()) < 1 - variance + _UNEQUAL_MARKS * np.sqrt(variance):
         return none
@@ -840,7 +859,7 @@ def read_counter(
     restarts, odd = int(resets.sum()), float(((step < 0) | (step > _MAX_MISSED)).mean())
     if restarts > _MAX_RESTARTS or odd > 0.02 or (~unique).mean() > 0.2:
         raise DatasetError(
-            f"{raw.path}: the column {column + 1} is not a counter at the times of the column {time_column + 1}.",
+            f"{raw.path}: column {column + 1} does not count up at the times in column {time_column + 1}.",
             "For an encoder that restarts at each turn give its counts per turn, --pulses-per-turn N; else choose the "
             "columns by --column revolutions=N and --column t=N.",
         )
@@ -883,7 +902,8 @@ def _reading_of_counter(
 def counts_coarsely(time: Floats, count: Floats) -> bool:
     """Return whether a counter was sampled at equal intervals and some of these intervals have no new count.
 
-    The body is at rest before the first change, after the last change, and in other long intervals without counts.
+    Rows before the first change, after the last change, and in other long intervals without counts are ignored, because
+    the body may be at rest there.
     """
     rows = np.diff(np.flatnonzero(np.diff(count)))
     if not len(rows) or not is_sampled(time):
@@ -932,8 +952,9 @@ def from_changes(
     noisy = float(np.median(spread / quantised)) > _BEYOND_QUANTISATION
     sigma = np.maximum(spread, quantised) if noisy else quantised
     notes.append(
-        f"{raw.path.name}: the rows are closer than the counts; the angles are those at the {len(at)} changes of the "
-        f"count, uncertain by {1e3 * float(np.median(sigma)):.3g} mrad (median), half a row or half a step at most"
+        f"{raw.path.name}: there are several rows for each count; only the {len(at)} changes of the count give an "
+        f"angle. The uncertainty is {1e3 * float(np.median(sigma)):.3g} mrad (median). The error is at most half a "
+        "step of the count or the motion in half a row interval"
     )
     return MotionTable(
         raw.path, raw.sha256, "angle", when, angle, sigma, line[rows], tuple(notes), counted=True
@@ -954,7 +975,7 @@ def _turned_within(time: Floats, count: Floats, at: Integers) -> Floats:
         return np.asarray((turned[end] - turned[begin]) / np.maximum(time[at[end]] - time[at[begin]], 1e-300))
 
     both, faster = speed(first, last), np.maximum(speed(first, here), speed(here, last))
-    # at a constant speed, the rates on both sides differ by less than this
+    # at a constant speed, the ratio of the faster side to both sides is below `_ONE_SIDED`
     rate = np.where(faster > _ONE_SIDED * both, faster, both)
     return np.asarray(rate * (time[at] - time[at - 1]))
 
@@ -997,7 +1018,8 @@ def clock_scale(raw: RawTable, ticks: Floats) -> float:
 def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:
     """Return the column with sampled counts of an encoder, with several counts per row; None without such a column.
 
-    The number of pulses per turn is given; without a header, the second of two columns may be the counts.
+    Call this only if the number of pulses per turn is given. Without a header, the second of two columns may be the
+    counts.
     """
     place = columns.get("revolutions")
     if place is None and not raw.headed and len(raw.names) == 2 and not columns.keys() - {"t"}:

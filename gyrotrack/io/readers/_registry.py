@@ -112,7 +112,7 @@ def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
 
 
 def _with_inputs(made: MotionTable, options: ReadOptions) -> MotionTable:
-    """Return a motion with its inputs from the file or from separate tables; missing columns are a UsageError."""
+    """Return a motion with its inputs from the file or from separate tables; missing columns raise a UsageError."""
     if made.reading is None or not options.inputs:
         return made
     missing = [o for o in options.inputs if o.file is None and o.name not in {i.name for i in made.inputs}]

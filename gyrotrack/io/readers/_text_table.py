@@ -40,11 +40,16 @@ Lines = Sequence[tuple[int, str]]
 _LONGEST_LINE = 2**24  # characters
 _SAMPLE = 50  # number of lines that determine the separator
 _MOST_SETTINGS = 10  # largest number of lines of settings between header and samples
-_FEW_ROWS = 5  # largest number of rows of a transposed table, which has at least five times as many columns
+# largest number of rows of a transposed table; a table is transposed if it has no names, at most this number of rows,
+# and more columns than the square of this number
+_FEW_ROWS = 5
 
 
 def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
-    """Return numbered lines without blank lines, comments, repeated headers and text below the samples; and notes."""
+    """Return the numbered lines of a text, and notes.
+
+    Blank lines, comments, repeated headers and a few lines of text below the samples are excluded.
+    """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16", errors="replace")
     elif b"\0" in content:
@@ -117,13 +122,12 @@ def _delimiter_of_body(lines: Lines) -> str | None:
     body = [_QUOTED.sub("", text) for _, text in lines[len(lines) // 2 :][:_SAMPLE]]
     found = next((d for d in (";", "\t", ",") if sum(d in text for text in body) > len(body) / 2), None)
     mixed = found in {"\t", ","} and all(any(map(_is_list, split(text, found))) for text in body)
-    return (
-        None if mixed else found
-    )  # the separator is blanks: the lines contain tabs among blanks, or a decimal comma
+    # mixed: blanks separate the cells; the tabs are among the blanks, or the commas are decimal commas
+    return None if mixed else found
 
 
 def _header(above: Lines, delimiter: str | None, width: int) -> tuple[list[str], list[str], int]:
-    """Return the names of the columns, their units if in a separate line, and the line of the names.
+    """Return the names of the columns, their units if in a separate line, and the number of the line with the names.
 
     Among several lines with a cell for each column (names, symbols, units), the header is the line with the most known
     names.
@@ -193,7 +197,7 @@ def read_text(path: Path, lines: Lines, notes: tuple[str, ...] = ()) -> RawTable
         ]
         rows, first, names, units = rows[above_table:], first + above_table, [], []
     elif len(rows) <= _FEW_ROWS < usual / _FEW_ROWS and not names:
-        preamble = [f"{path.name}: the {len(rows)} rows are the columns of the table"]
+        preamble = [f"{path.name}: the table is transposed; its {len(rows)} rows were read as columns"]
         rows = [list(cells) for cells in zip(*rows, strict=False)]
         usual = len(rows[0])
         lines, first = [(lines[first][0], "")] * len(rows), 0
@@ -222,7 +226,10 @@ def _is_list(cell: str) -> bool:
 
 
 def _names_between_blanks(line: str, width: int) -> list[str]:
-    """Return names with blanks, for example ``t [s] angle [rad]``; empty unless there are `width` of them."""
+    """Return the names in a header whose separator is a blank, for example two names in ``t [s] angle [rad]``.
+
+    A unit in brackets belongs to the name before it. The list is empty unless it has `width` names.
+    """
     names = (
         [line.strip().strip('"')]
         if width == 1

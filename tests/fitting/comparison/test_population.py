@@ -105,6 +105,20 @@ def test_a_step_has_its_place_and_size(sign):
     assert turned.parameters[0].change.size == pytest.approx(c.size)
 
 
+def test_runs_without_the_parameter_do_not_move_its_step():
+    n, place, unknown = 30, 20, [2, 4, 6, 8]
+    y = 1e-2 * RNG.standard_normal((n, 1))
+    y[place:] += 1.0
+    c = np.full((n, 1, 1), 1e-4)
+    y[unknown], c[unknown] = np.nan, np.nan
+    got = found(y, c)
+    (p,) = got.parameters
+    assert (p.change.before, p.change.after, p.change.time) == ("r19", "r20", 19.5)
+    # about the step, the spread is far smaller than the step
+    assert p.spread < 0.02
+    assert got.outlying == ()
+
+
 def test_statistics_of_a_step_are_those_of_two_samples():
     y = RNG.standard_normal(12)
     f, largest = _population._step_statistics(y, np.ones(12))
@@ -231,8 +245,8 @@ class TestColumns:
         inside[[0, 3, 11]] = False
         drift = _population._columns("drift", 0, TIMES, inside)
         assert drift[:, 1] == pytest.approx(TIMES - TIMES[inside].mean())
-        step = _population._columns("step", 4, TIMES, inside)
-        # runs 1, 2, 4, 5, 6 ... are inside, so the fifth of them is run 6
+        step = _population._columns("step", 6, TIMES, inside)
+        # nine runs are inside, and five of them (6 to 10) are after the step
         assert step[:, 1] == pytest.approx(np.where(np.arange(12) >= 6, 1.0, 0.0) - 5 / 9)
         assert (step[:, 0] == 1).all()
 

@@ -255,7 +255,7 @@ def test_errors_are_exported_with_their_uncertainty(stated):
 
 
 def test_a_case_without_errors_has_no_such_table(case):
-    with pytest.raises(UsageError, match="no errors"):
+    with pytest.raises(UsageError, match="no table 'errors'"):
         columns(case, "errors")
 
 

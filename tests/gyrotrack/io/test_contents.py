@@ -269,7 +269,7 @@ def test_tables_of_a_recording(recording, tmp_path):
 
 
 def test_what_is_not_there_is_reported(file, tmp_path):
-    with pytest.raises(UsageError, match="no markers"):
+    with pytest.raises(UsageError, match="no table 'markers'"):
         export_file(file, tmp_path / "a.csv", table="markers")
     with pytest.raises(UsageError, match="suffix"):
         export_file(file, tmp_path / "a.xlsx")

@@ -207,7 +207,7 @@ def test_table_of_the_motion():
     with pytest.raises(UsageError, match="Unknown table"):
         columns(case_of(), "motions")
     for name in ("markers", "frames", "inputs", "points", "errors"):
-        with pytest.raises(UsageError, match=f"no {name}"):
+        with pytest.raises(UsageError, match=f"no table '{name}'"):
             columns(case_of(), name)
 
 

@@ -248,7 +248,7 @@ class TestProject:
         time = np.arange(50.0)
         time[20] += off
         if refused:
-            with pytest.raises(UsageError, match="not at equal intervals"):
+            with pytest.raises(UsageError, match="needs times at equal intervals"):
                 self.text(("a", time, time))
         else:
             assert len(self.values(self.text(("a", time, time)), "n")) == 50

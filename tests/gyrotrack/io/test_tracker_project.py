@@ -36,7 +36,7 @@ def test_times_on_no_grid_are_refused(tmp_path, jitter, refused):
     """In intervals; up to a twentieth is the rounding of a clock."""
     time = TIME + np.random.default_rng(0).uniform(-jitter, jitter, len(TIME)) / 120
     if refused:
-        with pytest.raises(UsageError, match="not at equal intervals"):
+        with pytest.raises(UsageError, match="needs times at equal intervals"):
             written(tmp_path / "a.trk", time, zipped=False)
     else:
         written(tmp_path / "a.trk", time, zipped=False)

@@ -894,7 +894,7 @@ class TestCounter:
         for k in range(restarts):
             count[80 * (k + 1) :] -= 80
         if refused:
-            with pytest.raises(DatasetError, match="is not a counter"):
+            with pytest.raises(DatasetError, match="does not count up"):
                 self.counted(t, count)
         else:
             self.counted(t, count)
@@ -908,7 +908,7 @@ class TestCounter:
         increments[every // 2 :: every] = step
         t = np.cumsum(0.1 * increments)
         if refused:
-            with pytest.raises(DatasetError, match="is not a counter"):
+            with pytest.raises(DatasetError, match="does not count up"):
                 self.counted(t, np.cumsum(increments))
         else:
             self.counted(t, np.cumsum(increments))
@@ -919,7 +919,7 @@ class TestCounter:
         t = np.sort(np.append(slowing(100 - repeated), slowing(100 - repeated)[:repeated]))
         count = np.searchsorted(slowing(100 - repeated), t)
         if refused:
-            with pytest.raises(DatasetError, match="is not a counter"):
+            with pytest.raises(DatasetError, match="does not count up"):
                 self.counted(t, count)
         else:
             assert any(f"{repeated} repeated rows" in n for n in self.counted(t, count).notes)

@@ -76,7 +76,7 @@ def test_intervals_between_pulses_are_not_times(tmp_path):
     read = read_motion(write(tmp_path / "a.csv", rowing()), options(pulses_per_turn=3.0))
     np.testing.assert_allclose(read.time, np.cumsum(rowing()), rtol=1e-6)
     np.testing.assert_allclose(np.diff(read.value), 2 * np.pi / 3, atol=2e-3)  # the marks are corrected
-    assert "no times: 50 % of the rows step back" in read.reading.lines()[0]
+    assert "not times: 50 % of the values are smaller than the value before" in read.reading.lines()[0]
     falling = write(tmp_path / "b.csv", np.sort(rowing()))
     asked = read_motion(falling, options("interval=1", pulses_per_turn=3.0))
     np.testing.assert_allclose(asked.time, np.cumsum(np.sort(rowing())), rtol=1e-6)
