@@ -1,13 +1,13 @@
 """A model: a set of effects, its equations of motion, and their derivatives.
 
-The torque tau_j of each joint j is the sum of all laws between its two bodies, multiplied by all factors. It drives the
-second body and brakes the first body. The equations of motion are
+The torque tau_j of each joint j is the sum of all torque laws between its two bodies, multiplied by all effects that
+are declared as factors of this joint. It drives the second body and brakes the first body. The equations of motion are
 
     I_b d(omega_b)/dt = sum of the torques on the body b + sum of tau_j (b second) - sum of tau_j (b first),
 
 and there is one more equation for each effect with its own state. In a gyroscope the rotor is the first and the casing
-the second body of the bearing. The structure is frozen; numbers are passed separately as a mapping from
-``<effect>.<symbol>`` to a value.
+the second body of the bearing. A model cannot be changed after it was made, and it contains no values of free
+parameters. Values are passed separately, as a mapping from ``<effect>.<symbol>`` to a value.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Model:
     effects : tuple of Effect
         The effects, each once.
     mechanism : Mechanism
-        The bodies and joints of all effects; if there are effects, it follows from them.
+        The bodies and joints of the model. If the model has effects, their mechanism is used instead of this argument.
     """
 
     effects: tuple[Effect, ...]
@@ -83,7 +83,7 @@ class Model:
             if effect.mechanism != self.effects[0].mechanism:
                 raise EffectError(
                     f"{self.effects[0].name} and {effect.name} are laws of different bodies",
-                    "use case.model(...), which names the laws of one case",
+                    "build the model with case.model(...): it gives all laws the bodies of this case",
                 )
             object.__setattr__(self, "mechanism", effect.mechanism)
         names = [e.name for e in self.effects]
@@ -164,7 +164,7 @@ class Model:
         return self.with_only(e for e in self.effects if e.name != name)
 
     def with_only(self, effects: Iterable[Effect]) -> Model:
-        """Return the model of some effects of the same bodies."""
+        """Return a model with the bodies of this model and only these effects."""
         return Model(tuple(effects), self.mechanism)
 
     def with_fixed(self, values: Mapping[str, float]) -> Model:
@@ -185,8 +185,10 @@ class Model:
         for name, value in values.items():
             keys = [k for k in self.free if k == name or k.rpartition(".")[2] == name]
             if len(keys) != 1:
-                what = "several parameters" if keys else "no parameter that could be fitted"
-                raise EffectError(f"{name[:60]!r} is {what} of the model", "it has: " + ", ".join(self.free))
+                many = "several parameters of the model are", "give the whole key; keys: "
+                none = "no parameter of the model that can be fitted is", "it has: "
+                what, hint = many if keys else none
+                raise EffectError(f"{what} named {name[:60]!r}", hint + ", ".join(keys or self.free))
             if not np.isfinite(value):
                 raise EffectError(
                     f"{name[:60]} cannot be held at {value}", "give a finite number, in SI units"
@@ -195,7 +197,7 @@ class Model:
         return self.with_only(_holding(e, held) for e in self.effects)
 
     def of_bodies(self, bodies: Set[str]) -> Model:
-        """Return the model with only the effects that act on and depend on these bodies of the library."""
+        """Return the model without the effects that act on another body than these, or depend on one."""
         return self.with_only(e for e in self.effects if e.bodies <= bodies)
 
     @cached_property
@@ -345,13 +347,14 @@ SENSE = "sense"
 class Dynamics:
     """The equations of motion of a model and their derivatives, compiled for evaluation.
 
-    With `angles`, the angles are states, as laws of an angle require. Measurement effects are left out: they do not
-    change the motion. `states` are the speeds of the bodies of the `mechanism` (``omega_r, omega_c``), then
-    ``deflection`` if a torque depends on it, then states of effects, then the angles; the initial values of the first
-    `free_starts` belong to the recording. `ratio` is the key of the ratio of a contact without slip; the initial
-    omega_r is then this ratio times the initial omega_c. If `dry`, a torque jumps where the main body (the casing)
-    stops, and the rates are evaluated for one sense of its motion. All other bodies turn in one sense. `inputs` are the
-    inputs of the recording.
+    If `angles` is True, the angles are states too. Laws that depend on an angle require this. Measurement effects are
+    left out: they do not change the motion. `states` are the speeds of the bodies of the `mechanism` (``omega_r,
+    omega_c``), then ``deflection`` if a torque depends on it, then states of effects, then the angles. The initial
+    values of the first `free_starts` states are parameters of each recording. States of effects start at declared
+    values. `ratio` is the key of the ratio of a contact without slip; the initial omega_r is then this ratio times the
+    initial omega_c. If `dry`, a torque jumps where the main body (the casing) stops, and the rates are evaluated for
+    one sense of its motion. All other bodies are assumed to keep their sense of rotation. `inputs` are the inputs of
+    the recording.
     """
 
     def __init__(self, model: Model, *, angles: bool = False, inputs: Iterable[Input] = ()) -> None:
@@ -361,7 +364,7 @@ class Dynamics:
         self.speeds = len(mechanism.speeds)
         used = {name for e in physical for name, _ in e.inputs}
         self.inputs = tuple(i for i in inputs if i.name in used)
-        # key of the dead time of each input, first by name, then by symbol
+        # key of the dead time of each input: `delays` is indexed by the name of the input, `self._delays` by its symbol
         delays = {
             e.inputs[0][0]: f"{e.name}.{e.parameters[0].symbol}" for e in physical if e.joint == "input"
         }
@@ -475,7 +478,10 @@ class Dynamics:
         return [*rates.values(), *deflection, *own]
 
     def _in_one_sense(self, rate: Expr) -> Expr:
-        """Return a rate in which the sign of the main speed is a separate number; the rate is then smooth at rest."""
+        """Return a rate in which the sign of the speed of the main body is a separate symbol.
+
+        The rate is then smooth where this body stops.
+        """
         sign = call("sign", sym(self.mechanism.speeds[MAIN]))
         new: dict[int, Expr] = {}
         for node in nodes(rate):
@@ -506,9 +512,10 @@ class Dynamics:
     def moving_breaks(
         self, first: float, last: float, numbers: Mapping[str, float]
     ) -> dict[str, list[float]]:
-        """Return the times of the jumps of a torque that depend on a free parameter [s], by the key of the parameter.
+        """Return the times of jumps of a torque, if a free parameter shifts them [s]; by the key of this parameter.
 
-        These are changepoints, and the steps of held inputs between `first` and `last` if a dead time is free.
+        These times are changepoints. If the dead time of an input is free and the input is constant between its samples
+        (interpolation "hold"), its steps between `first` and `last` are included.
         """
         found = {k: [numbers[k]] for k in self.breakpoints if k in self.parameters}
         for i in self.inputs:

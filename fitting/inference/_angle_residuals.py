@@ -1,10 +1,11 @@
 """Measured minus modelled angle of a fit, with its standard uncertainty.
 
 The rows of a block are the projections of the measured angles on polynomials, minus the projections of the modelled
-angles. Generalised least squares removes the nuisance columns (the zero of each run, the starts of windows, camera
-effects). The polynomial with the remaining rows as coefficients is the residual of the angle within the block. It does
-not contain the noise that is orthogonal to the polynomials. Its uncertainty follows from the covariance of the rows, as
-for the residual speeds (`_speed_residuals`).
+angles. Nuisance parameters are the zero of the angle in each series of samples, the errors of the starts of the
+windows, and camera effects. Generalised least squares removes their contributions from the rows. The polynomial with
+the remaining rows as coefficients is the residual of the angle within the block. It does not contain the noise that is
+orthogonal to the polynomials. Its uncertainty follows from the covariance of the rows, as for the residual speeds
+(`_speed_residuals`).
 """
 
 from __future__ import annotations
@@ -28,14 +29,16 @@ polynomial, a larger one makes larger files."""
 
 @dataclass(frozen=True)
 class AngleResidual:
-    """Measured minus modelled angle of a run: the casing, or one rotor window; all arrays have shape (n,).
+    """Measured minus modelled angle of one series of samples: that of the casing, or of one rotor window.
+
+    All arrays have shape (n,).
 
     Attributes
     ----------
     time : ndarray
         Times on the clock of the case, increasing [s].
     value, sigma : ndarray
-        The residual, and its standard deviation if there is noise alone [rad].
+        The residual, and the standard deviation that noise alone would cause [rad].
     """
 
     time: Array
@@ -43,7 +46,7 @@ class AngleResidual:
     sigma: Array
 
     def at(self, time: Array) -> tuple[Array, Array]:
-        """Return residual and standard deviation at these times [rad]; NaN outside of the run."""
+        """Return residual and standard deviation at these times [rad]; NaN outside of the series."""
         inside = (time >= self.time[0]) & (time <= self.time[-1])
         value, sigma = (np.interp(time, self.time, y) for y in (self.value, self.sigma))
         return np.where(inside, value, np.nan), np.where(inside, sigma, np.nan)
@@ -55,7 +58,7 @@ def angle_residuals(fit: Fitted, case: int) -> tuple[AngleResidual, ...]:
     Parameters
     ----------
     fit : Fit
-        The fit; its own clock errors, zeros of the angle and camera effects are part of the model.
+        The fit. The clock errors, zeros of the angle and camera effects that it estimated belong to the modelled angle.
     case : int
         Index of the case.
 
@@ -82,7 +85,7 @@ def angle_residuals(fit: Fitted, case: int) -> tuple[AngleResidual, ...]:
 
 
 def _values(run: Compressed) -> tuple[Array, Array]:
-    """Return times within the blocks of a run and the operator from its rows to angles at these times (times, rows)."""
+    """Return times in the blocks of a series, and the operator from its rows to angles at these times (times, rows)."""
     blocks, k, _ = run.lift.shape
     nodes, times = run.node_times.reshape(blocks, k), run.samples.time
     points = _POINTS_PER_ROW * k

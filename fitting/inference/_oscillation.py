@@ -41,19 +41,21 @@ _HARMONICS = 3
 """Number of harmonics of an oscillation [1]. Chosen: a smaller value leaves motion in the noise, a larger one absorbs
 noise."""
 _MODULATION = 3
-"""Highest power of time of the amplitude of each harmonic [1]. Chosen: a smaller value does not follow the decay, a
-larger one absorbs noise."""
+"""Highest power of time in the polynomial for the amplitude of each harmonic [1]. Chosen: a smaller value does not
+follow the decay, a larger one absorbs noise."""
 _MOST_WINDOWS = 300
-"""Largest number of windows of a slow motion [1]. Chosen: a smaller number blurs the decay, a larger one costs time."""
+"""Largest number of windows in which amplitude and phase of an oscillation are determined [1]. Chosen: a smaller number
+blurs the decay, a larger one costs time."""
 _WINDOWS = 20
-"""Smallest number of windows of three periods; a shorter record has shorter windows [1]. Chosen: a smaller number does
-not resolve the decay of short records, a larger one gives uncertain amplitudes."""
+"""Number of windows below which they become shorter. A window contains three periods. A record of less than 60 periods
+is divided into this number of windows, but no window is shorter than a period [1]. Chosen: a smaller number does not
+resolve the decay of short records, a larger one gives uncertain amplitudes."""
 _POINTS_PER_PERIOD = 24
-"""Number of rough speeds in each period of an oscillation [1]. Chosen: with fewer, the turning points are cut off; with
-more, each speed is noisy."""
+"""Number of approximate speeds in each period of an oscillation, from which a fit begins [1]. Chosen: with fewer, the
+largest deflections are averaged away; with more, each speed is noisy."""
 _ROUGH_SAMPLES = 3
-"""Smallest number of samples of a rough speed of an oscillation [samples]. Derived: three samples determine a line and
-its error."""
+"""Smallest number of samples from which one approximate speed of an oscillation is computed [samples]. Derived: three
+samples determine a line and its error."""
 _FEWEST_SAMPLES = 10
 """Smallest number of samples in a window [samples]. Chosen: a smaller number does not determine amplitude and phase, a
 larger one refuses slow cameras."""
@@ -96,7 +98,10 @@ class Rotation:
         return np.zeros((samples, 0))
 
     def offsets(self, samples: int) -> Array:
-        """Return functions that describe an unknown zero of measured speeds: none, since a torque can describe it."""
+        """Return functions that describe an unknown zero of measured speeds: none.
+
+        In a rotation, a torque can describe the effect of an unknown zero.
+        """
         return np.zeros((samples, 0))
 
     def beyond_motion(self, columns: Array, _angle: Array) -> Array:
@@ -130,7 +135,7 @@ class Oscillation:
 
     @property
     def rough(self) -> tuple[int, ...]:
-        """Number of rough speeds, and smallest number of samples of each (see `initial_speeds`)."""
+        """Number of approximate speeds, and smallest number of samples of each (see `initial_speeds`)."""
         return math.ceil(_POINTS_PER_PERIOD * self.periods), _ROUGH_SAMPLES
 
     def samples_per_period(self, samples: int) -> float:

@@ -1,10 +1,10 @@
 """Profile likelihood intervals.
 
-The deviance is minimised with one parameter held and all others fitted again, at the noise of the fit. At the ends of
-the interval, this minimum exceeds the deviance of the fit by the quantile of chi-square with one degree of freedom,
-3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)). The square root of this rise is nearly linear in the
-parameter, so a few fits find each end. If the rise of the deviance does not reach the quantile on one side, this side
-is open: the data do not limit the parameter there.
+One parameter is held, and the deviance is minimised over all others. The noise remains that of the original fit. At the
+ends of the interval, this minimum exceeds the deviance of the fit by the quantile of chi-square with one degree of
+freedom, 3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)). The square root of this rise is nearly linear in
+the parameter, so a few fits find each end. If the rise of the deviance does not reach the quantile on one side, this
+side is open: the data do not limit the parameter there.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _NEAR = 0.02
 _FITS = 20
 """Largest number of fits for each end [1]. Chosen: a smaller number leaves ends open, a larger one costs time."""
 _MOST_STEPS = 300
-"""Largest number of steps of each fit [1]. Chosen: a smaller number stops before convergence, a larger one delays the
-failure."""
+"""Largest number of steps of each fit [1]. Chosen: a smaller number stops before convergence, a larger one costs
+time in fits that do not converge."""
 _WEAK = 0.3
 """Relative uncertainty above which a parameter is weakly determined [1]. Chosen: a smaller value profiles parameters
-with symmetric intervals, a larger one trusts linear intervals."""
+with symmetric intervals, a larger one keeps symmetric intervals where the profile is asymmetric."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,8 @@ class _Held:
         lower, upper = layout.bounds()
         self._range = float(lower[self._place]), float(upper[self._place])
         problem = Problem.of(layout, fit.problem.data).with_noise(fit.noise)
-        # transformed variables combine d and f, so a held parameter must remain untransformed
+        # the strengths d and f of a pair of laws d x^m + f x^g are fitted as transformed variables that mix them, so a
+        # held strength must not be transformed
         kept = tuple(v for v in problem.power_laws if self._place not in (v.d, v.f))
         self._problem = replace(problem, power_laws=kept)
         self._active: ActiveBounds | None = None
@@ -134,7 +135,10 @@ class _Held:
         self._step = target * error if usable else 0.05 * max(abs(self._value), 1e-12)
 
     def _root(self, value: float, begin: Array) -> tuple[float, Array]:
-        """Return the square root of the rise of the deviance, and the variables there."""
+        """Hold the parameter at `value`, and minimise the deviance.
+
+        Return the square root of the rise of the deviance, and the variables at the minimum.
+        """
         theta = begin.copy()
         theta[self._place] = value
         problem = self._problem.holding([self._name], theta)

@@ -1,6 +1,7 @@
 """Detection limits and power of recordings, and the next run.
 
-    recordings (a fit of them, or their description) -> power of the search -> rivals -> the next run
+The recordings are given as a fit or as a description. From them the program computes the power of the search for a
+missing effect, then the rival explanations that the recordings do not separate, then the next run.
 
 The recordings are either measured, and a model is fitted to them, or described in a TOML file and simulated::
 
@@ -31,7 +32,7 @@ The recordings are either measured, and a model is fitted to them, or described 
     [bounds]                       # optional: smallest and largest value for the next run
     omega_rotor = [300.0, 900.0]
 
-No value has a default, because detection limits depend on all of them.
+Only the bounds are optional. All other values must be given, because detection limits depend on them.
 """
 
 from __future__ import annotations
@@ -81,8 +82,8 @@ _EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
 _SHOWN = 8
 """Number of effects in a repr [1]. Chosen: a smaller number hides detection limits, a larger one fills the console."""
 _WIDTH = 100
-"""Width of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger width wraps there, a
-smaller one needs more lines."""
+"""Width of a sentence in a repr [characters]. Chosen: it fits into usual consoles; consoles would wrap
+longer lines, and a smaller width needs more lines."""
 
 
 class _Table(BaseModel):
@@ -190,7 +191,10 @@ def read_planned(path: str | Path) -> PlannedRecordings:
         raise EstimationError(f"{name} cannot be read: {reason}.", "Give a plan in TOML.") from None
     except ValidationError as fault:
         raise EstimationError(f"{name}: {_first_error(fault)}.", _EXAMPLE) from None
-    except (ValueError, RecursionError) as fault:  # also a number of thousands of digits
+    except (
+        ValueError,
+        RecursionError,
+    ) as fault:  # a number with thousands of digits also raises a ValueError
         raise EstimationError(f"{name} is not valid TOML: {fault}.", _EXAMPLE) from None
     model = _model(table.model, name)
     _check_parameters(model, table.parameters, name)
@@ -232,7 +236,9 @@ def read_planned(path: str | Path) -> PlannedRecordings:
                 f"{name}: bounds.{key}: {pair[0]:g} is larger than {pair[1]:g}.", "Give (smallest, largest)."
             )
         if key in {"duration", "inertia_casing", "touchpoint"} and pair[0] <= 0:
-            raise EstimationError(f"{name}: bounds.{key} is not positive.", "Give (smallest, largest).")
+            raise EstimationError(
+                f"{name}: the lower bound of bounds.{key} is not positive.", "Give a positive lower bound."
+            )
     return PlannedRecordings(
         model, dict(table.parameters), (table.inertia.rotor, table.inertia.casing), tuple(experiments), given
     )
@@ -246,7 +252,7 @@ def _model(names: str | list[str], file: str) -> Model:
     if model.measurement:
         raise EstimationError(
             f"{file}: {model.measurement[0].name} is an effect of the measurement.",
-            "A planned model is mechanical.",
+            "Remove it: the model of a plan may contain only torques.",
         )
     return model
 
@@ -266,7 +272,8 @@ def _check_parameters(model: Model, given: Mapping[str, float], file: str) -> No
         )
     for key, value in given.items():
         p = model.parameters[key]
-        if p.scale:  # the planned recordings determine its bounds
+        # the bounds of such a parameter are in units of the speed or length of a recording: only its sign is checked
+        if p.scale:
             p = replace(p, lower=0.0, upper=math.inf)
         if not p.lower <= value <= p.upper or math.isnan(value):
             raise EstimationError(
@@ -295,9 +302,9 @@ _SIMULATIONS = 2
 """Number of simulations of described recordings over which the power is averaged [1]. Chosen: a smaller number makes
 the limits depend on the noise of one simulation, a larger one costs time."""
 _ESTIMATES = 8
-"""Number of further simulations, from which only the process noise is estimated [1]. Chosen: the threshold of a step
-was 66, 18 and 17 in three simulations of the same description; with fewer estimates, the limits depend on a single one;
-with more, the plan takes longer."""
+"""Number of further simulations, from which only the process noise is estimated [1]. Chosen: the threshold of a
+significant score depends on the estimated process noise, which varies between simulations; with fewer estimates, the
+limits depend on a single one; with more, the plan takes longer."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -374,7 +381,8 @@ def plan(
     process: list[tuple[ProcessNoise, ...]] = []
     if isinstance(recordings, Fit):
         recordings.model.refuse_chain(
-            "a plan", "gyrotrack diagnose states upper limits of the laws that the recording excludes"
+            "a plan",
+            "gyrotrack diagnose states upper limits of the torques that the recording may still contain",
         )
         if len(recordings.problem.data[0].motion.reversals):
             raise EstimationError(

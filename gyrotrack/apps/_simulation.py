@@ -118,7 +118,7 @@ class SimulatedRun:
         model : Model
             The model with its added effects.
         strength : float
-            Torque of added effects [1e-4 N m].
+            Torque of each added effect [1e-4 N m].
         experiment : Experiment
             Speeds, duration, cameras and noise.
         inertias : tuple of float

@@ -76,9 +76,8 @@ class BodyView:
 
     markers: tuple[Marker, ...]
     observations: dict[str, MarkerObservations]  # by name
-    # frames in which a marker is within the picture, and in which it is also unoccluded and plausible
-    inside: dict[str, Mask]
-    whole: dict[str, Mask]
+    inside: dict[str, Mask]  # frames in which a marker is within the picture
+    whole: dict[str, Mask]  # those of them in which the marker is also unoccluded and plausible
 
     @property
     def radius(self) -> float:
@@ -87,7 +86,10 @@ class BodyView:
 
     @property
     def coloured(self) -> tuple[str, ...]:
-        """The markers measured in the chroma planes, like the disc; luma may be displaced from chroma by half a px."""
+        """The markers that are measured in the chroma planes, as the disc is.
+
+        They are preferred, because luma may be displaced from chroma by half a px.
+        """
         return tuple(p.name for p in self.markers if p.colour != "white")
 
     def place(self, name: str, centre: Floats) -> Floats:
@@ -182,8 +184,9 @@ _BETTER = 4.0
 """Another path of the hub is preferred if it reduces the mean squared residual of the radii by at least this number of
 standard errors [1]. Chosen: a smaller value follows noise, a larger one keeps a smooth path of a shaking camera."""
 _TOGETHER = 16
-"""Number of frames over which the errors of radii are taken as correlated [frames]. Chosen: twice `HOLE`; a smaller
-value overstates the significance, a larger one leaves few groups."""
+"""Number of frames over which the errors of radii are taken as correlated [frames]. Chosen: twice the
+correlation length of the errors of a compressed film (`_hub.HOLE`); a smaller value overstates the significance, a
+larger one leaves few groups."""
 
 
 def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> CentrePath:
@@ -191,8 +194,8 @@ def followed_path(paths: list[CentrePath], views: dict[str, BodyView]) -> Centre
 
     The first path is selected unless another one is better by `_BETTER` standard errors.
 
-    An error n of the centre changes the radius of a marker in the direction of the unit vector r by -n . r. Errors of
-    the radii are independent of errors of the disc.
+    An error n of the centre changes the radius of a marker in the direction of the unit vector r by -n . r. The radii
+    can judge the paths, because their errors are independent of errors of the disc.
     """
     best = paths[0]
     flat = _flattening(best, views) if len(paths) > 1 else {}
@@ -219,10 +222,10 @@ def about_rotor(path: CentrePath, views: dict[str, BodyView]) -> CentrePath:
     """Correct the path of a disc that is fixed to the casing at an offset from the axis of the rotor.
 
     The disc then moves on a circle about the axis, at the angle c of the casing. Its offset d is constant in the frame
-    of the casing. With the unit vector r, d changes the radius of a rotor marker at the angle a by -d . r(a - c), and
-    displaces the marker tangentially by at most |d| sin(a - c). The markers of the casing are displaced equally in all
-    frames. d is fitted to the radii together with the offset and the flattening of each orbit. It is subtracted if this
-    reduces the scatter of the radii.
+    of the casing. With the unit vector r, d changes the radius of a rotor marker at the angle a by -d . r(a - c). It
+    also displaces the marker along its orbit by up to |d|, depending on a - c. The markers of the casing are displaced
+    equally in all frames. d is fitted to the radii together with the offset and the flattening of each orbit. It is
+    subtracted if this reduces the scatter of the radii.
     """
     if "casing" not in views or "rotor" not in views:
         return path
@@ -300,7 +303,7 @@ def _is_better(before: Floats, after: Floats) -> bool:
 def correct_view(
     centre: CentrePath, views: dict[str, BodyView], profile: Profile, *, marked: bool
 ) -> tuple[CentrePath, dict[str, Flattening]]:
-    """Fit the oblique view of each body's orbits; a marked centre is then corrected by the radii of the markers."""
+    """Fit the flattening of each body's orbits; a marked centre is then corrected by the radii of the markers."""
     if not profile.tilt_correction:
         return centre, dict.fromkeys(views, NO_FLATTENING)
     flat = _flattening(centre, views)
@@ -349,10 +352,10 @@ LEAST_PLACES = 14
 def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening) -> float:
     """Return the position-dependent error of the radii of a body in one component of one harmonic [px].
 
-    It is determined from the orders that neither an offset nor a tilt causes. The mean over the markers is used,
-    because a shadow displaces all of them equally at each place. The result combines this estimate with the typical
-    error, as two estimates of one variance. A marker that is seen at only a few places, in step with the frames,
-    contains no information.
+    It is determined from the harmonics of orders 3 to 6, which neither an offset nor a tilt causes. The mean over the
+    markers is used, because a shadow displaces all of them equally at each place. The result combines this estimate
+    with the typical error, as two estimates of one variance. If a marker turns in step with the frames, it is seen at
+    only a few places. Such a marker is not used.
     """
     usual = usual_error_of_harmonic(body_view)
     found = []
@@ -368,10 +371,11 @@ def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening
 
 
 def _common_tilt(flat: dict[str, Flattening], views: dict[str, BodyView], error: float) -> complex:
-    """Return the flattening p + i q of all bodies: one camera sees them, so the ellipses of their orbits are equal.
+    """Return the flattening p + i q of all bodies.
 
-    The component of p + i q across the direction of the tilt is an error. The component along the tilt cannot be
-    negative: it is the posterior mean for a normally distributed `error` and a uniform prior from 0.
+    One camera sees all bodies, so the ellipses of their orbits have the same shape. The component of p + i q across the
+    direction of the tilt is an error. The component along the tilt cannot be negative. Its estimate is the posterior
+    mean for a normally distributed `error` and a uniform prior from 0.
     """
     total, number = 0j, 0
     for name, one in flat.items():
@@ -407,7 +411,8 @@ LUMA_SHIFT = 0.5
 chroma samples differ by half a luma pixel."""
 DEPTH = 0.5
 """Standard deviation of the depth of the rotor's markers below the disc, in radii of their orbit [1]. Chosen: the rotor
-may be at any depth; a smaller value biases the offset to 0, a larger one leaves the offset to arcs."""
+may be at any depth; a smaller value biases the offset to 0; with a larger one, arcs alone determine the
+offset."""
 
 
 def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float:
@@ -422,12 +427,18 @@ def _height_error(flat: Flattening, body_view: BodyView, radius: float) -> float
 
 
 def usual_error_by_place(body_view: BodyView, markers: int = 1) -> float:
-    """Return the typical position-dependent error of the mean of markers [px]; the part due to light is common."""
+    """Return the typical position-dependent error of the mean of markers [px].
+
+    The part due to light is the same for all markers, so it does not average out.
+    """
     return float(np.hypot(BLOCK_ERROR / np.sqrt(markers), LIGHT_ERROR * body_view.radius))
 
 
 def usual_error_of_harmonic(body_view: BodyView, markers: int = 1) -> float:
-    """Return the typical position-dependent error in one component of a harmonic [px], if all components are equal."""
+    """Return the typical position-dependent error in one component of a harmonic [px].
+
+    It is assumed that all components have equal variances.
+    """
     return usual_error_by_place(body_view, markers) / math.sqrt(len(PLACE_ORDERS))
 
 
@@ -437,21 +448,30 @@ def _shrunk(found: Floats, error: float) -> Floats:
 
 
 def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
-    """Return the position-dependent error of a body [px] without the first harmonic, at least the typical error."""
+    """Return the position-dependent error of a body without the first harmonic [px].
+
+    It is at least the smaller of the learnt error and the typical error.
+    """
     learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
     left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
     return max(left, min(learnt, usual_error_by_place(body_view)))
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the axis of a fast body from angles minus its axis from radii, (2,) [px], y up, shrunk for its error."""
+    """Return the position of the axis of a fast body from its angles minus that from its radii, (2,) [px], y up.
+
+    The difference is shrunk according to its uncertainty.
+    """
     off = _axis_by_angles(body_view, flat, body)
     known = max(len(body_view.reference(flat)), 1)
     return _shrunk(off, np.sqrt(2.0) * usual_error_of_harmonic(body_view, known))
 
 
 def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the axis from angles minus the axis from radii, (2,) [px], y up, averaged over markers; 0 if unknown."""
+    """Return the position of the axis from angles minus that from radii, (2,) [px], y up.
+
+    It is averaged over the markers; 0 if it is unknown.
+    """
     off = [body.axis_off[m] * body_view.radius for m in body_view.reference(flat) if m in body.axis_off]
     return np.mean([(z.real, z.imag) for z in off], axis=0) if off else np.zeros(2)
 
@@ -461,20 +481,21 @@ def separate_perspective(
 ) -> Flattening:
     """Return the flattening of the casing's orbit about a marked hub, with perspective separated from its offset.
 
-    Perspective enlarges the near half of a circle about e: its radius varies once per turn, as for a circle about a +
-    e, where a is proportional to the square of the radius, while its angles are the angles about e. The markers of the
-    rotor turn fast, so their angles determine e, and their radii determine a + e.
+    Let e be the centre of a circle relative to the hub. Perspective enlarges the near half of the circle. Its radii
+    then vary as those of a circle about a + e; a is proportional to the square of the radius. Its angles remain the
+    angles about e. The markers of the rotor turn fast, so their angles determine e, and their radii determine a + e.
 
-    The offset of the casing is measured by its radii minus the perspective. Two values are expected. It is zero if the
-    disc and the marker of the casing are on one body; the offset of the rotor is then due to the depth of the rotor. It
-    is the offset of the rotor if the disc is above both bodies. Both expected values have the uncertainty
-    `_height_error`. All measurements have position-dependent errors.
+    The radii of the casing give its offset plus the displacement a by perspective. The displacement is subtracted. Two
+    values of the offset are expected. It is zero if the disc and the marker of the casing are on one body; the offset
+    of the rotor is then due to the depth of the rotor. It is the offset of the rotor if the disc is above both bodies.
+    Both expected values have the uncertainty `_height_error`. All measurements have position-dependent errors.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
         return own
     error = usual_error_of_harmonic(body_view)
-    # Perspective acts along the tilt; the component across it is an error, of one degree of freedom.
+    # Perspective acts along the tilt. The component across the tilt is pure error; it is an estimate of the error with
+    # one degree of freedom.
     azimuth = _azimuth(
         complex(reference.p, reference.q), error / body_view.radius, {"rotor": reference}, views
     )
@@ -533,7 +554,7 @@ class TrackedBodies:
     """All bodies of a clip."""
 
     centre: CentrePath  # the centre in every frame
-    bodies: dict[str, BodyAngles]  # angles as seen
+    bodies: dict[str, BodyAngles]  # angles as they appear in the film, before they are multiplied by `sense`
     flattening: dict[str, Flattening]  # effect of the oblique view on each body's orbits
     sense: int  # factor that makes the angles increase
     warnings: tuple[str, ...]  # warnings for the user
@@ -576,7 +597,10 @@ def _time_base(times: FrameTimes) -> TimeBase | None:
 
 
 def trusted_times(seen: FilmObservations, scene: Scene) -> FrameTimes:
-    """Return the times of a film, smoothed unless the body that turns most shows that their jitter is real."""
+    """Return the times of a film.
+
+    They are smoothed, except if the motion of the body that turns most shows that their jitter is real.
+    """
     times = seen.times
     if times.place is None or times.smooth is None or not seen.bodies:
         return times
@@ -661,7 +685,10 @@ def _followed(
     fps: float,
     time_base: TimeBase | None,
 ) -> tuple[dict[str, BodyAngles], list[str]]:
-    """Combine the markers of each body; join the casing twice, because markers of the rotor pass beneath its marker.
+    """Combine the markers of each body.
+
+    The markers of the casing are combined twice, the second time with the known angle of the rotor, because markers of
+    the rotor pass beneath the marker of the casing.
 
     If a body turns too little to measure its position-dependent errors, it gets typical errors combined with the errors
     of the other body, in px: illumination and encoder are the same for both bodies, but the surroundings of the markers
@@ -723,7 +750,8 @@ def _followed(
         texture = _best_ring(seen.bodies[name], math.hypot(flat.p, flat.q))
         if texture is None:
             continue
-        # the coarse angle of a blurred body suffices to recognise passages in step with the frames
+        # Where a body is blurred, its coarse angle is used. It is accurate enough to find when its markers pass markers
+        # of the other body in step with the frames.
         others = [
             np.where(np.isfinite(b.angle), b.angle, seen.bodies[n].coarse)
             for n, b in bodies.items()
@@ -747,7 +775,8 @@ def _followed(
 
 MANY_TURNS = 10.0
 """Errors of the markers that repeat in each turn average out over at least this number of turns [turns]. Chosen: a
-smaller number lets markers with harmonics set the zero of a template, a larger one ignores the markers."""
+smaller number lets errors of the markers that have not averaged out shift the zeros of the templates, a larger one
+ignores the markers."""
 
 
 def by_texture(
@@ -767,12 +796,13 @@ def by_texture(
     The zeros of the templates follow from the markers (`template_zeros`). A marker that passes a marker of another body
     has an error; `others` are the angles of the other bodies, (n,) [rad] each. If the body makes only a few turns, all
     templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
-    marker (`join`). In a compressed film, a body at rest has one error in all zones. If such position-dependent errors
-    cannot be estimated, they are assumed to be at least `error_of_ring`. This error is computed from `usual` [px] and
-    the mean `radius` of the markers [px].
+    marker (`join`). In a compressed film, all zones of radius of the ring of a body at rest have the same error, so
+    differences between zones do not show it. If such position-dependent errors cannot be estimated, they are assumed to
+    be at least `error_of_ring`. This error is computed from `usual` [px] and the mean `radius` of the markers [px].
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
-    # an error that repeats in each turn does not change the zeros of batches
+    # The correction `change` need not be subtracted first: an error that repeats in each turn averages out in the zero
+    # of a batch.
     off = wrapped(body.angle - angle)
     if np.isfinite(off).sum() < LEAST_OBSERVATIONS:
         return body
@@ -797,7 +827,8 @@ def by_texture(
         "misfit_excess": excess_misfit(np.sqrt(texture.misfit), 1.0),
     }
     first, second = (np.hypot(m[:, 0], m[:, 1]) for m in (texture.first, texture.second))
-    own = texture.own_view > 0.0  # its error is part of `slow`
+    # if the ring determines its own view, the error of this view is already contained in `texture.slow`
+    own = texture.own_view > 0.0
     of_view = np.hypot(
         np.hypot(centre.sigma, np.where(own, 0.0, CENTRE_ERROR)) * first,
         np.where(own, 0.0, flat.error) * second,
@@ -806,7 +837,8 @@ def by_texture(
         coarse,
         {"texture": Candidate(mount=0.0, **columns)},
         fps,
-        # own views differ between batches: the rms includes batches with large errors
+        # If the ring determines its own view, the error differs between batches. The rms is then used, because a median
+        # would ignore batches with large errors.
         floor=max(
             float(np.sqrt(np.mean(texture.slow[good] ** 2))) if own.any() else median_of(texture.slow[good]),
             error_of_ring(texture, usual) / radius,
@@ -831,17 +863,19 @@ def by_texture(
 
 RING_ERROR = 0.055
 """Position-dependent error (rms) of a slow ring if its oblique view is determined from the ring itself [px]. Measured:
-in eleven films by two other renderers, means over 16 frames had errors of 0.01 to 0.11 px at the radius of the markers,
-0.054 px rms. A ring whose view is unknown has the error of a marker, because an encoder repeats pictures of a slow
-body."""
+in eleven films made with two renderers other than that of this program, means over 16 frames had errors of 0.01 to 0.11
+px at the radius of the markers, 0.054 px rms. A ring that does not determine its own view is given the typical error of
+a marker. The encoder copies the picture of a slow body from frame to frame, so this error does not average out."""
 LEAST_PERIODIC = 0.3e-3
-"""Standard deviation of the amplitudes of an error with one and two periods per turn of a slow casing, beyond the
-errors of centre and flattening [rad]. Measured: in the slow frames of five rendered films, the amplitudes exceeded
-these errors by 0.2 to 0.4 mrad; a smaller value reports shading as an unbalance, a larger one hides an unbalance."""
+"""A slow casing has an error with one and two periods per turn. This is the standard deviation of its amplitudes,
+without the part due to errors of centre and flattening [rad]. Measured: in the slow frames of five rendered films, the
+amplitudes exceeded these errors by 0.2 to 0.4 mrad; a smaller value reports shading as an unbalance, a larger one hides
+an unbalance."""
 LEVEL = 0.005
 """Largest flattening for which a ring determines its own view; it corresponds to a tilt of 0.14 rad [1]. Measured: in
 rendered films of a near camera with a tilt of 0.15 rad (flattening 0.0056), the rms error of the angles is 0.75 to 1.2
-standard uncertainties over more than 0.6 turns, but 1.1 to 1.6 over half a turn; with 0.08 rad, 0.9 to 1.1."""
+standard uncertainties if the body turns by more than 0.6 turns, and 1.1 to 1.6 if it makes half a turn. At a tilt of
+0.08 rad it is 0.9 to 1.1."""
 _ALMOST_ALL = 0.95
 """The view that is determined from the ring itself is used if at least this share of the frames of the ring is measured
 with it [1]. Chosen: the other frames have the angles of the markers; a smaller value mixes different errors, a larger
@@ -849,17 +883,19 @@ one fails for a few disturbed frames."""
 
 
 def periodic_error(texture: TextureObservations, centre: Floats, flattening: float, learnt: Mask) -> float:
-    """Return the largest standard deviation of the amplitudes of an error with one and two periods per turn [rad].
+    """Return the standard deviation of the amplitudes of an error with one and two periods per turn [rad].
 
-    The errors of the frames `learnt` (n,) are known and removed from all frames. The remaining errors of the `centre`
-    (n,) [px] and of the `flattening` are due to the difference between the responses of the templates. Shading also
-    changes with motion blur; it causes at least `LEAST_PERIODIC`.
+    The error differs between frames, and the largest value over all frames is returned. A template responds to an error
+    of the `centre` (n,) [px] and of the `flattening`. The mean effect in the frames `learnt` (n,) is removed. What
+    remains is proportional to the difference between the response of a template and the mean response in these frames.
+    Shading also changes with motion blur; it causes at least `LEAST_PERIODIC`.
     """
     squares = np.zeros(len(centre))
     for moments, error in ((texture.first, np.hypot(centre, CENTRE_ERROR)), (texture.second, flattening)):
         usual = moments[learnt].mean(axis=0) if learnt.any() else np.zeros(2)
         squares += (error * np.hypot(*(moments - usual).T)) ** 2
-    squares = squares[np.isfinite(texture.angle) & ~(texture.own_view > 0.0)]  # own views: part of `slow`
+    # if the ring determines its own view, the error of this view is already contained in `texture.slow`
+    squares = squares[np.isfinite(texture.angle) & ~(texture.own_view > 0.0)]
     return math.hypot(
         math.sqrt(float(np.nanmax(squares, initial=0.0))), LEAST_PERIODIC if learnt.any() else 0.0
     )
@@ -875,9 +911,10 @@ def error_of_ring(ring: TextureObservations, usual: float) -> float:
 def _best_ring(body: BodyObservations, flattening: float) -> TextureObservations | None:
     """Return the ring measured with its own view if the body is always slow, otherwise with the view of the markers.
 
-    Errors that repeat in each turn are estimated from the fast frames of a film, and must be valid for all frames. The
-    markers of all bodies determine an oblique view, with a large `flattening`, better than one ring, because of
-    perspective.
+    Errors that repeat in each turn are estimated in the fast frames and subtracted in all frames. The view must
+    therefore be the same in fast and slow frames, so the ring's own view is used only if the body is always slow. If
+    the `flattening` is large, the view from the markers is used. Perspective then disturbs the view from one ring more
+    than the view from the markers of all bodies.
     """
     if body.texture is None or body.aligned is None:
         return body.texture
@@ -902,11 +939,11 @@ least this value [1]. Chosen: a smaller value keeps angles with slow errors, a l
 def _averages_better(found: BodyAngles, body: BodyAngles, fps: float) -> bool:
     """Return whether the averages of new angles over `_AVERAGED` have a smaller error than averages from the markers.
 
-    The two angles differ by their white errors and by an error that does not average out: a marker that passes the
-    marker of another body has an error, and this error varies slowly where the passages are in step with the frames. V
-    is the variance of the differences between the two averages over m frames, and sigma_1 and sigma_2 are the standard
-    deviations of the white errors. Then the excess V - (sigma_1^2 + sigma_2^2) / m is attributed to the marker, because
-    a ring averages over its circumference.
+    The two angles differ by white errors and by an error that does not average out. This error occurs when a marker
+    passes a marker of another body. It varies slowly if the passages are in step with the frames. V is the variance of
+    the differences between the two averages over m frames, and sigma_1 and sigma_2 are the standard deviations of the
+    white errors. Then the excess V - (sigma_1^2 + sigma_2^2) / m is attributed to the marker, because a ring averages
+    over its circumference.
     """
     both = np.flatnonzero(np.isfinite(found.angle) & np.isfinite(body.angle))
     if not len(both):
@@ -938,7 +975,10 @@ def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, pr
 
 
 def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
-    """Shift the zero of the angle so that the mount angles of the profile hold, if it states any."""
+    """Shift the zero of the angle so that the markers have the mount angles of the profile.
+
+    Without mount angles in the profile, nothing changes.
+    """
     named = {
         m.name: m.mount_angle for m in profile.marker if m.mount_angle is not None and m.name in body.markers
     }

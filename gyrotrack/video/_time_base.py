@@ -33,7 +33,11 @@ class CaptureRate:
 
 
 def capture_rate(info: ClipInfo, requested: float | None = None, profile: float | None = None) -> CaptureRate:
-    """Return the requested rate [1/s], or the rate of profile, camera tag, or a container of at least 100 fps."""
+    """Return the capture rate [1/s] from the first source that states it.
+
+    The sources are, in this order, the request, the profile, the tag of the camera, and the container (if it has at
+    least 100 fps).
+    """
     for fps, source in (
         (requested, "--capture-fps"),
         (profile, "profile"),
@@ -68,19 +72,22 @@ def _differences(info: ClipInfo, fps: float, source: str) -> tuple[str, ...]:
 
 
 COARSEST_TICK = 1e-3
-"""Largest unit of timestamps that measure time [s]. Chosen: for a larger unit frames are counted; a smaller value
-discards timestamps in whole ms."""
+"""Largest unit of timestamps for which a jitter of one unit is accepted between frames [s]. Chosen: whole milliseconds
+are common; with a smaller value, timestamps in whole ms count as uneven, and with a larger one, missing frames remain
+undetected."""
 
 
 def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
-    """Return the numbers of a film's frames from their timestamps (n,) [s] (NaN where missing); gaps skip numbers.
+    """Return the numbers of a film's frames from their timestamps (n,) [s] (NaN where missing).
 
-    `tick` is the unit of the timestamps [s]; a larger unit counts as 1 ms. The period is the median spacing. A step is
-    a gap only if it is longer than 1.5 periods and longer than one period plus 1.1 ticks, because timestamps in whole
-    ticks jitter by one tick: in Matroska (1 ms) a single missing frame cannot be detected above 900 frames/s. Frames
-    are numbered without gaps in two cases: the timestamps are otherwise not equally spaced (one step in ten is not a
-    whole number of periods), or they do not increase (one step in a hundred; AVI stores the order of decoding, not of
-    display).
+    At a gap, the numbers of the missing frames are skipped. `tick` is the unit of the timestamps [s]. If it is larger
+    than 1 ms, the tolerance is computed for 1 ms. The period is the median spacing. A step is a gap only if it is
+    longer than 1.5 periods and longer than one period plus 1.1 ticks, because timestamps in whole ticks jitter by one
+    tick: in Matroska (1 ms) a single missing frame cannot be detected above 900 frames/s.
+
+    Frames are numbered without gaps in three cases. Timestamps are missing. Or, apart from gaps, the timestamps are not
+    equally spaced: more than one step in ten is not a whole number of periods. Or they do not increase: more than one
+    step in a hundred is not positive (AVI stores the order of decoding, not of display).
     """
     plain = np.arange(len(pts), dtype=np.int64)
     step = np.diff(pts)
@@ -103,7 +110,7 @@ def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
 
 
 def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
-    """Return a warning about missing frames, from the numbers of the other frames."""
+    """Return a warning about missing frames, from the numbers of the frames that are present."""
     advance = np.diff(number)
     gaps = np.flatnonzero(advance > 1)
     warnings = (
@@ -137,16 +144,17 @@ LIVE = 0.05
 down [1]. Chosen: a smaller value discards timestamps of a camera with a varying rate, a larger one uses timestamps of
 an edited film."""
 EVEN = 5e-3
-"""Largest residual of equally spaced timestamps about a line, if their tick is finer [periods]. Chosen: a smaller value
-takes jitter for a varying rate, a larger one counts frames of such a camera."""
+"""Largest residual of equally spaced timestamps about a line; it applies if it is larger than `_ROUNDED` ticks
+[periods]. Chosen: a smaller value takes jitter for a varying rate; with a larger one, the frames of a camera with a
+varying rate are counted."""
 _ROUNDED = 0.75
 """Largest residual of rounded timestamps [ticks]. Derived: half a tick, plus a margin of a quarter."""
 _ODD = 0.01
 """Largest share of wrong timestamps [1]. Chosen: a smaller value discards timestamps because of single errors, a larger
 one uses damaged timestamps."""
 _HALF = 20
-"""Number of timestamps on either side of a local fit [frames]. Chosen: a smaller number leaves jitter, a larger one
-smooths a change of the rate."""
+"""Number of timestamps before and after a frame that a local fit uses [frames]. Chosen: a smaller number leaves
+jitter, a larger one smooths a change of the rate."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +167,8 @@ class FrameTimes:
     place: Floats | None = None
     # standard deviation of a place, due to the tick of the timestamps; independent between frames
     sigma: float = 0.0
-    # shape (n,); the places without jitter beyond rounding errors, used if the jitter is not due to the camera
+    # shape (n,); the smoothed places, which are used if the jitter is not due to the camera; None if the jitter is not
+    # larger than rounding errors
     smooth: Floats | None = None
     warnings: tuple[str, ...] = ()  # for the user
     again: Mask | None = None  # shape (n,); frames that repeat the previous frame; None if there are none
@@ -175,12 +184,16 @@ class FrameTimes:
         return replace(self, place=self.smooth, sigma=0.0, smooth=None, warnings=warnings)
 
     def at(self, index: Integers) -> FrameTimes:
-        """Return the times of some frames, without repeated frames."""
+        """Return the times of the frames `index`. None of them may repeat another frame."""
         some = (None if a is None else a[index] for a in (self.place, self.smooth))
         return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.warnings)
 
     def seconds(self, fps: float) -> Floats:
-        """Return the times [s] at a capture rate, (n,); an inserted frame has a time between its neighbours."""
+        """Return the times [s] at a capture rate, (n,).
+
+        A repeated frame with the number of the previous frame was inserted by a conversion. Its time is between the
+        times of its neighbours.
+        """
         time = np.asarray((self.number if self.place is None else self.place) / fps)
         if self.again is not None and self.place is None:
             same = self.again & (np.diff(self.number, prepend=-1) == 0)
@@ -204,10 +217,13 @@ class Timing:
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
             what = f"Unknown source of times {self.source!r}; use auto, stamps or frames."
-            raise UsageError(what, "Omit it for the default.")
+            raise UsageError(what, "Omit --times for the default.")
 
     def of(self, pts: Floats, tick: float) -> FrameTimes:
-        """Return the times of frames with timestamps `pts` (n,) in the unit `tick` [s]; an error if unavailable."""
+        """Return the times of frames from their timestamps `pts` (n,) [s]; `tick` is the unit of the timestamps [s].
+
+        Raise a VideoError if the source is "stamps" and timestamps are missing or do not increase.
+        """
         grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
         usable = grows and bool((np.diff(pts) > 0.0).all())
         if self.source == "stamps" and not usable:
@@ -231,8 +247,8 @@ class Timing:
         if self.source == "frames" or self._live(pts):
             return f"The timestamps are spaced unevenly; {wrong}."
         return (
-            f"The timestamps are spaced unevenly at {_rate(pts)}, the playback rate of a film in slow motion; {wrong}. "
-            "To use the stamps, scaled to the capture rate, give --times stamps."
+            f"The timestamps are spaced unevenly. Their mean rate, {_rate(pts)}, is the playback rate of a film in "
+            f"slow motion; {wrong}. To use the stamps, scaled to the capture rate, give --times stamps."
         )
 
     def _stamped(self, number: Integers, pts: Floats, tick: float, *, varied: bool) -> FrameTimes:
@@ -265,7 +281,11 @@ def _growing(step: Floats) -> bool:
 
 
 def _real_tick(pts: Floats, tick: float) -> float:
-    """Return the unit of timestamps; 1 ms in a container with a finer unit if they were copied from a coarser one."""
+    """Return the unit of the timestamps [s].
+
+    If the container has a finer unit than 1 ms but all timestamps are whole milliseconds, they were copied from another
+    container, and the unit is 1 ms.
+    """
     whole = (pts - pts[0]) / COARSEST_TICK
     copied = tick < COARSEST_TICK and bool(
         (np.abs(whole - np.rint(whole)) <= 0.51 * tick / COARSEST_TICK).all()
@@ -285,12 +305,12 @@ def _smoothed(number: Integers, place: Floats) -> tuple[Floats, float]:
 
 
 def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Floats, float]:
-    """Return places with the rounding of stamps to whole ticks reduced by smoothing, and their standard deviation.
+    """Smooth the places to reduce the error of rounding to whole ticks. Return the places and their standard deviation.
 
     A place rounded to a tick d has the standard deviation d / sqrt(12). After smoothing by a parabola through its
-    neighbours, the variance is multiplied by the leverage of the place; scatter beyond rounding errors is an error of
-    the parabola. If this error is larger than the rounding error, or a place would change by more than the rounding
-    error, nothing changes.
+    neighbours, the variance is multiplied by the leverage of the place. Scatter in excess of the rounding error is
+    attributed to the parabola. The places remain unchanged if the smoothed places would be less accurate than the
+    rounded ones, or if a place would change by more than 1.1 ticks.
     """
     rounding = tick**2 / 12.0
     smooth, share = _smoothed(number, place)

@@ -273,9 +273,9 @@ def config_command(
     --config, $GYROTRACK_CONFIG, gyrotrack.toml in this folder, the settings file of the user. A gyrotrack.toml in this
     folder may not set addresses, ports, certificates, --force or paths outside of the folder.
 
-    --tracking shows every number of tracking, video and synchronisation with its unit, meaning and origin: derived,
-    measured, a source, or chosen. --fitting shows the numbers of fits, noise estimates, searches and verdicts. These
-    numbers are part of the program and cannot be set in a file.
+    --tracking shows every number of tracking, video and synchronisation with its unit, meaning and origin: it is
+    derived, measured, taken from a source, or chosen. --fitting shows the numbers of fits, noise estimates, searches
+    and verdicts. These numbers are part of the program and cannot be set in a file.
 
     Example: gyrotrack config extract
     """
@@ -296,7 +296,7 @@ def config_command(
         return
     chosen = [e for e in COMMANDS if name in {None, e.name}]
     if not chosen:
-        raise UsageError(f"There is no command '{str(name)[:40]}'.", "`gyrotrack --help` lists them.")
+        raise UsageError(f"There is no command '{str(name)[:40]}'.", "`gyrotrack --help` lists the commands.")
     settings = settings_in_use()
     rows: dict[str, dict[str, OptionDocument]] = {}
     for entry in chosen:

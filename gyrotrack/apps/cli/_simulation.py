@@ -43,7 +43,9 @@ class SimulationDocument(TypedDict):
     model: NotRequired[list[str]]  #: Names of the effects; not with `--hide`.
     parameters: NotRequired[dict[str, float]]  #: Simulated parameters by key; not with `--hide` [SI units].
     seal: NotRequired[Path]  #: The sealed file, with `--hide`.
-    commitment: NotRequired[str]  #: SHA-256 to which the answer is committed, with `--hide`.
+    #: With `--hide`: SHA-256 of the hidden effect, its parameters and a random salt; it shows later that they were not
+    #: changed.
+    commitment: NotRequired[str]
     films: list[Path]  #: Rendered films, with `--film`.
 
 
@@ -56,7 +58,7 @@ class RevealDocument(TypedDict):
     grade: str  #: `right`, `right class` or `wrong`.
     #: Difference of a fitted parameter from the simulated one, by key [standard errors].
     pulls: dict[str, float]
-    commitment: str  #: SHA-256 to which the answer was committed.
+    commitment: str  #: SHA-256 of the hidden effect, its parameters and a random salt, from the sealed file.
 
 
 class DemoDocument(TypedDict):
@@ -68,7 +70,7 @@ class DemoDocument(TypedDict):
     diagnosis: DiagnosisDocument  #: Diagnosis of the first fit.
     ladder: list[StepDocument]  #: Fits, oldest first.
     final: FitDocument  #: The last fit.
-    verdict: str  #: Verdict, with the values of `improve`.
+    verdict: str  #: `adequate`, `missing_effect` (found and added) or `unexplained`.
     seconds: float  #: Duration [s].
 
 
@@ -85,7 +87,8 @@ def simulate_command(
         option("--set KEY=VALUE", "Set a parameter: casing.air.quadratic.k=1e-9 (SI units)."),
     ] = None,
     strength: Annotated[
-        float, option("--strength", "Torque of added effects [1e-4 N m], unless set by --set.")
+        float,
+        option("--strength", "Torque of each added effect [1e-4 N m]; --set of its parameters overrides it."),
     ] = 0.01,
     omega_rotor: Annotated[
         float, option("--omega-rotor", "Initial angular rate of the rotor [rad/s].")
@@ -106,7 +109,10 @@ def simulate_command(
         float, option("--torque-time", "Correlation time of the random torque [s].")
     ] = 1.0,
     centre_offset: Annotated[
-        float, option("--centre-offset", "Amplitude of the centre offset in the angle [rad].")
+        float,
+        option(
+            "--centre-offset", "Amplitude of the error of the angle due to an offset of the centre [rad]."
+        ),
     ] = 0.0,
     seed: Annotated[int, option("--seed", "Random seed.")] = 0,
     film: Annotated[Path | None, option("--film DIR", "Also render the films into this folder.")] = None,
@@ -209,7 +215,7 @@ def reveal_command(
     from gyrotrack.io._atomic import refuse_special
 
     if (case is None) == (answer is None):
-        what = "The file can be opened only with an answer."
+        what = "The file can be opened only with exactly one answer."
         raise UsageError(what, "Give the fitted case, or --answer.")
     named, found = _stated(answer) if case is None else _fitted(case, ledger)
     refuse_special(seal)

@@ -6,10 +6,13 @@ least three times the previous deceleration, until the end of the motion. Rest i
 A disturbance is a speed that increases again. If the body never slows down, no part of its motion is excluded. The
 motion of a motor whose speed rises and falls repeatedly is not cut either.
 
-The start of an oscillation is excluded while a hand holds or moves the body: there, periods and amplitudes do not
-continue the later values smoothly. Rest at the end of an oscillation is excluded only if the resolution of the file
-exceeds the noise. The error of a quantised value is white while the value passes through several steps. At rest, this
-error is a constant of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
+The start of an oscillation is excluded while a hand holds or moves the body. In this part, periods and amplitudes do
+not follow the smooth curves of the later part.
+
+Rest at the end of an oscillation is excluded. If the steps of the file are coarser than the noise, the excluded part
+begins after the last deflection of more than two steps; otherwise it begins where the body is at rest within the noise.
+The error of a quantised value is white while the value passes through several steps. At rest, this error is a constant
+of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
 """
 
 from __future__ import annotations
@@ -30,15 +33,18 @@ from gyrotrack.io.readers._plausibility import rises
 _BLOCKS = 400
 _MIN_BLOCK = 4
 _BRAKE_RATIO = 3.0  # smallest ratio of the decelerations during and before a brake
-_SIGNIFICANT = 6.0  # smallest difference of the slopes before and after the end of a drive [standard errors]
+# smallest significant deviation [standard errors]: of the slopes before and after the end of a drive, of a block from a
+# parabola, of a period or amplitude from a smooth curve
+_SIGNIFICANT = 6.0
 _MIN_CROSSINGS = 12  # smallest number of zero crossings for the detection of irregular periods
 _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregular period and amplitude
-# largest range of the means at rest, in standard errors (200 normal deviates have a range of 5.5) and as a share of the
-# range of the record
+# largest range of the means at rest: the larger of `_STILL_SIGMA` standard errors and `_STILL_SHARE` of the range of
+# the record; 200 normal deviates have a range of 5.5
 _STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
-# of a motor whose speed varies: smallest rise and fall of the speed [largest speed], number of rises, and largest share
-# of the time that seems to be free; a hand pushes a body several times, but the body hardly slows down in between, and
-# one of several runs in a record is free for longer
+# A record counts as the motion of a motor, and is not cut, if two conditions hold. The speed rises at least
+# `_FEWEST_RISES` times by `_VARIES` of the largest speed. The part that seems to be free is shorter than `_SHORT` of
+# the record. A hand may also push a body several times, but then the speed hardly falls between the pushes. If a record
+# contains several free runs, the part that seems to be free is one of them and is longer than `_SHORT` of the record.
 _VARIES, _FEWEST_RISES, _SHORT = 0.25, 3, 0.2
 _MIN_STEPS = 2  # smallest deflection at which quantisation errors are independent [steps of the resolution]
 
@@ -153,7 +159,7 @@ def _without_hand(table: MotionTable, value: Floats) -> tuple[MotionTable, Float
     keep = np.arange(len(value)) >= first
     note = (
         f"{table.path.name}: before {table.time[first]:.2f} s the body is held or moved (periods or amplitudes "
-        f"do not continue the later values); {first} samples were excluded (--keep-all keeps them)"
+        f"do not follow the smooth curves of the later part); {first} samples were excluded (--keep-all keeps them)"
     )
     return table.only(keep, note), value[keep]
 
@@ -222,7 +228,10 @@ def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Float
 
 
 def _end_of_resolution(table: MotionTable, value: Floats) -> int:
-    """Return the sample after the last deflection above `_MIN_STEPS` steps of a resolution coarser than the noise."""
+    """Return the sample after the last deflection of more than `_MIN_STEPS` steps of the resolution.
+
+    If the resolution is not coarser than the noise, or no rest follows, return the number of samples.
+    """
     step = table.least_sigma * np.sqrt(12)
     deflection = value - np.median(value[-max(len(value) // 50, 1) :])
     beyond = np.flatnonzero(np.abs(deflection) > _MIN_STEPS * step)
@@ -237,12 +246,12 @@ def _end_of_resolution(table: MotionTable, value: Floats) -> int:
 
 
 def end_of_oscillation(time: Floats, value: Floats, sigma: Floats) -> int:
-    """Return the sample from which an oscillation is at rest to the end of the record, else the number of samples.
+    """Return the first sample of the rest at the end of an oscillation.
 
-    At rest the means over eighths of a period vary by less than 8 standard errors, or by less than 0.2 % of the range
-    of the record. Dry friction then holds the body at a position that depends on the last reversal and contains no
-    information about the laws. A rest of less than a period counts as motion. `value` is the angle or the angular
-    velocity.
+    If the body does not come to rest, return the number of samples. At rest the means over eighths of a period vary by
+    less than 8 standard errors, or by less than 0.2 % of the range of the record. Dry friction then holds the body at a
+    position that depends on the last reversal and contains no information about the laws. A rest of less than a period
+    counts as motion. `value` is the angle or the angular velocity.
     """
     crossings = upward_crossings(value - 0.5 * (value.min() + value.max()))
     if len(crossings) < 2:
@@ -312,7 +321,10 @@ def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
 
 
 def _first_free(time: Floats, speed: Floats, begin: int, reach: int) -> int:
-    """Return the first block from `begin` on that continues the parabola through the later blocks up to `reach`.
+    """Return the first block of the free motion, from `begin` on.
+
+    A parabola is fitted to the blocks after a block, up to `reach`. In the free motion, a block and all later blocks
+    agree with their parabolas.
 
     This correction is needed because the line before the changepoint describes only a constant drive. The last blocks
     of a varying drive may agree better with the line of the free motion.

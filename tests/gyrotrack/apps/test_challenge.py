@@ -91,4 +91,4 @@ def test_a_challenge_from_the_command_line(tmp_path, capsys):
     assert run(["reveal", str(tmp_path / "c.seal.json"), "--answer", truth, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["grade"] == "right"
     assert run(["reveal", str(tmp_path / "c.seal.json")]) == 2
-    assert "only with an answer" in capsys.readouterr().err
+    assert "only with exactly one answer" in capsys.readouterr().err

@@ -98,7 +98,7 @@ class TestOptionsOfTheData:
         ("words", "match"),
         [
             (["--fix", "g"], "is not an assignment to a parameter"),
-            (["--fix", "q=1"], "no parameter that could be fitted"),
+            (["--fix", "q=1"], "no parameter of the model that can be fitted"),
             (["--loss", "l1"], "Unknown loss function"),
             (["--data", "speed"], "Unknown value"),
             (["--data", "angle", "--rotor", "generated"], "consists of velocities"),
