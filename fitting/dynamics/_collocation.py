@@ -50,7 +50,7 @@ TOLERANCE = 1e-10
 intervals, a larger one makes derivatives inaccurate."""
 _MAX_NEWTON = 25
 """Largest number of iterations of Newton's method [1]. Chosen: each iteration doubles the digits; a smaller number
-stops too early, a larger one delays the failure."""
+stops too early, a larger one costs time in solutions that do not converge."""
 MAX_INTERVALS = 40_000
 """Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
 the failure of stiff motions."""
@@ -518,7 +518,7 @@ def coarsened(path: Path) -> Path:
 
 _PARTS_OF_STEPS = (1, 4, 16, 64)
 """Trial numbers of Runge-Kutta steps between two nodes of the mesh [1]. Chosen: a motion that needs more steps is
-abandoned; a larger last value delays the failure of stiff motions."""
+abandoned; a larger last value costs time for stiff motions."""
 _STABLE = 2.5
 """Largest step of the Runge-Kutta method, divided by the time constant of decay [1]. Derived: the method of order 4 is
 stable up to 2.8; the remainder is a margin."""

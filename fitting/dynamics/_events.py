@@ -477,7 +477,7 @@ def _first_crossing(path: Path) -> float | None:
 
 _MAX_EVENTS = 2000
 """Largest number of reversals of a record [1]. Chosen: a limit of time; a smaller value refuses long oscillations, a
-larger one delays the failure of a motion that chatters."""
+larger one costs time for a motion that chatters."""
 _MANY = 3
 """Smallest number of reversals for which all stretches are solved simultaneously [1]. Chosen: with a smaller value the
 number of events may still change, a larger one costs time."""

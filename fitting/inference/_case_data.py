@@ -153,11 +153,11 @@ _PERIOD_SAMPLES = 24
 """Smallest number of samples of a block of an oscillation [samples]. Chosen: a smaller number leaves no samples for the
 noise, a larger one gives blocks of several periods at low frame rates."""
 _DRIVEN_POINTS = 1000
-"""Largest number of rough speeds of a driven body [1]. Chosen: with fewer, the response to the input is blurred; with
-more, each speed is noisy."""
+"""Largest number of approximate speeds of a driven body [1]. Chosen: with fewer, the response to the input is blurred;
+with more, each speed is noisy."""
 _DRIVEN_SAMPLES = 6
-"""Smallest number of samples of each rough speed of a driven body [samples]. Chosen: with fewer, each speed is noisy;
-with more, the response to the input is blurred."""
+"""Smallest number of samples from which one approximate speed of a driven body is computed [samples]. Chosen: with
+fewer, each speed is noisy; with more, the response to the input is blurred."""
 _RISE = 0.1
 """Smallest rise of the speed of a driven body, relative to its largest speed [1]. Chosen: a smaller value mistakes
 noise for a drive, a larger one overlooks weak drives."""
@@ -727,9 +727,9 @@ class CaseData:
 
     @cached_property
     def initial_speeds(self) -> tuple[Array, Array]:
-        """Times and rough speeds of the bodies, (times, bodies)."""
+        """Times and approximate speeds of the bodies, (times, bodies)."""
         if self.record.driving:
-            # rough speeds are dense, because the response to a step is a small part of a record
+            # the approximate speeds are dense, because the response to a step is a small part of a record
             return initial_speeds(self.record, _DRIVEN_POINTS, _DRIVEN_SAMPLES)
         return initial_speeds(self.record, *self.motion.rough)
 
@@ -945,8 +945,8 @@ CAMERA_COLUMNS = {name: (2 * i, 2 * i + 1) for i, name in enumerate(NUISANCE)}
 """Columns of `camera_columns` that belong to each nuisance effect [1]. Derived: a cosine and a sine of each, in the
 order of the library."""
 _SMOOTHED = 25
-"""Number of samples between the knots of a rough speed [samples]. Chosen: a smaller number follows noise, a larger one
-blurs the motion."""
+"""Number of samples between the knots of the curve for an approximate speed [samples]. Chosen: a smaller number follows
+noise, a larger one blurs the motion."""
 _RUN_PARTS = 50
 """Number of parts of a run over which accelerations are averaged for the largest torque [1]. Chosen: a smaller number
 understates the torque, a larger one follows noise."""

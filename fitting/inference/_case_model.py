@@ -35,7 +35,7 @@ _GAUSS = 3
 cells, a larger one costs time."""
 _PASSES = 20
 """Largest number of iterations for a law of an angle whose response changes the angle [1]. Chosen: a smaller number
-stops before convergence, a larger one delays the failure."""
+stops before convergence, a larger one costs time in iterations that do not converge."""
 _NEGLIGIBLE = 0.01
 """Change of the angle below which the iteration has converged, relative to the uncertainty of a mean of all samples
 [1]. Chosen: a smaller value costs iterations, a larger one biases the angle."""
@@ -208,16 +208,16 @@ sinusoid over a fifth of the half period to 1e-11, the Bessel function J_8 of pi
 halved."""
 _LEAST_INTERVALS = 600
 """Smallest limit of the number of intervals [1]. Chosen: the solution of stiff equations takes minutes to fail; a
-smaller value refuses short records, a larger one delays the failure."""
+smaller value refuses short records, a larger one costs time in motions that cannot be computed."""
 _PER_SAMPLE = 2
 """Largest number of intervals per sample [1]. Chosen: a motion with several changes between two samples is not
-measured; a smaller value refuses fast changes, a larger one delays the failure."""
+measured; a smaller value refuses fast changes, a larger one costs time in motions that cannot be computed."""
 _MANY_REVERSALS = 3
 """Smallest number of reversals that are solved simultaneously [1]. Chosen: equal to `fitting.dynamics._events._MANY`;
 with a smaller value the number of events may still change, a larger one costs time."""
 _SPARE_EVENTS = 20
 """Largest number of stops and reversals of a trial, minus twice their number in the measured motion [1]. Chosen: a
-smaller value refuses trials that converge, a larger one delays the failure of trials that chatter."""
+smaller value refuses trials that converge, a larger one costs time for trials that chatter."""
 _FEW_SINGLE = 40
 """Largest number of stretches between reversals that are integrated one by one [1]. Chosen: the integration of one
 stretch takes as long as the simultaneous solution of all stretches; a smaller value refuses trials that converge, a

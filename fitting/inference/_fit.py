@@ -1,7 +1,7 @@
 """The fit: initial values, noise levels, minimum, uncertainties; and the fit with a robust loss.
 
-The search avoids minima of a wrong motion, for example a motion with stops at wrong times, with active bounds far from
-the data, or with other exponents of power laws.
+The search avoids wrong minima. In such a minimum, for example, the modelled motion stops at a wrong time, a parameter
+is at a bound far from its optimum, or a power law has a wrong exponent.
 
 Parameters are estimated at the level of random torque that the residuals of the model show. Otherwise a short interval
 in which the model fails by a thousand standard deviations would determine all parameters. Chi-square, cross-validation
@@ -112,7 +112,10 @@ def _without_strengths(problem: Problem, theta: Array, given: Mapping[str, float
 def with_initial_shapes(
     problem: Problem, theta: Array, given: Mapping[str, float] | None, noise: Sequence[Noise] | None = None
 ) -> tuple[Problem, Array, tuple[str, ...]]:
-    """Return initial values of the shape constants that were not given, their names, and the problem at their noise."""
+    """Search initial values of the shape constants that were not given.
+
+    Return the problem at the noise of these values, the initial values, and the names of these constants.
+    """
     unknown = unknown_shapes(problem.layout, given)
     if not unknown:
         return problem, theta, ()
@@ -132,7 +135,9 @@ def _comes_to_rest(problem: Problem, theta: Array) -> bool:
 
 
 def _past_stops(problem: Problem, theta: Array) -> tuple[Problem, Array, ActiveBounds | None]:
-    """Return the problem at the noise about a search without process noise, and the variables of that search.
+    """Search without process noise.
+
+    Return the problem with the noise measured at the result, the variables of the result, and its active bounds.
 
     If the modelled motion stops at a wrong time, the response to a torque is wrong after the stop, and a search would
     not correct the time.
@@ -147,7 +152,7 @@ def _past_stops(problem: Problem, theta: Array) -> tuple[Problem, Array, ActiveB
 def _with_less_noise(
     problem: Problem, found: Solution, noise: tuple[Noise, ...], *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
-    """Return a solution and its noise, found again with less process noise if that describes the data better.
+    """Search again with less process noise; return the solution that describes the data best, and its noise.
 
     A fit may be in a wrong minimum for three reasons. First, the modelled motion stops at a wrong time, and the
     response to process noise is computed for this motion. Second, a parameter is at a bound far from its optimum, and
@@ -312,9 +317,9 @@ def fit(
     the noise of an earlier fit of the same data; it makes both fits comparable. `ranges` are bounds tighter than the
     declared bounds. `ties` are expressions of parameters that follow other parameters, by key. `steady` parameters, by
     their names in the fit, keep their initial values until all others have converged. With `quick`, the search stops
-    where chi-square is within about 0.01 of its minimum, which suffices to rank candidates. `criteria` determine what
-    is noise in a record that is not projected yet. An EstimationError is raised if there is nothing to fit, or if
-    labels repeat.
+    where chi-square is within about 0.01 of its minimum, which suffices to rank candidates. `criteria` determine the
+    noise of cases that are given as a `Record`. An EstimationError is raised if there is nothing to fit, or
+    if labels repeat.
     """
     with of_model(model):
         try:
@@ -557,7 +562,7 @@ _CAUCHY = 2.385
 """Scale of the Cauchy loss [standard deviations]. Derived: 95 % of the efficiency of least squares for normal noise."""
 _ITERATIONS = 12
 """Largest number of iterations of a robust fit [1]. Chosen: a smaller number stops before convergence, a larger one
-delays the failure."""
+costs time in fits that do not converge."""
 _CONVERGED = 0.01
 """Change of the parameters below which a robust fit has converged [standard errors]. Chosen: a smaller value costs
 iterations, a larger one leaves a bias."""

@@ -1,6 +1,6 @@
 """Initial values of a fit from the data alone.
 
-The laws are linear in their strengths gamma_k, so along the rough speeds
+The laws are linear in their strengths gamma_k, so along the approximate speeds of the recording
 
     I_c [omega_c(t) - omega_c(0)] = sum_k gamma_k integral_0^t law_k dt,
 

@@ -8,7 +8,7 @@ responds only to the torque at its frequency and has a separate variance.
 Two levels matter. The *pure* level is a property of the recording (`fitting.inference._process_noise`): it does not
 depend on a model, and chi-square and cross-validation errors of every fit of the recording use it. The *level* of a fit
 is the maximum of the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack
-of fit, and smaller if the recording alone cannot exclude random torque that the model does not need. Parameters are
+of fit. It is smaller if the recording alone does not exclude a random torque, but the model needs none. Parameters are
 estimated, and rival models are compared, at this level. Otherwise an interval with residuals of a thousand standard
 deviations would dominate the fit. Tests of a fit use the smaller of the two levels.
 """
@@ -243,7 +243,7 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
 
 
 def _trial_levels(responses: Array) -> Array:
-    """Return zero, and levels from one that hardly changes any row to one far above any misfit."""
+    """Return zero, and levels from a level that hardly changes any row up to a level far above any misfit."""
     first, last = _LEAST_SHARE / np.sqrt(responses.max()), _LARGEST_SHARE / np.sqrt(np.median(responses))
     count = int(np.ceil(_PER_DECADE * np.log10(last / first))) + 1
     return np.concatenate([[0.0], np.geomspace(first, last, count)])

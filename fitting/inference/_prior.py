@@ -55,7 +55,7 @@ class Prior:
         if not (size > 0).all() or np.linalg.eigvalsh(matrix / np.outer(size, size))[0] < _SINGULAR:
             raise EstimationError(
                 "the covariance of the prior is singular",
-                "The parameters of that study are degenerate: drop an effect there.",
+                "The parameters of that study are degenerate: drop an effect from its model.",
             )
 
     @classmethod

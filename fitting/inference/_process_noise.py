@@ -2,8 +2,8 @@
 
 The estimate depends neither on a model nor on a moment of inertia. The motion is described by a polynomial in each of a
 few stretches of time, with the camera's nuisance functions free. The estimate uses the restricted likelihood of the
-rows orthogonal to these functions (H. Patterson, R. Thompson, Biometrika 58, 545 (1971)). The polynomials absorb a slow
-torque, fitted or missing.
+rows orthogonal to these functions (H. Patterson, R. Thompson, Biometrika 58, 545 (1971)). The polynomials absorb slow
+torques, whether a model contains them or not.
 
 The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. The estimated level and time
 are the posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is
@@ -12,9 +12,9 @@ this resolution, an acceleration that is white for the rows, with the spectral d
 as the noise in half of the rows. Therefore the level is never zero; if the data contain no process noise, it is a small
 fraction of this resolution. A random torque is not expected to exceed the mean torque that slows the body, so the scale
 is at most the mean acceleration; this limit matters for records of a second or two. The prior of T is uniform in ln T
-from 1/32 of a block, below which the noise is white for the rows, to three blocks, a twentieth of a long record. A
-stretch with a kink or a jump is far noisier than the other stretches. Therefore the likelihood of a stretch is a
-mixture, with a prior probability of 1/20 for a separate level.
+from 1/32 of a block, below which the noise is white for the rows, to three blocks, which are a twentieth of a long
+record. A stretch with a kink or a jump is far noisier than the other stretches. Therefore the likelihood of a stretch
+is a mixture, with a prior probability of 1/20 for a separate level.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ _MOST_ROWS = 170
 """Largest number of rows of two stretches together [rows]. Chosen: the cost increases with the cube of this number; a
 larger number costs time, a smaller one neglects the correlation between stretches."""
 _FEW_STRETCHES = 2
-"""Largest number of stretches of which none may have a separate level [1]. Derived: it is unknown which of two
-stretches is the exception."""
+"""If there are at most this number of stretches, none of them has a separate level [1]. Derived: of two stretches, it
+is unknown which is the exception."""
 _OWN_LEVEL_SHARE = 0.05
 """Prior probability of a separate level of a stretch [1]. Chosen: one kink in twenty stretches; with a smaller value a
 kink raises the level, a larger one discards noisy stretches."""
@@ -228,7 +228,8 @@ def mean_acceleration(run: Compressed) -> float:
 class WhitenedStretch:
     """A stretch whose rows are whitened by the angle noise; the process noise is diagonalised once for each time.
 
-    `angle_covariance` is the covariance of the rows due to correlated angle noise, in addition to the unit white noise.
+    `angle_covariance` is the covariance of the rows due to correlated angle noise, without the white noise of variance
+    1.
     """
 
     def __init__(self, stretch: Stretch, angle_covariance: Array | None) -> None:
@@ -336,8 +337,9 @@ class Stretch:
         powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
         nuisance = nuisance[self.rows]
         if nuisance.shape[1] > len(nuisance):
-            # there are only as many orthogonal combinations as rows, because other combinations are not observed in
-            # this stretch; principal combinations remain separate although flat priors far exceed the other priors
+            # use as many orthogonal combinations of the functions as there are rows: this stretch contains no
+            # information about other combinations; principal combinations keep functions with a flat prior, whose
+            # columns are very large, separate from the others
             directions, sizes, _ = np.linalg.svd(nuisance, full_matrices=False)
             nuisance = directions * sizes
         # the last rows belong to the prior of the nuisance functions; their measured value is zero

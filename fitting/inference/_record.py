@@ -638,8 +638,8 @@ def running_median(value: Array, width: int) -> Array:
 
 
 _POINTS = 160
-"""Number of points of the rough speeds of a run [1]. Chosen: with fewer, the motion is blurred; with more, each speed
-is noisy."""
+"""Number of approximate speeds of a run [1]. Chosen: with fewer, the motion is blurred; with more, each speed is
+noisy."""
 _LONG_WINDOW = 0.5
 """Smallest share of a run for which a rotor window is divided like the run [1]. Chosen: a smaller value divides windows
 in which the speed is nearly constant, a larger one averages a changing speed."""

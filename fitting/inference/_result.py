@@ -590,8 +590,9 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `lack_of_fit` is the limit of the p-value of slow torques, and of the p-value of chi2 in each case that
-            exceeds `reduced_chi2`. By default the criteria of the fit.
+            Its `lack_of_fit` is the limit of the p-value of the test against slow torques. In a case whose reduced
+            chi-square exceeds `reduced_chi2`, it is also the limit of the p-value of chi-square. By default the
+            criteria of the fit.
         """
         criteria = criteria or self.criteria
         return self.converged and (
@@ -679,7 +680,7 @@ class Fit(FitSummary):
         )
 
     def has_smooth_law(self, criteria: Criteria | None = None) -> bool:
-        """Return whether the residual torque depends on a speed, and no slow random torque explains that.
+        """Return whether the residual torque depends on a speed, and no slow random torque explains this dependence.
 
         Parameters
         ----------
@@ -737,7 +738,7 @@ class Fit(FitSummary):
 
     @property
     def reduced_chi2(self) -> float:
-        """Chi-square of the casings over their effective number of samples."""
+        """Chi-square of the casings, divided by their effective number of samples."""
         return sum(
             c.casing.reduced_chi2 * d.casing.n_effective
             for c, d in zip(self.cases, self.problem.data, strict=True)
@@ -774,7 +775,7 @@ class Fit(FitSummary):
 
     @property
     def prior(self) -> Prior | None:
-        """The prior of its parameters; None without one."""
+        """The prior of the parameters; None if the fit has none."""
         return next((d.record.prior for d in self.problem.data if d.record.prior is not None), None)
 
     @property
@@ -790,7 +791,7 @@ class Fit(FitSummary):
         case : int
             Index of the case.
         body : int
-            0 is the rotor, 1 the casing, the single or the main body; later ones are those of a chain.
+            0 is the rotor, 1 the casing, the single or the main body; larger indices are further bodies of a chain.
         """
         data = self.problem.data[self._index(case)]
         self._refuse_body(body)
@@ -806,7 +807,7 @@ class Fit(FitSummary):
         case : int
             Index of the case.
         body : int
-            0 is the rotor, 1 the casing, the single or the main body; later ones are those of a chain.
+            0 is the rotor, 1 the casing, the single or the main body; larger indices are further bodies of a chain.
         time : ndarray, shape (n,)
             Times [s].
         """
@@ -987,7 +988,7 @@ class Fit(FitSummary):
         Raises
         ------
         EstimationError
-            If there is no case of this label.
+            If there is no case with this label.
         """
         require("label", label, TEXT.optional)
         if label is not None and label not in self.labels:

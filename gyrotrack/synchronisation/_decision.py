@@ -92,8 +92,8 @@ ROUNDS = 2
 """Number of passes of the calibration of noise and the rejection of outliers [iterations]. Chosen: a smaller number
 keeps outliers, a larger one costs time."""
 MAX_MISFIT = 0.015
-"""Largest difference beyond noise between the angles of two cameras [rad]. Chosen: a smaller value refuses oblique
-cameras, a larger one accepts clips of another run."""
+"""Largest difference between the angles of two cameras, without the part due to noise [rad]. Chosen: a smaller value
+refuses oblique cameras, a larger one accepts clips of another run."""
 RATE_LIMIT = 5 * RATE_SIGMA
 """Largest deviation of the clock rate of a solution from 1 [1]. Derived: five prior standard deviations."""
 RIVAL = 60.0
@@ -349,7 +349,7 @@ def _residuals(pair: Pair, start: Start) -> Normal:
 
 
 def _misfit(left: Normal, pair: Pair) -> float:
-    """Return the rms difference of the cameras beyond the noise of single frames [rad]."""
+    """Return the rms difference of the cameras without the part due to the noise of single frames [rad]."""
     total = 0.0
     for residual, sigma in ((left.residual_casing, pair.casing.sigma), (left.residual_clip, pair.clip.sigma)):
         means, length = block_means(residual)

@@ -319,11 +319,12 @@ def _blank(turned: Floats, ring: Ring, marker: Marker) -> None:
 
 
 _WIDER = 2.5
-"""Largest half width of a white marker, relative to the other markers [1]. Chosen: a smaller value refuses white
-markers of another shape, a larger one accepts reflections."""
+"""Largest half width of a white marker, divided by the half width of the other markers, without the constant part
+`_WIDER_BY` [1]. Chosen: a smaller value refuses white markers of another shape, a larger one accepts reflections."""
 _WIDER_BY = 0.05
-"""Half width by which a white marker may exceed the limit `_WIDER` [rad]. Chosen: for narrow markers; a smaller value
-refuses blurred markers, a larger one accepts reflections."""
+"""Constant part of the largest half width of a white marker; `_WIDER` times the half width of the other markers is
+added to it [rad]. Chosen: for narrow markers; a smaller value refuses blurred markers, a larger one accepts
+reflections."""
 
 
 def _brightest_place(
@@ -593,7 +594,7 @@ def _circular_mode(angle: Floats) -> float:
 
 LEAST_AGREEMENT = 1.0 / 3.0
 """Smallest share of the blobs, and of the samples, that are inliers of an orbit [1]. Measured: a quarter of random
-blobs are inliers; the films are not recorded."""
+blobs are inliers; it is not recorded in which films."""
 _NO_DISC = "There is no disc at the centre; the orbits of the markers determine it."
 
 

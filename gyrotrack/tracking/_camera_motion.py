@@ -293,7 +293,8 @@ def background_roll(frames: Iterable[Plane], body: tuple[float, float, float]) -
 
     `body` is centre (x, y) and radius [px] of the bodies in the first frame. The displacement of the result is zero at
     this centre. The standard uncertainty of the roll follows from the differences between two halves of the background.
-    A roll that is not significant is replaced by zero; its standard uncertainty is then its rms beyond the noise.
+    A roll that is not significant is replaced by zero; its standard uncertainty is then its rms without the part due to
+    noise.
     """
     roll, apart, masks = [], [], []
     warp = [np.eye(2, 3, dtype=np.float32) for _ in range(3)]

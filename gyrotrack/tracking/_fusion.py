@@ -5,9 +5,9 @@ markers are combined with their mount angles, weighted by the inverse variance o
 outliers are rejected.
 
 Systematic errors that are functions of an angle are removed first. Reflections of lamps in the metal displace a marker
-in the same way at each passage of a place; the edge and the shadow of the bar of the casing do so at each passage of
-the bar. They are estimated from the residuals of the marker about the smooth motion of its body, as a smooth closed
-curve c that minimises
+in the same way each time it passes a place. The edge and the shadow of the bar of the casing displace it each time it
+passes the bar. These errors are estimated from the residuals of the marker about the smooth motion of its body, as a
+smooth closed curve c that minimises
 
     sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
 
@@ -16,9 +16,9 @@ cyclic second differences, and bend and size are prior standard deviations.
 
 Real motion of a body must not be removed. An unbalance or a tilted table changes the motion once or twice per turn of
 the body, equally for all its markers. This is negligible for a fast body: an amplitude A of its acceleration causes an
-amplitude A / omega^2 of its angle. If there are fast frames, the curves are estimated from these and used for all
-frames; otherwise the common harmonics of orders 1 and 2 in the angle of the body are not removed
-(`without_common_motion`).
+amplitude A / omega^2 of its angle. If there are fast frames, the curves are estimated from these frames and used for
+all frames. Otherwise the harmonics of orders 1 and 2 in the angle of the body that all markers have in common are not
+removed (`without_common_motion`).
 """
 
 from __future__ import annotations
@@ -799,7 +799,7 @@ def join(
     above: bool = False,
     time_base: TimeBase | None = None,
 ) -> BodyAngles:
-    """Combine the markers of one body; its zero is the angle of the first marker.
+    """Combine the markers of one body; the first marker determines the zero of the angle.
 
     `coarse` (n,) is the unwrapped coarse apparent angle [rad], NaN where the body was lost. `other` is the coarse angle
     of the body that sometimes occludes the markers, or passes beneath them (`above`). `floor`, `axis` and `orbit` are
@@ -878,7 +878,8 @@ def _result(
     def calibrated(residual: Floats, sigma: Floats, markers: int) -> Floats:
         """Scale uncertainties to the residuals about the smooth motion.
 
-        The smooth motion absorbs a part of correlated errors: its leverage times the correlation factor of the errors.
+        The smooth motion absorbs a part of correlated errors. This part is the leverage times the correlation factor of
+        the errors.
         """
         beside = np.hypot(unlearnt, from_time)
         off = np.where(state.turning, (residual - smooth) / np.hypot(sigma, beside), np.nan)

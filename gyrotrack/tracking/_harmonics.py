@@ -33,9 +33,9 @@ _DEGREE = 5
 """Degree of the slow change of the angle in a batch [1]. Chosen: a smaller value leaves motion in the harmonics, a
 larger one absorbs harmonics of slow bodies."""
 _FEWEST_BATCHES = 3
-"""A variance of the amplitudes needs at least this number of batches beyond the number of free constants [1]. Chosen:
-the six amplitudes of three batches determine the error to 30 %; a smaller number gives an uncertain variance, a larger
-one leaves the error of short films unstated."""
+"""A variance of the amplitudes needs at least this number of batches in excess of the number of free constants [1].
+Chosen: the six amplitudes of three batches determine the error to 30 %; a smaller number gives an uncertain variance, a
+larger one leaves the error of short films unstated."""
 _FEWEST_OF_CHANGE = 5
 """Smallest number of batches for a change with the speed [1]. Chosen: a smaller number does not separate the change
 from a torque, a larger one leaves the error in short films."""
@@ -128,7 +128,8 @@ _WIDE_SIGMA = 20e-3
 """Prior standard deviation of a constant amplitude, and of the amplitude due to a torque at `_REFERENCE_SPEED` [rad].
 Derived: wide enough to contain no information; an angular acceleration of 200 rad/s2 causes 20 mrad."""
 _BATCH_SIGMA = 0.1e-3
-"""Standard deviation of an amplitude in a batch, beyond the noise [rad]. Chosen: a smaller value trusts few batches."""
+"""Standard deviation of an amplitude in a batch that is not due to noise [rad]. Chosen: a smaller value understates the
+uncertainty of a result from few batches."""
 _LAW_ERROR = 0.1
 """Relative error of the law A / omega^2 for the amplitude due to a torque [1]. Chosen: a smaller value lets slow
 batches determine the change with the blur, a larger one ignores these batches."""

@@ -316,8 +316,9 @@ _OFF_MIDDLE = 0.25
 """Largest distance of the middle of the corners from the fine angle, in half widths [1]. Chosen: a smaller value omits
 corners of blurred markers, a larger one keeps corners of other edges."""
 _OFF_MIDDLE_BY = 0.01
-"""Distance by which the middle of the corners may exceed `_OFF_MIDDLE` [rad]. Chosen: for narrow markers; a smaller
-value omits their corners, a larger one keeps corners of other edges."""
+"""Constant part of the largest distance of the middle of the corners from the fine angle; `_OFF_MIDDLE` half widths are
+added to it [rad]. Chosen: for narrow markers; a smaller value omits their corners, a larger one keeps corners of other
+edges."""
 _OTHER_WIDTH = 0.3
 """Largest relative difference of the half width of the corners from the typical half width [1]. Chosen: a smaller value
 omits corners of blurred markers, a larger one keeps corners of other edges."""
@@ -325,8 +326,9 @@ _OFF_EDGE = 0.35
 """Largest distance of the corners from the near edge, in lengths of the marker [1]. Chosen: a smaller value omits
 corners of an oblique view, a larger one keeps corners of other edges."""
 _OFF_EDGE_BY = 2.0
-"""Distance by which the corners may exceed `_OFF_EDGE` [px]. Chosen: one sample of the chroma; a smaller value omits
-corners of short markers, a larger one keeps corners of other edges."""
+"""Constant part of the largest distance of the corners from the near edge; `_OFF_EDGE` lengths of the marker are added
+to it [px]. Chosen: one sample of the chroma; a smaller value omits corners of short markers, a larger one keeps corners
+of other edges."""
 
 
 class MarkerTracker:

@@ -61,8 +61,8 @@ _STILL_NOISE = 12.0
 """Smallest extent of a path in standard deviations of its noise [1]. Chosen: a smaller value measures noise, a larger
 one refuses small oscillations."""
 _BY_PLACE = 0.005
-"""Smallest position-dependent error of a learnt picture and background, by interpolation and blur [px]. Measured: 0.003
-to 0.005 px for rendered bobs."""
+"""Smallest position-dependent error of a learnt picture and background, due to interpolation and blur [px]. Measured:
+0.003 to 0.005 px for rendered bobs."""
 _LEARNT = 0.4
 """Smallest position-dependent error of a learnt picture and background divided by the noise of a position [1].
 Measured: 0.3 to 0.8 for rendered bobs."""

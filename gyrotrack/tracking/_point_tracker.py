@@ -54,8 +54,8 @@ _CORE = 0.7
 """Distance from the edge, divided by the largest distance, above which pixels are averaged for the middle of a part
 [1]. Chosen: a smaller value includes joined rods, a larger one averages few pixels."""
 _LATE = 0.1
-"""Largest share of the frames before the first frame that shows a spot [1]. Chosen: a smaller value refuses films
-with a hand at the start, a larger one skips motion."""
+"""Largest share of the frames that may precede the first frame that shows a spot [1]. Chosen: a smaller value refuses
+films with a hand at the start, a larger one skips motion."""
 _REACH = 12.0
 """Largest distance of a spot from the given point [px]. Chosen: the accuracy of a click; a smaller value
 misses the spot, a larger one takes another body."""
@@ -122,11 +122,11 @@ _UNSEEN = 1e9
 """Variance of a pixel that is visible in no frame [grey levels squared]. Chosen: large against any other variance, so
 that the pixel has no weight."""
 _ROUGH = 0.5
-"""Standard uncertainty of a rough position [px]. Chosen: a smaller value refuses rough paths, a larger one accepts
-other motions."""
+"""Standard uncertainty of a position by template matching [px]. Chosen: a smaller value refuses inaccurate paths, a
+larger one accepts other motions."""
 _ROUGHLY_ROUND = 0.06
-"""Largest radial scatter of a rough path, divided by its extent [1]. Chosen: twice `_point_motion._ROUND`; a smaller
-value refuses blurred bobs, a larger one costs time on other paths."""
+"""Largest radial scatter of a path by template matching, divided by its extent [1]. Chosen: twice
+`_point_motion._ROUND`; a smaller value refuses blurred bobs, a larger one costs time on other paths."""
 HIDDEN = 6.0
 """Largest mean square residual of a frame that shows the patch, divided by the median of all frames [1]. Chosen: a
 smaller value omits frames of uneven light, a larger one keeps frames with a hand."""
@@ -220,8 +220,8 @@ def track_point(
 ) -> PointPath:
     """Follow a point of a body, given its position `start` in the first frame, or the only compact body that moves.
 
-    `turn_of` returns the rotation of the patch for rough positions; `seen` is the foreground of the film, if it is
-    known. A TrackingError is raised if the given place has no detail to follow, if several bodies move and none is
+    `turn_of` returns the rotation of the patch for approximate positions; `seen` is the foreground of the film, if it
+    is known. A TrackingError is raised if the given place has no detail to follow, if several bodies move and none is
     selected, or if the patch is lost in most frames.
     """
     usable = frames_of_one_shot(film)
@@ -379,7 +379,7 @@ def _tracked(
 
 
 def _retraced(place: Floats, name: str) -> None:
-    """Raise a TrackingError unless the rough positions of an automatically selected point are near a circle."""
+    """Raise a TrackingError unless an automatically selected point is near a circle, by its approximate positions."""
     arc = fit_arc(place, np.full(len(place), _ROUGH))
     extent = float(np.hypot(*np.ptp(place, axis=0)))
     if math.hypot(arc.noise, arc.by_place) > max(_ROUGHLY_ROUND * extent, 2.0 * _ROUGH):
@@ -986,7 +986,10 @@ def _regressed(
 
 
 def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: Bools) -> Picture:
-    """Return the background: the mean of the frames in which the patch is elsewhere, else the previous value."""
+    """Return the background of each pixel: the mean of the frames in which the patch does not cover the pixel.
+
+    Without such a frame, the pixel keeps the previous value.
+    """
     reach = float(np.abs(layers.grid).max())
     total = np.zeros(layers.background.shape, dtype=np.float64)
     count = np.zeros(layers.background.shape, dtype=np.int32)

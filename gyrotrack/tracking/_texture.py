@@ -101,8 +101,8 @@ LARGEST_MISFIT = 25.0
 """Largest mean square residual of a zone with an angle, relative to the typical residual [1]. Chosen: another body
 below that stands still for some frames changes a zone less than a hand does; a smaller value omits these frames."""
 LARGEST_TURN = 0.02
-"""Largest error of the rough angles [rad]. Derived: two pixels at a radius of a hundred; beyond this error the picture
-is not linear in the angle."""
+"""Largest error of the approximate angles [rad]. Derived: two pixels at a radius of a hundred; beyond this error the
+picture is not linear in the angle."""
 LEAST_CONTRAST = 0.5
 """Smallest contrast of a zone that is not covered, relative to its template [1]. Chosen: a smaller value fits a hand
 of one brightness, a larger one omits zones in shadow."""
@@ -124,7 +124,7 @@ CENTRE_ERROR = 0.3
 """Standard uncertainty of the centre of a ring in the luma [px]. Derived: the centre is measured in the chroma, whose
 conventions differ by up to half a pixel in each direction; a uniform distribution has 0.29 px."""
 SHADOW_ERROR = 0.6
-"""Standard uncertainty per coordinate of the displacement of a ring, beyond the uncertainty of its measured view [px].
+"""Standard uncertainty per coordinate of the displacement of a ring, without the uncertainty of its measured view [px].
 Measured: a shadow that a bar casts beside itself displaces its edges; on ten films by two other renderers, the largest
 error is 1.04, 0.82 and 0.98 mrad with 0.3, 0.6 and 1.2 px, and the median hardly changes."""
 _TEMPLATE_FRAMES = 256

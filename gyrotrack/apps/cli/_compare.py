@@ -239,7 +239,7 @@ def _times_of(fits: Mapping[str, Any], times: Mapping[str, float]) -> dict[str, 
 
 
 def comparison_table(found: Comparison) -> str:
-    """Return a comparison as text: every run if there are few runs, else the population."""
+    """Return a comparison as text: every run if there are few runs, otherwise the population."""
     from fitting._numbers import probability, rounded
 
     runs = {r.run for p in found.parameters for r in p.repeats}
