@@ -69,7 +69,7 @@ class ParameterComparison:
     p_value: float  # probability of such differences if the values are equal in all runs
     mean: float  # of the random-effects model [unit]
     mean_u: float  # standard uncertainty of the mean [unit]
-    spread: float  # standard deviation tau between the runs, beyond the uncertainties of the fits [unit]
+    spread: float  # standard deviation tau between the runs, without the part due to uncertainties of the fits [unit]
     spread_interval: tuple[float, float]  # 68 % interval of the spread [unit]
 
     def total(self, repeat: Repeat) -> float:
@@ -87,7 +87,7 @@ class RunValue(TypedDict):
 
 
 class SpreadDocument(TypedDict):
-    """The standard deviation between the runs, beyond the uncertainties of the fits."""
+    """The standard deviation between the runs, without the part due to uncertainties of the fits."""
 
     value: float  #: Standard deviation [unit of the parameter].
     interval_68: list[float]  #: 68 % interval of the standard deviation [unit of the parameter].

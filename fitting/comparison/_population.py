@@ -121,7 +121,7 @@ class PopulationParameterDocument(TypedDict):
 
     unit: str  #: Unit of the parameter.
     mean: MeanDocument  #: Mean of the runs.
-    #: Standard deviation between the runs, beyond the uncertainties of the fits.
+    #: Standard deviation between the runs, without the part due to uncertainties of the fits.
     spread: MeanDocument
     runs: int  #: Number of runs that determine the parameter and are not outlying.
     p_drift: float  #: Probability of an equal or more significant drift if there is no drift [1].
@@ -162,8 +162,8 @@ class PopulationParameter:
     unit: str
     mean: float
     mean_u: float
-    # standard deviation between runs, beyond the uncertainties of the fits: about the drift or step if that is
-    # significant, otherwise about the mean
+    # standard deviation between runs, without the part due to uncertainties of the fits: about the drift or step if it
+    # is significant, otherwise about the mean
     spread: float
     spread_u: float
     runs: int  # number of runs that determine the parameter and are not outlying
