@@ -103,6 +103,9 @@ _DURATION_CHANGE = 0.1
 _SIGNIFICANT_CHANGE = 5.0  # the same limit in standard errors
 _FLICKER = 0.1  # largest duration of a flicker of a light gate [median duration of a passage]
 _LARGEST_TICKS = 5e6  # largest step of whole numbers that count as microseconds
+# from the first to the second step, whole numbers may be ms of a slow body (samples 0.4 s or more apart) or us of a
+# sampler of 1 to 2.5 kHz
+_AMBIGUOUS_TICKS = (400.0, 1000.0)
 _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
@@ -982,17 +985,19 @@ def _roughness(time: Floats, count: Floats) -> float:
 
 
 def clock_scale(raw: RawTable, ticks: Floats) -> float:
-    """Return the factor from integer times to seconds: us for steps of at least 1000, ms for steps of more than 10.
+    """Return the factor from integer times to seconds: us for steps of at least 1000, ms for steps of 11 to 399.
 
-    Steps of more than five seconds in us are ambiguous: a DatasetError requests the unit.
+    Steps between these ranges, and steps of more than five seconds in us, are ambiguous: a DatasetError requests the
+    unit.
     """
     known = ticks[np.isfinite(ticks)]
     if not len(known) or (known != np.round(known)).any():
         return 1.0
     typical = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
-    if typical > _LARGEST_TICKS:
+    if typical > _LARGEST_TICKS or _AMBIGUOUS_TICKS[0] <= typical < _AMBIGUOUS_TICKS[1]:
         what = f"{raw.path}: the times are whole numbers in steps of {typical:.4g}, and their unit is not stated."
-        raise DatasetError(what, "State it, for example --column 't=1 [us]' or --column 't=1 [ns]'.")
+        other = "ns" if typical > _LARGEST_TICKS else "ms"
+        raise DatasetError(what, f"State it, for example --column 't=1 [us]' or --column 't=1 [{other}]'.")
     return 1e-6 if typical >= 1000 else 1e-3 if typical > 10 else 1.0
 
 

@@ -808,7 +808,17 @@ class TestSampledCounts:
 class TestClock:
     @pytest.mark.parametrize(
         ("step", "scale"),
-        [(1, 1.0), (10, 1.0), (11, 1e-3), (999, 1e-3), (1000, 1e-6), (4_900_000, 1e-6), (5_100_000, None)],
+        [
+            (1, 1.0),
+            (10, 1.0),
+            (11, 1e-3),
+            (399, 1e-3),
+            (400, None),
+            (999, None),
+            (1000, 1e-6),
+            (4_900_000, 1e-6),
+            (5_100_000, None),
+        ],
     )
     def test_whole_numbers_are_ticks_by_the_size_of_their_steps(self, step, scale):
         ticks = step * np.arange(20.0)
