@@ -816,13 +816,15 @@ def _analysed(
             if history.stopped:
                 warnings.append(f"The search stopped: {history.stopped}")
             _check_law(motion, history[-1].fit, final=True)
+            found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
+            supported = _supported(base, history, found.verdict)
             if laws is not None:
-                # the last fit that is consistent with amplitude and phase
-                found_laws = [laws.with_fit(step.fit) for step in reversed(history)]
+                # the last supported fit that is consistent with amplitude and phase
+                fits = [base] if supported is base else [step.fit for step in reversed(history)]
+                found_laws = [laws.with_fit(f) for f in fits]
                 laws, disagreement = next((f for f in found_laws if not f[1]), found_laws[-1])
                 warnings += [disagreement] if disagreement else []
-            found = diagnose(base, [], candidates=history[0].candidates, history=history, workers=workers)
-            strengths = laws_of_body(_supported(base, history, found.verdict))
+            strengths = laws_of_body(supported)
             responses = [] if base.verdict == "not_converged" else [vars(r) for r in first_order(base)]
             study.keep_diagnosis(parent, found, [])
             diagnosis = diagnosis_document(found, parent)

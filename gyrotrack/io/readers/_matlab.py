@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from gyrotrack._errors import DatasetError
 from gyrotrack.io._tables import READER
 from gyrotrack.io.readers._matlab_process import Damaged, Unreadable, arrays_in, description
-from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, table_of
+from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, header_of, role_of, table_of
 
 _COMPRESSED = 15  # type of a compressed element of a MATLAB file
 _ARRAYS_OF_ITEMS = {
@@ -83,12 +83,20 @@ def _refuse_empty_arrays(path: Path, element: bytes, order: Literal["big", "litt
 def table_of_arrays(
     path: Path, arrays: Mapping[str, npt.NDArray[Any]], others: Mapping[str, str] = MappingProxyType({})
 ) -> RawTable:
-    """Return the longest vectors of equal length among named arrays, or the columns of the only matrix."""
+    """Return the longest vectors of equal length among named arrays, or the columns of the only matrix.
+
+    If the names of the vectors do not show both a time and a motion, the columns of matrices of the same length follow,
+    named by the matrix and the number of the column.
+    """
     plain = {k: v for k, v in arrays.items() if v.dtype.kind in "iuf" and v.ndim <= 2 and v.size > 1}
     vectors = {k: v.ravel() for k, v in plain.items() if min(v.shape) == 1 or v.ndim == 1}
     if vectors:
         longest = max(len(v) for v in vectors.values())
         vectors = {k: v for k, v in vectors.items() if len(v) == longest}
+        if not _describe_a_motion(vectors):
+            for name, matrix in plain.items():
+                if name not in vectors and matrix.ndim == 2 and len(matrix) == longest:
+                    vectors |= {f"{name} {k}": column for k, column in enumerate(matrix.T, 1)}
         return table_of(path, list(vectors), list(vectors.values()))
     matrices = [v for v in plain.values() if v.ndim == 2]
     if len(matrices) == 1:
@@ -101,6 +109,12 @@ def table_of_arrays(
         f"{', '.join(kept)[:200] or 'nothing'}.",
         "Save time and angle as vectors.",
     )
+
+
+def _describe_a_motion(names: Iterable[str]) -> bool:
+    """Return whether the names of vectors are those of times and of angles or speeds."""
+    roles = {role_of(header_of(name)[0]) for name in names}
+    return "t" in roles and bool(roles & {"angle", "omega"})
 
 
 def read_matlab_hdf5(path: Path, _content: bytes, _options: object) -> RawTable:

@@ -377,7 +377,8 @@ def times_of(
         return np.arange(len(raw.line)) / frame_rate(raw.path, options) + options.start
     if not raw.headed and not options.names:
         raise _without_header(raw)
-    what = f"{where}: there is no column for the time."
+    among = f" among {_listed(raw.names)}" if any(raw.names) else ""
+    what = f"{where}: there is no column for the time{among}."
     raise DatasetError(what, f"Give the rate of the rows with --casing-fps N. {EXPECTED}")
 
 

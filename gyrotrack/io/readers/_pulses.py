@@ -108,6 +108,9 @@ _DURATION_CHANGE = 0.1
 _SIGNIFICANT_CHANGE = 5.0  # the same limit in standard errors
 _FLICKER = 0.1  # largest duration of a flicker of a light gate [median duration of a passage]
 _LARGEST_TICKS = 5e6  # largest step of whole numbers that count as microseconds
+# from the first to the second step, whole numbers may be ms of a slow body (samples 0.4 s or more apart) or us of a
+# sampler of 1 to 2.5 kHz
+_AMBIGUOUS_TICKS = (400.0, 1000.0)
 _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
@@ -306,6 +309,8 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
         pulses = _pulses_of_signal(raw, signals, time, rows, notes)
         if pulses is not None:
             time, line, event = pulses
+    if event == "each row":
+        _refuse_unused(raw, options)
     pulse = "states of a light gate" if gate is not None else "signal" if event != "each row" else "row"
     taken.append(Taken(event, "pulses", "", f"{per_turn:g} per turn; {pulse}"))
     made = from_events(raw, time, line, per_turn, notes)
@@ -1001,18 +1006,54 @@ def _roughness(time: Floats, count: Floats) -> float:
 
 
 def clock_scale(raw: RawTable, ticks: Floats) -> float:
-    """Return the factor from integer times to seconds: us for steps of at least 1000, ms for steps of more than 10.
+    """Return the factor from integer times to seconds: us for steps of at least 1000, ms for steps of 11 to 399.
 
-    Steps of more than five seconds in us are ambiguous: a DatasetError requests the unit.
+    Steps between these ranges, and steps of more than five seconds in us, are ambiguous: a DatasetError requests the
+    unit.
     """
     known = ticks[np.isfinite(ticks)]
     if not len(known) or (known != np.round(known)).any():
         return 1.0
     typical = float(np.median(np.abs(np.diff(known)))) if len(known) > 1 else 0.0
-    if typical > _LARGEST_TICKS:
+    if typical > _LARGEST_TICKS or _AMBIGUOUS_TICKS[0] <= typical < _AMBIGUOUS_TICKS[1]:
         what = f"{raw.path}: the times are whole numbers in steps of {typical:.4g}, and their unit is not stated."
-        raise DatasetError(what, "State it, for example --column 't=1 [us]' or --column 't=1 [ns]'.")
+        other = "ns" if typical > _LARGEST_TICKS else "ms"
+        raise DatasetError(what, f"State it, for example --column 't=1 [us]' or --column 't=1 [{other}]'.")
     return 1e-6 if typical >= 1000 else 1e-3 if typical > 10 else 1.0
+
+
+# units of a column of counts
+_UNITS_OF_COUNTS = {"", "1", "count", "counts", "cnt", "tick", "ticks", "pulse", "pulses", "step", "steps"}
+
+
+def with_counts(raw: RawTable, options: ReadOptions) -> ReadOptions:
+    """Return options in which a column of counts that the user names as the angle is a counter.
+
+    `--pulses-per-turn` is the factor from counts to the angle, so whole numbers without a unit of angle are counts.
+    """
+    columns = find_columns(raw, options)
+    place = columns.place.get("angle")
+    if place is None or columns.why["angle"] != "by --column":
+        return options
+    values = raw.numeric(place)
+    known = np.zeros(0) if values is None else values[np.isfinite(values)]
+    states = set(np.unique(known)) <= {0.0, 1.0}
+    if states or (known != np.round(known)).any() or columns.unit["angle"].casefold() not in _UNITS_OF_COUNTS:
+        return options
+    names = {k: ("revolutions", "") if v[0] == "angle" else v for k, v in (options.names or {}).items()}
+    return replace(options, names=names)
+
+
+def _refuse_unused(raw: RawTable, options: ReadOptions) -> None:
+    """Raise a UsageError if the user names a column of angles or speeds in a table whose rows are pulses."""
+    columns = find_columns(raw, options)
+    for role in ("angle", "omega"):
+        if columns.why.get(role) == "by --column":
+            name = column_name(raw, columns.place[role])
+            raise UsageError(
+                f"{raw.path}: {name} is given as {role}, but with --pulses-per-turn each row would be a pulse.",
+                "Omit --pulses-per-turn, or give a counter by --column revolutions=N.",
+            )
 
 
 def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:

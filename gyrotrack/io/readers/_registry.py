@@ -44,6 +44,7 @@ from gyrotrack.io.readers._pulses import (
     read_sampled_counts,
     refuse_passages,
     sampled_counts,
+    with_counts,
 )
 from gyrotrack.io.readers._raw_table import RawTable, read_bytes
 from gyrotrack.io.readers._reading import Reading, Taken
@@ -182,6 +183,7 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
         return _from_points(replace(particles, sha256=raw.sha256), options)
     raw = _rows_of_body(raw, options)
     if options.pulses_per_turn:
+        options = with_counts(raw, options)
         columns = find_columns(raw, options)
         counts = sampled_counts(raw, columns.place)
         if counts is not None and not set(columns.place) & {"angle", "omega"}:

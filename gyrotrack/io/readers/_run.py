@@ -38,6 +38,11 @@ _BRAKE_RATIO = 3.0  # smallest ratio of the decelerations during and before a br
 _SIGNIFICANT = 6.0
 _MIN_CROSSINGS = 12  # smallest number of zero crossings for the detection of irregular periods
 _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregular period and amplitude
+# smallest number of zero crossings for the detection of a body that is held at the start
+_FEWEST_CROSSINGS = 5
+# smallest deviation of the start of a record from the next period if the body is held there: a multiple of the same
+# deviation of later periods, and a share of the peak-to-peak amplitude (a hold of a ninth of a period at a turning point)
+_HELD_RATIO, _HELD_SHARE = 3.0, 0.03
 # largest range of the means at rest: the larger of `_STILL_SIGMA` standard errors and `_STILL_SHARE` of the range of
 # the record; 200 normal deviates have a range of 5.5
 _STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
@@ -169,16 +174,19 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
 
     Period and logarithm of the amplitude of a free oscillation are smooth functions of time, and are fitted by
     polynomials. The free part begins after the last outlier in the first quarter. An outlier deviates by more than six
-    times the scatter, and by more than 1 % of the period or 5 % of the amplitude. `value` is the angle or the angular
-    velocity.
+    times the scatter, and by more than 1 % of the period or 5 % of the amplitude. If no period is an outlier, but the
+    body is held before the first upward zero crossing, the free part begins at the second crossing. `value` is the
+    angle or the angular velocity.
     """
     value = value - 0.5 * (np.quantile(value, 0.05) + np.quantile(value, 0.95))
     crossings = upward_crossings(value)
-    if len(crossings) < _MIN_CROSSINGS:
+    if len(crossings) < _FEWEST_CROSSINGS:
         return 0
     below, above = value[crossings - 1], value[crossings]
     at = time[crossings] - np.diff(time)[crossings - 1] * above / (above - below)
     size = np.array([np.ptp(value[a:b]) for a, b in pairwise(crossings)])
+    if len(crossings) < _MIN_CROSSINGS:
+        return int(crossings[1]) if _is_held(time, value, at, size) else 0
     curves = np.stack([np.log(np.diff(at)), np.log(size)], axis=1)
     x = 2 * (at[:-1] - at[0]) / (at[-2] - at[0]) - 1
     design = np.polynomial.chebyshev.chebvander(x, min(5, len(x) // 4))
@@ -195,9 +203,31 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
             break
         free = ~beginning
     if free[0]:
-        held = time[crossings[0]] - time[0] > 1.5 * np.median(np.diff(at))
-        return int(crossings[1]) if held else 0
+        return int(crossings[1]) if _is_held(time, value, at, size) else 0
     return int(crossings[int(np.argmax(free))])
+
+
+def _is_held(time: Floats, value: Floats, at: Floats, size: Floats) -> bool:
+    """Return whether the start of an oscillation does not continue the following periods backwards.
+
+    `at` are the times of the upward zero crossings [s], `size` the peak-to-peak amplitudes between them. The values
+    before the first crossing are compared with the values one period later, which are multiplied by the ratio of
+    neighbouring amplitudes. The same comparison for the later crossings shows how far noise and changes of the free
+    motion contribute.
+    """
+    period = np.diff(at)
+    before = float(at[0] - time[0])
+    if before > 1.5 * float(np.median(period)):
+        return True
+    before = min(before, float(period.min()))
+    off = []
+    for k in range(len(period) - 1):
+        rows = (time >= at[k] - before) & (time < at[k])
+        if not rows.any():
+            return False
+        later = np.interp(time[rows] + period[k], time, value) * size[k] / size[k + 1]
+        off.append(float(np.sqrt(np.mean(np.square(value[rows] - later)))) / float(size[k]))
+    return off[0] > max(_HELD_RATIO * float(np.median(off[1:])), _HELD_SHARE)
 
 
 def upward_crossings(value: Floats, share: float = 0.02) -> np.ndarray[tuple[int], np.dtype[np.intp]]:

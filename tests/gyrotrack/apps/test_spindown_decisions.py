@@ -946,6 +946,9 @@ def test_an_oscillation_is_fitted_with_its_laws(analysis):
         assert "fit" not in names
         assert "rank" not in names
         assert (document["oscillator"], len(document["warnings"])) == (name, count)
+    for verdict, name in (("undecided", "base"), ("unexplained", "base"), ("missing_effect", "last")):
+        document, *_ = analysis(kind, laws=oscillator(), verdict=verdict)
+        assert (document["oscillator"], document["laws"]) == (name, (name,))
     document, names, _ = analysis(kind, laws=oscillator(wrong_period="it gives k = 1059"))
     assert "improve" not in names
     assert (list(document["laws"]), document["ladder"], document["diagnosis"]) == ([], [], None)

@@ -135,7 +135,7 @@ def test_vectors_or_a_matrix_of_matlab():
             "short": np.arange(4),
             "one": np.array([[3.0]]),
             "text": np.array(["x"] * 5),
-            "m": np.zeros((5, 5)),
+            "long": np.zeros((6, 2)),
         },
     )
     assert raw.names == ("t", "a")
@@ -148,6 +148,18 @@ def test_vectors_or_a_matrix_of_matlab():
     for arrays in ({"m": matrix, "n": matrix}, {}, {"z": np.zeros((2, 2, 2))}, {"c": np.zeros(5, complex)}):
         with pytest.raises(DatasetError, match="neither"):
             table_of_arrays(PATH, arrays)
+
+
+@pytest.mark.parametrize(
+    ("names", "added"), [(("t", "current"), True), (("angle", "current"), True), (("t", "angle"), False)]
+)
+def test_columns_of_a_matrix_of_matlab_beside_vectors(names, added):
+    """The columns of a matrix are read if the vectors beside it do not describe a motion."""
+    arrays = {name: np.arange(5.0) for name in names} | {"data": np.arange(10.0).reshape(5, 2)}
+    raw = table_of_arrays(PATH, arrays)
+    assert raw.names == (*names, *(("data 1", "data 2") if added else ()))
+    if added:
+        assert raw.numbers(3).tolist() == [1, 3, 5, 7, 9]
 
 
 def test_files_of_matlab_7_3(tmp_path):

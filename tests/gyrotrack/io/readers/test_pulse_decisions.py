@@ -9,7 +9,7 @@ import pytest
 
 from gyrotrack import DatasetError, UsageError
 from gyrotrack.io.readers import _pulses as module
-from gyrotrack.io.readers._motion_table import ReadOptions
+from gyrotrack.io.readers._motion_table import ReadOptions, read_names
 from gyrotrack.io.readers._pulses import (
     clock_scale,
     counters_of,
@@ -27,6 +27,7 @@ from gyrotrack.io.readers._pulses import (
     varies_both_ways,
 )
 from gyrotrack.io.readers._raw_table import RawTable
+from gyrotrack.io.readers._registry import _from_table
 
 TURN = 2 * math.pi
 PATH = Path("pulses.csv")
@@ -807,7 +808,17 @@ class TestSampledCounts:
 class TestClock:
     @pytest.mark.parametrize(
         ("step", "scale"),
-        [(1, 1.0), (10, 1.0), (11, 1e-3), (999, 1e-3), (1000, 1e-6), (4_900_000, 1e-6), (5_100_000, None)],
+        [
+            (1, 1.0),
+            (10, 1.0),
+            (11, 1e-3),
+            (399, 1e-3),
+            (400, None),
+            (999, None),
+            (1000, 1e-6),
+            (4_900_000, 1e-6),
+            (5_100_000, None),
+        ],
     )
     def test_whole_numbers_are_ticks_by_the_size_of_their_steps(self, step, scale):
         ticks = step * np.arange(20.0)
@@ -996,6 +1007,28 @@ class TestEncoders:
         assert sampled_counts(raw, {"t": 0}) == column
         assert sampled_counts(raw, {"t": 0, "revolutions": 1}) == column
         assert sampled_counts(raw, {"t": 0, "angle": 1}) is None
+
+    @pytest.mark.parametrize(
+        ("values", "unit", "counts"),
+        [
+            (7.0, "", True),
+            (7.0, "counts", True),
+            (7.0, "deg", False),
+            (7.5, "", False),
+        ],
+    )
+    def test_whole_numbers_that_the_user_names_as_the_angle_are_counts(self, values, unit, counts):
+        """Each row must not be taken for a pulse, which would ignore the column that the user names."""
+        raw = table(0.01 * np.arange(50) ** 1.1, np.cumsum(np.full(50, values)))
+        named = read_names(["t=1", f"angle=2 [{unit}]" if unit else "angle=2"])
+        options = ReadOptions(pulses_per_turn=100.0, names=named)
+        if counts:
+            assert np.ptp(_from_table(raw, options).value) == pytest.approx(
+                TURN * 49 * values / 100, rel=1e-6
+            )
+        else:
+            with pytest.raises(UsageError, match="each row would be a pulse"):
+                _from_table(raw, options)
 
     @pytest.mark.parametrize(("share", "column"), [(0.05, None), (0.15, 1)])
     def test_rare_double_steps_are_those_of_events(self, share, column):

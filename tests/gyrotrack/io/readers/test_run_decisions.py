@@ -257,7 +257,7 @@ def test_an_irregular_amplitude_precedes_the_free_motion(share, cut):
     assert bool(start_of_oscillation(time, value)) is cut
 
 
-@pytest.mark.parametrize(("hold", "cut"), [(1.0, False), (4.0, True)])
+@pytest.mark.parametrize(("hold", "cut"), [(0.05, False), (0.5, True), (1.0, True), (4.0, True)])
 def test_a_body_that_is_held_at_the_start(hold, cut):
     time = 0.01 * np.arange(6000)
     moved = np.maximum(time - hold, 0.0)
@@ -268,12 +268,28 @@ def test_a_body_that_is_held_at_the_start(hold, cut):
         assert time[found] == pytest.approx(hold + 0.375 + 1.5, abs=0.05)
 
 
-def test_twelve_crossings_are_needed():
-    time, value = pendulum(1700)
+@pytest.mark.parametrize(("hold", "cut"), [(0.0, False), (0.3, True), (0.7, True)])
+def test_a_hold_at_the_start_exceeds_the_noise(hold, cut):
+    noise = 0.02  # below the hysteresis of the zero crossings, 2 % of the range
+    time = 0.01 * np.arange(2000)
+    moved = np.maximum(time - hold, 0.0)
+    value = -np.exp(-0.02 * moved) * np.cos(2 * np.pi * moved / 1.5)
+    value += noise * np.random.default_rng(1).normal(size=len(time))
+    assert bool(start_of_oscillation(time, value)) is cut
+
+
+@pytest.mark.parametrize(("periods", "cut"), [(4, False), (6, True), (11, True)])
+def test_five_crossings_show_a_hold(periods, cut):
+    _, value = pendulum(150 * periods)
     held = np.concatenate([np.full(400, -0.3), value])
-    longer = 0.01 * np.arange(len(held))
-    assert start_of_oscillation(longer[: 400 + 1500], held[: 400 + 1500]) == 0
-    assert len(time) == 1700
+    assert bool(start_of_oscillation(0.01 * np.arange(len(held)), held)) is cut
+
+
+def test_twelve_crossings_show_an_irregular_amplitude():
+    time, value = pendulum()
+    value = np.where(time < 3.07, value * 1.15, value)
+    assert start_of_oscillation(time[:1750], value[:1750]) == 0
+    assert start_of_oscillation(time, value) > 0
 
 
 @pytest.mark.parametrize("share", [1.0, 3.0])
