@@ -31,7 +31,7 @@ def test_a_body_that_turns_back_does_not_spin_down(back, kind):
 
 
 @pytest.mark.parametrize("count", [12, 38])
-def test_a_short_film_of_a_swing_to_and_fro_is_a_reversing_motion(count):
+def test_a_reversal_is_seen_in_few_samples(count):
     """Few samples have few windows, but two windows show a reversal."""
     time = np.linspace(0.0, 2.6, count)
     noise = np.random.default_rng(0).normal(0.0, 3e-3, count)
