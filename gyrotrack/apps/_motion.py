@@ -135,7 +135,7 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         return BodyMotion(
             "fluctuating", turns, omega, _mean_speed(time, angle, sigma), alpha, omega_u=omega_u
         )
-    windows = _speeds(time, angle, sigma)
+    windows = _speeds(time, angle, sigma, fewest=2)  # two windows show a reversal
     reversing = windows is not None and (
         _turns_back(*windows[1:]) or _turns_back_by_a_turn(angle, *windows[1:])
     )
@@ -725,11 +725,16 @@ def _continued(time: Floats, angle: Floats, known: int) -> int:
     return int(away[0]) if len(away) else len(time) - known
 
 
-def _speeds(time: Floats, angle: Floats, sigma: Floats) -> tuple[npt.NDArray[np.int64], Floats, float] | None:
-    """Return first samples of windows, speeds in them [rad/s], and the error of a speed; None for few samples."""
+def _speeds(
+    time: Floats, angle: Floats, sigma: Floats, fewest: int = 8
+) -> tuple[npt.NDArray[np.int64], Floats, float] | None:
+    """Return first samples of windows, speeds in them [rad/s], and the error of a speed.
+
+    The result is None for less than `fewest` windows of at least five samples.
+    """
     width = max(5, len(time) // 50)
     edges = np.arange(0, len(time) - width + 1, width)
-    if len(edges) < 8:
+    if len(edges) < fewest:
         return None
     speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
     duration = float(np.median(np.diff(time))) * width

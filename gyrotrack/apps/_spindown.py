@@ -34,6 +34,7 @@ from gyrotrack.io._hdf5 import read_case, read_recording, write_case
 from gyrotrack.io._records import (
     BodyTrack,
     Case,
+    ErrorMode,
     Inertia,
     Input,
     Placement,
@@ -152,6 +153,8 @@ def read_source(source: Path, options: SpindownOptions, progress: Progress | Non
     if filmed:
         recording, body = _film(source, options, progress)
         case = _recording_case(recording, moment.value, options.body)
+        if body is not None and isinstance(body[1], Tracked):
+            case = replace(case, casing=replace(case.casing, modes=_tilt_mode(body[1])))
     elif source.suffix.lower() in (".h5", ".hdf5") and (found := _recording_in(source)) is not None:
         case = _recording_case(found, moment.value, options.body)
     else:
@@ -945,6 +948,30 @@ def _check_period(laws: OscillatorLaws | None, fit: Fit) -> None:
 
 # smallest number of turns in which harmonics of the angle are distinguishable from the motion
 _TURNS_WITH_HARMONICS = 2.0
+
+
+_STRETCH_U = 0.03
+"""Largest standard uncertainty of the stretch s of a fitted ellipse [1]. Derived: (1 - cos phi) / (1 + cos phi) for 20
+degrees, the smallest tilt that a result states."""
+
+
+def _tilt_mode(tracked: Tracked) -> tuple[ErrorMode, ...]:
+    """Return the error of the angles due to the tilt of a textured body that turns by half a turn to a few turns.
+
+    A circle that is seen as an ellipse with the axis ratio (1 - s) / (1 + s) changes the angles by s times a second
+    harmonic. A small fitted s is not distinguishable from noise, so that its error is as large as s. In such a short
+    motion this error resembles the effect of a law, for example of gravity at a large amplitude. In more turns, fits
+    include the harmonics of the angle. In less than half a turn the error is nearly a multiple of the angle, which a
+    fit cannot separate from the motion.
+    """
+    u = min(math.hypot(*tracked.ring.stretch), _STRETCH_U)
+    if u == 0.0 or not 0.5 <= np.ptp(tracked.angle) / TURN < _TURNS_WITH_HARMONICS:
+        return ()
+    basis = np.stack([np.cos(2.0 * tracked.angle), np.sin(2.0 * tracked.angle)], axis=1)
+    # a constant error is part of the unknown zero of the angle
+    basis -= basis.mean(axis=0)
+    text = "error of the angle due to the tilt of the axis"
+    return (ErrorMode("tilt", basis, u**2 * np.eye(2), origin="tilt", long_name=text),)
 
 
 def _with_view_errors(

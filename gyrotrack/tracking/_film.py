@@ -364,6 +364,9 @@ frames are new, a higher one is an outlier."""
 _REPEATED = 0.1
 """Largest change of a repeated frame, relative to the typical change [1]. Chosen: a smaller value keeps repeats that
 were encoded again, a larger one drops frames of slow motion."""
+_FEWEST_RUNS = 8
+"""Smallest number of runs of identical frames that show a raised frame rate [1]. Chosen: a smaller number takes rests
+of a drawn body for repeats, a larger one leaves repeats in short films."""
 
 
 FEWEST_FRAMES = 10
@@ -375,7 +378,8 @@ def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
     """Return the numbers of the selected frames that do not repeat the previous frame.
 
     The change of a frame is compared with the changes of its neighbours and of the frames in its run, because all
-    changes are small where an oscillation reverses.
+    changes are small where an oscillation reverses. If a film repeats each frame many times, most frames have identical
+    neighbours only; these repeats are recognised by the equal lengths of the runs of identical frames.
     """
     change = film.changes
     fresh = np.ones(len(change), dtype=np.bool_)
@@ -386,4 +390,8 @@ def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
     for run in np.split(alike, np.flatnonzero(np.diff(alike) > 1) + 1) if len(alike) else ():
         around = [change[k] for k in (run[0] - 1, run[-1] + 1) if 0 < k < len(change)]
         fresh[run] = change[run].max() >= _REPEATED * max(around, default=0.0)
+    new = np.flatnonzero(change[1:] > 0.0)
+    lengths = np.diff(new)
+    if len(lengths) >= _FEWEST_RUNS and lengths.min() > 1 and np.ptp(lengths) <= 1:
+        fresh[1:] &= change[1:] > 0.0
     return np.flatnonzero(fresh & film.selected).astype(np.int64)

@@ -30,6 +30,16 @@ def test_a_body_that_turns_back_does_not_spin_down(back, kind):
     assert _motion(time, np.cumsum(speed) * (time[1] - time[0])).kind == kind
 
 
+@pytest.mark.parametrize("count", [12, 38])
+def test_a_reversal_is_seen_in_few_samples(count):
+    """Few samples have few windows, but two windows show a reversal."""
+    time = np.linspace(0.0, 2.6, count)
+    noise = np.random.default_rng(0).normal(0.0, 3e-3, count)
+    swing, slowing = 0.46 * np.sin(np.pi * time / 2.6), 0.3 * time - 0.05 * time**2
+    kinds = [motion_of(time, angle + noise, np.full(count, 3e-3)).kind for angle in (swing, slowing)]
+    assert kinds == ["reversing", "spin-down"]
+
+
 @pytest.mark.parametrize(("speed", "reversing"), [(-1.5, True), (-0.5, False), (0.0, False)])
 def test_a_body_that_turns_back_by_more_than_a_turn_is_not_steady(speed, reversing):
     """A motor at 13.8 rad/s, at rest, and slowly backwards; 0.5 rad/s is less than 5 % of the largest speed."""

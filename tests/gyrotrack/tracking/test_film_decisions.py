@@ -159,6 +159,28 @@ def test_a_repeated_frame_changes_by_a_tenth_of_its_neighbours(changes, repeats)
     assert not {2, 3} & set(fresh_frames(film).tolist())
 
 
+@pytest.mark.parametrize(
+    ("lengths", "repeated"),
+    [
+        ([25] * 10, True),
+        ([12, 13] * 5, True),
+        ([25] * 8, False),
+        ([12, 14] * 5, False),
+        ([1, 2] * 10, False),
+        ([1] * 30 + [25], False),
+    ],
+)
+def test_frames_that_are_repeated_many_times_are_omitted(lengths, repeated):
+    """A body that is drawn at rest once is not a repeat; neither is a body that pauses irregularly."""
+    change = np.zeros(sum(lengths) + 20)
+    new = np.cumsum(lengths)
+    change[new] = 5.0
+    film = object.__new__(Film)
+    film.changes, film.selected = change, np.ones(len(change), dtype=bool)
+    found = set(fresh_frames(film).tolist())
+    assert (found == {0, *new.tolist()}) == repeated
+
+
 class Colours:
     def __init__(self, frames):
         self.frames = frames
