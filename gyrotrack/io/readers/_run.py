@@ -41,8 +41,8 @@ _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregu
 # smallest number of zero crossings for the detection of a body that is held at the start
 _FEWEST_CROSSINGS = 5
 # smallest deviation of the start of a record from the next period if the body is held there: a multiple of the same
-# deviation of later periods, and a share of the peak-to-peak amplitude, which a hold of a ninth of a period at a turning
-# point causes
+# deviation of later periods, and a share of the peak-to-peak amplitude. A hold of a ninth of a period at a turning
+# point causes this share.
 _HELD_RATIO, _HELD_SHARE = 3.0, 0.03
 # largest range of the means at rest: the larger of `_STILL_SIGMA` standard errors and `_STILL_SHARE` of the range of
 # the record; 200 normal deviates have a range of 5.5
