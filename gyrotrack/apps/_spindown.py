@@ -798,7 +798,10 @@ def _analysed(
                 laws, base = fit_oscillator(laws, study.model, study.data[0])
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
-            _check_period(laws, base)
+            if laws is not None and (lost := laws.wrong_period(base)):
+                # amplitude and phase then show the approximate laws only
+                document["ambiguous"] = True
+                raise FittingError(lost)
             recorder = study.recorder(parent, base)
             reversals = len(base.problem.data[0].motion.reversals)
             long = DEFAULT.refits_through(reversals) == 1
@@ -935,15 +938,6 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         raise FittingError(
             "the motion is an oscillation, and no exact fit with a restoring torque of the library succeeded."
         )
-
-
-def _check_period(laws: OscillatorLaws | None, fit: Fit) -> None:
-    """Raise an error for an exact fit that contradicts the period of an oscillation."""
-    from fitting._errors import FittingError
-
-    lost = "" if laws is None else laws.wrong_period(fit)
-    if lost:
-        raise FittingError(lost)
 
 
 # smallest number of turns in which harmonics of the angle are distinguishable from the motion

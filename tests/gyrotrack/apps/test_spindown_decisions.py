@@ -949,10 +949,12 @@ def test_an_oscillation_is_fitted_with_its_laws(analysis):
     for verdict, name in (("undecided", "base"), ("unexplained", "base"), ("missing_effect", "last")):
         document, *_ = analysis(kind, laws=oscillator(), verdict=verdict)
         assert (document["oscillator"], document["laws"]) == (name, (name,))
+        assert not document["ambiguous"]
     document, names, _ = analysis(kind, laws=oscillator(wrong_period="it gives k = 1059"))
     assert "improve" not in names
     assert (list(document["laws"]), document["ladder"], document["diagnosis"]) == ([], [], None)
     assert "it gives k = 1059" in document["warnings"][-1]
+    assert document["ambiguous"]
     many = 4000
     document, names, calls = analysis(kind, laws=oscillator(), reversals=many)
     assert calls["rank"][1] == {"refitting": False}
