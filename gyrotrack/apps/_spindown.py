@@ -798,10 +798,9 @@ def _analysed(
                 laws, base = fit_oscillator(laws, study.model, study.data[0])
             parent = study.ledger.add(base).fit_id
             _check_law(motion, base)
-            if laws is not None and (lost := laws.wrong_period(base)):
-                # amplitude and phase then show the approximate laws only
-                document["ambiguous"] = True
-                raise FittingError(lost)
+            lost = "" if laws is None else laws.wrong_period(base)
+            document["ambiguous"] = ambiguous or bool(lost)
+            _refuse(lost)
             recorder = study.recorder(parent, base)
             reversals = len(base.problem.data[0].motion.reversals)
             long = DEFAULT.refits_through(reversals) == 1
@@ -938,6 +937,14 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
         raise FittingError(
             "the motion is an oscillation, and no exact fit with a restoring torque of the library succeeded."
         )
+
+
+def _refuse(reason: str) -> None:
+    """Raise an error if there is a reason why a fit does not describe the motion."""
+    from fitting._errors import FittingError
+
+    if reason:
+        raise FittingError(reason)
 
 
 # smallest number of turns in which harmonics of the angle are distinguishable from the motion
