@@ -444,6 +444,7 @@ def _diagnosis(
         verdict, size = "unexplained" if unexplained else "undecided", Grade(None, None, None)
     if verdict == "missing_effect":
         selection, size = _with_unknown_laws(fit, selection, as_given, size, criteria)
+        selection = _with_values_of_final(selection)
     nuisance = nuisance_parameters(selection.final)
     torques, ripples = [] if fit.lacks_restoring_torque else curves.result(), harmonics.result()
     hidden = (
@@ -563,7 +564,7 @@ def _are_two_effects(found: _Graded, bic: float, criteria: Criteria) -> bool:
     """Return whether two effects describe the data completely, and clearly better than one law with this BIC."""
     selection = found.selection
     complete = not found.misfit and found.doubt is None and not found.size.unknown
-    more = set(selection.final.model.names) > set(selection.named.model.names)
+    more = _has_more_effects(selection)
     return complete and more and selection.final.bic < bic - _needed(selection, criteria)
 
 
@@ -714,8 +715,7 @@ def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significa
     if significant or (size.explained is not None and size.explained < 1 - criteria.explained):
         return "unexplained"
     # a second effect of the library completes the answer; a law with another shape is not in the library
-    completed = set(selection.final.model.names) > set(selection.named.model.names)
-    return "missing_effect" if completed else "unexplained"
+    return "missing_effect" if _has_more_effects(selection) else "unexplained"
 
 
 def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
@@ -726,6 +726,27 @@ def _with_rivals(selection: Selection, rivals: tuple[str, ...]) -> Selection:
     chosen = replace(selection.chosen, indistinguishable_from=tuple(others))
     ranked = [chosen if c is selection.chosen else c for c in selection.candidates]
     return selection._replace(candidates=ranked, chosen=chosen)
+
+
+def _has_more_effects(selection: Selection) -> bool:
+    """Return whether the final fit contains the chosen effect and further effects."""
+    return set(selection.final.model.names) > set(selection.named.model.names)
+
+
+def _with_values_of_final(selection: Selection) -> Selection:
+    """Return the selection with the parameters of the chosen effect from the final fit if it contains further effects.
+
+    The fit with the chosen effect alone is biased by the effects that it lacks.
+    """
+    chosen, final = selection.chosen, selection.final
+    if chosen is None or not _has_more_effects(selection):
+        return selection
+    own = {k: e for k, e in final.estimates.items() if k.startswith(f"{chosen.effect.name}.")}
+    if not own:
+        return selection
+    complete = replace(chosen, estimates=own)
+    ranked = [complete if c is chosen else c for c in selection.candidates]
+    return selection._replace(candidates=ranked, chosen=complete)
 
 
 def _class_of(selection: Selection) -> list[Candidate]:
@@ -863,13 +884,12 @@ def _missing(selection: Selection, size: Grade, criteria: Criteria) -> list[str]
         return _start_errors(chosen, names[1:])
     what = "Missing" if chosen.physical else "Fault of the measurement"
     close = "a law close to " if size.form == "approximate" else ""
+    strength = _strength(chosen, selection.final if _has_more_effects(selection) else chosen.fit)
     if names[1:] and all(map(is_unknown, chosen.indistinguishable_from)):
         others = ", or ".join(names[1:])
-        parts = [
-            f"{what}: {close}{names[0]}{_strength(chosen)}, or {others}; these data cannot separate them."
-        ]
+        parts = [f"{what}: {close}{names[0]}{strength}, or {others}; these data cannot separate them."]
     elif len(names) == 1:
-        parts = [f"{what}: {close}{names[0]}{_strength(chosen)}."]
+        parts = [f"{what}: {close}{names[0]}{strength}."]
     else:
         one = f"{close}one of these effects, which these data cannot separate"
         parts = [f"{what}: {one}: {'; '.join(names)}."]
@@ -957,12 +977,13 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
     ]
 
 
-def _strength(c: Candidate) -> str:
+def _strength(c: Candidate, fit: Fit | None) -> str:
+    """Return the strength of a candidate with its combined uncertainty in the fit that determines it."""
     if c.effect.amplitude is None:
         return ""
     symbol = c.effect.amplitude.symbol
     found = {k: e for k, e in c.estimates.items() if k.partition("@")[0].endswith(f".{symbol}")}
-    total = combined_uncertainties(c.fit) if c.fit is not None and found else {}
+    total = combined_uncertainties(fit) if fit is not None and found else {}
     stated = [_with_both(e, total.get(k, e.stderr)) for k, e in found.items()]
     return f", {symbol} = {', '.join(stated)}" if stated else ""
 

@@ -400,6 +400,27 @@ class TestVerdict(Answer):
             ("missing_effect", True) if named_two else ("undecided", False)
         )
 
+    @pytest.mark.parametrize("complete", [True, False])
+    def test_the_strength_beside_a_second_effect_is_that_of_both_together(self, complete, monkeypatch):
+        """The fit with one effect alone is biased; without a second effect, the candidate has its own values."""
+        alone, beside = estimate(2e-9, 1e-10), estimate(5e-9, 3e-10)
+        end = Found(
+            model=named(DRAG, LAMINAR) if complete else named(DRAG),
+            estimates={f"{DRAG}.k": beside, f"{LAMINAR}.k": estimate(1e-9)},
+        )
+        first = candidate(estimates={f"{DRAG}.k": alone})
+        chosen = selection(first, named=Found(model=named(DRAG)), final=end, others=[candidate(LAMINAR)])
+        monkeypatch.setattr(
+            module, "combined_uncertainties", lambda fit: {f"{DRAG}.k": 4e-10 if fit is end else 2e-10}
+        )
+        found = self.answer(select=chosen, grade=Grade("exact", 1.0, None))
+        assert found.candidates[0].estimates == {f"{DRAG}.k": beside if complete else alone}
+        stated = "(5.0 +- 0.4) x 10^-9" if complete else "(2.00 +- 0.20) x 10^-9"
+        assert stated in found.sentence
+        # no values are known
+        chosen = selection(first, named=Found(model=named(DRAG)), final=Found(model=named(DRAG, LAMINAR)))
+        assert self.answer(select=chosen).candidates[0].estimates == {f"{DRAG}.k": alone}
+
     def test_without_an_effect_no_second_one_is_sought(self, monkeypatch):
         asked = []
         monkeypatch.setattr(module, "select", lambda *_, follow_up: asked.append(follow_up) or selection())
@@ -959,7 +980,8 @@ class TestWords:
     )
     def test_a_strength_has_its_combined_uncertainty(self, monkeypatch, total, text):
         monkeypatch.setattr(module, "combined_uncertainties", lambda fit: {f"{DRAG}.k": total})
-        found = module._strength(candidate(estimates={f"{DRAG}.k": estimate(), f"{DRAG}.n": estimate()}))
+        c = candidate(estimates={f"{DRAG}.k": estimate(), f"{DRAG}.n": estimate()})
+        found = module._strength(c, c.fit)
         assert found.startswith(", k = ")
         assert ("statistical" in found) is (total > 1.05e-9)
         assert found.count("+-") == 1
