@@ -550,9 +550,11 @@ class TestGrade:
 
     def test_noise_of_the_fit_that_the_recording_does_not_show_is_stated(self):
         most = (SimpleNamespace(level=5e-6, pure=4e-6), SimpleNamespace(level=3e-6, pure=1e-6))
+        model = SimpleNamespace(names=("casing.air.quadratic",))
         selection = SimpleNamespace(
             chosen=ranked()[0],
-            final=SimpleNamespace(noise=most, torque_unit="N m", name=lambda e: e.name),
+            named=SimpleNamespace(model=model),
+            final=SimpleNamespace(noise=most, torque_unit="N m", name=lambda e: e.name, model=model),
             candidates=ranked(),
         )
         (_, text) = verdict._missing(selection, Grade(None, 1.0, None, noisy=True), DEFAULT)

@@ -111,7 +111,7 @@ def test_numbers_of_tracking(gyrotrack, here):
     said = gyrotrack("config", "--tracking")
     assert said.code == 0
     assert "gyrotrack.tracking._film_tracker\n" in said.out
-    assert "  BATCH = 512 [frames]\n    Frames that are measured together\n    chosen: " in said.out
+    assert "  BATCH = 512 [frames]\n    Number of frames that are measured together\n    chosen: " in said.out
     rows = gyrotrack("config", "--tracking", "--json").json["tracking"]
     batch = next(r for r in rows if r["name"] == "BATCH")
     assert (batch["module"], batch["value"], batch["unit"]) == (
@@ -130,7 +130,7 @@ def test_numbers_of_fitting(gyrotrack, here):
     said = gyrotrack("config", "--fitting")
     assert said.code == 0
     assert "fitting.inference._metrics\n" in said.out
-    assert "  FOLDS = 6 [1]\n    Folds of the cross-validation\n    chosen: " in said.out
+    assert "  FOLDS = 6 [1]\n    Number of folds of the cross-validation\n    chosen: " in said.out
     both = gyrotrack("config", "--fitting", "--tracking", "--json").json
     rows = {r["name"]: r for r in both["fitting"]}
     assert (rows["Criteria.start_u"]["value"], rows["Criteria.start_u"]["unit"]) == (0.003, "s")
