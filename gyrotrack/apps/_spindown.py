@@ -951,6 +951,8 @@ def _refuse(reason: str) -> None:
 _TURNS_WITH_HARMONICS = 2.0
 
 
+# smallest number of turns in which the error due to a tilt differs from a multiple of the angle
+_FEWEST_TURNS_OF_TILT = 0.5
 _STRETCH_U = 0.03
 """Largest standard uncertainty of the stretch s of a fitted ellipse [1]. Derived: (1 - cos phi) / (1 + cos phi) for 20
 degrees, the smallest tilt that a result states."""
@@ -966,7 +968,7 @@ def _tilt_mode(tracked: Tracked) -> tuple[ErrorMode, ...]:
     fit cannot separate from the motion.
     """
     u = min(math.hypot(*tracked.ring.stretch), _STRETCH_U)
-    if u == 0.0 or not 0.5 <= np.ptp(tracked.angle) / TURN < _TURNS_WITH_HARMONICS:
+    if u == 0.0 or not _FEWEST_TURNS_OF_TILT <= np.ptp(tracked.angle) / TURN < _TURNS_WITH_HARMONICS:
         return ()
     basis = np.stack([np.cos(2.0 * tracked.angle), np.sin(2.0 * tracked.angle)], axis=1)
     # a constant error is part of the unknown zero of the angle

@@ -489,3 +489,14 @@ def test_an_error_that_scales_all_angles_scales_amplitude_and_speeds():
     assert widened.amplitude.value == motion.amplitude.value
     assert widened.amplitude.stderr == pytest.approx(0.05 * 0.3, rel=0.1)
     assert widened.period.stderr == pytest.approx(motion.period.stderr, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("back", "slowest", "reverses"), [(1.1, -4.0, True), (0.9, -4.0, False), (1.1, -0.5, False)]
+)
+def test_a_slow_return_counts_if_it_is_more_than_a_turn(back, slowest, reverses):
+    """A twentieth of the largest speed, 20 rad/s, is 1 rad/s; the return begins after five turns."""
+    turns = np.concatenate([np.linspace(0.0, 5.0, 50), np.linspace(5.0, 5.0 - back, 20)])
+    for sense in (1.0, -1.0):
+        speed = sense * np.array([20.0, 10.0, slowest])
+        assert _motion._turns_back_by_a_turn(sense * 2 * np.pi * turns, speed, 0.01) is reverses

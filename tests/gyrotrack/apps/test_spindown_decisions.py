@@ -1071,3 +1071,12 @@ def test_a_body_is_tracked_about_a_hub_or_free(monkeypatch):
         (101.0, 102.0),
         "seen",
     )
+
+
+@pytest.mark.parametrize(("stretch", "u"), [(0.01, 0.01), (0.05, 0.03)])
+def test_the_error_due_to_a_tilt_is_the_fitted_stretch_up_to_three_per_cent(stretch, u):
+    tracked = SimpleNamespace(
+        ring=SimpleNamespace(stretch=(0.6 * stretch, -0.8 * stretch)), angle=np.linspace(0.0, 6.0, 50)
+    )
+    (mode,) = _spindown._tilt_mode(tracked)
+    assert mode.covariance == pytest.approx(u**2 * np.eye(2))

@@ -199,7 +199,9 @@ def test_a_disturbance_raises_a_low_speed_by_a_quarter(factor, low, disturbed):
         assert 145 <= block <= 151
 
 
-@pytest.mark.parametrize(("rises", "free", "cut"), [(5, 2.0, False), (2, 2.0, True), (5, 12.0, True)])
+@pytest.mark.parametrize(
+    ("rises", "free", "cut"), [(5, 2.0, False), (4, 2.0, False), (2, 2.0, True), (5, 12.0, True)]
+)
 def test_a_motor_whose_speed_varies_has_no_free_motion(rises, free, cut):
     """Rises to 60 % of the last one, each with a fall to a fifth of it, and a last fall that looks like coasting."""
     cycle = np.concatenate([np.linspace(4.0, 12.0, 120), np.linspace(12.0, 4.0, 80)])
