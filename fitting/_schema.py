@@ -352,6 +352,7 @@ class NuisanceDocument(Document):
     stderr: Number  #: Standard error of the amplitude [`unit`].
     unit: str  #: Unit of the amplitude.
     p_value: Number  #: Probability that noise alone causes an equal or larger amplitude [1].
+    film: bool = True  #: Whether the angles were tracked on film.
 
 
 class UpperLimitDocument(Document):

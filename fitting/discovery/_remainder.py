@@ -44,6 +44,7 @@ from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
 from fitting.effects._effect import TORQUES, Effect, Parameter, at_site, bodies_of
 from fitting.effects._expression import Tape, symbols
 from fitting.effects._mechanism import GYROSCOPE, MAIN, Mechanism
+from fitting.effects._words import effect_name
 from fitting.inference._averaging import LARGEST_PHASE_ERROR
 from fitting.inference._case_data import CAMERA_COLUMNS, largest_speed
 from fitting.inference._fit import fit
@@ -75,6 +76,14 @@ class Remainder:
     effects: tuple[str, ...] = ()  # further effects that describe it
 
 
+_ANGLE_ERRORS = {
+    "camera.centre": "once-per-turn error of the angle",
+    "camera.tilt": "twice-per-turn error of the angle",
+    "camera.shutter": "once-per-turn variation of the delay of the angle",
+}
+"""Names of the camera effects for angles from other sensors, such as encoders. Derived: the laws of these effects."""
+
+
 @dataclass(frozen=True)
 class Nuisance:
     """An always fitted camera effect of one case: its amplitude and standard uncertainty."""
@@ -85,6 +94,14 @@ class Nuisance:
     stderr: float
     unit: str
     p_value: float
+    film: bool = True
+    """Whether the angles were tracked on film."""
+
+    @property
+    def words(self) -> str:
+        """Name of the effect; without a film, the name of the equal error of any angle sensor."""
+        words = effect_name(self.effect).words
+        return words if self.film else _ANGLE_ERRORS.get(self.effect, words)
 
 
 class Torques:
@@ -546,7 +563,13 @@ def nuisance_parameters(fit: Fit) -> list[Nuisance]:
             unit = next(q.unit for q in LIBRARY[name].parameters if q.role == "amplitude")
             found.append(
                 Nuisance(
-                    name, data.record.label, amplitude / scale, stderr / scale, unit, math.exp(-0.5 * chi2)
+                    name,
+                    data.record.label,
+                    amplitude / scale,
+                    stderr / scale,
+                    unit,
+                    math.exp(-0.5 * chi2),
+                    film=data.record.tracked,
                 )
             )
     return found

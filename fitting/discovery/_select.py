@@ -57,7 +57,7 @@ from fitting.inference._noise import Noise
 from fitting.inference._oscillation import are_smooth
 from fitting.inference._params import Estimate
 from fitting.inference._result import Fit
-from fitting.inference._trace import Refit, attempt, recorded_map, recording, with_purpose
+from fitting.inference._trace import Refit, attempt, recorded_map, recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -1003,7 +1003,7 @@ def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
             and (len(added) >= criteria.crowded or not _is_essential(current, e, criteria))
         ]
         tried = ((e, _without(current, e)) for e in droppable)
-        dropped = next(((e, found) for e, found in tried if found.bic < current.bic), None)
+        dropped = next(((e, found) for e, found in tried if found and found.bic < current.bic), None)
         if dropped is None:
             return newest if current is newest.fit else Step(change, current, ())
         change, current = f"{change} -{dropped[0].name}", dropped[1]
@@ -1016,9 +1016,11 @@ def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
     return any(not np.isfinite(e.stderr) or abs(e.value) > criteria.essential_sigma * e.stderr for e in found)
 
 
-def _without(fitted: Fit, effect: Effect) -> Fit:
-    with with_purpose("without an effect that may be unnecessary"):
+def _without(fitted: Fit, effect: Effect) -> Fit | None:
+    """Return the fit without an effect; None if the motion cannot be computed without it, such as that of a drive."""
+    with attempt("without an effect that may be unnecessary"):
         return fit(fitted.model.without(effect.name), fitted, start=fitted.values, noise=fitted.noise)
+    return None
 
 
 _EXCHANGES = 3

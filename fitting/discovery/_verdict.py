@@ -80,7 +80,6 @@ from fitting.discovery._select import (
 )
 from fitting.effects._effect import Effect
 from fitting.effects._library import SLIP, START
-from fitting.effects._words import effect_name
 from fitting.inference._angle_harmonics import AngleHarmonics, angle_harmonics
 from fitting.inference._budget import combined_uncertainties
 from fitting.inference._fit import measured_with
@@ -970,8 +969,7 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [
-        f"{_capital(effect_name(n.effect).words)} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} "
-        "(nuisance parameter, fitted)."
+        f"{_capital(n.words)} {n.value * _PER_MILLI[n.unit]:.2g} m{n.unit} (nuisance parameter, fitted)."
         for n in found
         if len(found) * n.p_value < criteria.significance
     ]

@@ -309,7 +309,7 @@ def diagnosis_document(d: Diagnosis, fit_id: str) -> DiagnosisDocument:
         failures=[FailureDocument.model_validate(f).model_dump() for f in d.failures],
         candidates=[CandidateDocument.model_validate(_candidate(c, d)).model_dump() for c in d.candidates],
         remainder=asdict(d.remainder) if d.remainder is not None else None,
-        nuisance=[asdict(n) | _in_words(d.fit, n.effect) for n in d.nuisance],
+        nuisance=[asdict(n) | _in_words(d.fit, n.effect) | {"words": n.words} for n in d.nuisance],
         upper_limits=[asdict(u) | {"words": d.fit.name(u.effect).words} for u in d.upper_limits],
         without_limit=list(d.without_limit),
         differs=shown_difference(d.differs),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -542,16 +543,37 @@ class FitRequest:
 def changed(
     model: Model, add: Sequence[str], drop: Sequence[str], own: Sequence[Effect], inputs: Sequence[Input] = ()
 ) -> Model:
-    """Return a model with effects added (by name or as `body: law`, which may contain `inputs`) and removed."""
+    """Return a model with effects added (by name or as `body: law`, which may contain `inputs`) and removed.
+
+    Raises
+    ------
+    UsageError
+        A law to be added is in the model under another name; the data could not separate the two strengths.
+    """
     from fitting.effects._user import resolve
 
     known = {e.name: e for e in own}
     for name in add:
         effect = known.get(name) or resolve(name, inputs, model.mechanism)
-        model = model if effect.name in model.names else model.with_effect(effect)
+        if effect.name in model.names:
+            continue
+        for e in model.effects:
+            if e.name not in drop and e.site == effect.site and _form(e) == _form(effect):
+                raise UsageError(
+                    f"The law {name!r} is already in the model as {e.name!r}.",
+                    f"Add another law, or replace this one: --drop {e.name!r}.",
+                )
+        model = model.with_effect(effect)
     for name in drop:
         model = model.without(name)
     return model
+
+
+def _form(effect: Effect) -> list[str]:
+    """Return the symbols of a law, its parameters by number; a leading sign belongs to the strength."""
+    symbols = re.findall(r"\w+|\S", effect.law.strip().removeprefix("-"))
+    own = [s for s in dict.fromkeys(symbols) if s in {p.symbol for p in effect.parameters}]
+    return [f"parameter {own.index(s)}" if s in own else s for s in symbols]
 
 
 def _starts(previous: Fit, wanted: Model) -> dict[str, float]:

@@ -97,7 +97,7 @@ def test_no_effect_is_found_in_data_of_the_model(ou, centre):
     assert found.failures == ()
     assert not any(c.significant and c.physical for c in found.candidates)
     assert "adequate" in found.sentence
-    assert ("Camera centre offset" in found.sentence) == (centre > 0)
+    assert ("Once-per-turn error of the angle" in found.sentence) == (centre > 0)
 
 
 @pytest.mark.slow

@@ -179,7 +179,7 @@ def test_camera_effects_are_nuisance_parameters_and_no_candidates():
     assert centre.stderr < 1e-4
     tilt = values["camera.tilt"]
     assert tilt.value < 5 * tilt.stderr
-    assert found.sentence.endswith("Camera centre offset 2 mrad (nuisance parameter, fitted).")
+    assert found.sentence.endswith("Once-per-turn error of the angle 2 mrad (nuisance parameter, fitted).")
 
 
 @pytest.mark.slow

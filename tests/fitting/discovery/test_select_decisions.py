@@ -1329,6 +1329,8 @@ class TestBackward:
 
     def dropped(self, monkeypatch, names, without, *, sigma=9.0, newest=DRAG.name):
         def fit(model, base, *, start, noise):
+            if model.names not in without:
+                raise SimulationError("the motion diverges")
             return Found(without[model.names], model=model, estimates=strengths(model.names))
 
         def strengths(names):
@@ -1353,6 +1355,14 @@ class TestBackward:
         names = (self.FIRST, STEP.name, DRAG.name)
         found = self.dropped(monkeypatch, names, {(self.FIRST, DRAG.name): bic}, sigma=sigma)
         assert (found.change, found.fit.bic, found.candidates) == (f"+{DRAG.name}", 50.0, ("kept",))
+
+    def test_an_effect_without_which_the_motion_cannot_be_computed_stays(self, monkeypatch):
+        """In a crowd the drive of a body is tried as well."""
+        names = (self.FIRST, STEP.name, "touchpoint.drift", DRAG.name)
+        found = self.dropped(monkeypatch, names, {(self.FIRST, STEP.name, DRAG.name): 45.0})
+        assert found.change == f"+{DRAG.name} -touchpoint.drift"
+        found = self.dropped(monkeypatch, names, {})
+        assert (found.change, found.fit.bic) == (f"+{DRAG.name}", 50.0)
 
     @pytest.mark.parametrize(
         ("errors", "essential"),

@@ -1030,6 +1030,19 @@ class TestWords:
         found = [Nuisance("camera.centre", "run", 2e-3, 1e-5, unit, 1e-9)]
         assert words in module._nuisance(None, found, DEFAULT)[0]
 
+    @pytest.mark.parametrize(
+        ("effect", "film", "words"),
+        [
+            ("camera.centre", True, "Camera centre offset 2 mrad"),
+            ("camera.centre", False, "Once-per-turn error of the angle 2 mrad"),
+            ("camera.tilt", False, "Twice-per-turn error of the angle 2 mrad"),
+            ("camera.shutter", False, "Once-per-turn variation of the delay of the angle 2 mrad"),
+        ],
+    )
+    def test_a_camera_is_stated_only_for_films(self, effect, film, words):
+        found = [Nuisance(effect, "run", 2e-3, 1e-5, "rad", 1e-9, film=film)]
+        assert module._nuisance(None, found, DEFAULT) == [f"{words} (nuisance parameter, fitted)."]
+
     def test_active_bounds_that_are_not_physical_are_stated(self):
         layout = SimpleNamespace(index={"a.g": 0, "a.k": 1}, is_physical_bound=lambda name: name == "a.k")
         both = {

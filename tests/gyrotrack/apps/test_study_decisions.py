@@ -216,6 +216,26 @@ def test_effects_are_added_once():
     assert set(_study.changed(more, (), ["bearing.drift"], ()).names) == set(model.names)
 
 
+@pytest.mark.parametrize(
+    ("law", "known"),
+    [
+        ("casing: -k*omega_c", "casing.air.linear"),
+        ("casing: q * omega_c", "casing.air.linear"),
+        ("casing: -k*omega_c**3", None),
+        ("rotor: -k*omega_r", None),
+    ],
+)
+def test_a_law_of_the_model_is_not_added_under_another_name(law, known):
+    model = Model.of(("touchpoint.constant", "casing.air.linear"))
+    if known is None:
+        assert len(_study.changed(model, [law], (), ()).effects) == 3
+        return
+    with pytest.raises(UsageError, match=f"already in the model as '{known}'") as refused:
+        _study.changed(model, [law], (), ())
+    assert f"--drop '{known}'" in refused.value.hint
+    assert _study.changed(model, [law], (known,), ()).names == ("touchpoint.constant", law)
+
+
 def test_choices_follow_the_modified_fit():
     wanted = SimpleNamespace(free=("bearing.linear.k", "casing.air.linear.k"))
     entry = StubEntry("f", choices=(("bearing.linear.k", "other.k"), ("casing.air.linear.k",)))
