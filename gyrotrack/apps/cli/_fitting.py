@@ -17,6 +17,7 @@ from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import (
     DONE,
     NOT_TRUSTED,
+    Output,
     bias_tables,
     diagnosis_tables,
     duration,
@@ -121,8 +122,21 @@ def fit_command(
         documents.append(fit_document(found, fit_id, intervals, bias, predicted))
         out.show(*fit_tables(found, fit_id, intervals), *bias_tables(found, bias))
         out.show(*prediction_tables(predicted or ()))
+        _note_unused_inputs(found, out)
     out.result(documents[0] if len(documents) == 1 else {"fits": documents})
     return NOT_TRUSTED if any(d["verdict"] == "not_converged" for d in documents) else DONE
+
+
+def _note_unused_inputs(found: Fit, out: Output) -> None:
+    """Print the option that adds each recorded input that no law of the model contains."""
+    used = {name for e in found.model.effects for name, _ in e.inputs}
+    recorded = {i.name for c in found.problem.data for i in c.record.inputs}
+    site = found.model.mechanism.main
+    for name in sorted(recorded - used):
+        out.note(
+            f"The model does not contain the recorded input {name}. If it is a drive, add it with "
+            f"--add {site}.input.{name}."
+        )
 
 
 def _predicted(found: Fit) -> Sequence[Predicted]:

@@ -748,8 +748,8 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
     if len(repeated) > _MOST_REPEATED * len(table.time):
         raise DatasetError(
             f"{table.path}: {len(repeated)} of {len(table.time)} rows repeat a time.",
-            "Check the column of the time (--column t=COLUMN), or give the times with more digits, or the rate of the rows "
-            "with --casing-fps N.",
+            "Check the column of the time (--column t=COLUMN), give the times with more digits, or give the rate of "
+            "the rows with --casing-fps N.",
         )
     if len(repeated):
         notes.append(

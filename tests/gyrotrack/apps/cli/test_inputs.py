@@ -127,6 +127,13 @@ def test_a_likely_input_is_proposed(gyrotrack, motor):
     assert "--input 'voltage=voltage [V]'" in err
 
 
+def test_a_fit_names_the_input_that_its_model_does_not_contain(gyrotrack, motor):
+    case, _ = imported(gyrotrack, motor)
+    missing = "If it is a drive, add it with --add casing.input.voltage."
+    assert missing in " ".join(run(gyrotrack, "fit", case)[2].split())
+    assert missing not in " ".join(run(gyrotrack, "fit", case, "--add", "casing.input.voltage")[2].split())
+
+
 @pytest.mark.slow
 def test_a_fit_prints_time_constant_and_gain(gyrotrack, motor):
     case, _ = imported(gyrotrack, motor)
