@@ -81,7 +81,8 @@ _ANGLE_ERRORS = {
     "camera.tilt": "twice-per-turn error of the angle",
     "camera.shutter": "once-per-turn variation of the delay of the angle",
 }
-"""Names of the camera effects if the angles are from another sensor, for example an encoder. Derived: the laws of these effects."""
+"""Names of the camera effects if the angles are from another sensor, for example an encoder. Derived: the laws of
+these effects."""
 
 
 @dataclass(frozen=True)

@@ -1017,7 +1017,7 @@ def _is_essential(fitted: Fit, effect: Effect, criteria: Criteria) -> bool:
 
 
 def _without(fitted: Fit, effect: Effect) -> Fit | None:
-    """Return the fit without an effect; None if the motion cannot be computed without it, for example without a drive."""
+    """Return the fit without an effect; None if the motion cannot be computed without it (a drive)."""
     with attempt("without an effect that may be unnecessary"):
         return fit(fitted.model.without(effect.name), fitted, start=fitted.values, noise=fitted.noise)
     return None
