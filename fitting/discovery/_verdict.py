@@ -42,6 +42,7 @@ from fitting._numbers import (
 )
 from fitting._workers import Task, WorkerPool, single_blas_thread
 from fitting.discovery._difference import DifferentParameter
+from fitting.discovery._drive import unrecorded_drive
 from fitting.discovery._lack_of_fit import (
     HarmonicTest,
     contradiction,
@@ -424,14 +425,18 @@ def _diagnosis(
         selection, doubt = (selection, doubt) if peak is None else (selection._replace(chosen=None), peak)
     verdict = _verdict(selection, size, criteria, significant=misfit or doubt is not None)
     complete = verdict == "missing_effect" and size.remainder is None
-    within_uncertainty = inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete else ""
+    # with process noise, the residuals of a driven motion may be consistent with noise although the drive is unknown
+    drive = unrecorded_drive(selection.final if verdict == "missing_effect" else fit)
+    within_uncertainty = (
+        inertia_within_uncertainty(fit, _class_of(selection), criteria) if complete and not drive else ""
+    )
     if within_uncertainty:
         verdict, size = "adequate", Grade(None, None, None)
-    hint = _undetermined(selection, criteria) if verdict == "missing_effect" else ""
+    hint = drive or (_undetermined(selection, criteria) if verdict == "missing_effect" else "")
     random = None if hint else _random_alternative(fit, selection, verdict, doubt, criteria)
     noisy = (
         verdict == "adequate"
-        and not within_uncertainty
+        and not (within_uncertainty or drive)
         and (fit.needs_random_torque(criteria) or fit.has_smooth_torque(criteria))
     )
     if noisy:
@@ -459,7 +464,7 @@ def _diagnosis(
             selection, random, hint, told, criteria, lack_of_fit=bool(hint) and fit.has_lack_of_fit(criteria)
         )
         if verdict == "undecided"
-        else _sentence(fit, verdict, selection, failures, doubt, size, told, criteria, hidden)
+        else f"{drive} {_sentence(fit, verdict, selection, failures, doubt, size, told, criteria, hidden)}".strip()
     )
     return Diagnosis(
         fit=fit,

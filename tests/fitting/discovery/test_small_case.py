@@ -626,3 +626,31 @@ def test_an_effect_that_was_not_fitted_is_not_said_to_explain_nothing(fitted, si
     selection = Selection([candidate], None, base(), base())
     said = " ".join(verdict._unexplained(selection, None, Grade(None, None, None, ()), DEFAULT))
     assert f"o effect of the library {words}" in said
+
+
+class TestUnrecordedDrive:
+    """A rise of the speed without a drive in the model ends in "undecided" or "unexplained", never in an answer."""
+
+    def diagnosed(self, monkeypatch, drag, candidates):
+        examined = []
+        monkeypatch.setattr(verdict, "unrecorded_drive", lambda f: examined.append(f) or "The speed rises.")
+        return diagnose(base(drag), candidates=candidates, brief=True), examined
+
+    def test_a_model_consistent_with_noise_is_not_adequate(self, monkeypatch):
+        found, examined = self.diagnosed(monkeypatch, 0.0, ranked(0.0))
+        assert (found.verdict, found.sentence) == ("undecided", "Nothing is established. The speed rises.")
+        assert examined == [base(0.0)]
+
+    def test_no_effect_is_named(self, monkeypatch):
+        found, examined = self.diagnosed(monkeypatch, DRAG, ranked())
+        assert found.verdict == "undecided"
+        assert "The speed rises." in found.sentence
+        assert found.form is None
+        # the effect may describe the rise, so the fit with it is examined
+        assert NAME in examined[0].model.names
+
+    def test_an_unexplained_torque_is_stated_after_it(self, monkeypatch):
+        found, examined = self.diagnosed(monkeypatch, DRAG, [])
+        assert found.verdict == "unexplained"
+        assert found.sentence.startswith("The speed rises. Significant lack of fit")
+        assert examined == [base()]
