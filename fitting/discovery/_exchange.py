@@ -5,8 +5,8 @@ further addition or removal lowers BIC. The remedy is sequential replacement (A.
 2nd ed., Chapman & Hall (2002), ch. 3). An added law is removed from the model, and its torque is added to the
 residuals. Every law and every pair of laws in its place is then fitted by linear least squares, together with all other
 parameters. The compared models describe nearly the same motion. Therefore the first order is accurate if a fit needs no
-more process noise than its recording shows. Otherwise the fall of BIC is an upper limit, because the level of the
-process noise is optimised.
+more process noise than the recording shows without a model. Otherwise the fall of BIC is an upper limit, because the
+level of the process noise is optimised.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Exchange(NamedTuple):
 def exchanges(
     about: Fit, removed: Effect, effects: Sequence[Effect], cases: Sequence[CaseColumns], criteria: Criteria
 ) -> list[Exchange]:
-    """Return the removal of an effect of a fit and its exchanges for one or two other effects, if BIC falls enough.
+    """Return the removal of an effect of a fit and its exchanges for one or two other effects that lower BIC enough.
 
     An exchange for two laws must also lower BIC more than the addition of one law to the fit, because a search adds
     every significant law anyway.
@@ -96,8 +96,8 @@ def exchanges(
     own = torque_rows([removed], cases)[:, None]
     layout, prefix = about.problem.layout, removed.name + "."
     of_removed = np.array([n.startswith(prefix) for n in layout.names])
-    # laws that are equal in these recordings take part once and do not replace each other; an exception is a law with
-    # fewer parameters than the removed one: the same law without a free shape constant, or its limit at a bound
+    # Laws that are equal in these recordings take part once and do not replace each other. An exception is an equal law
+    # with fewer parameters than the removed law: the law without a free shape constant, or its limit at a bound.
     laws = [best_group(context, removed, [(({},), own)], context.levels, null=False)]
     for s in score(about, effects, cases, criteria, context=context):
         equal = [i for i, other in enumerate(laws) if 1 - abs(s.direction @ other.direction) <= _EQUAL]
