@@ -1,7 +1,7 @@
 """Parameters of a fit as lmfit shows them: a mapping by name, with short names, and a report with correlations.
 
-M. Newville et al., lmfit, doi:10.5281/zenodo.11813. A mapping of parameters is not changed: `Params.set` returns a new
-mapping, which is an argument of the next fit.
+M. Newville et al., lmfit, doi:10.5281/zenodo.11813. A mapping of parameters is immutable: `Params.set` returns a new
+mapping, which can be passed to the next fit.
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ def settings_of(params: Any, model: Model, records: Sequence[Record]) -> Setting
                 'write {"value": 0.7, "vary": False}',
             )
         if not isinstance(given, Mapping) and names.missing(name):
-            continue  # a parameter of another model
+            continue  # a parameter of the earlier fit that the new model does not have
         refuse_settings(str(name), entries)
         _add(found, names(name), entries)
     return found
@@ -290,7 +290,7 @@ class Names:
         return False
 
     def tie(self, text: str) -> str:
-        """Return an expression in which names of the library replace those with the name of the body."""
+        """Return an expression with the parameter names of the library instead of names with the name of the body."""
         if not self.body or not isinstance(text, str):
             return text
         for key in sorted(self.keys, key=len, reverse=True):

@@ -25,7 +25,8 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 LEVEL = 0.95
-"""Coverage of an interval [1]. Chosen: the usual value; a larger one widens intervals, a smaller one narrows them."""
+"""Coverage probability of an interval [1]. Chosen: the usual value; a larger one widens intervals, a smaller one
+narrows them."""
 _NEAR = 0.02
 """Tolerance of an end [standard deviations]. Chosen: a smaller value costs fits, a larger one rounds the end."""
 _FITS = 20
@@ -122,8 +123,8 @@ class _Held:
         lower, upper = layout.bounds()
         self._range = float(lower[self._place]), float(upper[self._place])
         problem = Problem.of(layout, fit.problem.data).with_noise(fit.noise)
-        # the strengths d and f of a pair of laws d x^m + f x^g are fitted as transformed variables that mix them, so a
-        # held strength must not be transformed
+        # the strengths d and f of a pair of laws d x^m + f x^g are fitted as transformed variables that contain both
+        # strengths, so a pair with a held strength must not be transformed
         kept = tuple(v for v in problem.power_laws if self._place not in (v.d, v.f))
         self._problem = replace(problem, power_laws=kept)
         self._active: ActiveBounds | None = None
@@ -171,7 +172,7 @@ class _Held:
             z, end = self._root(trial, theta)
             if abs(z - target) < _NEAR:
                 return trial, False
-            # if interpolation moves the same end of the bracket repeatedly, bisect
+            # bisect if interpolation moves the same end of the bracketing interval repeatedly
             repeated = repeated + 1 if (z < target) == within else 1
             within = z < target
             if z < target:
@@ -184,4 +185,4 @@ class _Held:
         return (inside, True) if math.isnan(outside) else (inside + (outside - inside) * 0.5, False)
 
 
-profile_interval = profile  # the public name
+profile_interval = profile  # the public name of the function
