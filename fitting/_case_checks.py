@@ -1,6 +1,6 @@
 """Checks of the values of a case, for both packages: before they are written, after they were read, and in memory.
 
-Each check returns None or a `Defect`, the sentence and the hint of an error.
+Each check returns None or a `Defect`, which contains the sentence and the hint of an error.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 MOST_AMPLITUDES = 400
-"""Largest number of amplitudes of a record [1]. Chosen: each is a parameter of every fit; a larger value makes fits
-slow, a smaller one refuses recordings of many windows."""
+"""Largest number of amplitudes of a record [1]. Chosen: each amplitude is a parameter of every fit; a larger value
+makes fits slow, a smaller one refuses recordings with many windows."""
 _ROUNDING = 1e-9
 """Largest asymmetry and largest negative eigenvalue of a correlation matrix that count as rounding errors [1]. Chosen:
 a smaller value refuses computed covariances, a larger one accepts invalid matrices."""
@@ -38,7 +38,7 @@ _TAKEN = {
 
 
 class Defect(NamedTuple):
-    """The sentence of an error, and a hint on its correction."""
+    """The sentence of an error, and a hint on how to correct the error."""
 
     what: str
     hint: str

@@ -38,7 +38,7 @@ _HOW_TO_MAKE = {
 }
 _OTHER_LAYOUT = "The file is not in this layout."
 SHOWN = 20
-"""Number of characters of a wrong word that a message shows [1]. Chosen: a smaller number hides the word, a larger one
+"""Largest number of characters of a wrong word in a message [1]. Chosen: a smaller number hides the word, a larger one
 fills the line."""
 # errors that h5py raises for damaged files
 _FAULTS = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError)
@@ -59,8 +59,8 @@ class Reader(Guard):
     def open(self, path: Path, kind: str | None = None) -> Iterator[h5py.File]:
         """Validate and open a file of a `kind`, by default a recording or a case.
 
-        Faults of HDF5 while the file is read become errors of the reader. The context must contain only code that
-        reads, because any other error would be reported as damage to the file.
+        Faults of HDF5 while the file is read become errors of the reader. The block must contain only code that reads
+        the file, because any other error in it would be reported as damage to the file.
         """
         path = Path(path)
         self._check_signature(path, kind)
@@ -134,7 +134,7 @@ class Reader(Guard):
         return member
 
     def members(self, group: Any, name: str, *, optional: bool = False) -> list[tuple[str, Any]]:
-        """List the groups below the member `name` of `group`, which must exist unless it is `optional`."""
+        """List the groups below the member `name` of `group`; this member must exist unless it is `optional`."""
         if optional and name not in group.keys():  # noqa: SIM118 - `in group` follows links
             return []
         parent = self.child_group(group, name)

@@ -144,7 +144,7 @@ BEARING = (
         source="running-in or ageing, first order in time"),
 )
 
-# rate of the strain of a contact that first yields and then slides; in sliding, the strain approaches the Stribeck
+# rate of the strain of a contact that first yields and then slides; while it slides, the strain approaches the Stribeck
 # curve 1 + r exp(-(omega_c/w)^2)
 _BRISTLE = "(omega_c - abs(omega_c)*{z}/(1 + r*exp(-(omega_c/w)**2)))/{s}"
 _SLOW = (0.007, 0.013, 0.033, 0.08, 0.2, 0.6)
@@ -368,7 +368,7 @@ SETUP = (
         source="only ratios of torque to inertia are observable; the bearing torque acts on both bodies"),
 )
 
-# errors of single windows and samples, which the discovery fits by separate methods
+# errors of single windows and samples, which the search for effects fits by separate methods
 START = Effect("camera.start", "camera.rotor", "dt*omega",
     (Parameter("dt", "s", meaning="error of the start of a window"),),
     kind="measurement", words="start errors of the rotor windows",
@@ -449,7 +449,7 @@ def find(name: str) -> Effect:
 
 
 def unknown(name: str, names: Iterable[str], hint: str) -> EffectError:
-    """Return the error for an unknown name, with the closest names, or with a hint if there are none."""
+    """Return the error for an unknown name, with the closest names, or with a hint if no name is close."""
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
     return EffectError(
         f"there is no effect named {name[:60]!r}", f"did you mean {' or '.join(close)}?" if close else hint
@@ -470,7 +470,7 @@ PAPER = MappingProxyType(
     }
 )
 """Typical values of the parameters, used as initial values [SI units]. Source: table 5 of the paper, case 1, the
-reduced model on full data; the origin of a1, c and e, which this model does not contain, is not recorded."""
+reduced model on full data; this model does not contain a1, c and e, and the origin of their values is not recorded."""
 INERTIA_ROTOR = 5.54e-5
 """Moment of inertia of the rotor of the paper [kg m2]. Source: the paper."""
 INERTIA_CASING = 2.06e-5
@@ -495,7 +495,7 @@ def of_the_rotor(effect: Effect) -> Effect | None:
 def typical_values(
     effect: Effect, share: float, *, duration: float, speeds: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return values of the parameters of an effect for which its torque is a given share of the torque budget.
+    """Return values of the parameters of an effect with which its torque is a given share of the torque budget.
 
     `share` is the largest torque at the typical `speeds` omega_r and omega_c [rad/s], divided by the budget of
     1e-4 N m. Time constants follow from the `duration` of the recording [s].
@@ -515,7 +515,7 @@ def typical_values(
 def _typical_strength(
     effect: Effect, values: Mapping[str, float], share: float, duration: float, speeds: Mapping[str, float]
 ) -> float:
-    """Return the strength for which an effect has a given share of the torque budget."""
+    """Return the strength with which the torque of an effect is a given share of the torque budget."""
     if effect.joint == "inertia":
         return share
     delta = speeds["omega_r"] - speeds["omega_c"]

@@ -404,7 +404,7 @@ _RANK = 1e-4
 tests rounding errors, a larger one omits torques that are nearly absorbed."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
-rounding errors, with a larger one, some free columns are not projected out."""
+rounding errors; with a larger one, some free columns are not projected out."""
 _MANY = 4
 """With more cases than this number, the slow torques of each case are projected out first [1]. Chosen: another value
 costs time and does not change the result."""

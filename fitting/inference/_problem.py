@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 _RANK = 1e-7
 """Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
-rounding errors, with a larger one, some nuisance columns are not projected out."""
+rounding errors; with a larger one, some nuisance columns are not projected out."""
 _ROUNDING = 1e-11
 """The part of a column orthogonal to the nuisance columns is rounding error if its share of the column is below this
 value [1]. Chosen: a smaller value determines parameters by rounding errors, a larger one holds weakly determined

@@ -54,7 +54,7 @@ _LEVELS = np.geomspace(0.01, 4.0, 12)
 additional free parameters never raise the level much; with more trial levels, the test takes longer."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: as in
-`fitting.inference._metrics`; a smaller value projects out rounding errors, with a larger one, some free columns are not
+`fitting.inference._metrics`; a smaller value projects out rounding errors; with a larger one, some free columns are not
 projected out."""
 _RANK = 1e-4
 """Relative singular value below which the model already contains a smooth torque [1]. Chosen: as in

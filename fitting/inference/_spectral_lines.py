@@ -62,7 +62,7 @@ _ROUNDING = 1e-7
 errors; with a larger one, some nuisance columns are not projected out."""
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
 """Trial levels, divided by the most likely process noise without a line [1]. Chosen: the process noise without a line
-is an upper bound; with fewer levels, the minimum of the deviance is missed; with more, the search takes longer."""
+is an upper bound; with fewer levels, the minimum of the deviance is overlooked; with more, the search takes longer."""
 
 
 def false_alarm_probability(chi2: float, band: float, span: float) -> float:

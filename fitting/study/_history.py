@@ -61,7 +61,7 @@ from fitting.study._serialisation import (
 )
 
 _ELSEWHERE = "move it away or choose another with --ledger"
-# errors that occur if a part of the file was edited by hand; the program then computes this part again
+# errors that occur if a part of the file was damaged by editing; the program then computes this part again
 _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
@@ -69,7 +69,7 @@ _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 class Entry:
     """One fit of a ledger."""
 
-    document: dict[str, Any]  # the JSON object, with all keys of the file
+    document: dict[str, Any]  # the JSON object of the entry, with all keys of the file
 
     @cached_property
     def stored(self) -> EntryDocument:
@@ -88,7 +88,10 @@ class Entry:
 
     @property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Parameters shared by all cases, and parameters with one value per case, if this is not the default."""
+        """Parameters shared by all cases, and parameters with one value per case.
+
+        Only those that differ from the default.
+        """
         return tuple(self.stored.share), tuple(self.stored.per_case)
 
     @cached_property
@@ -134,7 +137,7 @@ class Entry:
         return self.stored.parameters
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit for display: restored if the same version of the code made it, otherwise fitted again."""
+        """Return the fit for display: restored if the same version of the code stored it, otherwise fitted again."""
         data = with_prior(data, self.prior)
         stored, found = self.document.get("restored_from"), None
         if stored:
@@ -286,7 +289,8 @@ class Ledger:
         previous : Fit, optional
             The fit with which the errors are compared.
         share, per_case : sequence of str
-            Parameters shared by all cases, and parameters with one value per case, if this is not the default.
+            Parameters shared by all cases, and parameters with one value per case; only those that differ from the
+            default.
         ranges : dict, optional
             Bounds [unit of the parameter] that replace the bounds of the effects.
         loss : str
@@ -332,7 +336,7 @@ class Ledger:
         found : Diagnosis
             The diagnosis of the fit.
         extra : sequence of Effect
-            User-defined effects that were tested with the library.
+            Effects of the user that were tested in addition to the library.
         """
         with self._locked():
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
@@ -435,7 +439,7 @@ class Ledger:
                     raise LedgerError(what, "correct the text") from None
                 # on some network drives a lock does not exclude other hosts
                 write_text(self.path, text, unchanged=lambda: _content(self.path) == before)
-                # entries cache values of their documents, which may have changed
+                # new objects are made, because entries cache values of documents that may have changed
                 self.entries = [Entry(e.document) for e in self.entries]
             except BaseException:
                 self.entries = kept
