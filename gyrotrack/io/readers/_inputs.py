@@ -31,12 +31,12 @@ _TAKEN = {
     "t", "omega_r", "omega_c", "psi_r", "psi_c", "deflection", "delta", "pi",
     "abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", "heaviside",
 }  # fmt: skip
-# a column with at least this share of equal neighbours counts as a command, whose last value holds
+# a column with at least this share of equal neighbours counts as a command; each value holds until the next
 _HELD = 0.5
 
 
 class Unit(NamedTuple):
-    """A unit of an input in a file: the SI unit in CF notation, and value in SI = factor * value + offset."""
+    """A unit of an input in a file: SI unit in CF notation, factor and offset (SI value = factor * value + offset)."""
 
     si: str
     factor: float = 1.0
@@ -60,10 +60,10 @@ class InputOption:
     """An option that defines an input."""
 
     name: str
-    column: str  # header or number
+    column: str  # header or number of the column
     unit: str | None = None  # unit in the file; None: the unit in the header
     u: float = math.nan  # standard uncertainty, in the unit of the file; NaN if not given
-    interpolation: str = ""  # "" if the values decide
+    interpolation: str = ""  # interpolation; "" if the values determine it
     delay: float = 0.0  # dead time [s]
     file: Path | None = None  # separate table with this input, on the same clock
 

@@ -25,7 +25,7 @@ _ARRAYS_OF_ITEMS = {
     2,
     3,
 }  # classes of arrays with items (cell, struct, object); each item has a tag of 8 bytes
-_MAX_DIMENSIONS = 128  # largest number of bytes of the sizes of an array
+_MAX_DIMENSIONS = 128  # largest number of bytes that state the sizes of an array
 
 
 def read_matlab(path: Path, content: bytes, _options: object) -> RawTable:
