@@ -56,8 +56,8 @@ class Criteria:
     """Smallest cosine of the angle between responses that no data can separate [1]. Chosen: a smaller value joins
     effects that more data would separate; with a larger value, rounding errors separate equal effects."""
     measurement_penalty: float = 3.2
-    """Penalty that is added to the BIC of a measurement effect [1]. Derived: 2 ln 5, from prior odds of 1:5; a smaller
-    value takes torques for camera errors, a larger one takes camera errors for torques."""
+    """Penalty that is added to the BIC of a measurement effect [1]. Derived: 2 ln 5, prior odds 1:5; a smaller value
+    takes torques for camera errors, a larger one takes camera errors for torques."""
     shape_evidence: float = 10.0
     """Smallest fall of BIC for which a shape constant is fitted [1]. Source: Kass & Raftery 1995; very strong
     evidence."""
@@ -91,9 +91,9 @@ class Criteria:
     """Relative standard uncertainty above which a parameter is undetermined [1]. Chosen: a smaller value refuses
     parameters near zero, a larger one reports values without meaning."""
     correlated_noise: float = 8.0
-    """Smallest fall of deviance for which correlated angle noise is added [1]. Derived: for white noise, chi2 with 2
-    degrees of freedom exceeds this value in 2 % of the recordings; a smaller value adds noise that is absent, a larger
-    one understates uncertainties."""
+    """Smallest fall of deviance for which correlated angle noise is added [1]. Derived: chi2, 2 dof; for white noise,
+    chi2 exceeds this value in 2 % of the recordings; a smaller value adds noise that is absent, a larger one
+    understates uncertainties."""
     excess_noise: float = 4.0
     """Excess process noise above which the form of a law is not established [sigma]. Chosen: the excess is relative to
     the process noise of the recording without a model; a smaller value rejects right forms; with a larger one, noise
@@ -108,8 +108,8 @@ class Criteria:
     """Smooth test: p-value below which an effect is doubted [1]. Source: Hart 1997 for the test; a larger value rejects
     right forms, a smaller one accepts wrong forms."""
     doubt_adequate: float = 0.001
-    """Test p-value below which an adequate fit is doubted [1]. Source: Baluev 2008 for one of the tests; a larger value
-    rejects right fits, a smaller one overlooks missing laws."""
+    """Test p-value below which an adequate fit is doubted [1]. Source: Baluev 2008 for one test; a larger value rejects
+    right fits, a smaller one overlooks missing laws."""
     inertia_sigma: float = 2.0
     """Largest error of an inertia that is compatible with the stated uncertainty [sigma]. Chosen: a smaller value names
     effects that a wrong inertia imitates, a larger one explains effects by the inertia."""
@@ -120,8 +120,8 @@ class Criteria:
     """Smallest peak of a reported interval of unmodelled torque [sigma]. Chosen: a smaller value reports noise, a
     larger one omits weak torques."""
     harmonic_sigma: float = 4.3
-    """Smallest amplitude of a reported harmonic [sigma]. Derived: p = exp(-4.3^2 / 2) = 1e-4 with 2 degrees of freedom;
-    a smaller value reports noise, a larger one omits weak torques."""
+    """Smallest amplitude of a reported harmonic [sigma]. Derived: p = 1e-4, 2 dof; this p is exp(-4.3^2 / 2); a smaller
+    value reports noise, a larger one omits weak torques."""
     experiment_sigma: float = 5.0
     """Separation of rivals below which repeating a proposed run is advised [sigma]. Chosen: a smaller value proposes
     runs that may not decide, a larger one recommends needless repetitions."""
@@ -144,8 +144,8 @@ class Criteria:
     """Share of the best score above which a poor refit is repeated [1]. Chosen: a smaller value costs time, a larger
     one ranks rivals by refits in a wrong minimum."""
     refit_shortfall: float = 10.0
-    """Excess of the score over the fall of deviance above which a refit is poor [1]. Source: Kass & Raftery 1995; a
-    larger difference between score and refit would change the order of the candidates."""
+    """Score minus fall of deviance above which a refit is poor [1]. Source: Kass & Raftery 1995; a larger difference
+    between score and refit would change the order of the candidates."""
     own_phase: float = 10.0
     """Smallest fall of deviance per case for separate phases [1]. Source: Kass & Raftery 1995; very strong evidence for
     each case after the first."""

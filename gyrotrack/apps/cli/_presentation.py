@@ -37,8 +37,8 @@ class ReportDocument(ReportFiles):
 class FiguresDocument(TypedDict):
     """New figures and tables."""
 
-    output: Path  #: Their folder.
-    files: Sequence[Path]  #: Their files.
+    output: Path  #: Folder of the figures and tables.
+    files: Sequence[Path]  #: Files of the figures and tables.
     figures: int  #: Number of figures.
 
 
