@@ -124,7 +124,7 @@ def is_body_name(name: str) -> bool:
 
 
 def defect_of_joints(names: Sequence[str], joints: Mapping[str, Sequence[str]]) -> Defect | None:
-    """Check the names of several bodies, and the joints that connect all of them."""
+    """Check the names of several bodies, and whether joints connect all bodies."""
     if len(names) < 2:
         return Defect(f"a joint connects two bodies, but {names[0]} is the only one", "leave joints out")
     if not joints:

@@ -68,14 +68,14 @@ class Criteria:
     """Smallest number of added effects for which the removal of each is tried [1]. Chosen: a smaller value costs time,
     a larger one keeps superfluous effects."""
     max_steps: int = 5
-    """Largest number of effects that `improve` adds [1]. Chosen: a smaller value leaves unmodelled torques, a larger
-    one costs time."""
+    """Largest number of effects that `improve` adds [1]. Chosen: with a smaller value, unmodelled torques remain; a
+    larger one costs time."""
     named_sigma: float = 3.0
-    """Smallest strength of a named effect, divided by its standard uncertainty [sigma]. Chosen: a smaller value names
-    undetermined effects, a larger one leaves weak effects unnamed."""
+    """Smallest strength of a named effect, divided by its standard uncertainty [sigma]. Chosen: with a smaller value,
+    undetermined effects are named; with a larger one, weak effects are not named."""
     follow_up: int = 1
-    """Largest number of further effects that `diagnose` adds [1]. Chosen: a smaller value leaves the remainder
-    unexplained, a larger one costs time."""
+    """Largest number of further effects that `diagnose` adds [1]. Chosen: with a smaller value, the remainder is not
+    explained; a larger one costs time."""
     explained: float = 0.95
     """Smallest share of the unmodelled torque that an approximate answer explains [1]. Chosen: a smaller value hides a
     second effect; with a larger one, small remainders count as a second effect."""
@@ -100,7 +100,7 @@ class Criteria:
     absorbs a wrong form."""
     spectral_line: float = 0.001
     """P-value below which a sinusoid is a line, not noise [1]. Source: Baluev 2008 for the test; a larger value finds
-    lines by chance, a smaller one leaves lines in the process noise."""
+    lines by chance; with a smaller one, lines count as process noise."""
     periodic_torque: float = 0.001
     """P-value below which an angle-dependent torque is not noise [1]. Chosen: a larger value finds torques by chance, a
     smaller one counts torques as noise."""
@@ -111,11 +111,11 @@ class Criteria:
     """Test p-value below which an adequate fit is doubted [1]. Source: Baluev 2008 for one test; a larger value rejects
     right fits, a smaller one overlooks missing laws."""
     inertia_sigma: float = 2.0
-    """Largest error of an inertia that is compatible with the stated uncertainty [sigma]. Chosen: a smaller value names
-    effects that a wrong inertia imitates, a larger one explains effects by the inertia."""
+    """Largest error of an inertia that is compatible with the stated uncertainty [sigma]. Chosen: with a smaller value,
+    effects are named that a wrong inertia imitates; with a larger one, real effects are attributed to the inertia."""
     inertia_largest: float = 0.05
-    """Largest relative error of an inertia whose uncertainty is not stated [1]. Chosen: a smaller value names effects
-    that a wrong inertia imitates, a larger one explains effects by the inertia."""
+    """Largest relative error of an inertia whose uncertainty is not stated [1]. Chosen: with a smaller value, effects
+    are named that a wrong inertia imitates; with a larger one, real effects are attributed to the inertia."""
     failure_sigma: float = 4.0
     """Smallest peak of a reported interval of unmodelled torque [sigma]. Chosen: a smaller value reports noise, a
     larger one omits weak torques."""
@@ -151,7 +151,7 @@ class Criteria:
     each case after the first."""
     changepoint_score: float = 25.0
     """Smallest score at which a changepoint is moved to a distant time [1]. Derived: 5 sigma; a smaller value follows
-    noise, a larger one leaves a wrong time."""
+    noise; with a larger one, a wrong time remains."""
     equation_error: float = 3.0
     """Largest equation-of-motion error of a fitted spring, divided by the smallest [1]. Chosen: a smaller value may
     omit the right spring, a larger one costs time."""
@@ -172,8 +172,8 @@ class Criteria:
     tracking errors a fault, a larger one lets noise absorb motion."""
     random_torque: float = 0.01
     """Largest random torque that counts as noise, as a share of the mean torque [1]. Chosen: at this value, an effect
-    is named in 3 of 200 simulated recordings with a random torque and no missing effect; a smaller value names effects
-    that a random torque imitates, a larger one explains effects by a random torque."""
+    is named in 3 of 200 simulated recordings with a random torque and no missing effect; with a smaller value, effects
+    are named that a random torque imitates; with a larger one, real effects are attributed to a random torque."""
     random_torque_evidence: float = 10.0
     """Smallest fall of deviance for an additional random torque [1]. Source: Kass & Raftery 1995; very strong evidence
     of a torque beyond the process noise of the recording."""
@@ -185,7 +185,7 @@ class Criteria:
     smaller value, some times are not tried."""
     start_u: float = 3e-3
     """Typical error of the start of a clip if its uncertainty is not stated [s]. Chosen: a few frames; a smaller value
-    overlooks start errors, a larger one explains effects by start errors."""
+    overlooks start errors; with a larger one, real effects are attributed to start errors."""
     slip_tolerance: float = 0.1
     """Largest deviation from a whole turn with which a step counts as a slip [turns]. Chosen: a smaller value overlooks
     slips in noise, a larger one takes other steps for slips."""

@@ -1,4 +1,4 @@
-"""Parallel execution: a pool of worker processes, and one thread of linear algebra in each of them."""
+"""Parallel execution: a pool of worker processes, each with a single thread of linear algebra."""
 
 from __future__ import annotations
 

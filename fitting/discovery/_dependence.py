@@ -56,8 +56,8 @@ _HARMONICS = (1, 2, 3, 4)
 """Harmonics of the angle of the casing in the test [1]. Chosen: with fewer harmonics, higher harmonics are overlooked;
 with more, the power for the first two is lower."""
 _ROTOR_HARMONICS = (1, 2)
-"""Harmonics of the angle of the rotor in the test [1]. Chosen: a single harmonic overlooks the second one; higher
-harmonics are aliased at the frame rate of the casing."""
+"""Harmonics of the angle of the rotor in the test [1]. Chosen: with the first harmonic alone, the second harmonic is
+overlooked; higher harmonics are aliased at the frame rate of the casing."""
 _FASTEST = np.pi
 """Largest phase by which a tested harmonic of the rotor angle may advance between two frames of the casing [rad].
 Derived: the Nyquist limit, half a period per frame."""

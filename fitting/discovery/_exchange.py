@@ -37,9 +37,9 @@ _LAWS = 2
 """Largest number of laws that replace one law [1]. Chosen: with 1, a wrong law that imitates two missing laws remains;
 a larger number costs time and fits noise."""
 _EQUAL = 1e-9
-"""Two laws are equal in a recording, and only the first one takes part, if one minus the cosine of the angle between
-their responses is at most this value [1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a
-larger one omits laws that differ."""
+"""Two laws are equal in a recording if one minus the cosine of the angle between their responses is at most this value;
+only the first of two equal laws takes part [1]. Chosen: a smaller value refits equal laws that differ by rounding
+errors, a larger one omits laws that differ."""
 _SINGULAR = 1e-9
 """Relative singular value of normal equations below which a combination of columns is rounding error [1]. Chosen: a
 smaller value fits rounding errors, a larger one ignores weakly determined combinations."""

@@ -25,8 +25,8 @@ changes slowly in time. Such a law is compared with a cubic spline in time on th
 effect in a linear refit.
 
 *Inertia.* This test concerns the given moments of inertia. Only ratios of torque to inertia are observable, and the
-torque between the bodies acts on both. The data therefore determine the ratio of the moments of inertia. If the given
-ratio is wrong, the base has a systematic error. A wrong effect, or the right effect with a wrong form, may then
+torque between the bodies acts on both bodies. The data therefore determine the ratio of the moments of inertia. If the
+given ratio is wrong, the base has a systematic error. A wrong effect, or the right effect with a wrong form, may then
 describe the data best. Therefore all candidates are scored again with a free ratio, and the best candidates are
 refitted with a free ratio.
 """

@@ -60,8 +60,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 POWER = 0.9
-"""Probability of detection at the detection limit [1]. Chosen: a larger value raises the limits, a smaller one leaves
-effects at the limit undetected too often."""
+"""Probability of detection at the detection limit [1]. Chosen: a larger value raises the limits; with a smaller one,
+effects at the limit often remain undetected."""
 CONFIDENCE = 0.95
 """Confidence of upper limits [1]. Chosen: the usual value; a larger one raises the limits, a smaller one excludes true
 strengths more often."""
@@ -121,7 +121,7 @@ class EffectLimits:
     size: float  # strength for which `power` and `runs_needed` are computed [unit]
     # number of runs, including the present ones, that find this size with 90 % probability
     runs_needed: float
-    # effects that are not separated from this one at the larger of `size` and `detection_limit`
+    # effects that are not separated from this effect at the larger of `size` and `detection_limit`
     indistinguishable_from: tuple[str, ...]
     curve: Array = field(repr=False)  # (points, 2): noncentrality and power
 
@@ -612,7 +612,7 @@ class Search:
 def largest_hidden(
     fit: Fit, extra: Sequence[Effect], criteria: Criteria, candidates: Sequence[Candidate] = ()
 ) -> HiddenEffects:
-    """Return the physical effects with the largest upper limits of the rms torque, and those without a limit.
+    """Return the physical effects with the largest upper limits of the rms torque, and the effects without a limit.
 
     An effect has no limit if the model absorbs it. A limit above the torque of the bearing (for a single body: the net
     torque) contains no information. If an effect without shape constants was refitted as one of the `candidates`, its

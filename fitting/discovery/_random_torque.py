@@ -28,7 +28,7 @@ _CERTAIN = 3.0
 """Largest plausible inflation (see `inflation`); an effect that is significant with this inflation needs no simulation
 [1]. Measured: the inflation in all simulated recordings is 1.0 to 1.8."""
 _SEED = 11
-"""Seed of the simulated recordings [1]. Chosen: any value makes the verdict reproducible; another one changes the
+"""Seed of the simulated recordings [1]. Chosen: any value makes the verdict reproducible; another seed changes the
 inflation within its error."""
 _DRAWS = 200
 """Number of simulated recordings for one inflation [1]. Chosen: a smaller number makes the inflation uncertain, a

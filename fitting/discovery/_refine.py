@@ -37,14 +37,14 @@ from fitting.inference._trace import attempt, with_purpose
 Array = NDArray[np.float64]
 
 _NEIGHBOURHOOD = 0.04
-"""Width of the scanned neighbourhood of a changepoint, as a share of the record [1]. Chosen: a smaller value leaves the
-refit in a local minimum, a larger one leaves the range in which the motion is linear."""
+"""Width of the scanned neighbourhood of a changepoint, as a share of the record [1]. Chosen: with a smaller value, the
+refit remains in a local minimum; with a larger one, the motion is not linear in the changepoint."""
 _STEPS = 48
 """Number of trial times in the neighbourhood of a changepoint [1]. Chosen: a smaller number overlooks the minimum, a
 larger one costs time."""
 _SEARCHES = 3
-"""Largest number of searches for changepoints in cases with a high remaining process noise [1]. Chosen: a smaller
-number leaves cases with a wrong time, a larger one costs time."""
+"""Largest number of searches for changepoints in cases with a high remaining process noise [1]. Chosen: with fewer,
+some cases keep a wrong changepoint; with more, the search takes longer."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one ignores some free columns."""
@@ -190,7 +190,7 @@ def replaced_laws(base: Fit, effect: Effect) -> list[str]:
 
     While no body reverses, such a law and the effect are the same torque except for its sign (`Effect.equivalent`). The
     strength of the law in the base is at a bound; an example is dry friction of a body driven by a constant torque. If
-    the model contained both, only the sum of their strengths would be determined.
+    the model contained both laws, only the sum of their strengths would be determined.
     """
     found = []
     for law in base.model.effects if effect.equivalent else ():

@@ -58,8 +58,8 @@ RANK = 1e-10
 """Relative singular value below which a direction of the free columns is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
 _SEED = 7
-"""Seed of the null data sets [1]. Chosen: any value makes p-values reproducible; another one changes them within their
-error."""
+"""Seed of the null data sets [1]. Chosen: any value makes p-values reproducible; another seed changes p-values within
+their error."""
 
 
 class Level(NamedTuple):
@@ -592,8 +592,8 @@ class FamilywiseNull:
 
 
 _ROUNDS = 3
-"""Number of refinements of a shape constant [1]. Chosen: a smaller number leaves the constant on the coarse grid, a
-larger one changes the score by less than the noise."""
+"""Number of refinements of a shape constant [1]. Chosen: with fewer, the constant remains near the coarse grid; further
+refinements change the score by less than the noise."""
 _POINTS = 9
 """Number of points of a refinement of a shape constant [1]. Chosen: a smaller number may overlook the optimum, a larger
 one costs time."""
@@ -674,7 +674,7 @@ def _is_per_case(effect: Effect, cases: int) -> bool:
 
 def _all_trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
     first = cases[0].trials(effect)
-    # a shape constant that the cases share has the same trial values in all of them
+    # a shape constant that the cases share has the same trial values in all cases
     shapes = None if _is_per_case(effect, len(cases)) else [t.shape for t in first]
     return [first, *(c.trials(effect, shapes) for c in cases[1:])]
 

@@ -681,7 +681,7 @@ def select(
     """Return the effect to add to a fit, and the fit with this effect and any further parameters that are needed.
 
     `known` is the history of an earlier `improve` of the same fit; its first steps are reused if it added the same
-    effect. With `follow_up`, further effects are tried even if the fit with the first one has no lack of fit.
+    effect. With `follow_up`, further effects are tried even if the fit with the first effect has no lack of fit.
     """
     ranked = list(candidates)
     chosen = best(ranked, criteria)
@@ -996,8 +996,8 @@ def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, crite
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
     """Drop effects that the newest effect makes unnecessary.
 
-    If many effects were added, the model is fitted without each of them in turn, because several wrong effects can
-    imitate a right effect that is added last.
+    If many effects were added, each effect is omitted in a separate fit, because several wrong effects can imitate a
+    right effect that is added last.
     """
     newest = history[-1]
     change, current = newest.change, newest.fit

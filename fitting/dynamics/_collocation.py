@@ -183,7 +183,7 @@ class Path:
     kinks: tuple[float, ...] = ()  # times at which a torque jumps [s]
     # saltation matrices (jumps of small deviations), by the index of the edge at which the casing stops or reverses
     jumps: dict[int, Array] = field(default_factory=dict)
-    # error of a Newton step divided by the square of the previous step, for solutions near this one
+    # error of a Newton step divided by the square of the previous step, for solutions near this solution
     newton_ratio: float = 1.0
     exact: bool = True  # True for a solution, False for the measured motion
     # Smallest scale of the errors of a speed [rad/s]. In a stretch in which an oscillating casing hardly moves, the

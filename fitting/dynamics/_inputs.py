@@ -1,10 +1,10 @@
 """Recorded inputs of a motion: currents, voltages, commanded torques, temperatures.
 
-An input is a function of time, given by samples at its own times. Between two samples it is linear, or it holds the
-value of the earlier sample. A torque that depends on an input therefore changes abruptly at the samples: its value
-jumps if a held input changes, and its slope jumps if the slope of a linear input changes. The equations of motion are
-integrated from one such time to the next, because they are smooth in between. An input with more than `MOST_CHANGES`
-changes is replaced by its means over short cells, which give the body the same impulse.
+An input is a function of time, given by samples at times that differ from the times of the motion. Between two samples
+it is linear, or it holds the value of the earlier sample. A torque that depends on an input therefore changes abruptly
+at the samples: its value jumps if a held input changes, and its slope jumps if the slope of a linear input changes. The
+equations of motion are integrated from one such time to the next, because they are smooth in between. An input with
+more than `MOST_CHANGES` changes is replaced by its means over short cells, which give the body the same impulse.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Input:
         return np.asarray(values[np.maximum(np.searchsorted(at, t, side="right") - 1, 0)])
 
     def integral(self, times: Array) -> Array:
-        """Return the integral from the first of the times to each of them [unit s]."""
+        """Return the integral from the first time to each of `times` [unit s]."""
         t = np.asarray(times, dtype=np.float64)
         knots = np.unique(np.concatenate([self._acting, t]))
         step = np.diff(knots)

@@ -223,7 +223,7 @@ class Model:
 
     @cached_property
     def smooth(self) -> Model:
-        """The model with those physical effects whose torque is a function of the states of the motion.
+        """The model with only the physical effects whose torque is a function of the states of the motion.
 
         If a torque restores an equilibrium, the deflection of the casing is a state.
         """

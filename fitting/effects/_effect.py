@@ -1,8 +1,8 @@
 """Effect: a torque law, the body or joint on which it acts, and its parameters.
 
 The unit of every torque law is the newton metre. A dimension is a vector of exponents of (kg, m, s, K, A, V); radians
-and pixels count as 1. The volt is a base unit here, so that the proposed unit of the constant of a motor is N m A-1 or
-N m V-1. If an exponent is a parameter (the g of a power law), its value must be given to determine the dimension.
+and pixels count as 1. The volt is a base unit here, so that N m V-1 can be proposed as the unit of the constant of a
+motor. If an exponent is a parameter (the g of a power law), its value must be given to determine the dimension.
 
 A law may depend on recorded inputs. In formulas, inputs have separate symbols (`input_symbol`), so that an input may
 have the name of a variable or a parameter.
@@ -203,7 +203,7 @@ _CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", 
 
 
 THE_ROTOR, THE_CASING = frozenset({"rotor"}), frozenset({"casing"})
-# bodies affected by those laws that act neither on a single body of a gyroscope nor in the bearing
+# bodies affected by the laws that act neither on a single body of a gyroscope nor in the bearing
 _BODIES: dict[str, frozenset[str]] = {
     "camera.rotor": THE_ROTOR,
     "camera.casing": THE_CASING,
@@ -337,8 +337,8 @@ class Effect:
         Whether the effect is friction whose states depend on the angle since the last reversal. A body that turns in
         one sense slides after a small angle; from then on, the law is a function of the speed.
     rigid : bool
-        Whether the effect is a contact without slip: its law contains torque_held, and one initial speed follows from
-        the other.
+        Whether the effect is a contact without slip: its law contains torque_held, and the initial speed of one body
+        follows from the initial speed of the other body.
     inputs : tuple of (str, str)
         Names and units of the recorded inputs in the law.
     words : str
@@ -436,7 +436,10 @@ class Effect:
 
     @cached_property
     def bodies(self) -> frozenset[str]:
-        """The bodies on which the effect acts or depends; it does not apply to cases without one of them."""
+        """The bodies on which the effect acts or depends.
+
+        The effect does not apply to cases in which any of these is missing.
+        """
         site = self.place or self.joint
         return bodies_of(site, symbols(self.expression).union(*map(symbols, self.rates)), self.mechanism)
 

@@ -1,8 +1,8 @@
 """The library of physical and measurement effects; one entry for each law.
 
 The drag torque of a disc is proportional to omega^1.5 in laminar flow and to omega^1.8 in turbulent flow (Th. von
-Karman, Z. angew. Math. Mech. 1, 233 (1921)). The drag torque of a thin viscous film is proportional to omega, and that
-of a bluff body to omega^2.
+Karman, Z. angew. Math. Mech. 1, 233 (1921)). The drag torque of a thin viscous film is proportional to omega, and the
+drag torque of a bluff body to omega^2.
 
 D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque: the temperature of the
 bearing, which frictional heat raises, and a slow drift.

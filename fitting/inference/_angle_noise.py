@@ -496,7 +496,7 @@ _FEWEST_IN_GROUP = 4
 short correlations."""
 _FEWEST_GROUPS = 40
 """Smallest number of groups in all windows together from which angle noise is estimated [1]. Chosen: a smaller number
-does not determine a level, a larger one leaves short windows without a level."""
+does not determine a level; with a larger one, no level is estimated in short windows."""
 _WINDOW_TIMES = 15
 """Number of trial correlation times in the windows [1]. Chosen: a smaller number makes the posterior mean coarse, a
 larger one costs time."""

@@ -130,7 +130,7 @@ class Case:
             Recorded inputs on which torques may depend: ``{"current": {"t": t, "value": i, "unit": "A"}}``.
         joints : mapping of str to (str, str), optional
             The joints of several bodies: ``{"belt": ("motor", "drum")}``. The speed of a joint is the speed of its
-            first body minus the speed of its second body; its torque drives the second body and brakes the first one.
+            first body minus the speed of its second body; its torque drives the second body and brakes the first body.
         **bodies : mapping of arrays
             One body by its name, ``casing`` and ``rotor`` of a gyroscope, or several bodies with `joints`. Of several
             bodies, only the first may come to rest and reverse; the others turn in one sense. Each body has times ``t``

@@ -149,13 +149,13 @@ Chosen: the rotor hardly slows down within such a window; a smaller value divide
 averages changing speeds."""
 _WINDOW_BLOCKS = 20
 """Number of blocks of a window of the rotor, if the window is as long as the record of the casing [1]. Chosen: a
-smaller number does not resolve the deceleration, a larger one leaves few samples for each block."""
+smaller number does not resolve the deceleration, with a larger one, each block has few samples."""
 _WINDOW_ROWS = 8
 """Smallest number of rows of a rotor window from which correlated noise is estimated [rows]. Chosen: a smaller number
-does not separate motion and noise, a larger one leaves short windows without an estimate."""
+does not separate motion and noise; with a larger one, short windows have no estimate."""
 _PERIOD_SAMPLES = 24
-"""Smallest number of samples of a block of an oscillation [samples]. Chosen: a smaller number leaves no samples for the
-noise, a larger one gives blocks of several periods at low frame rates."""
+"""Smallest number of samples of a block of an oscillation [samples]. Chosen: with a smaller number, no samples remain
+for the noise; a larger one gives blocks of several periods at low frame rates."""
 _DRIVEN_POINTS = 1000
 """Largest number of approximate speeds that are computed for a driven body, as initial values [1]. Chosen: with fewer,
 the response to the input is blurred; with more, each speed is noisy."""
@@ -303,7 +303,7 @@ class CaseData:
         return replace(made, noiseless=self.noiseless, free_inertia=self.free_inertia)
 
     def has_noise_of(self, criteria: Criteria) -> bool:
-        """Return whether other criteria leave the noise of this recording unchanged (`NOISE`)."""
+        """Return whether the noise of this recording is the same with other criteria (see `NOISE`)."""
         return all(getattr(criteria, name) == getattr(self.criteria, name) for name in NOISE)
 
     def with_start_u(self, u: float) -> CaseData:

@@ -125,14 +125,15 @@ def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) ->
 
 
 _ABRUPT = 0.1
-"""Smallest size of an abrupt change, relative to the range of the input [1]. Chosen: a smaller value cuts blocks at
-noise, a larger one leaves kinks of the motion within blocks."""
+"""Smallest size of an abrupt change, relative to the range of the input [1]. Chosen: with a smaller value, blocks are
+cut at noise; with a larger one, blocks contain kinks of the motion."""
 _MOST_STEPS = 12
-"""Largest number of abrupt changes of an input that is a sequence of steps [1]. Chosen: a larger number leaves blocks
-without enough samples, a smaller one refuses stepped inputs."""
+"""Largest number of abrupt changes of an input that is a sequence of steps [1]. Chosen: with a larger number, some
+blocks have too few samples; a smaller one refuses stepped inputs."""
 _AFTER_STEP = (20, 40)
 """Number of samples of the first blocks after a step [samples]. Chosen: the response changes fastest there, and later
-blocks have the usual length; a smaller number leaves no samples for the noise, a larger one needs a higher degree."""
+blocks have the usual length; with a smaller number, no samples remain for the noise; a larger one needs a higher
+degree."""
 
 
 def cuts_at_steps(time: Array, inputs: Sequence[Input]) -> NDArray[np.int_]:
@@ -188,11 +189,11 @@ NOISE_ROWS = 14
 """Number of further polynomials of a block, which measure the white noise [1]. Chosen: with fewer, the noise is known
 less precisely; with more, it is measured at irrelevant frequencies."""
 BLOCKS = 60
-"""Number of blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree, a larger one leaves few
-samples for the noise."""
+"""Number of blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree; with a larger one, few
+samples remain for the noise."""
 _MIN_SAMPLES = 60
-"""Smallest number of samples of a block [samples]. Chosen: a smaller number leaves no samples for the noise, a larger
-one blurs fast motion."""
+"""Smallest number of samples of a block [samples]. Chosen: with a smaller number, no samples remain for the noise; a
+larger one blurs fast motion."""
 _SPEED_RATIO = 1.6
 """Ratio of the largest to the smallest speed in a block above which the block is cut [1]. Chosen: a smaller value makes
 short blocks, a larger one fits a single polynomial to an angle whose speed changes much."""
@@ -201,8 +202,8 @@ _AT_REST = 0.003
 smaller value, blocks are divided needlessly if the casing comes to rest; with a larger one, slow turns remain in long
 blocks."""
 _MOST_CUTS = 12
-"""Largest number of edges that are added to blocks in which the speed changes by a large factor [1]. Chosen: a smaller
-number leaves fast changes in a block, a larger one leaves few samples for the noise."""
+"""Largest number of edges that are added to blocks in which the speed changes by a large factor [1]. Chosen: with a
+smaller number, blocks contain fast changes; with a larger one, few samples remain for the noise."""
 _BINS = 128
 """Number of groups into which the samples of a block are divided for the covariance of correlated noise [1]. Chosen: a
 smaller number blurs short correlations, a larger one costs time and memory."""

@@ -568,7 +568,7 @@ _ITERATIONS = 12
 costs time in fits that do not converge."""
 _CONVERGED = 0.01
 """Change of the parameters below which a robust fit has converged [standard errors]. Chosen: a smaller value costs
-iterations, a larger one leaves a bias."""
+iterations; with a larger one, a bias remains."""
 
 
 def huber(x: Array) -> tuple[Array, Array]:
@@ -587,7 +587,7 @@ _LOSSES: dict[str, tuple[Psi, ...]] = {"linear": (), "huber": (huber,), "cauchy"
 
 
 def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "linear", **options: Any) -> Fit:
-    """Fit a model with a loss that limits the influence of outliers; the `options` are those of `fit`.
+    """Fit a model with a loss that limits the influence of outliers; `options` are passed to `fit`.
 
     "linear" is least squares. "huber" limits the influence of a sample. "cauchy" starts at the result of "huber"; the
     influence of an outlier tends to zero. R2, rmse and energy refer to the measured data; chi-square and

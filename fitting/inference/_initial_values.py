@@ -230,7 +230,7 @@ def _with_power_law(
     rough: Sequence[tuple[Array, Array]],
     theta: Array,
 ) -> None:
-    """Set the strengths of the linear law and the power law of a joint that has both, if the power law has none yet."""
+    """Set the strengths of a joint with a linear law and a power law, if the power law has no strength yet."""
     pair = (f"{joint.name}.linear.d", f"{joint.name}.power.f", f"{joint.name}.power.g")
     if not all(k in layout.model.free for k in pair):
         return

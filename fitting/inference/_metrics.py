@@ -104,12 +104,12 @@ def _velocities(samples: Samples, blocks: int) -> Samples:
 
 
 def median_noise(cutoff: Array) -> Array:
-    """Return the variance at low frequencies of a running median of gradients, divided by that of one gradient.
+    """Return the variance at low frequencies of a running median of gradients, divided by the variance of one gradient.
 
     If the speed rises, a sample next to the middle changes the median only if the noise of the sample exceeds the rise.
     In sums over many medians every gradient v therefore contributes psi(v), the value v limited to +- c. Here c is the
     slope of the speed multiplied by half the width of the median (`cutoff`, in standard deviations of the noise of one
-    gradient). The spectral density at frequency zero is thus that of Huber's estimate,
+    gradient). The spectral density at frequency zero is therefore the density of Huber's estimate,
 
         S = sum over lags of cov[psi(v_0), psi(v_k)] / P(|v| < c)^2,
 
@@ -368,8 +368,8 @@ def _model_at(data: CaseData, path: Path, state: int, times: Array) -> Array:
 
 
 _SEED = 1
-"""Seed of the simulated noise [1]. Chosen: any value makes the result reproducible; another one changes it within its
-error."""
+"""Seed of the simulated noise [1]. Chosen: any value makes the result reproducible; another seed changes the result
+within its error."""
 _NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable [1]. Derived: quantile 0.75 of the standard normal
 distribution."""
@@ -465,8 +465,8 @@ def _case_by_case(
 ) -> tuple[float, int]:
     """Return the lack of fit of many cases; the slow responses of each case are projected out first.
 
-    The result is that of `_together`, except that ranks are determined for each case. The cost is linear in the number
-    of cases.
+    The result is equal to the result of `_together`, except that ranks are determined for each case. The cost is linear
+    in the number of cases.
     """
     total, rank, rests = 0.0, 0, []
     for s, b, r in zip(slow, free, residual, strict=True):

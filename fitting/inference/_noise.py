@@ -174,7 +174,7 @@ def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Ar
 
 
 def variance_factor(chi2: float, dof: int) -> float:
-    """Return the expected factor by which the variance of residuals exceeds that of the noise.
+    """Return the expected ratio of the variance of residuals to the variance of the noise.
 
     Noise alone (factor 1) and a lack of fit (factor above 1) have equal prior probabilities. For a lack of fit, the
     reciprocal of the factor has a uniform prior between 0 and 1. If chi-square is consistent with the noise, the
@@ -194,7 +194,8 @@ def variance_factor(chi2: float, dof: int) -> float:
 
 _LEAST_SHARE = 0.1
 """Lowest trial level, divided by the level at which the response of the most sensitive row equals the white noise [1].
-Chosen: a lower level changes no row noticeably; a higher level leaves a gap between zero and the lowest trial."""
+Chosen: a lower level changes no row noticeably; with a higher one, the gap between zero and the lowest trial is too
+large."""
 _EVIDENCE = 2.7
 """Twice the log-likelihood ratio above which residuals show a random torque [1]. Derived: without a random torque it is
 larger in 5 % of the recordings (half of chi-square with one degree of freedom; S. Self, K.-Y. Liang, J. Am. Stat.
@@ -213,11 +214,11 @@ _MORE = 1.5
 uncertainty of the level for a lack of fit, a larger one overlooks a raised level."""
 _LEAST_RESPONSE = 0.1
 """Lowest trial value of an unresolved level, divided by the level at which the response of the most sensitive row
-equals the white noise [1]. Chosen: a lower level changes nothing; a higher level leaves a gap between zero and the
-lowest trial."""
+equals the white noise [1]. Chosen: a lower level changes nothing; with a higher one, the gap between zero and the
+lowest trial is too large."""
 _LEAST_EXPECTED = 0.03
 """Lowest trial value of an unresolved level, divided by the expected level [1]. Chosen: a smaller value changes
-nothing; a larger one leaves a gap between zero and the lowest trial."""
+nothing; with a larger one, the gap between zero and the lowest trial is too large."""
 _MOST_EXPECTED = 4.0
 """Highest trial value of an unresolved level, divided by the expected level [1]. Chosen: a normal prior has a
 probability of 6e-5 beyond it; a smaller value cuts the prior, a larger one makes the grid coarser."""
@@ -230,9 +231,9 @@ def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[f
     """Return the most likely level of random torque, and twice the log-likelihood ratio against no random torque.
 
     The likelihood is restricted: the columns `free` (rows, columns), derivatives with respect to parameters and
-    nuisance parameters, are integrated out. The level is set to zero unless its evidence exceeds that of white noise
-    alone in 19 of 20 recordings. An insignificant level would double the standard errors of all parameters that act
-    like a slow torque.
+    nuisance parameters, are integrated out. The level is set to zero unless its evidence exceeds `_EVIDENCE`. White
+    noise alone exceeds this value in only 1 of 20 recordings. An insignificant level would double the standard errors
+    of all parameters that act like a slow torque.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque

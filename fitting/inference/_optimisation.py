@@ -3,8 +3,8 @@
 J. J. More, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630 (1978), with H. B. Nielsen's update of the damping
 (IMM-REP-1999-05). A variable at its bound is held for the step if the negative gradient points out of the bounds.
 
-If chi-square at the end of a search is far above that of noise, the initial values or the model are wrong. The search
-is then repeated from automatic initial values and from other exponents.
+If chi-square at the end of a search is far above the value for noise alone, the initial values or the model are wrong.
+The search is then repeated from automatic initial values and from other exponents.
 """
 
 from __future__ import annotations
@@ -195,7 +195,10 @@ def search_widely(
     quick: bool = False,
     active: ActiveBounds | None = None,
 ) -> Solution:
-    """Return the best of several searches; the `others` start only if the first one ends far from the data."""
+    """Return the best of several searches.
+
+    The searches from `others` are made only if the first search ends far from the data.
+    """
     best: Solution | None = None
     for begin in (theta, *others):
         try:

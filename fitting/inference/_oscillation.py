@@ -38,8 +38,8 @@ _PHASE_DEGREE = 5
 """Degree of the polynomial of the phase [1]. Chosen: a smaller value does not follow a changing frequency, a larger one
 oscillates at the ends."""
 _HARMONICS = 3
-"""Number of harmonics of an oscillation [1]. Chosen: a smaller value leaves motion in the noise, a larger one absorbs
-noise."""
+"""Number of harmonics of an oscillation [1]. Chosen: with a smaller value, a part of the motion counts as noise; a
+larger one absorbs noise."""
 _MODULATION = 3
 """Highest power of time in the polynomial for the amplitude of each harmonic [1]. Chosen: a smaller value does not
 follow the decay, a larger one absorbs noise."""

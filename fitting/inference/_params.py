@@ -110,7 +110,7 @@ class Params(Mapping[str, Estimate]):
         return find_key(name, self._estimates)
 
     def set(self, name: str, **settings: Any) -> Params:
-        """Return the parameters with one of them changed, for `fitting.fit(model, case, params=...)`.
+        """Return the parameters with one parameter changed, for `fitting.fit(model, case, params=...)`.
 
         Parameters
         ----------
@@ -151,7 +151,10 @@ class Params(Mapping[str, Estimate]):
 
 
 def note(e: Estimate) -> str:
-    """Return the remark in brackets on a parameter that is tied, held or at its bound; empty for others."""
+    """Return the remark in brackets on a parameter that is tied, held or at its bound.
+
+    Empty for any other parameter.
+    """
     if e.expr is not None:
         return f" (= {e.expr})"
     if not e.vary:
@@ -187,7 +190,7 @@ class Settings:
     ties: dict[str, str] = field(default_factory=dict)
 
     def joined(self, other: Settings) -> Settings:
-        """Return the settings of both; the settings of `other` take precedence."""
+        """Return the combined settings; the settings of `other` take precedence."""
         return Settings(*(getattr(self, f.name) | getattr(other, f.name) for f in fields(self)))
 
 

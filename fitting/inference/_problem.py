@@ -244,7 +244,7 @@ than the main one [1]. Chosen: with a smaller value, the worst interval dominate
 shape of laws."""
 _MOST_AT_REST = 0.5
 """Blocks at rest are left out of the estimate of the random torque if they are at most this share of the blocks [1].
-Chosen: a smaller value includes blocks that do not respond, a larger one leaves few blocks."""
+Chosen: a smaller value includes blocks that do not respond; with a larger one, few blocks remain."""
 _FIRST_TIME = 1 / 200
 """Correlation time of the first random torque, divided by the length of the record [1]. Chosen: a slower torque would
 absorb the error of the initial values, a faster one is white noise."""

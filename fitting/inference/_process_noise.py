@@ -91,7 +91,7 @@ _NEGLIGIBLE = 1e-25
 over far tails."""
 _BINS = 60
 """Number of bins of the marginal distribution of the level [1]. Chosen: a smaller number rounds the quantiles of the
-level, a larger one leaves few levels in each bin."""
+level, with a larger one, each bin contains few levels."""
 
 
 @dataclass(frozen=True)

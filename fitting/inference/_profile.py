@@ -1,6 +1,6 @@
 """Profile likelihood intervals.
 
-One parameter is held, and the deviance is minimised over all others. The noise remains that of the original fit. At the
+One parameter is held, and the deviance is minimised over all other parameters, at the noise of the original fit. At the
 ends of the interval, this minimum exceeds the deviance of the fit by the quantile of chi-square with one degree of
 freedom, 3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)). The square root of this rise is nearly linear in
 the parameter, so a few fits find each end. If the rise of the deviance does not reach the quantile on one side, this
@@ -30,7 +30,8 @@ narrows them."""
 _NEAR = 0.02
 """Tolerance of an end [standard deviations]. Chosen: a smaller value costs fits, a larger one rounds the end."""
 _FITS = 20
-"""Largest number of fits for each end [1]. Chosen: a smaller number leaves ends open, a larger one costs time."""
+"""Largest number of fits for each end [1]. Chosen: with a smaller number, some ends are not found; a larger one costs
+time."""
 _MOST_STEPS = 300
 """Largest number of steps of each fit [1]. Chosen: a smaller number stops before convergence, a larger one costs
 time in fits that do not converge."""

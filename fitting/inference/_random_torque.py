@@ -39,7 +39,7 @@ _FEWEST_TIMES = 6.0
 value the torque is a trend, which absorbs any effect; with a larger one, slow torques are not tried."""
 _LOWEST = 1e-3
 """Lowest trial level, as a share of the highest allowed level [1]. Chosen: a smaller level cannot be distinguished from
-zero; a larger one leaves a gap between zero and the lowest trial."""
+zero; with a larger one, the gap between zero and the lowest trial is too large."""
 
 
 @dataclass(frozen=True)

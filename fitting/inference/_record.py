@@ -422,7 +422,7 @@ def make_record(
     modes : sequence of ErrorMode
         Errors that samples share.
     mechanism : Mechanism
-        The bodies and joints of a chain: `casing` is its second body, and `rotor` are the runs of all others.
+        The bodies and joints of a chain: `casing` is its second body, and `rotor` are the runs of all other bodies.
     states : sequence of int
         Index in the mechanism of the body of each run of `rotor`; if empty, all runs belong to the first body.
     further : sequence of (float, float)
@@ -624,7 +624,7 @@ def speeds(
 
 
 def median_width(count: int, width: int = WIDTH) -> int:
-    """Return the width of the running median of `count` samples: at most a tenth of them."""
+    """Return the width of the running median of `count` samples: at most a tenth of the samples."""
     return min(width, max(3, count // 10 | 1))
 
 

@@ -475,7 +475,8 @@ class Fit(FitSummary):
     def residual(self) -> Array:
         """Measured minus fitted value of every sample, divided by its stated standard uncertainty.
 
-        The samples are sorted by case; the samples of the casing or the single body precede those of the rotor windows.
+        The samples are sorted by case; the samples of the casing or the single body precede the samples of the rotor
+        windows.
         """
         return residuals_of(self)
 
@@ -645,8 +646,8 @@ class Fit(FitSummary):
         ----------
         criteria : Criteria
             Its `excess_noise` is the smallest excess that counts, in standard uncertainties of the recording's level.
-            Its `random_torque_evidence` is the smallest fall of the deviance by the random torque. By default those of
-            the fit.
+            Its `random_torque_evidence` is the smallest fall of the deviance by the random torque. By default the
+            criteria of the fit.
         """
         criteria = criteria or self.criteria
         if len(self.noise) > 1:

@@ -42,8 +42,8 @@ class Experiment:
     """Initial speeds, cameras and noise of a simulated run."""
 
     omega_rotor: float = 900.0
-    """Speed of the rotor at the start [rad/s]. Chosen: a fast rotor at the scale of the paper; a smaller value leaves
-    less energy for the casing, a larger one needs a faster camera."""
+    """Speed of the rotor at the start [rad/s]. Chosen: a fast rotor at the scale of the paper; with a smaller value,
+    the casing receives less energy; a larger one needs a faster camera."""
     omega_casing: float = 5.0
     """Speed of the casing at the start [rad/s]. Chosen: the casing has just been released; a smaller value starts near
     rest, a larger one shows less of the acceleration."""

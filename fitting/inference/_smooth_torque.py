@@ -146,10 +146,11 @@ def smooth_torques(
 
 
 def _beside(alone: Array, columns: Array, noise: Noise) -> Array:
-    """Return independent combinations of the columns, without the part that the free columns describe."""
+    """Return independent combinations of the columns that the free columns do not already describe."""
     basis = orthonormal(noise.whitener(alone[:, :-1]), _RANK_FREE)
     columns = scaled_columns(columns, alone[:, -1])[:, :-1]
-    # for a single body, the torques on the casing and in the bearing are the same, or already in the model
+    # some columns are dependent: for a single body, the torques on the casing and in the bearing are equal, or in the
+    # model
     _, value, directions = np.linalg.svd(orthogonal_to(basis, noise.whitener(columns)), full_matrices=False)
     return np.asarray(columns @ directions[value > _RANK * value.max(initial=0.0)].T)
 

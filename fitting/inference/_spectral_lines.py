@@ -36,8 +36,8 @@ from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_in
 Array = NDArray[np.float64]
 
 _FEWEST_PERIODS = 10
-"""Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; a larger value
-leaves slow lines in the process noise."""
+"""Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; with a larger
+value, slow lines count as process noise."""
 _PER_PEAK = 2
 """Number of trial frequencies per width of a peak; the width is 2 pi divided by the length of the record [1]. Chosen: a
 smaller number passes over peaks, a larger one costs time; the finer search follows."""
@@ -48,8 +48,8 @@ _FASTEST = 2.5
 """Highest frequency [rad per row]. Chosen: below the Nyquist limit, pi; with a larger value, lines are not resolved by
 the rows; a smaller one overlooks fast lines."""
 _MOST = 4
-"""Largest number of lines in a record [1]. Chosen: a smaller number leaves lines in the process noise, a larger one
-divides a broad spectrum into lines."""
+"""Largest number of lines in a record [1]. Chosen: with a smaller number, some lines count as process noise; a larger
+one divides a broad spectrum into lines."""
 _RETAINED = 0.05
 """A line is tested only if at least this share of the norm of its rows is orthogonal to the polynomials [1]. Chosen: a
 smaller value finds lines in the motion, a larger one overlooks slow lines."""

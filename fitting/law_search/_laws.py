@@ -15,9 +15,9 @@
    the motion must be linear only in the difference of two laws. With the residual of the base, it would have to be
    linear in the whole law. Shape constants are refined on these scores.
 3. The best laws of the second search are refitted at the same noise and ranked by BIC plus the description length of
-   the formula. If any of them is significant, the answer is a set: every law within `Criteria.equivalence_width` of the
-   best law belongs to it. Two formulas of the set have the same torque along the recorded motion if the deviance that
-   would separate them is small:
+   the formula. If any of these laws is significant, the answer is a set: every law within `Criteria.equivalence_width`
+   of the best law belongs to it. Two formulas of the set have the same torque along the recorded motion if the deviance
+   that would separate them is small:
 
        |M (x - y)|^2 < `Criteria.evidence`,
 
@@ -206,9 +206,7 @@ class Laws:
     differs: DifferentParameter | None = (
         None  # shared parameter whose separate values describe the data as well as the laws do
     )
-    trace: tuple[Refit, ...] = field(
-        default=(), repr=False
-    )  # every fit of the search, also those that failed
+    trace: tuple[Refit, ...] = field(default=(), repr=False)  # every fit of the search, including failed fits
 
     def __repr__(self) -> str:
         shown = [f"  {law!r}" for law in self.laws[:_SHOWN]]
@@ -217,7 +215,7 @@ class Laws:
 
     @property
     def answer(self) -> tuple[Law, ...]:
-        """The laws within the equivalence width of the best one."""
+        """The laws within the equivalence width of the best law."""
         if not self.laws:
             return ()
         others = set(self.laws[0].indistinguishable_from)
@@ -804,7 +802,7 @@ def _separation(one: Fit, other: Fit) -> float:
 
 
 def _difference(one: Law, other: Law) -> Difference | None:
-    """Return the largest difference of the net torques of two fits along the motion of the first one."""
+    """Return the largest difference of the net torques of two fits along the motion of the first fit."""
     worst: Difference | None = None
     for case, data in enumerate(one.fit.problem.data):
         t = np.linspace(*data.record.span, _POINTS)

@@ -1,8 +1,8 @@
 """All on/off combinations of the paper's terms, the paper's two models, and the robustness of parameters.
 
 As in the paper, tables 1 and 2 vary the drags of rotor and casing, with the linear law of the bearing: first with all
-four drag terms, then without each of them in turn. Tables 3 and 4 vary the laws of the bearing (without a1): all
-fifteen combinations of c, d, e and f.
+four drag terms, then without one of the terms. Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen
+combinations of c, d, e and f.
 
 In the cross-validation over recordings, shared parameters have the values of a fit of the other recordings. Only
 parameters that the other recordings do not determine are free: the friction at the touch point (another surface) and
@@ -405,7 +405,7 @@ def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> t
         follows = best is not None and "bearing.power" in best.model.names
         row = Row(run, None) if follows else _row(run, data, noise)
         if best is not None and (row.fit is None or row.fit.deviance > best.deviance + _SAME_MINIMUM):
-            # a larger deviance than that of a nested model shows that the search ended in a local minimum
+            # a deviance larger than the deviance of a nested model shows that the search ended in a local minimum
             row = _better(row, best, data, noise)
         rows[run] = row
         count.add(1)

@@ -30,7 +30,7 @@ class LimitsDocument(TypedDict):
     #: suffices [1].
     runs_needed: float
     absorbed: bool  #: Whether the model absorbs the effect, so that it has no limit.
-    #: Effects that are not separated from this one at the larger of `size` and `detection_limit`.
+    #: Effects that are not separated from this effect at the larger of `size` and `detection_limit`.
     indistinguishable_from: list[str]
     effect: str  #: Name of the effect.
     kind: str  #: `physical` or `measurement`.

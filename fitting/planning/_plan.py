@@ -71,7 +71,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pair = tuple[Finite, Finite]
 
 _SEED = 1
-"""Seed of simulated runs [1]. Chosen: any value makes a plan reproducible; another one changes limits within their
+"""Seed of simulated runs [1]. Chosen: any value makes a plan reproducible; another seed changes limits within their
 error."""
 _LARGEST = 1_000_000
 """Longest text of a plan [characters]. Chosen: a limit of memory; a larger value admits malicious files, a smaller one
@@ -137,7 +137,7 @@ class PlannedRecordings:
     numbers: dict[str, float]  # every parameter [SI]
     inertias: tuple[float, float]  # moments of inertia of rotor and casing [kg m2]
     experiments: tuple[Experiment, ...]  # the runs
-    given: dict[str, Any]  # those bounds of the next run that are in the file
+    given: dict[str, Any]  # bounds of the next run, if the file contains them
 
     def fit(self, simulation: int = 0, criteria: Criteria = DEFAULT) -> Fit:
         """Simulate the recordings with the random numbers of one simulation, and fit the model to them."""

@@ -250,11 +250,11 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
 def motion_of_passages(passages: Passages) -> BodyMotion:
     """Return the period and the decay rate of a pendulum from its passages through light gates.
 
-    Pairs of neighbouring passages in opposite directions are averaged, because a distance of the gates from the
-    equilibrium delays one passage and advances the other. The durations of the passages are inversely proportional to
-    the amplitude. The times of the pairs, and the logarithms of the durations, are fitted by polynomials in the number
-    of the passage. Period and decay rate are given for the middle of the record. A DatasetError is raised if too few
-    passages are consecutive.
+    Pairs of neighbouring passages in opposite directions are averaged. If the gates are at a distance from the
+    equilibrium, one passage of a pair is too late and the other passage is too early. The durations of the passages are
+    inversely proportional to the amplitude. The times of the pairs, and the logarithms of the durations, are fitted by
+    polynomials in the number of the passage. Period and decay rate are given for the middle of the record. A
+    DatasetError is raised if too few passages are consecutive.
     """
     t, duration = passages.time, passages.duration
     half = 0.5 * float(np.median(t[2:] - t[:-2]))
@@ -363,8 +363,8 @@ def _next_coefficient(fits: Sequence[Estimate]) -> float:
     """Return the plausible size of the next coefficient after the polynomial of highest degree; 0 if it is not needed.
 
     The coefficients c of a smooth motion decrease geometrically. With the highest degree n, the next coefficient is
-    therefore c_n^2 / c_(n-1), and at most c_n. It is needed if the polynomial of degree n is the best one, because
-    further degrees may then be significant.
+    therefore c_n^2 / c_(n-1), and at most c_n. It is needed if the polynomial of degree n is the best, because further
+    degrees may then be significant.
     """
     if len(fits) < 2 or fits[-1].hannan_quinn > min(fit.hannan_quinn for fit in fits):
         return 0.0

@@ -460,8 +460,8 @@ def links_recording(
 ) -> Recording:
     """Follow the joint of two links and a point of the second link, and make a recording of both bodies.
 
-    The casing is the first link, the rotor the second one. Both angles are relative to the ground, counter-clockwise
-    from the right of the picture; their difference is the angle between the links.
+    The casing is the first link, the rotor is the second link. Both angles are relative to the ground,
+    counter-clockwise from the right of the picture; their difference is the angle between the links.
     """
     if len(starts) != 2:
         what = f"--links needs two points, but {len(starts)} are given."

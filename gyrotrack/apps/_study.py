@@ -261,7 +261,7 @@ def open_study(
     rotor : {"windows", "generated"}
         Fit the measured rotor data, or one generated curve through these data as in the paper.
     prior : Path, optional
-        Case or ledger of another study; the parameters of its latest fit are a prior for this one.
+        Case or ledger of another study; the parameters of its latest fit are a prior for this study.
     prior_rotor : Path, optional
         A study of the rotor as a single body.
     read : tuple of CaseData

@@ -1,6 +1,7 @@
 """Contents of a file: consistency check (`info`) and export to other programs.
 
-The export formats are CSV, Parquet, netCDF, JSON, and text and projects of OSP Tracker; `import` reads all of them.
+The export formats are CSV, Parquet, netCDF, JSON, and text and projects of OSP Tracker; `import` reads all these
+formats.
 """
 
 from __future__ import annotations

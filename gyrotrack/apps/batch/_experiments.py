@@ -108,7 +108,7 @@ def unique_name(label: str, taken: set[str]) -> str:
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
-    """Set missing inertias of experiments to those `given` by body; options in `skip` may be missing."""
+    """Set missing inertias of experiments to the values `given` by body; options in `skip` may be missing."""
     made = []
     for e in experiments:
         own: dict[str, Any] = {}

@@ -188,7 +188,7 @@ class Workers(Protocol):
     """Runs commands in parallel."""
 
     def submit(self, words: Sequence[str], timeout: float | None) -> Future[Answer]:
-        """Begin a command; the answer is that of `Child.run`."""
+        """Begin a command; the answer has the form of the answer of `Child.run`."""
 
     def close(self) -> None:
         """Stop running commands and end."""

@@ -382,7 +382,7 @@ class Laboratory:
     def outcome(self, key: str) -> dict[str, Any]:
         """Return state, progress and document of the certificate, or of the plan of the next run."""
         job = self.jobs.get(key)
-        # a finished test is stored with its fit; the shown fit may be another one
+        # a finished test is stored with its fit, and the shown fit may be a different fit
         if key == "certificate" and (job is None or job.state == "done"):
             return {"state": "none", "document": self.session.certificate()}
         if job is None:

@@ -112,7 +112,7 @@ def table_of_arrays(
 
 
 def _describe_a_motion(names: Iterable[str]) -> bool:
-    """Return whether the names of vectors are those of times and of angles or speeds."""
+    """Return whether the names of the vectors include a time, and an angle or a speed."""
     roles = {role_of(header_of(name)[0]) for name in names}
     return "t" in roles and bool(roles & {"angle", "omega"})
 

@@ -46,8 +46,8 @@ _GAP = 20.0
 _BLOCK = 15  # number of samples of a local polynomial; with degree 9, five degrees of freedom remain
 # degrees of a local polynomial; the last degree is only used to test whether the previous degree is sufficient
 _DEGREES = (3, 5, 7, 9)
-# a degree is not sufficient if its residual variance exceeds that of the next degree by this factor: a random walk has
-# 1.36, white noise 1
+# a degree is not sufficient if the ratio of its residual variance to the variance of the next degree exceeds this
+# value; the ratio is 1.36 for a random walk and 1 for white noise
 _INSUFFICIENT = 1.6
 _NEIGHBOURS = 41  # number of blocks of a running median; its standard error is 8 %
 # The motion is an oscillation if frequencies near the largest peak of the spectrum have at least this share of the
@@ -794,11 +794,11 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
 
     Polynomials are fitted to blocks of 15 samples. The variance is the running median of the residual variances over 41
     blocks, divided by the median of chi2 / dof; it is robust against outliers and follows slow changes. The degree is
-    the lowest of 3, 5 and 7 whose variance is less than 1.6 times the variance of the next degree. Degree 3 is thus
-    used for white and correlated noise. For an oscillation with few samples per period, cubics would leave a part of
-    the motion in the residuals. If an oscillation with a period of at most a block has most of the variance, a sinusoid
-    is added to the cubics. Errors that vary more slowly than a block (centre offset, tilt) are not included. `floor` is
-    a lower bound, in the unit of `value`.
+    the lowest of 3, 5 and 7 whose variance is less than 1.6 times the variance of the next degree. Degree 3 is
+    therefore used for white and correlated noise. For an oscillation with few samples per period, cubics would leave a
+    part of the motion in the residuals. If an oscillation with a period of at most a block has most of the variance, a
+    sinusoid is added to the cubics. Errors that vary more slowly than a block (centre offset, tilt) are not included.
+    `floor` is a lower bound, in the unit of `value`.
     """
     size = min(_BLOCK, len(time))
     count = len(time) // size

@@ -118,7 +118,7 @@ _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
 def is_sampled(time: Floats) -> bool:
-    """Return whether times are those of a clocked sampler and not of events."""
+    """Return whether times are from a clocked sampler and not from events."""
     step = np.diff(np.sort(time))
     usual = float(np.median(step)) if len(step) else 0.0
     return usual > 0 and float(np.mean(np.abs(step - usual) < _CLOCKED * usual)) > 0.9
@@ -135,7 +135,7 @@ def signal_columns(raw: RawTable, time_column: int) -> list[int]:
 
 
 def is_regular(edges: Floats) -> bool:
-    """Return whether pulses are as regular as those of a rotation."""
+    """Return whether pulses are as regular as the pulses of a rotation."""
     step = np.diff(edges)
     return len(step) > 2 and float(np.median(np.abs(np.diff(np.log(step))))) < _REGULAR_EDGES
 
@@ -932,7 +932,7 @@ def from_changes(
 ) -> MotionTable:
     """Return the angle of a body at the changes of its counts, which were sampled at equal intervals.
 
-    Rows with the same count share one error of up to a step of the angle, so only the first of them contains
+    Rows with the same count share one error of up to a step of the angle, so only the first of these rows contains
     information. Let r be the number of steps between two rows. If r < 1, the boundary between two counts is assumed to
     be passed midway between the rows, with an uncertainty of r / sqrt(12) steps. If r > 1, or if the body passes
     several boundaries (for example, where rows are missing), the angle in each row is the middle of its count, with an
@@ -1190,7 +1190,7 @@ def _continued_count(count: Floats) -> tuple[Floats, int]:
 def counters_of(raw: RawTable) -> list[int]:
     """Return the counters among the columns of a table without header: integers that increase in steps of 1.
 
-    A column that increases in every row contains row numbers, unless the rows are at irregular times, those of pulses.
+    A column that increases in every row contains row numbers, unless the rows are at the irregular times of pulses.
     """
     found = []
     time = raw.numeric(0)

@@ -217,7 +217,7 @@ def clean(unit: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a word is a unit, of the supported quantities or others."""
+    """Return whether a word is a unit, of a supported quantity or of any other quantity."""
     return factor("", text) is not None or clean(text).casefold() in {
         "state",
         "px",

@@ -51,7 +51,8 @@ _STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
 # A record counts as the motion of a motor, and is not cut, if two conditions hold. The speed rises at least
 # `_FEWEST_RISES` times by `_VARIES` of the largest speed. The part that seems to be free is shorter than `_SHORT` of
 # the record. A hand may also push a body several times, but then the speed hardly falls between the pushes. If a record
-# contains several free runs, the part that seems to be free is one of them and is longer than `_SHORT` of the record.
+# contains several free runs, the part that seems to be free is one of these runs and is longer than `_SHORT` of the
+# record.
 _VARIES, _FEWEST_RISES, _SHORT = 0.25, 3, 0.2
 _MIN_STEPS = 2  # smallest deflection at which quantisation errors are independent [steps of the resolution]
 
