@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 _COLUMNS = 10
 """Number of splines in the test of a torque that depends on one variable [1]. Chosen: a smaller number overlooks narrow
-laws, a larger one lowers the power for broad ones."""
+laws, a larger one lowers the power for broad laws."""
 _FINE = 36
 """Number of splines of the displayed curve [1]. Chosen: a smaller number does not resolve a resonance, a larger one
 costs time; the prior smooths the splines."""
@@ -73,8 +73,8 @@ _CURVE = 120
 files."""
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 """Trial standard deviations of a torque, divided by the standard deviation that the data suggest [1]. Chosen: four per
-decade from far below the noise to far above it; the optimum may be outside a shorter range, a coarser grid rounds
-it."""
+decade from far below the noise to far above it; the optimum may be outside a shorter range; a coarser grid rounds the
+optimum."""
 _LENGTHS = np.geomspace(0.03, 3.0, 9)
 """Trial correlation lengths, divided by the range of the variable [1]. Chosen: the splines do not resolve shorter
 lengths; with longer lengths, the curve is nearly a straight line."""

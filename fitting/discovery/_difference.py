@@ -44,7 +44,8 @@ class ValuesPerRecording:
     """The values of one parameter in the recordings."""
 
     name: str  # ``<effect>.<symbol>``
-    estimates: dict[str, Estimate]  # by label of the recording; their errors may be strongly correlated
+    # values by label of the recording; the errors of the values may be strongly correlated
+    estimates: dict[str, Estimate]
     differences: dict[str, Estimate]  # value in each other recording minus the value in the first, by label
 
     @property
@@ -56,7 +57,7 @@ class ValuesPerRecording:
     def largest(self) -> float:
         """The largest difference between two recordings [sigma].
 
-        0 if no uncertainty is known, for example at a bound.
+        It is 0 if no uncertainty is known, for example at a bound.
         """
         return max(
             (abs(e.value) / e.stderr for e in self.differences.values() if e.stderr > 0.0), default=0.0
@@ -185,8 +186,8 @@ def _several_that_differ(base: Fit, keys: Sequence[str], criteria: Criteria) -> 
     """Return parameters whose separate values describe the data; None if separate values of all do not suffice.
 
     The shared values of the base are a compromise between the recordings, and its noise contains the differences of the
-    recordings. Therefore the first fit has its own initial values and noise. Then parameters are shared again one by
-    one, in ascending order of their difference, if this lowers the BIC and causes no lack of fit.
+    recordings. Therefore the first fit does not use the initial values and the noise of the base. Then parameters are
+    shared again one by one, in ascending order of their difference, if this lowers the BIC and causes no lack of fit.
     """
     found = None
     with attempt("all parameters per recording"):

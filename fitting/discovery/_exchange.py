@@ -49,7 +49,7 @@ class Exchange(NamedTuple):
     """A law that is removed from the model, the laws in its place, and the first-order change of BIC."""
 
     removed: Effect
-    # of the laws that replace the removed law, with their strengths; empty if no law replaces it
+    # scores of the laws that replace the removed law, with their strengths; empty if no law replaces it
     scores: tuple[Score, ...]
     delta_bic: float
 
@@ -64,7 +64,7 @@ class Exchange(NamedTuple):
 
     @property
     def laws(self) -> tuple[Effect, ...]:
-        """The laws in the place of the removed one."""
+        """The laws in the place of the removed law."""
         return tuple(s.effect for s in self.scores)
 
     def refit(self, about: Fit) -> Fit | None:

@@ -40,7 +40,7 @@ from fitting.effects._expression import parse
 
 _BITS = 2.0
 """Bits for each symbol of a formula [1]. Chosen: a vocabulary of four symbols; a smaller value prefers long formulas, a
-larger one refuses them."""
+larger one refuses long formulas."""
 _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
 _SPEEDS: dict[str, tuple[str, ...]] = {
     "rotor": ("omega_r",),

@@ -71,8 +71,8 @@ class Run:
     duration: float  # length of the recording of the casing [s]
     windows: tuple[float, ...]  # start of each rotor window [s]
     window_length: float  # length of each window [s]
-    ring: float = 1.0  # moment of inertia of the casing, divided by the present one
-    surface: float = 1.0  # friction at the touch point, divided by the present one
+    ring: float = 1.0  # moment of inertia of the casing, divided by the present value
+    surface: float = 1.0  # friction at the touch point, divided by the present value
 
 
 class Information:

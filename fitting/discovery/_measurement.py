@@ -91,7 +91,7 @@ class StartErrors:
     def p_value(self) -> float:
         """Probability of this fall of the deviance if the starts have no errors.
 
-        S is then at its bound 0 in half of the data sets.
+        The parameter s is then at its bound 0 in half of the data sets.
         """
         from scipy.special import chdtrc
 

@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _RING = 1.5
-"""Moment of inertia of the casing with an inertia ring, divided by the present one [1]. Chosen: such a ring is easily
+"""Moment of inertia of the casing with an inertia ring, divided by the present value [1]. Chosen: such a ring is easily
 made; a larger value proposes heavy rings, a smaller one gains little information."""
 _SURFACE = 3.0
 """Largest ratio of the friction of another surface to the friction of the present surface [1]. Chosen: usual surfaces

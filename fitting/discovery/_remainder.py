@@ -217,7 +217,7 @@ def _mean_square(curves: Sequence[ResidualTorque]) -> float:
 def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
     """Return times [s] and unmodelled torque [N m] of an oscillation whose phase the model does not describe.
 
-    None in other cases.
+    The result is None if the model describes the phase.
 
     Let a be the residual of the amplitude A, p the residual of the phase, and w the angular frequency. The residuals
     are caused by torques per moment of inertia with the amplitudes 2 w a' (in quadrature with the deflection) and 2 w A
@@ -442,7 +442,7 @@ def grade(
     )
     if unknown:
         return Grade(None, 1 - share, remainder, unknown=unknown, test=tested)
-    # a rival is equivalent if its score is at most lower by the lack of fit of the fit with the chosen effect
+    # a rival is equivalent if its score is lower by at most the lack of fit of the fit with the chosen effect
     excess = max(selection.named.lack_of_fit.chi2 - selection.named.lack_of_fit.dof, 0.0)
     margin = max(excess, selection.named.deviance - end.deviance)
     rivals = tuple(
@@ -483,7 +483,7 @@ def _complete(
 
 
 def _likelihood_ratio(smaller: Fit, larger: Fit) -> float:
-    """Return the p-value of the likelihood ratio of two nested fits; 1 if the larger one has no more parameters."""
+    """Return the p-value of the likelihood ratio of two nested fits; 1 if the larger fit has no more parameters."""
     from scipy.special import chdtrc
 
     more = len(larger.theta) - len(smaller.theta)

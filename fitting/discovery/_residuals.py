@@ -221,10 +221,11 @@ class Failure:
     t_stop: float  # end of the interval [s]
     # "loses torque" or "gains torque" compared with the model; "ripple" for a harmonic of the angle
     kind: str
-    where: str  # in words, for example "while speeding up", "near the peak", "once a turn"
+    where: str  # place in words, for example "while speeding up", "near the peak", "once a turn"
     size_sigma: float  # largest distance from zero in standard deviations
-    residual_rad_s: float  # extreme (5 % or 95 %) speed residual with its sign; speed amplitude of a harmonic
-    residual_torque_Nm: float  # mean, weighted by inverse variances; amplitude of a harmonic
+    # extreme (5 % or 95 %) speed residual with its sign; for a harmonic, its speed amplitude
+    residual_rad_s: float
+    residual_torque_Nm: float  # mean torque, weighted by inverse variances; for a harmonic, its amplitude
     omega_c: tuple[float, float]  # lowest and highest speed of the casing in the interval [rad/s]
     called: str  # name of the body for the user, for example "body" if a single body was recorded
     # standard uncertainty of the torque; for a mean over an interval, its upper bound

@@ -438,8 +438,8 @@ class Score:
     null: Array = field(repr=False)  # scores of the null data
     # share of the process noise of each case in the variance of the response
     shares: tuple[float, ...] = field(default=(), repr=False)
-    noise: tuple[Noise, ...] = field(default=(), repr=False)  # of each case
-    own_phase: bool = False  # each case has a separate strength and phase; the shape is shared
+    noise: tuple[Noise, ...] = field(default=(), repr=False)  # noise of each case
+    own_phase: bool = False  # whether each case has a separate strength and phase; the shape is shared
 
 
 def score_in_case(context: ScoreContext, effect: Effect, trials: list[Trial], case: int) -> Score:
@@ -632,7 +632,7 @@ def _shape_refined(
     cases: Sequence[CaseColumns],
     criteria: Criteria,
 ) -> Score:
-    """Return the score with a shape constant between the points of its grid, if the effect has a single one."""
+    """Return the score with a shape constant between the points of its grid, if the effect has one shape constant."""
     shapes = [p.symbol for p in score.effect.parameters if p.role == "shape"]
     if len(shapes) != 1:
         return score

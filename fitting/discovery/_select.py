@@ -660,7 +660,7 @@ class History(list[Step]):
 class Selection(NamedTuple):
     """The outcome of `select`."""
 
-    candidates: list[Candidate]  # in their final order
+    candidates: list[Candidate]  # candidates in their final order
     chosen: Candidate | None  # the effect to add
     named: Fit  # the refined fit with this effect alone; the base if no effect is added
     # the refined fit with everything that was added, for example also a free shape constant or a second effect; the
@@ -763,7 +763,7 @@ def _superseding(
 def _refined(found: Fit, criteria: Criteria) -> Fit:
     """Return a fit continued to full convergence.
 
-    The unchanged fit if the model cannot be computed during the search.
+    The fit is unchanged if the model cannot be computed during the search.
     """
     with attempt("to full convergence"):
         return refined(found, criteria)

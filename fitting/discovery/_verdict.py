@@ -937,7 +937,7 @@ def _start_errors(chosen: Candidate, others: Sequence[str]) -> list[str]:
 def _untested(test: FormTest, criteria: Criteria) -> list[str]:
     """Return the reason why the form of a law is not established although the residuals are consistent with noise."""
     if test.is_strong(criteria):
-        return []  # stated with the rivals
+        return []  # this reason is stated with the rivals
     if test.bounds_p <= criteria.doubt_named:
         pulled = f"the fit prefers {', '.join(test.bounds)} outside its bounds"
         return [f"The form is not established: {pulled} ({stated_probability(test.bounds_p)})."]
@@ -982,7 +982,7 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
 
 
 def _strength(c: Candidate, fit: Fit | None) -> str:
-    """Return the strength of a candidate with its combined uncertainty in the fit that determines it."""
+    """Return the strength of a candidate with its combined uncertainty in the fit that determines this strength."""
     if c.effect.amplitude is None:
         return ""
     symbol = c.effect.amplitude.symbol

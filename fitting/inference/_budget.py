@@ -50,7 +50,7 @@ _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
 """Weights of a quadrature rule for a normal distribution [1]. Derived: the Gauss-Hermite rule of three nodes."""
 _RANK = 1e-7
 """Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
-rounding errors, with a larger one, some nuisance columns are not projected out."""
+rounding errors; with a larger one, some nuisance columns are not projected out."""
 _ROUNDING = 1e-12
 """A contribution is rounding error if its share of the total is below this value [1]. Chosen: a smaller value lists
 contributions that are zero, a larger one hides small contributions."""

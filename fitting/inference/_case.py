@@ -274,7 +274,7 @@ def model_of(effects: str | Sequence[str], record: Record) -> Model:
         )
     if len(names) == 1 and names[0] in NAMED:
         return Model.of(names[0], record.mechanism).of_bodies(record.parts)
-    # a plus within a formula belongs to it
+    # a plus sign within a formula is a part of the formula
     names = [n for e in names for n in ([e] if ":" in e else e.split("+"))]
     known = (inward(n.strip(), record.name) for n in names)
     return Model(tuple(resolve(n, record.inputs, record.mechanism) for n in known))

@@ -149,7 +149,7 @@ Chosen: the rotor hardly slows down within such a window; a smaller value divide
 averages changing speeds."""
 _WINDOW_BLOCKS = 20
 """Number of blocks of a window of the rotor, if the window is as long as the record of the casing [1]. Chosen: a
-smaller number does not resolve the deceleration, with a larger one, each block has few samples."""
+smaller number does not resolve the deceleration; with a larger one, each block has few samples."""
 _WINDOW_ROWS = 8
 """Smallest number of rows of a rotor window from which correlated noise is estimated [rows]. Chosen: a smaller number
 does not separate motion and noise; with a larger one, short windows have no estimate."""

@@ -23,7 +23,8 @@ from fitting.inference._record import Record
 from fitting.inference._ties import find_key
 
 _SCREEN = 20
-"""Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
+"""Largest number of lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a
+larger one scrolls."""
 LEAST_CORRELATION = 0.1
 """Smallest correlation in a report [1]. Source: lmfit, whose report has the same default."""
 # settings that a user may change for a parameter

@@ -77,8 +77,8 @@ _FINER = 16
 """Number of levels of the finer grid per level of the coarse grid [1]. Chosen: a smaller number makes the posterior
 mean coarse, a larger one costs time."""
 _REFINED_SHARE = 1e-4
-"""The grid of times is refined about each time whose probability, relative to the largest one, exceeds this value [1].
-Chosen: a smaller value costs time, a larger one rounds the posterior."""
+"""The grid of times is refined about each time whose probability, relative to the largest probability, exceeds this
+value [1]. Chosen: a smaller value costs time, a larger one rounds the posterior."""
 _STUDENT_DOF = 3
 """Degrees of freedom of the prior of a level [1]. Derived: the smallest number with a finite variance; its tails are
 heavy."""
@@ -91,7 +91,7 @@ _NEGLIGIBLE = 1e-25
 over far tails."""
 _BINS = 60
 """Number of bins of the marginal distribution of the level [1]. Chosen: a smaller number rounds the quantiles of the
-level, with a larger one, each bin contains few levels."""
+level; with a larger one, each bin contains few levels."""
 
 
 @dataclass(frozen=True)

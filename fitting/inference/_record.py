@@ -255,7 +255,7 @@ class Record:
 
     @property
     def is_chain(self) -> bool:
-        """Whether its bodies have names and joints of their own, unlike a gyroscope or a single body."""
+        """Whether the bodies have separate names and joints, unlike a gyroscope or a single body."""
         return self.mechanism != GYROSCOPE
 
     @property
@@ -682,7 +682,7 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
     y = samples.value - np.repeat(samples.value[first], size)
     rows = np.full((len(first), 3), np.nan)
     rows[:, 0] = middle
-    # the lengths of the pieces differ by at most one sample; the shortest piece determines the degree of all
+    # the lengths of the pieces differ by at most one sample; the shortest piece determines the degree of all pieces
     degree = min(2 if is_angle else 1, int(size.min()) - 1)
     powers = [np.ones(len(x)), x, x * x][: degree + 1]
     gram = np.stack([np.stack([sums(p * q) for q in powers], axis=-1) for p in powers], axis=-1)

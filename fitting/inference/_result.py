@@ -86,7 +86,7 @@ _SCREEN = 20
 larger one scrolls."""
 _POINTS = 600
 """Number of points of a drawn curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
-# printed with a fit to a generated curve
+# warning that is printed with a fit to a generated curve
 GENERATED = (
     "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "
     "more than ten times larger; fit the rotor windows instead"
