@@ -298,7 +298,7 @@ CASE_BODY_ATTRIBUTES = (
         "role",
         str,
         "",
-        "casing, rotor, or body (a single one, or one of a chain)",
+        "casing, rotor, or body (a single body, or a body of a chain)",
         "body",
         choices=("casing", "rotor", "body"),
     ),
@@ -309,7 +309,7 @@ CASE_BODY_ATTRIBUTES = (
         "inertia_u", float, "kg m2", "standard uncertainty of the inertia; absent if not given", math.nan
     ),
     Attribute(
-        "place", int, "", "number of the body in a chain; 0 is the first one, which may come to rest", 0
+        "place", int, "", "number of the body in a chain; 0 is the first body, which may come to rest", 0
     ),
 )
 CLOCK = Table(
@@ -320,7 +320,7 @@ CLOCK = Table(
     ),
 )
 JOINT_ATTRIBUTES = (
-    Attribute("bodies", list, "", "names of its two bodies, or of one and `ground`"),
+    Attribute("bodies", list, "", "names of its two bodies, or of one body and `ground`"),
     Attribute("kind", str, "", "bearing, or contact", choices=("bearing", "contact")),
     Attribute("place", int, "", "number of the joint in a chain", 0),
 )
@@ -329,7 +329,7 @@ JOINT_ATTRIBUTES = (
 GROUPS = (
     ("`/casing` of a case", SERIES),
     ("`/rotor` of a case: all windows", WINDOWED),
-    ("`/rotor_generated` of a case, only if one was requested", GENERATED),
+    ("`/rotor_generated` of a case, only if a generated curve was requested", GENERATED),
     ("`/input/<name>` of a case: a recorded input of the motion", INPUT),
     ("`/body/<name>/series/fused` of a case: the series that the fit uses", FUSED),
     ("`/body/<name>/series/fused/error/<mode>`: an error that its samples share", ERROR_MODE),

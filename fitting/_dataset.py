@@ -109,10 +109,10 @@ class Reader(Guard):
             raise self.fail(what, _RECREATE)
         shown = f"{path} has the layout {version[:SHOWN]}"
         if int(major) < 1:
-            raise self.fail(f"{shown}; the oldest supported one is 1.0.", _RECREATE)
+            raise self.fail(f"{shown}; the oldest supported layout is 1.0.", _RECREATE)
         if int(major) > layout.MAJOR:
             raise self.fail(
-                f"{shown}; the newest supported one is {layout.FORMAT_VERSION}.", "Update gyrotrack."
+                f"{shown}; the newest supported layout is {layout.FORMAT_VERSION}.", "Update gyrotrack."
             )
         found = self.attribute(file, "kind", str)
         if found not in {layout.RECORDING, layout.CASE} or (kind is not None and found != kind):
@@ -185,7 +185,7 @@ class Reader(Guard):
             raise self.fail(what, "Store a part of the recording.")
 
     def check_storage(self, dataset: Any) -> None:
-        """Raise an error for a dataset in another file, or one that is larger than its stored bytes can be."""
+        """Raise an error for a dataset in another file, or for a dataset larger than its stored bytes can be."""
         if not isinstance(dataset, h5py.Dataset):
             raise self.fail(f"{location(dataset)} is not a dataset.", _OTHER_LAYOUT)
         if dataset.shape is None or dataset.dtype.kind not in "iuf" or dataset.dtype.itemsize > 16:

@@ -120,7 +120,7 @@ class Files:
 
     def name_in_lock(self, part: Path, own: Path) -> None:
         """Write the name of a temporary file into a lock that is held; after a kill the next writer removes it."""
-        # this is best effort: there may be no lock, the disk may be full, and Windows does not write to a locked file
+        # a failure is ignored: there may be no lock, the disk may be full, and Windows does not write to a locked file
         with suppress(OSError), self.open_side_file(own, os.O_RDWR | os.O_TRUNC) as stream:
             stream.write(LOCK_LINE + os.fsencode(part.name))
 

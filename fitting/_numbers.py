@@ -235,7 +235,7 @@ class Units:
     note : str
         Explanation for the reader; empty for SI units.
     of : callable
-        Function that converts the SI unit of a constant of a torque law to the unit in these units.
+        Function that converts the SI unit of a constant of a torque law to its unit in this system of units.
     steps : tuple
         Smallest torque, factor and unit of each prefix in sentences, largest first.
     prefixes : tuple
@@ -311,7 +311,7 @@ def to_json(value: Any) -> Any:
 
 
 def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE) -> str:
-    """Return a torque with the unit prefix of its size, rounded to its standard uncertainty if that is known.
+    """Return a torque with the unit prefix of its size, rounded to its standard uncertainty if it has one.
 
     The units are nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, and N m; for `unit` "rad/s2" they are
     urad/s2, mrad/s2 and rad/s2.

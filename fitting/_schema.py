@@ -635,7 +635,7 @@ def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
 
 
 def parse_json(text: str, path: Path, kind: type[_D], what: str, hint: str) -> _D:
-    """Return the document in a text that was read from `path`; the errors are those of `read_json`."""
+    """Return the document in a text that was read from `path`; raise the same errors as `read_json`."""
     try:
         document = json.loads(text)
     except (ValueError, RecursionError):

@@ -111,7 +111,7 @@ class _CaseReader:
         return StoredCase(attributes, series[0], tuple(series[1:]), self._inputs(), self._start_u(), joints)
 
     def _bodies(self) -> list[_Body] | None:
-        """Return the bodies in `/body`, the main one first; None without `/body`."""
+        """Return the bodies in `/body`, the main body first; None without `/body`."""
         if "body" not in self.file.keys():  # noqa: SIM118 - `in file` follows links
             return None
         bodies = [
@@ -128,7 +128,7 @@ class _CaseReader:
         if _is_chain(bodies) and len({*places}) < len(places):
             raise self.reader.fail(
                 f"{self.file.filename} has two bodies of the same place.",
-                "Number the bodies with the attribute 'place', from 0 for the one that may come to rest.",
+                "Number the bodies with the attribute 'place', from 0 for the body that may come to rest.",
             )
         return sorted(bodies, key=lambda b: (b.stated["role"] == "rotor", b.stated["place"]))
 
@@ -237,7 +237,7 @@ class _CaseReader:
         if layout.FITTED_SERIES not in several and len(several) != 1:
             raise self.reader.fail(
                 f"{location(body)} has {len(several)} series and none is named {layout.FITTED_SERIES}.",
-                f"Name the one to be fitted {layout.FITTED_SERIES}.",
+                f"Name the series to be fitted {layout.FITTED_SERIES}.",
             )
         return several.get(layout.FITTED_SERIES) or next(iter(several.values()))
 

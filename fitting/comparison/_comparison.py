@@ -125,10 +125,10 @@ class Comparison:
 
     runs: tuple[str, ...]  # names of the runs
     parameters: tuple[ParameterComparison, ...]  # the most significant difference first
-    effects: dict[str, tuple[str, ...]]  # by effect that some runs do not have: the runs that have the effect
+    effects: dict[str, tuple[str, ...]]  # runs that have an effect, by effect that some runs do not have
     bounds: dict[
         str, tuple[str, ...]
-    ]  # by parameter: the runs in which the parameter is at a bound or has no uncertainty
+    ]  # runs in which a parameter is at a bound or has no uncertainty, by parameter
     population: Population | None = None  # outlying runs, drifts and steps; None for fewer than eight runs
     words: Mapping[str, str] = field(default_factory=dict)  # effects and parameters in words, by key
 

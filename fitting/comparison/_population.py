@@ -183,7 +183,7 @@ class Population:
     parameters: tuple[PopulationParameter, ...]
     # shape (p, p); correlation of the true values of two parameters over the runs; NaN if a spread is zero
     correlation: Array
-    outlying: tuple[tuple[str, float], ...]  # runs, and p-values adjusted for the number of runs
+    outlying: tuple[tuple[str, float], ...]  # outlying runs, with p-values adjusted for the number of runs
     untested: Mapping[
         str, int
     ]  # parameters that too few runs determine, and the number of runs that do not determine them

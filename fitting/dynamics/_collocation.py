@@ -123,7 +123,7 @@ class Mesh:
     def sampler(self, times: Array) -> Sampler:
         """Return the sampler at these times.
 
-        It is cached by the identity of the array, so the array must not be changed.
+        The sampler is cached by the identity of the array, so the array must not be changed.
         """
         known = self._samplers.get(id(times))
         if known is None:

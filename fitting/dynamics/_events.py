@@ -243,7 +243,7 @@ class Segments:
         raise SimulationError(UNBOUNDED)
 
     def _valid(self, pieces: list[Path]) -> list[Path]:
-        """Return the stretches before the first invalid one, in which the casing reverses or is held wrongly."""
+        """Return the stretches before the first stretch in which the casing reverses, or friction does not hold it."""
         largest = max(float(np.abs(p.y[..., MAIN]).max()) for p in pieces)
         for i, piece in enumerate(pieces):
             if piece.sense[0] == 0:

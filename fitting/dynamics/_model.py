@@ -7,7 +7,7 @@ motion are
     I_b d(omega_b)/dt = sum of the torques on the body b + sum of tau_j (b second) - sum of tau_j (b first),
 
 and there is one more equation for each effect with its own state. In a gyroscope the rotor is the first and the casing
-the second body of the bearing. A model cannot be changed after it was made, and it contains no values of free
+the second body of the bearing. A model cannot be changed after it is made, and it contains no values of free
 parameters. Values are passed separately, as a mapping from ``<effect>.<symbol>`` to a value.
 """
 

@@ -135,7 +135,7 @@ Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 Scale = Literal["", "speed", "length", "chirp"]
 
-# The variables of a law, with their units. `tau` is the whole bearing torque; states of effects may depend on it.
+# The variables of a law, with their units. `tau` is the whole bearing torque; states of effects may depend on `tau`.
 # `deflection` is the angle of the casing, or of the single body, from its equilibrium. In a contact with the ratio n,
 # `slip` is omega_r - n omega_c, and `inertia_slip` is the effective inertia 1 / (1 / I_r + n^2 / I_c). `torque_held` is
 # the torque of the contact on the rotor that keeps the slip constant under all other torques.
@@ -438,7 +438,7 @@ class Effect:
     def bodies(self) -> frozenset[str]:
         """The bodies on which the effect acts or depends.
 
-        The effect does not apply to cases in which any of these is missing.
+        The effect does not apply to cases in which one of these bodies is missing.
         """
         site = self.place or self.joint
         return bodies_of(site, symbols(self.expression).union(*map(symbols, self.rates)), self.mechanism)

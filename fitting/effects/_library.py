@@ -211,7 +211,7 @@ TOUCHPOINT = (
         (
             Parameter("k", "N m", meaning="Coulomb friction"),
             Parameter("s", "1", "shape", 1e-5, 10.0, 0.01, (0.003, 0.03, 0.3),
-                meaning="angle through which the contact yields before it slides [rad]; k/s is its stiffness"),
+                meaning="angle through which the contact yields before it slides [rad]; k/s is a stiffness"),
             _STATIC, _STRIBECK,
             Parameter("T", "s", "shape", 0.0, 1.0, 0.0, (0.0,), scale="length",
                 meaning="ratio of damping to stiffness of the bristles"),
@@ -228,7 +228,7 @@ TOUCHPOINT = (
             Parameter("s", "1", "shape", 1e-5, 10.0, 0.01, (0.003, 0.03),
                 meaning="angle through which the first element yields before it slides [rad]"),
             Parameter("q", "1", "shape", 1.5, 1e3, 10.0, (3.0, 10.0, 30.0),
-                meaning="ratio of the angle of the second element to that of the first"),
+                meaning="angle of the second element, divided by the angle of the first element"),
             _STATIC, _STRIBECK,
         ),
         words="two-element Maxwell-slip friction of the casing",
@@ -359,11 +359,11 @@ SETUP = (
     Effect("setup.inertia", "inertia", "1/(1 + eps)",
         (
             Parameter("eps", "1", lower=-0.3, upper=0.3,
-                meaning="relative amount by which the casing's inertia is too small"),
+                meaning="relative amount by which the given inertia is too small"),
         ),
         kind="measurement",
         words="error of the given inertia of the casing",
-        signature="the torques between the bodies inferred from rotor and casing differ by a constant factor",
+        signature="the bearing torques that follow from rotor and casing differ by a constant factor",
         confused_with=("touchpoint.load", "bearing.heating"),
         source="only ratios of torque to inertia are observable; the bearing torque acts on both bodies"),
 )
@@ -480,7 +480,10 @@ _BUDGET = 1e-4
 
 
 def of_the_rotor(effect: Effect) -> Effect | None:
-    """Return the effect of the rotor with the law of an effect of a single body, or None."""
+    """Return the effect of the rotor that has the law of a given effect of a single body.
+
+    None if there is no such effect.
+    """
 
     def law(e: Effect) -> tuple[str, ...]:
         own = {p.symbol: sym(f"p{i}") for i, p in enumerate(e.parameters)}
@@ -547,7 +550,7 @@ def typical_of_model(
 ) -> dict[str, float]:
     """Return a value for each parameter of a model: the paper's value if there is one, otherwise a typical value.
 
-    The other arguments have the meanings that they have in `typical_values`.
+    `typical_values` explains the other arguments.
     """
     values: dict[str, float] = {}
     for effect in effects:

@@ -112,7 +112,10 @@ class Mechanism:
         return sum(body in {c.first, c.second} for c in self.couplings)
 
     def short_names(self, site: str) -> dict[str, str]:
-        """Return the symbols behind the short names omega, psi and delta at a body or joint; empty for a gyroscope."""
+        """Return the symbols that the short names omega, psi and delta mean at a body or joint.
+
+        Empty for a gyroscope.
+        """
         if self == GYROSCOPE:
             return {}
         joint = self.joints.get(site)

@@ -50,7 +50,7 @@ from fitting.effects._instances import find_law
 from fitting.effects._library import LIBRARY
 from fitting.effects._mechanism import GYROSCOPE, Mechanism, renamed, speed_of
 
-# unit of a strength if other units were not given, so that this unit cannot be derived
+# unit of a strength that cannot be derived, because the units of other parameters were not given
 UNKNOWN_UNIT = "SI"
 _COARSE = 5
 """If a law has a changepoint and other shape constants, only every n-th trial changepoint is tried; this is n [1].
@@ -285,7 +285,10 @@ def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
 
 
 def _is_phase(expression: Expr, symbol: str) -> bool:
-    """Return whether a parameter is a phase: then minus the second derivative with respect to it is the law itself."""
+    """Return whether a parameter is a phase.
+
+    The second derivative of the law with respect to a phase is minus the law.
+    """
     slope = derivative(derivative(expression, symbol), symbol)
     tape = Tape([expression, slope])
     values = {name: 0.4 + 0.17 * i + np.linspace(0.0, 1.0, 5) for i, name in enumerate(sorted(tape.names))}

@@ -33,7 +33,7 @@ class EffectName:
     Attributes
     ----------
     key : str
-        The key that commands accept; for a single body without the role: ``air.quadratic``, ``support.constant``.
+        The key that commands accept. Keys of a single body have no role: ``air.quadratic``, ``support.constant``.
     words : str
         The name in words, for example "quadratic air drag of the casing".
     symbol : str

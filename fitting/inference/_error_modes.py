@@ -131,7 +131,7 @@ def checked_modes(modes: object) -> tuple[ErrorMode, ...]:
     if count > MOST_AMPLITUDES:
         raise RecordError(
             f"the error modes have {count} amplitudes; at most {MOST_AMPLITUDES} can be fitted",
-            "combine the smallest ones into the uncertainty of the samples",
+            "combine the smallest amplitudes into the uncertainty of the samples",
         )
     return tuple(modes)
 

@@ -505,7 +505,7 @@ def _covering(inputs: Sequence[Input], casing: Samples, windows: Sequence[Sample
     names = [i.name for i in inputs]
     if len(set(names)) < len(names):
         twice = next(n for n in names if names.count(n) > 1)
-        raise RecordError(f"there are several inputs named {twice}", "give each its own name")
+        raise RecordError(f"there are several inputs named {twice}", "give each a different name")
     first = min(float(run.time[0]) for run in (casing, *windows))
     last = max(float(run.time[-1]) for run in (casing, *windows))
     for i in inputs:

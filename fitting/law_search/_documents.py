@@ -95,10 +95,10 @@ class LawsDocument(TypedDict):
     next_experiment: str  #: The run that separates the laws, in words; empty for one law.
     trials: int  #: Number of scored candidates.
     laws: list[LawDocument]  #: Laws, best first.
-    library: str | None  #: Name of the effect of the library that describes the data as well.
-    #: A parameter whose separate values in the cases describe the data as well; null if there is no such parameter.
+    library: str | None  #: Name of the effect of the library that describes the data as well as the laws.
+    #: A parameter whose separate values in the cases describe the data as well as the laws; null if there is none.
     differs: DifferenceBetweenRecordings | None
-    depends_on: list[DependenceDocument]  #: Dependence on each variable, the largest share first.
+    depends_on: list[DependenceDocument]  #: Dependence on each variable, the largest explained share first.
 
 
 def laws_document(found: Laws, fit_id: str) -> LawsDocument:

@@ -132,7 +132,7 @@ class Difference:
 
     formula: str  #: The other law.
     torque_Nm: float  #: Largest difference of the net torques on a body, base model included [torque].
-    label: str  #: Name of the case in which it occurs.
+    label: str  #: Name of the case with the largest difference.
     t_start: float  #: Start of the interval in which the difference exceeds half of its maximum [s].
     t_stop: float  #: End of this interval [s].
     omega_c: tuple[float, float]  #: Smallest and largest speed of the casing in this interval [rad s-1].
@@ -159,7 +159,7 @@ class Law:
     description_length: float  # penalty of the length of the formula, added to BIC in the ranking
     # family-wise: probability of an equal or larger score in the whole search if no law is missing
     p_value: float
-    torque_rms_Nm: float  # rms torque rms torque along the measured motion [N m]
+    torque_rms_Nm: float  # rms torque along the measured motion [N m]
     estimates: dict[str, Estimate]  # parameters by ``<effect>.<symbol>``
     indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
     same_torque_as: tuple[str, ...]  # formulas of laws with the same torque along the recorded motion
@@ -417,7 +417,7 @@ class _Steps:
 
 
 class _Trial(NamedTuple):
-    """A law to refit: its form, its score, the initial values of the other parameters, and the model without it."""
+    """A law to refit: form, score, initial values of the other parameters, and the model without the law."""
 
     law: LawForm
     score: Score

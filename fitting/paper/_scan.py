@@ -101,9 +101,10 @@ bounds that the paper prints."""
 def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str, tuple[float, float]]:
     """Return ranges about the mean of separate fits of the reduced model, by name.
 
-    The mean is over the separate fits, as values in the paper show: for its second case it prints g = 1.05 and f =
-    0.0795e-7, which are the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In a joint fit, parameters may
-    have separate values for the cases `labels`. A parameter that is zero in the reduced fits keeps its declared bounds.
+    The mean is over the separate fits, as values in the paper show: for the second case, the paper prints g = 1.05 and
+    f = 0.0795e-7, which are the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In a joint fit, parameters
+    may have separate values for the cases `labels`. A parameter that is zero in the reduced fits keeps its declared
+    bounds.
     """
     ranges = {}
     for key, width in WIDTHS.items():

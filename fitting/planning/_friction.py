@@ -160,7 +160,7 @@ def _grouped(pairs: Sequence[Pair]) -> str:
 
 
 def friction_plan(fit: Fit, *, criteria: Criteria = DEFAULT) -> FrictionPlan:
-    """Return the friction laws that the first recording of a fit, and other runs, separate.
+    """Return the friction laws that the first recording of a fit and other runs separate.
 
     Parameters
     ----------

@@ -15,10 +15,8 @@ The recordings are either measured, and a model is fitted to them, or described 
     "rotor.air.quadratic.a2" = 1.0e-10
     ...
 
-    [noise]
-    angle = 1e-3                   # rad, of each frame
-    torque = 1e-7                  # N m rms, random torque; 0 for none
-    torque_time = 1.0              # s, its correlation time
+    [noise] angle = 1e-3                   # rad, of each frame torque = 1e-7                  # N m rms, random torque;
+    0 for none torque_time = 1.0              # s, correlation time of the torque
 
     [[run]]
     omega_rotor = 900.0            # rad/s at the start
@@ -146,7 +144,7 @@ class PlannedRecordings:
         return fit_model(self.model, records, start=start, criteria=criteria)
 
     def process_noise(self, simulation: int, criteria: Criteria = DEFAULT) -> tuple[ProcessNoise, ...]:
-        """Simulate the recordings, and return the estimate of the process noise of each."""
+        """Simulate the recordings, and return the estimate of the process noise of each recording."""
         return tuple(CaseData.of(r, criteria).process_noise for r in self._records(simulation))
 
     def _records(self, simulation: int) -> list[Record]:

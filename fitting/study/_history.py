@@ -90,7 +90,7 @@ class Entry:
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Parameters shared by all cases, and parameters with one value per case.
 
-        Only those that differ from the default.
+        Only choices that differ from the default are listed.
         """
         return tuple(self.stored.share), tuple(self.stored.per_case)
 
@@ -156,7 +156,9 @@ class Entry:
     def certificate(
         self, found: Diagnosis, seed: int | None = None, *, film: bool | None = None
     ) -> Certificate | None:
-        """Return the stored certificate of `found`, also an incomplete one; None if this version has stored none.
+        """Return the stored certificate of `found`, also an incomplete one.
+
+        None if this version of the code stored none.
 
         `seed` selects certificates whose random errors have this seed; `film` selects certificates from films (True) or
         from simulated data (False). A certificate from films is preferred, because it tests the tracking as well.
@@ -174,7 +176,10 @@ class Entry:
         return None
 
     def latest_certificate(self) -> Certificate | None:
-        """Return the stored certificate of any answer, preferably from films; None if this version has stored none."""
+        """Return the stored certificate of any answer, preferably from films.
+
+        None if this version of the code stored none.
+        """
         for key in (_OF_FILMS, _OF_DATA):
             stored = self.document.get(key)
             with suppress(*_DAMAGED):
@@ -289,7 +294,7 @@ class Ledger:
         previous : Fit, optional
             The fit with which the errors are compared.
         share, per_case : sequence of str
-            Parameters shared by all cases, and parameters with one value per case; only those that differ from the
+            Parameters shared by all cases, and parameters with one value per case; only choices that differ from the
             default.
         ranges : dict, optional
             Bounds [unit of the parameter] that replace the bounds of the effects.
@@ -356,7 +361,7 @@ class Ledger:
             self.find(fit_id).document[key] = as_json(stored_certificate(found))
 
     def annotate(self, fit_id: str, *, name: str | None = None, note: str | None = None) -> None:
-        """Set the name or the note of a fit; None keeps the present one.
+        """Set the name or the note of a fit; None keeps the present text.
 
         Parameters
         ----------
@@ -395,7 +400,8 @@ class Ledger:
             successors = [e.fit_id for e in self.entries if e.stored.parent == fit_id]
             if successors:
                 raise LedgerError(
-                    f"{fit_id} has successors: {', '.join(successors)}", "delete those first, or keep it"
+                    f"{fit_id} has successors: {', '.join(successors)}",
+                    "delete the successors first, or keep this fit",
                 )
             self.entries.remove(entry)
             return entry
