@@ -28,7 +28,7 @@ from gyrotrack.io.readers._pulses import varies_both_ways
 
 _LEAST_RISE = 0.05  # smallest rise of the speed of a driven body [share of the largest speed]
 _SIGNIFICANT = 6.0  # smallest change of the speed that is significant [standard uncertainties]
-_FEWEST_TURNS = 8  # in fewer turns, an unbalance may cause the rise
+_FEWEST_TURNS = 8  # smallest number of turns; in fewer turns, an unbalance may cause the rise
 _BLOCKS = 100  # largest number of intervals in which mean speeds are compared
 # an input drives the body if its median is at least this value [share of the largest value of the input]
 _LEAST_LEVEL = 0.05

@@ -234,7 +234,7 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     )
 
     def averaged(row: Floats) -> Value:
-        """Average a combination of coefficients over the models; `row` also contains the next higher degree."""
+        """Average a combination of coefficients over the models; `row` also has an entry for the next higher degree."""
         value = _averaged(fits, [row[: order + 1] for order in orders])
         return Value(value.value, math.hypot(value.stderr, missing * row[most + 1]))
 
@@ -322,7 +322,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     )
 
     def averaged(row: Floats) -> Value:
-        """Average a combination of coefficients over the models; `row` also contains the next higher degree."""
+        """Average a combination of coefficients over the models; `row` also has an entry for the next higher degree."""
         value = _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
         return Value(value.value, math.hypot(value.stderr, missing * row[most + 1]))
 
@@ -702,7 +702,7 @@ _AGAIN = 0.5
 
 
 def _joins(time: Floats, angle: Floats, known: int) -> int:
-    """Return the number of samples that continue the motion of the first `known` samples; 0 if these are too few.
+    """Return the number of samples that continue the motion of the first `known` samples; 0 if `known` is too small.
 
     The motion is extrapolated by a cubic, and the result includes the first `known` samples. The motion ends before the
     first sample that deviates by more than 6 standard uncertainties of the extrapolation, either from the first `known`

@@ -377,7 +377,9 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
     fps = film.info.container_fps
     if not math.isfinite(fps):
         raise VideoError(f"{film.path} does not state its capture rate.", "Give --capture-fps.")
-    slow = f"The capture rate is that of the container, {fps:g} fps; a slow-motion film needs --capture-fps."
+    slow = (
+        f"The capture rate is taken from the container: {fps:g} fps. A slow-motion film needs --capture-fps."
+    )
     return fps, "container", [slow] if fps < SLOWEST_PLAIN_RATE else []
 
 
@@ -482,8 +484,8 @@ def links_recording(
     }
     beside = OFF_AXIS / float(np.median(np.hypot(*(joint.place - joint.hub).T)))
     text = (
-        "The casing is the first link, about the pivot; the rotor is the second one, about the joint. Their angles are "
-        "relative to the ground; the angle between the links is rotor minus casing. The points may be "
+        "The casing is the first link, about the pivot; the rotor is the second link, about the joint. Their angles "
+        "are relative to the ground; the angle between the links is rotor minus casing. The points may be "
         f"{1e3 * beside:.2g} mrad off the axes of the links, which "
         "causes an error of the zero of the first angle."
     )
@@ -597,7 +599,7 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
         other = next(key for key in recording.bodies if key != name)
         text = (
             f"The {name} is one of {len(recording.bodies)} bodies and is analysed; "
-            f"--body {other} selects the other one."
+            f"--body {other} selects the other body."
         )
         recording = replace(recording, warnings=(*recording.warnings, text))
     body = recording.bodies[name]
@@ -630,7 +632,7 @@ class BodyResponse(TypedDict):
     body: str  #: Name of the body.
     time_constant: StoredEstimate  #: Moment of inertia divided by the coefficient of linear drag.
     gains: dict[str, StoredEstimate]  #: Change of the final speed per unit of an input, by input.
-    delays: dict[str, StoredEstimate]  #: Dead time of an input, by input for which one is fitted.
+    delays: dict[str, StoredEstimate]  #: Dead time of each input whose dead time is fitted, by input.
 
 
 class SpindownDocument(TypedDict):
@@ -737,7 +739,7 @@ def _analysed(
         if body is not None:
             hint = "give the hub of a film with --hub X,Y." if options.hub is None else "check the hub."
         raise TrackingError(
-            f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that it is the right file; {hint}"
+            f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that this is the right file; {hint}"
         )
     settings = {
         "source": source,

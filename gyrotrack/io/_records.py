@@ -120,7 +120,7 @@ class BodyTrack:
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 if there is no
         such error.
     correlated_profile : tuple of (float, float)
-        Times [s], and the standard uncertainty [rad] of this error at each of them; empty if the uncertainty is
+        Times [s], and the standard uncertainty [rad] of this error at these times; empty if the uncertainty is
         constant.
     periodic_sigma : float
         Standard deviation of the amplitudes of an error of one and two periods per turn [rad]; 0 if there is no such
@@ -266,7 +266,7 @@ class Series:
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 if there is no
         such error.
     correlated_profile : tuple of (float, float)
-        Times [s], and the standard uncertainty [rad] of this error at each of them; empty if the uncertainty is
+        Times [s], and the standard uncertainty [rad] of this error at these times; empty if the uncertainty is
         constant.
     periodic_sigma : float
         Standard deviation of the amplitudes of an error of one and two periods per turn [rad]; 0 if there is no such

@@ -222,7 +222,7 @@ class Row:
     rmse_casing: float | None  #: Rms residual of the smoothed angular velocity of the casing [rad s-1].
     reduced_chi2: float | None  #: Chi-square of the casing divided by the effective number of samples [1].
     misfit: float | None  #: Rms residual divided by the rms of the noise [1].
-    diagnosis: str  #: Verdict of the diagnosis; empty without one.
+    diagnosis: str  #: Verdict of the diagnosis; empty without a diagnosis.
     missing: str  #: Effects that `diagnose` or `improve` found.
     trusted: bool  #: Whether every step returned a trusted result (exit code 0).
     warnings: int  #: Number of warnings of the steps.

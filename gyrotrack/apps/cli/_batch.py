@@ -99,7 +99,7 @@ class OptionDocument(_From):
 class ConfigDocument(TypedDict):
     """The settings in use."""
 
-    file: Path | None  #: The settings file; null without one.
+    file: Path | None  #: The settings file; null without a settings file.
     settings: dict[str, dict[str, OptionDocument]]  #: Options by command and key of the settings file.
 
 

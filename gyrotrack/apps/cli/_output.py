@@ -466,7 +466,11 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
         "",
         f"rmse of the angular rate of the {record.body} [{speed_unit()}]; misfit and prediction",
         "(cross-validation) error in units of the noise" + (";" if counted else ""),
-        *([f"{best['samples']} samples, {best['n_eff']:.0f} equivalent independent ones"] if counted else []),
+        *(
+            [f"{best['samples']} samples, {best['n_eff']:.0f} equivalent independent samples"]
+            if counted
+            else []
+        ),
     ]
     return ["\n".join(lines)]
 

@@ -349,7 +349,7 @@ InertiaRotor = Annotated[
 InertiaCasing = Annotated[
     str | None, option("--inertia-casing I", "Moment of inertia of the casing, in the same form.")
 ]
-Label = Annotated[str | None, option("--label L", "Name of the case; by default that of the file.")]
+Label = Annotated[str | None, option("--label L", "Name of the case; by default the name of the file.")]
 BodyName = Annotated[
     str, option("--body-name NAME", "Name of the single body, for example wheel, in all sentences and keys.")
 ]

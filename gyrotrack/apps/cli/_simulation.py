@@ -207,7 +207,7 @@ def reveal_command(
     ledger: shared.LedgerFile = None,
     out: shared.Out,
 ) -> None:
-    """Open a sealed challenge and score an answer: that of --answer, or the latest fit of the case.
+    """Open a sealed challenge and score an answer: the answer of --answer, or the latest fit of the case.
 
     Example: gyrotrack reveal case.seal.json case.h5
     """

@@ -653,7 +653,7 @@ def spindown_command(
         Path | None, option("--profile P", "Markers and colours of the film; by default detected.")
     ] = None,
     body: Annotated[
-        SingleBody | None, option("--body", "Body to analyse, if the film or recording contains two.")
+        SingleBody | None, option("--body", "Body to analyse, if the film or recording contains two bodies.")
     ] = None,
     capture_fps: Annotated[
         float | None,
@@ -679,7 +679,7 @@ def spindown_command(
             "Keep the whole record, including a driven start, rest at the end, and outliers.",
         ),
     ] = False,
-    label: Annotated[str, option("--label L", "Name of the case; by default that of the file.")] = "",
+    label: Annotated[str, option("--label L", "Name of the case; by default the name of the file.")] = "",
     body_name: shared.BodyName = "",
     force: shared.Force = False,
     out: shared.Out,

@@ -329,7 +329,7 @@ def write_figures(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         what = f"Cannot create the folder {folder}: {error.strerror}."
-        raise OutputError(what, "Choose another with -o.") from None
+        raise OutputError(what, "Choose another folder with -o.") from None
     with new_outputs(*(folder / name for name in documents), force=force):
         for name, document in documents.items():
             with new_file(folder / name, force=force) as stream:

@@ -1,4 +1,4 @@
-"""One server per folder: a second `gyrotrack view` opens the page of the first.
+"""One server per folder: a second `gyrotrack view` opens the page of the first command.
 
 A running server stores its address in ``.NAME.address`` beside the lock of the folder or case. Only its user can read
 this file, because the address contains the secret. An address is used only if its server answers.
@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from urllib.request import ProxyHandler, Request, build_opener
 
 _WAIT = 2.0  # longest wait for the answer of a server [s]
-_MAX_SIZE = 2000  # largest size of an address file [largest size of an address file [bytes]]
+_MAX_SIZE = 2000  # largest size of an address file [bytes]
 
 
 class Address:

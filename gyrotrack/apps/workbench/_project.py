@@ -59,7 +59,7 @@ class Project:
         self.folder = folder.resolve()
         if not self.folder.is_dir():
             what = f"There is no folder {folder}."
-            raise ConfigurationError(what, "Create it, or give another one with --folder.")
+            raise ConfigurationError(what, "Create it, or give another folder with --folder.")
         self._lock = RLock()
         self._infos: dict[str, dict[str, Any]] = {}
         self._read: tuple[tuple[str, int], Recording] | None = None

@@ -805,7 +805,7 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, windo
         try:
             listener.bind((_ADDRESS, port))
         except (OSError, OverflowError):
-            raise UsageError(f"The port {port} is not free.", "Omit --port to use any free one.") from None
+            raise UsageError(f"The port {port} is not free.", "Omit --port to use any free port.") from None
         port = listener.getsockname()[1]
         token = secrets.token_urlsafe(24)
         config = uvicorn.Config(

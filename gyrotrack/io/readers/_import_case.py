@@ -272,7 +272,7 @@ def import_case(
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     options : sequence of ReadOptions, optional
-        Options for reading the file of the casing, then those of the rotor.
+        Options for reading the file of the casing, then the options for the files of the rotor.
     limits : Limits, optional
         Times to include and to exclude.
 
@@ -292,7 +292,7 @@ def import_case(
     if not (I_rotor > 0 and I_casing > 0):
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
     if not rotors:
-        raise UsageError("There is no table of the rotor.", "Give one with --rotor.")
+        raise UsageError("There is no table of the rotor.", "Give a table with --rotor.")
     paths = (casing, *rotors)
     given = [
         replace(o, body=o.body or ("rotor" if k else "casing"))

@@ -116,7 +116,7 @@ def read_input_options(given: Sequence[str]) -> tuple[InputOption, ...]:
                 what, "Use letters, digits and underscores; t, omega_c, psi_c ... have a meaning."
             )
         if any(option.name == name for option in found):
-            raise UsageError(f"The input {name} is given twice.", "Give each input its own name.")
+            raise UsageError(f"The input {name} is given twice.", "Give each input a different name.")
         u = float(parsed["u"]) if parsed["u"] else math.nan
         option = InputOption(name, parsed["column"], parsed["unit"], u)
         for word in more:

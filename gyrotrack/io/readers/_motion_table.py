@@ -58,7 +58,7 @@ _OSCILLATES = 0.5
 _NEARBY = np.linspace(0.9, 1.1, 9)
 _FLOOR = 1e-6
 _MOST_REPEATED = 0.7  # largest share of rows that have the same time as the previous row
-# smallest change from the previous sample to an erroneous sample, and from it to the next [largest usual change]
+# smallest change at an erroneous sample, before and after this sample [largest usual change]
 _SPIKE = 20.0
 # largest share and largest number of unusual changes between neighbours; the larger of the two limits applies
 _RARE = (0.01, 4.0)
@@ -490,7 +490,7 @@ def interpret(raw: RawTable, options: ReadOptions, *, counts: bool = False) -> M
         used |= set(columns.axes)
         why["omega"] = f"{why['omega']}, with the other axes"
         notes.append(
-            f"{raw.path.name}: the speed is that along the direction ({text}) of the {len(parts)} axes of "
+            f"{raw.path.name}: the speed is the component in the direction ({text}) of the {len(parts)} axes of "
             f"'{_stem_without_axis(raw.names[place[quantity]])}', in which it varies most; the scale factor of the "
             "sensor is not determined"
         )
@@ -607,7 +607,7 @@ def _compare(raw: RawTable, columns: Columns, time: Floats, angle: Floats) -> No
     names = [column_name(raw, columns.place[role]) for role in ("angle", "omega")]
     raise DatasetError(
         f"{raw.header_place}: the slope of {names[0]} is {abs(ratio):.4g} times {names[1]}: {cause}.",
-        f"State the unit of the one to use: --column 'angle={raw.names[columns.place['angle']]} [deg]'.",
+        f"State the unit of the column to use: --column 'angle={raw.names[columns.place['angle']]} [deg]'.",
     )
 
 

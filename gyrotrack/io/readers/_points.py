@@ -32,7 +32,7 @@ class Points:
 
     path: Path  # the file
     time: Floats  # shape (n,); times [s], or frame numbers if `counted`
-    # shape (n, 2); x and y of each point; NaN in frames without it
+    # shape (n, 2); x and y of each point; NaN in frames without the point
     places: Mapping[str, Floats]
     # shape (n,); likelihood from the other program, 0 to 1; empty if not available
     likelihood: Mapping[str, Floats]
@@ -136,7 +136,7 @@ def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str
     doubt = (
         f"{file}: the distance of '{name}' from {where} varies from {length.min():.3g} to {length.max():.3g}; its path "
         f"is a circle about a centre that is {offset:.2g} +- {u:.2g} away. The angle ranges over {given:.3g} rad about "
-        f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the latter."
+        f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the centre of the path."
     )
     return (doubt,)
 

@@ -660,7 +660,7 @@ def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
 
 
 def _typical_interval(step: Floats) -> Floats:
-    """Return the local typical interval: the geometric mean of the medians of three earlier and three later ones."""
+    """Return the local typical interval: geometric mean of two medians, of three earlier and three later intervals."""
     if len(step) < 3:
         return np.full(len(step), np.median(step) if len(step) else np.nan)
     logs = np.log(np.maximum(step, 1e-300))

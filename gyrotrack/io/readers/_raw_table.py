@@ -232,7 +232,7 @@ def is_unit(text: str) -> bool:
 def factor(role: str, unit: str) -> float | None:
     """Return the factor of a unit to SI for a quantity ("": any quantity), from `pint` if it is installed.
 
-    None if unknown.
+    The result is None for an unknown unit.
     """
     bare = clean(unit)
     if bare.casefold() in _AMBIGUOUS:
