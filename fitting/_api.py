@@ -28,14 +28,15 @@ def load(path: str | Path, *, data: str | None = None, rotor: str = "windows") -
     path : str or Path
         An HDF5 file made by ``gyrotrack sync`` or ``gyrotrack import``.
     data : {"angle", "velocity"}, optional
-        The quantity to fit; the measured one by default.
+        The quantity to fit; by default the measured quantity.
     rotor : {"windows", "generated"}
         The measured rotor windows, or the paper's generated curve through them.
 
     Returns
     -------
     Record
-        Arrays of time [s], value and sigma [rad or rad/s] of both bodies; `fitting.make_record` makes one from arrays.
+        Arrays of time [s], value and sigma [rad or rad/s] of both bodies; `fitting.make_record` makes a record from
+        arrays.
 
     Raises
     ------
@@ -79,7 +80,7 @@ def fit(
     params : Params, or mapping of str to mapping, optional
         Settings of parameters by name, for example ``{"k": {"value": 0.7, "vary": False}}``. The keys are value (the
         initial or the fixed value), vary, min, max, and expr, an expression of other parameters that gives the value,
-        for example ``{"k": {"expr": "2*d"}}``. The `params` of an earlier fit are such settings.
+        for example ``{"k": {"expr": "2*d"}}``. The `params` of an earlier fit are also accepted.
     fixed : mapping of str to float, optional
         Parameters held at a value [SI]: ``{"bearing.power.g": 0.7}``.
     loss : {"linear", "huber", "cauchy"}
@@ -125,7 +126,7 @@ def fit(
     names = Names.of(chosen, records)
     asked = Settings(
         {names(k): float(v) for k, v in (fixed or {}).items()},
-        # values of another fit are initial values of the parameters that both models contain
+        # if another fit is given as the start, its values are used for all parameters that both models contain
         {k if names.missing(k) else names(k): float(v) for k, v in (start or {}).items()},
         {names(k): (float(a), float(b)) for k, (a, b) in (ranges or {}).items()},
     )

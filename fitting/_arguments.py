@@ -1,4 +1,4 @@
-"""Check of the arguments of public functions; an error message names the argument, its value, and what it must be.
+"""Check of the arguments of public functions; an error message states the argument, its value, and the required kind.
 
 The check is added where functions are exported (`fitting.__getattr__`), so that internal calls are not slowed down;
 methods of public classes call `require`.
@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from fitting._errors import EstimationError
 
 _SHOWN = 30
-"""Longest value that a message repeats [characters]. Chosen: a smaller value hides short arguments, a larger one fills
-the message with arrays."""
+"""Length of the longest value of an argument that a message shows [characters]. Chosen: a smaller value hides short
+arguments, a larger one fills the message with arrays."""
 
 
 class Kind(NamedTuple):
@@ -30,7 +30,7 @@ class Kind(NamedTuple):
 
     @property
     def optional(self) -> Kind:
-        """The kind of values that are of this kind or None."""
+        """The kind of values that also allows None."""
         return Kind(f"{self.words} or None", lambda x: x is None or self.fits(x), self.hint)
 
     @property
@@ -83,7 +83,7 @@ NUMBERS = Kind(
     lambda x: isinstance(x, Mapping) and all(isinstance(k, str) and _is_number(v) for k, v in x.items()),
     'for example {"bearing.power.g": 0.7}',
 )
-# a fit that was loaded from a file has some of these attributes, but no data
+# a saved fit that was read from a file has only some of these attributes, because it contains no data
 FIT = Kind(
     "a Fit",
     lambda x: all(hasattr(x, n) for n in ("model", "estimates", "converged")),
@@ -134,7 +134,7 @@ def checked(function: Callable[..., Any], name: str, kinds: Mapping[str, Kind]) 
                 require(key, value, kinds[key])
         return function(*args, **kwargs)
 
-    # the function is found by its public name, also by pickle
+    # the public name is set, because pickle finds the function by this name
     call.__module__, call.__qualname__ = "fitting", name
     return call
 

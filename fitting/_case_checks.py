@@ -1,6 +1,6 @@
 """Checks of the values of a case, for both packages: before they are written, after they were read, and in memory.
 
-Each check returns None or a `Defect`, the sentence and the hint of an error.
+Each check returns None or a `Defect`, which contains the sentence and the hint of an error.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 MOST_AMPLITUDES = 400
-"""Largest number of amplitudes of a record [1]. Chosen: each is a parameter of every fit; a larger value makes fits
-slow, a smaller one refuses recordings of many windows."""
+"""Largest number of amplitudes of a record [1]. Chosen: each amplitude is a parameter of every fit; a larger value
+makes fits slow, a smaller one refuses recordings with many windows."""
 _ROUNDING = 1e-9
 """Largest asymmetry and largest negative eigenvalue of a correlation matrix that count as rounding errors [1]. Chosen:
 a smaller value refuses computed covariances, a larger one accepts invalid matrices."""
@@ -38,7 +38,7 @@ _TAKEN = {
 
 
 class Defect(NamedTuple):
-    """The sentence of an error, and a hint on its correction."""
+    """The sentence of an error, and a hint on how to correct the error."""
 
     what: str
     hint: str
@@ -57,7 +57,7 @@ def defect_of_mode(basis: Any, covariance: Any, measured: Any) -> Defect | None:
     if amplitudes > MOST_AMPLITUDES:
         return Defect(
             f"it has {amplitudes} amplitudes; at most {MOST_AMPLITUDES} can be fitted",
-            "combine the smallest ones into the uncertainty of the samples",
+            "combine the smallest amplitudes into the uncertainty of the samples",
         )
     if covariance.shape != (amplitudes, amplitudes):
         return Defect(
@@ -95,10 +95,10 @@ def defect_of_inertia(body: str, inertia: float, u: float, *, optional: bool = F
     """Check a moment of inertia and its standard uncertainty, which may be NaN [kg m2]."""
     if not 0 < inertia < math.inf:
         what = f"the moment of inertia of the {body} is {inertia:g}, not positive"
-        return Defect(what, f"give a positive one [kg m2]{', or none' if optional else ''}")
+        return Defect(what, f"give a positive value [kg m2]{', or none' if optional else ''}")
     if u < 0 or u == math.inf:
         what = f"the standard uncertainty of the moment of inertia of the {body} is {u:g}"
-        return Defect(what, "give a positive one [kg m2], or none")
+        return Defect(what, "give a positive value [kg m2], or none")
     return None
 
 
@@ -107,7 +107,7 @@ def defect_of_inertias(attributes: Mapping[str, Any]) -> Defect | None:
     two = attributes["bodies"] == "two"
     if two and attributes["per_inertia"]:
         what = "an inertia is missing: torques between two bodies follow from the ratio of inertias"
-        return Defect(what, "give the moments of inertia of both [kg m2]")
+        return Defect(what, "give the moments of inertia of both bodies [kg m2]")
     names = {"casing": "casing", "rotor": "rotor"} if two else {"casing": attributes["body_name"] or "body"}
     for key, name in names.items():
         inertia, u = attributes[f"I_{key}"], attributes[f"I_{key}_u"]
@@ -124,9 +124,9 @@ def is_body_name(name: str) -> bool:
 
 
 def defect_of_joints(names: Sequence[str], joints: Mapping[str, Sequence[str]]) -> Defect | None:
-    """Check the names of several bodies, and the joints that connect all of them."""
+    """Check the names of several bodies, and whether joints connect all bodies."""
     if len(names) < 2:
-        return Defect(f"a joint connects two bodies, but {names[0]} is the only one", "leave joints out")
+        return Defect(f"a joint connects two bodies, but {names[0]} is the only body", "leave joints out")
     if not joints:
         return Defect(
             f"no joint connects the bodies {', '.join(names)}", "state which bodies each joint connects"
@@ -140,7 +140,7 @@ def defect_of_joints(names: Sequence[str], joints: Mapping[str, Sequence[str]]) 
             "choose another name, for example wheel or belt",
         )
     if len({*names, *joints}) < len(names) + len(joints):
-        return Defect("a body and a joint have the same name", "give each its own name")
+        return Defect("a body and a joint have the same name", "give each a different name")
     for joint, (first, second) in joints.items():
         if first not in names or second not in names or first == second:
             return Defect(

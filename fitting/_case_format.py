@@ -25,7 +25,7 @@ CASE = "case"
 class Field:
     """One dataset: name, dimensions, type, unit, meaning, and further attributes.
 
-    A dimension `other_x` is as long as the dimension `x`.
+    A dimension with the name `other_x` has the length of the dimension `x`.
     """
 
     name: str
@@ -41,10 +41,10 @@ class Field:
 class Attribute:
     """One attribute of a group.
 
-    An attribute is required unless it has a default. `field` is its name in memory. Its value is a scalar, or an array
-    of pairs of numbers if `kind` is tuple, or a list of strings if `kind` is list. `choices` are the allowed values; if
-    there are none, any value is allowed. A number must be finite; NaN is allowed only if NaN is the default. NaN and ()
-    are not written. With `nan_is_default`, a reader replaces NaN by the default.
+    An attribute is required unless it has a default. `field` is its name in memory. `kind` is the type of the value:
+    tuple for an array of pairs of numbers, list for a list of strings, otherwise the type of a scalar. `choices` are
+    the allowed values; if there are none, any value is allowed. A number must be finite; NaN is allowed only if NaN is
+    the default. NaN and () are not written. With `nan_is_default`, a reader replaces NaN by the default.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Attribute:
 
     @property
     def key(self) -> str:
-        """Name in the record in memory."""
+        """Name of the field in memory: `field`, or the name of the attribute."""
         return self.field or self.name
 
 
@@ -76,7 +76,7 @@ class Table:
 
 
 def stated_attributes(record: Any, attributes: Iterable[Attribute]) -> dict[str, Any]:
-    """Return the attributes of `record` to write, keyed by their names in a file; NaN and () are not written."""
+    """Return the attributes of `record` that are written, by their names in a file; NaN and () are not written."""
     found = ((a, a.kind(getattr(record, a.key))) for a in attributes)
     return {
         a.name: value
@@ -90,7 +90,7 @@ def is_nan(value: Any) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-# meaning of each dimension that is not a dataset
+# meaning of each dimension for which there is no dataset
 INDICES = {
     "side": "corner of the base: 0, 1",
     "xy": "image axis: x to the right, y down",
@@ -102,7 +102,8 @@ LENGTHS = {"side": 2, "xy": 2, "parameter": 2}
 
 _T = ("time",)
 
-# errors of the angle in addition to the sigma of each sample; two samples have the covariance s^2 exp(-|t - t'| / T)
+# errors of the angle in addition to the sigma of each sample; the slowly varying error of two samples has the
+# covariance s^2 exp(-|t - t'| / T)
 CORRELATED = (
     Attribute(
         "correlated_sigma",
@@ -247,14 +248,14 @@ PLACEMENT_ATTRIBUTES = (
     Attribute("sync_method", str, "", "method that gave the start of the clip", field="method"),
 )
 
-# datasets of `/casing` and `/rotor` with the value that was measured and its uncertainty, by `quantity`
+# datasets of `/casing` and `/rotor` with the measured value and its uncertainty, by `quantity`
 MEASURED = {"angle": ("angle", "sigma"), "omega": ("omega", "omega_sigma")}
-# names of the measured quantity in `/body`, and in `MEASURED`
+# names of each measured quantity: in `/body`, and as a key of `MEASURED`
 QUANTITIES = {"angle": "angle", "speed": "omega"}
 # the series that the fit uses
 FITTED_SERIES = "fused"
 
-# `/body/<name>` of a case: the numbers of `/casing` or `/rotor`, if present, under names independent of body and
+# `/body/<name>` of a case: the same numbers as in `/casing` or `/rotor`, under names that do not depend on body and
 # quantity
 FUSED = Table(
     (
@@ -297,7 +298,7 @@ CASE_BODY_ATTRIBUTES = (
         "role",
         str,
         "",
-        "casing, rotor, or body (a single one, or one of a chain)",
+        "casing, rotor, or body (a single body, or a body of a chain)",
         "body",
         choices=("casing", "rotor", "body"),
     ),
@@ -308,7 +309,7 @@ CASE_BODY_ATTRIBUTES = (
         "inertia_u", float, "kg m2", "standard uncertainty of the inertia; absent if not given", math.nan
     ),
     Attribute(
-        "place", int, "", "number of the body in a chain; 0 is the first one, which may come to rest", 0
+        "place", int, "", "number of the body in a chain; 0 is the first body, which may come to rest", 0
     ),
 )
 CLOCK = Table(
@@ -319,7 +320,7 @@ CLOCK = Table(
     ),
 )
 JOINT_ATTRIBUTES = (
-    Attribute("bodies", list, "", "names of its two bodies, or of one and `ground`"),
+    Attribute("bodies", list, "", "names of its two bodies, or of one body and `ground`"),
     Attribute("kind", str, "", "bearing, or contact", choices=("bearing", "contact")),
     Attribute("place", int, "", "number of the joint in a chain", 0),
 )
@@ -328,7 +329,7 @@ JOINT_ATTRIBUTES = (
 GROUPS = (
     ("`/casing` of a case", SERIES),
     ("`/rotor` of a case: all windows", WINDOWED),
-    ("`/rotor_generated` of a case, only if one was requested", GENERATED),
+    ("`/rotor_generated` of a case, only if a generated curve was requested", GENERATED),
     ("`/input/<name>` of a case: a recorded input of the motion", INPUT),
     ("`/body/<name>/series/fused` of a case: the series that the fit uses", FUSED),
     ("`/body/<name>/series/fused/error/<mode>`: an error that its samples share", ERROR_MODE),

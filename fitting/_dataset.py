@@ -38,7 +38,7 @@ _HOW_TO_MAKE = {
 }
 _OTHER_LAYOUT = "The file is not in this layout."
 SHOWN = 20
-"""Number of characters of a wrong word that a message shows [1]. Chosen: a smaller number hides the word, a larger one
+"""Largest number of characters of a wrong word in a message [1]. Chosen: a smaller number hides the word, a larger one
 fills the line."""
 # errors that h5py raises for damaged files
 _FAULTS = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError)
@@ -59,8 +59,8 @@ class Reader(Guard):
     def open(self, path: Path, kind: str | None = None) -> Iterator[h5py.File]:
         """Validate and open a file of a `kind`, by default a recording or a case.
 
-        Faults of HDF5 while the file is read become errors of the reader. The context must contain only code that
-        reads, because any other error would be reported as damage to the file.
+        Faults of HDF5 while the file is read become errors of the reader. The block must contain only code that reads
+        the file, because any other error in it would be reported as damage to the file.
         """
         path = Path(path)
         self._check_signature(path, kind)
@@ -109,10 +109,10 @@ class Reader(Guard):
             raise self.fail(what, _RECREATE)
         shown = f"{path} has the layout {version[:SHOWN]}"
         if int(major) < 1:
-            raise self.fail(f"{shown}; the oldest supported one is 1.0.", _RECREATE)
+            raise self.fail(f"{shown}; the oldest supported layout is 1.0.", _RECREATE)
         if int(major) > layout.MAJOR:
             raise self.fail(
-                f"{shown}; the newest supported one is {layout.FORMAT_VERSION}.", "Update gyrotrack."
+                f"{shown}; the newest supported layout is {layout.FORMAT_VERSION}.", "Update gyrotrack."
             )
         found = self.attribute(file, "kind", str)
         if found not in {layout.RECORDING, layout.CASE} or (kind is not None and found != kind):
@@ -134,7 +134,7 @@ class Reader(Guard):
         return member
 
     def members(self, group: Any, name: str, *, optional: bool = False) -> list[tuple[str, Any]]:
-        """List the groups below the member `name` of `group`, which must exist unless it is `optional`."""
+        """List the groups below the member `name` of `group`; this member must exist unless it is `optional`."""
         if optional and name not in group.keys():  # noqa: SIM118 - `in group` follows links
             return []
         parent = self.child_group(group, name)
@@ -185,7 +185,7 @@ class Reader(Guard):
             raise self.fail(what, "Store a part of the recording.")
 
     def check_storage(self, dataset: Any) -> None:
-        """Raise an error for a dataset in another file, or one that is larger than its stored bytes can be."""
+        """Raise an error for a dataset in another file, or for a dataset larger than its stored bytes can be."""
         if not isinstance(dataset, h5py.Dataset):
             raise self.fail(f"{location(dataset)} is not a dataset.", _OTHER_LAYOUT)
         if dataset.shape is None or dataset.dtype.kind not in "iuf" or dataset.dtype.itemsize > 16:

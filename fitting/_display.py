@@ -1,6 +1,6 @@
 """Elements of the display of results in a notebook: HTML tables, and curves in matplotlib axes.
 
-Every function takes text, arrays and axes; each class of results composes its own display (`plot`, `_repr_html_`).
+The functions take texts, arrays and axes. Each class of results uses them in its methods `plot` and `_repr_html_`.
 matplotlib is imported only when a figure is made.
 """
 
@@ -74,7 +74,7 @@ def markup_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]
 
 
 def block(*parts: str) -> str:
-    """Return parts in one block (HTML)."""
+    """Return HTML parts enclosed in one block."""
     return f"<div>{''.join(parts)}</div>"
 
 

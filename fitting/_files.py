@@ -2,9 +2,9 @@
 
 An output is written to ``<name>.<random>.part`` in the same folder, flushed to the disk, and moved over the target.
 After a kill or an interrupt, or if the disk is full, the old file is unchanged. The lock of a file is ``.<name>.lock``
-in the same folder, so that it is valid for all users and hosts; it exists only while it is held. The lock file contains
-the name of the temporary file. If a writer is killed, the next writer removes this temporary file. Other files in the
-folder of an output are opened without following links.
+in the same folder, so that all users and hosts see it. The lock file exists only while the lock is held. The lock file
+contains the name of the temporary file. If a writer is killed, the next writer removes this temporary file. Other files
+in the folder of an output are opened without following links.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ LOCK_TIMEOUT = 10.0
 """Time after which waiting for a lock ends with an error [s]. Chosen: writing takes milliseconds; a smaller value fails
 on slow network disks, a larger one delays the message about a lock that is not released."""
 _POLL = 0.02
-"""Time between two attempts to get a lock [s]. Chosen: a smaller value loads the disk, a larger one delays writers that
-wait."""
+"""Time between two attempts to get a lock [s]. Chosen: a smaller value causes many disk accesses, a larger one delays
+writers that wait."""
 LOCK_LINE = b"gyrotrack lock\n"
 LOCK_SIZE = 1024
 """Largest number of bytes that are read from a lock file [bytes]. Derived: more than the longest name of a file."""
@@ -51,7 +51,7 @@ def new_part(path: Path) -> Path:
 
 
 def flush(part: Path) -> None:
-    """Write a temporary file to the disk, before the last checks of the target because this may be slow or fail."""
+    """Write a temporary file to the disk. This may be slow or fail, so it precedes the last checks of the target."""
     with part.open("rb+") as stream:
         os.fsync(stream.fileno())
 
@@ -72,7 +72,7 @@ class Files:
     """Access to files; errors are created by `fail` from a sentence and a hint."""
 
     fail: Callable[[str, str], Exception]
-    elsewhere: str = "Write to another disk."  # hint for a disk without locks
+    elsewhere: str = "Write to another disk."  # hint of the error if the disk has no locks
 
     @contextmanager
     def locked(self, path: Path, timeout: float = LOCK_TIMEOUT) -> Iterator[Path]:
@@ -91,8 +91,8 @@ class Files:
         end = monotonic() + timeout
         try:
             while True:
-                # a process of another user creates the lock file without permissions for all users and adds these
-                # permissions immediately afterwards
+                # a process of another user creates the lock file, and adds the permissions for all users immediately
+                # afterwards
                 try:
                     lock.acquire(timeout=timeout, poll_interval=_POLL)
                     break
@@ -120,7 +120,7 @@ class Files:
 
     def name_in_lock(self, part: Path, own: Path) -> None:
         """Write the name of a temporary file into a lock that is held; after a kill the next writer removes it."""
-        # there may be no lock, the disk may be full, and Windows does not write to a locked file
+        # a failure is ignored: there may be no lock, the disk may be full, and Windows does not write to a locked file
         with suppress(OSError), self.open_side_file(own, os.O_RDWR | os.O_TRUNC) as stream:
             stream.write(LOCK_LINE + os.fsencode(part.name))
 
@@ -130,7 +130,8 @@ class Files:
             with self.open_side_file(own) as stream:
                 content = stream.read(LOCK_SIZE)
         except (FileNotFoundError, PermissionError):
-            # the lock of another user has no permissions for a moment, and Windows does not read a locked file
+            # another user's lock is not readable for a moment after its creation, and Windows does not read a locked
+            # file
             return []
         except OSError as error:
             raise self.refusal(path, error) from error

@@ -1,12 +1,12 @@
 """Validation of HDF5 files before they are read, for both packages.
 
-External and soft links, external storage, virtual datasets, filters that load plugins, and sizes beyond the stored
-bytes are refused; the tree is checked without following links.
+A file is refused if it has external or soft links, external storage, virtual datasets, filters that load plugins, or
+datasets larger than their stored bytes can be. The check does not follow links.
 
 The string heap (global heap collections, ``GCOL``) is a sequence of objects with their lengths. If an object of free
 space has the length zero, HDF5 2.0 never returns, and Python cannot interrupt it. HDF5 has checksums of data and most
 metadata, but not of this heap. Every file therefore ends with a line that contains the SHA-256 of all bytes before it;
-HDF5 ignores this line. A file that another program has changed has no such line or fails the check.
+HDF5 ignores this line. If another program changes a file, the file has no such line, or the checksum no longer matches.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ MAX_DEPTH = 32
 MAX_BYTES = 2**31
 """Largest size of a dataset [bytes]. Chosen: a smaller value refuses long films, a larger one fills the memory."""
 MAX_INFLATION = 1100
-"""Largest ratio of the size of a dataset to its stored size [1]. Derived: the compression by deflate reaches 1032; the
-rest is a margin."""
+"""Largest ratio of the size of a dataset to its stored size [1]. Derived: deflate compresses by a factor of at most
+1032; the excess is a margin."""
 SLACK = 2**22
-"""A dataset may exceed its stored size times `MAX_INFLATION` by at most this size [bytes]. Chosen: chunks are padded; a
-smaller value refuses small datasets, a larger one admits malicious files."""
+"""A dataset may exceed the product of its stored size and `MAX_INFLATION` by at most this size [bytes]. Chosen: chunks
+are padded; a smaller value refuses small datasets, a larger one admits malicious files."""
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 CHECKSUM_MARK = b"\ngyrotrack sha256 "
 CHECKSUM_LENGTH = len(CHECKSUM_MARK) + 65
@@ -124,7 +124,8 @@ class Guard:
 
 def _item_bytes(dataset: Any) -> int:
     """Return the size of an element in memory [bytes]."""
-    if dataset.get_type().equal(h5py.h5t.IEEE_F64LE):  # h5py takes long to find NumPy's type
+    # the size is taken from HDF5, because h5py takes long to find NumPy's type
+    if dataset.get_type().equal(h5py.h5t.IEEE_F64LE):
         return 8
     return int(dataset.dtype.itemsize)
 
@@ -176,10 +177,10 @@ def checksum_line(stream: BinaryIO) -> bytes:
 
 
 def is_open_elsewhere(path: Path) -> bool:
-    """Whether another program has opened an HDF5 file for writing, which HDF5 marks by a lock of the file."""
+    """Whether another program has opened an HDF5 file for writing; HDF5 then locks the file."""
     try:
         import fcntl
-    except ImportError:  # Windows, where such a file cannot be opened
+    except ImportError:  # on Windows, such a file cannot be opened
         return False
     with path.open("rb") as stream:
         try:
@@ -204,7 +205,7 @@ def checksum_fails(path: Path) -> bool:
 
 
 def _line(stream: BinaryIO, left: int | None) -> bytes:
-    """Return the checksum line for the next `left` bytes, or for all bytes to the end."""
+    """Return the checksum line for the next `left` bytes of a stream, or for all bytes to its end."""
     digest = hashlib.sha256()
     while left != 0 and (block := stream.read(_BLOCK if left is None else min(_BLOCK, left))):
         digest.update(block)

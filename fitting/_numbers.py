@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 _LONG = 3
-"""Number of digits above which a number with a power of ten is printed with all its digits [1]. Chosen: shorter numbers
-need only one digit of the mantissa; a larger value rounds precise numbers, a smaller one prints long numbers."""
+"""A number with a power of ten is printed with all its digits if it has more digits than this number [1]. Chosen:
+shorter numbers need only one digit of the mantissa; a larger value rounds precise numbers, a smaller one prints long
+numbers."""
 _RAISED = str.maketrans("0123456789+-g.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻ᵍ·")
 _UNIT = re.compile(r"(?<![\w.])(kg m|N m s|N m|rad s|s|K|m|[AVN](?=-\d))\^?(-?\d(?:\.\d+)?|g)(?!\w|\.\d)")
 _POWER = re.compile(r"x 10\^(-?\d+)")
@@ -62,7 +63,7 @@ def superscript(number: int) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit with raised exponents: ``N m s2`` becomes N m s²; a pure number has none."""
+    """Return a unit with raised exponents: ``N m s2`` becomes N m s². The unit of a pure number is empty."""
     if unit == "1":
         return ""
     return _UNIT.sub(lambda m: m[1] + m[2].translate(_RAISED), unit)
@@ -100,7 +101,7 @@ def with_uncertainty(value: float, error: float, unit: str) -> str:
 
 
 def short(value: float, digits: int = 3) -> str:
-    """Return a number of a table in few digits: 0.0462, 6.6 × 10⁵, or a dash for a missing number."""
+    """Return a number for a table with few digits: 0.0462, 6.6 × 10⁵, or a dash for a missing number."""
     if not math.isfinite(value):
         return "–" if math.isnan(value) else "∞"
     if value != 0 and not 1e-3 <= abs(value) < 1e5:
@@ -113,7 +114,7 @@ def short(value: float, digits: int = 3) -> str:
 
 
 def plain(value: float) -> str:
-    """Return a number of a sentence in three digits; numbers from 0.0001 to 99 999 have no exponent."""
+    """Return a number for a sentence with three digits; numbers from 0.0001 to 99 999 have no exponent."""
     text = f"{value:.3g}"
     if "e" not in text:
         return text
@@ -152,7 +153,7 @@ def stated_probability(p: float) -> str:
 
 
 def scaled(largest: float, prefixes: Iterable[tuple[float, str]] = _PREFIXES) -> tuple[float, str]:
-    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500, or 1 and no prefix if none does."""
+    """Return the factor and the unit prefix that scale a magnitude to 0.5 to 500; without such a prefix, 1 and ""."""
     return next((p for p in prefixes if largest * p[0] >= 0.5), _PREFIXES[0])
 
 
@@ -185,8 +186,8 @@ def speed(value: float) -> float:
 def rounded(value: float, error: float, unit: str = "") -> str:
     """Return ``(7.16 +- 0.04) x 10^-7 N m s``; an angular velocity in the unit of `speeds_in`.
 
-    The uncertainty has two digits if they are between 10 and 29, and otherwise one digit. The value is rounded to the
-    same digit.
+    The uncertainty has two digits if these digits are between 10 and 29, and otherwise one digit. The value is rounded
+    to the same digit.
     """
     if unit in _RAD_PER_S and _SPEED.get() == "rpm":
         value, error, unit = speed(value), speed(error), "rpm"
@@ -234,7 +235,7 @@ class Units:
     note : str
         Explanation for the reader; empty for SI units.
     of : callable
-        Function that returns the unit of a constant of a torque law, given its SI unit.
+        Function that converts the SI unit of a constant of a torque law to its unit in this system of units.
     steps : tuple
         Smallest torque, factor and unit of each prefix in sentences, largest first.
     prefixes : tuple
@@ -253,7 +254,8 @@ class Units:
     @classmethod
     def common(cls, several: Iterable[Units]) -> Units:
         """Return the units of a joint fit of cases: SI units if any case has SI units."""
-        return max(several, key=lambda u: u == SI)  # by value: a record may come from another process
+        # compared by value, because a record may come from another process
+        return max(several, key=lambda u: u == SI)
 
     @classmethod
     def by_torque(cls, unit: str) -> Units:
@@ -296,7 +298,7 @@ def span_of(name: str, values: Any, unit: str) -> str:
 
 
 def to_json(value: Any) -> Any:
-    """Return a value that JSON can hold: nan becomes None, infinities become "inf" and "-inf"."""
+    """Return a value that JSON can represent: nan becomes None, infinities become "inf" and "-inf"."""
     if isinstance(value, dict):
         return {str(k): to_json(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -309,7 +311,7 @@ def to_json(value: Any) -> Any:
 
 
 def format_torque(value: float, sigma: float = float("nan"), unit: str = TORQUE) -> str:
-    """Return a torque with the unit prefix of its size, rounded to its standard uncertainty if that is known.
+    """Return a torque with the unit prefix of its size, rounded to its standard uncertainty if it has one.
 
     The units are nN m below 0.01 uN m, uN m below 1 mN m, mN m below 0.1 N m, and N m; for `unit` "rad/s2" they are
     urad/s2, mrad/s2 and rad/s2.

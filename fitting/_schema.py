@@ -1,8 +1,8 @@
 """JSON files of fits, diagnoses and histories: one schema for reading and writing; atomic writing.
 
 Numbers are in SI units. JSON has neither nan nor infinity: nan is written as null, infinity as "inf" (see
-`fitting._numbers.to_json`), and both are read back. Unknown keys are ignored, and keys with a default may be missing;
-files of older versions therefore remain readable.
+`fitting._numbers.to_json`). Both are converted back when a file is read. Unknown keys are ignored, and keys with a
+default may be missing; files of older versions therefore remain readable.
 
 A comment `#:` at a key states its meaning, with the unit in brackets; docs/reference/json.md is made from these
 comments.
@@ -38,7 +38,7 @@ from fitting.effects._library import LIBRARY
 
 
 def _ledger_error(what: str, hint: str) -> LedgerError:
-    """Return an error of this package with the sentence and the hint of an error in `fitting._files`."""
+    """Return an error of this package for an error of `fitting._files`, given its sentence and hint."""
     return LedgerError(what.removesuffix("."), f"{hint[:1].lower()}{hint[1:].removesuffix('.')}")
 
 
@@ -66,7 +66,7 @@ def write_text(path: Path, text: str, *, unchanged: Callable[[], bool] = lambda:
     except OSError as fault:
         raise _FILES.refusal(path, fault) from None
     finally:
-        with suppress(OSError):  # a read-only disk does not even allow removal
+        with suppress(OSError):  # on a read-only disk, the temporary file cannot be removed either
             part.unlink(missing_ok=True)
 
 
@@ -96,7 +96,7 @@ StoredEffect = Annotated[Effect, BeforeValidator(_with_added_fields)]
 
 
 class Document(BaseModel):
-    """An object of a JSON document; made from keywords, or from an object with attributes of the same names."""
+    """An object of a JSON document. It is made from keywords, or from an object with attributes of the same names."""
 
     model_config = ConfigDict(from_attributes=True, extra="ignore")
 
@@ -123,8 +123,10 @@ class IntervalDocument(Document):
     """A confidence interval by profile likelihood."""
 
     level: Number  #: Confidence level [1].
-    lower: Number  #: Lower end; the bound of the parameter, or the last value that was tried, if it is open [`unit`].
-    upper: Number  #: Upper end; the bound of the parameter, or the last value that was tried, if it is open [`unit`].
+    #: Lower end; for an open end, the bound of the parameter or the last value that was tried [`unit`].
+    lower: Number
+    #: Upper end; for an open end, the bound of the parameter or the last value that was tried [`unit`].
+    upper: Number
     lower_open: bool  #: Whether the data give no lower limit.
     upper_open: bool  #: Whether the data give no upper limit.
 
@@ -137,7 +139,7 @@ class EstimateDocument(WithOptionalKeys):
     value: Number  #: Value [`unit`].
     #: Standard error; null if a bound is active or the fit did not converge [`unit`].
     stderr: Number = math.nan
-    #: SI unit; the unit of an angular acceleration for a torque on a body of unknown moment of inertia.
+    #: SI unit; for a torque on a body of unknown moment of inertia, the unit of an angular acceleration.
     unit: str = ""
     at_bound: Flag = False  #: Whether a bound is active.
     interval: IntervalDocument | None = None  #: 95 % interval, with `--profile`.
@@ -271,8 +273,8 @@ class FitDocument(WithOptionalKeys):
     fit_id: str  #: Name of the fit in the ledger: f1, f2, ...; empty if the fit is not stored.
     model: list[str]  #: Names of the effects.
     names: dict[str, NameDocument] = {}  #: The effects in words, by name.
-    #: By `effect.symbol`; `effect.symbol@label` if each case has its own value; `initial.omega_r@label` and
-    #: `initial.omega_c@label` for the initial speeds.
+    #: Parameters by key: `effect.symbol`, or `effect.symbol@label` if each case has its own value. Initial speeds have
+    #: the keys `initial.omega_r@label` and `initial.omega_c@label`.
     parameters: dict[str, EstimateDocument]
     cases: list[CaseDocument] = []  #: Figures of merit of each case.
     misfit: Number = math.nan  #: Rms residual divided by the rms of the noise; 1 is the noise limit [1].
@@ -336,10 +338,10 @@ class CandidateDocument(Document):
 class RemainderDocument(Document):
     """The unmodelled torque that is still significant with the named effect."""
 
-    torque_rms_Nm: Number  #: Rms torque on the body where it is larger [torque].
+    torque_rms_Nm: Number  #: Rms torque on the body where it is largest [torque].
     share: Number  #: Share of the mean square unmodelled torque, 0 to 1 [1].
     p_value: Number  #: Probability that noise alone causes an equal or larger remainder [1].
-    sentence: str  #: Size, and the variable on which it depends.
+    sentence: str  #: Size of the remainder, and the variable on which it depends, in words.
     effects: list[str] = []  #: Further effects that describe the remainder.
 
 
@@ -378,9 +380,10 @@ class DifferenceBetweenRecordings(ValuesInRecordings):
     """A parameter shared by the recordings that differs between them."""
 
     delta_bic: Number  #: BIC with a value for each recording minus BIC with a shared value [1].
-    #: Probability of an equal or more significant difference in any shared parameter if all are equal [1].
+    #: Probability of an equal or more significant difference in any shared parameter if no parameter differs [1].
     p_value: Number
-    indistinguishable_from: list[str]  #: Parameters whose difference describes the data as well.
+    #: Other parameters that describe the data equally well if their values differ.
+    indistinguishable_from: list[str]
     others: list[ValuesInRecordings] = []  #: Further parameters with a value for each recording.
 
 
@@ -433,7 +436,7 @@ class NoiseDocument(Document):
 
 
 class StoredNoise(NoiseDocument):
-    """Noise with its correlation time [s], its log-likelihood ratio, and the variables of its linearisation."""
+    """Noise with its correlation time [s], its log-likelihood ratio, and the variables about which it is linearised."""
 
     time: Number
     excess: Number
@@ -500,7 +503,7 @@ class StoredDiagnosis(Document):
 
 
 class OutcomeDocument(Document):
-    """The answer to one simulated recording, under the names of `fitting.discovery._certificate.Outcome`."""
+    """The answer to one simulated recording, with the names of the attributes of `Outcome`."""
 
     kind: Literal["null", "truth", "rival"]
     effect: str
@@ -528,8 +531,8 @@ class StoredCertificate(Document):
 class EntryDocument(FitDocument):
     """One fit of a ledger.
 
-    `restored_from` (`StoredFit`), `diagnosis` (`StoredDiagnosis`), `certificate` and `certificate_of_films`
-    (`StoredCertificate`) only save time: they are checked when they are used, and ignored if they are damaged.
+    The keys `restored_from` (`StoredFit`), `diagnosis` (`StoredDiagnosis`), `certificate` and `certificate_of_films`
+    (`StoredCertificate`) only save time. They are checked when they are used, and ignored if they are damaged.
     """
 
     parent: str = ""
@@ -588,12 +591,12 @@ class SavedFitDocument(Document):
 
 
 def own_effects(effects: Iterable[Effect]) -> list[Effect]:
-    """Return the effects that the library does not contain in this form, for example the laws of a chain of bodies."""
+    """Return the effects that are not in the library in this form, for example the laws of a chain of bodies."""
     return [e for e in effects if LIBRARY.get(e.name) != e]
 
 
 def effects_of(names: Iterable[str], own: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return effects by name, from the effects `own` of the user or else from the library."""
+    """Return effects by name, from the user's effects `own` or, if a name is not among them, from the library."""
     known = LIBRARY | {e.name: e for e in own}
     found = {n: known.get(n) for n in names}
     if missing := [n for n, e in found.items() if e is None]:
@@ -605,7 +608,7 @@ def effects_of(names: Iterable[str], own: Iterable[Effect]) -> tuple[Effect, ...
 
 
 def as_json(document: Document) -> dict[str, Any]:
-    """Return a document as `json` can write it."""
+    """Return a document in the form that the module `json` can write."""
     return dict(to_json(document.model_dump()))
 
 
@@ -633,7 +636,7 @@ def read_json(path: Path, kind: type[_D], what: str, hint: str) -> _D:
 
 
 def parse_json(text: str, path: Path, kind: type[_D], what: str, hint: str) -> _D:
-    """Return the document that a text of `path` contains; errors as for `read_json`."""
+    """Return the document in a text that was read from `path`; raise the same errors as `read_json`."""
     try:
         document = json.loads(text)
     except (ValueError, RecursionError):

@@ -7,8 +7,8 @@ A setting is a constant of a module. The text below it, its attribute docstring,
 
 The meaning ends with the unit in brackets. The origin begins with one of four words: "derived", with the formula or the
 reason; "measured", with the data; "source", with a publication or a standard; "chosen", a convention or a trade-off,
-with the effect of other values. A dataclass whose fields all have numbers as defaults, for example `fitting.Criteria`,
-is a table of settings, described in the same way. `settings_in` reads the texts.
+with the effect of other values. A dataclass in which all defaults of the fields are numbers, for example
+`fitting.Criteria`, is a table of settings. Its fields are described in the same way. `settings_in` reads the texts.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Value: TypeAlias = "float | tuple[Value, ...] | Mapping[str, Value]"
 ORIGINS = ("derived", "measured", "source", "chosen")
 _SHOWN = 20
 """Largest number of values of a grid that is printed in full [1]. Chosen: a larger value fills the table, a smaller one
-hides short lists; of a longer grid only the ends are printed, but the JSON contains all values."""
+hides short lists. A longer grid is printed by its ends only, but the JSON contains all values."""
 _DESCRIPTION = re.compile(rf"(.+?) \[([^\]]+)\]\. ({'|'.join(map(str.capitalize, ORIGINS))}): (.+)\.")
 
 
@@ -124,7 +124,7 @@ def _is_table(kind: object) -> bool:
 
 
 def _number(value: object) -> Value | None:
-    """Return a number, or several as a tuple or a mapping that cannot change; None for anything else."""
+    """Return a number, or several numbers as an immutable tuple or mapping; None for any other value."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, int | float):

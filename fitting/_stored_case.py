@@ -1,8 +1,8 @@
 """The reader of a case file, layout 1 or 2, for both packages.
 
-`/casing` and `/rotor` are the groups of layout 1, which older scripts read and change: if they exist, their values are
-used. A file without them has its series in `/body`; so does every file of a chain of bodies. Clocks, inputs and error
-modes are at the same places in both layouts.
+`/casing` and `/rotor` are the groups of layout 1. Older scripts read and change these groups; if they exist, their
+values are used. Without them, and in every file of a chain of bodies, the series are in `/body`. Clocks, inputs and
+error modes are at the same places in both layouts.
 """
 
 from __future__ import annotations
@@ -47,23 +47,24 @@ class StoredMode:
 class StoredSeries:
     """The series of a body that is fitted."""
 
-    name: str  # of the body; may be empty
+    name: str  # name of the body; may be empty
     time: Array
-    value: Array  # [rad or rad/s]
+    value: Array  # measured values [rad or rad/s]
     u: Array
     segment: Integers
     columns: dict[str, Any]  # arrays of `/casing` or `/rotor`; empty if the file has none
     stated: dict[str, Any]  # attributes of `layout.SERIES`
     modes: tuple[StoredMode, ...]
-    inertia: tuple[float, float] = (math.nan, math.nan)  # with its uncertainty [kg m2], of a body of a chain
+    # moment of inertia of a body of a chain, with its uncertainty [kg m2]
+    inertia: tuple[float, float] = (math.nan, math.nan)
 
 
 @dataclass(frozen=True)
 class StoredCase:
     """The contents of a case file, except its recordings."""
 
-    attributes: dict[str, Any]  # of `layout.CASE_ATTRIBUTES`
-    casing: StoredSeries  # or the single body, or the first body of a chain
+    attributes: dict[str, Any]  # attributes of `layout.CASE_ATTRIBUTES`
+    casing: StoredSeries  # the casing, the single body, or the first body of a chain
     others: tuple[StoredSeries, ...]  # the rotor, or the other bodies of a chain
     inputs: dict[str, dict[str, Any]]  # datasets and attributes of `layout.INPUT` by name
     start_u: dict[str, float]  # standard uncertainty of the start of each clip by name [s]
@@ -81,7 +82,10 @@ class _Body(NamedTuple):
 
 
 def read_stored_case(file: Any, reader: Reader, *, every_column: bool = False) -> StoredCase:
-    """Read an open case file; of `/casing` and `/rotor` only the fitted columns, or with `every_column` all columns."""
+    """Read an open case file.
+
+    Only the fitted columns of `/casing` and `/rotor` are read, unless `every_column` is set.
+    """
     return _CaseReader(file, reader, every_column).case()
 
 
@@ -107,7 +111,7 @@ class _CaseReader:
         return StoredCase(attributes, series[0], tuple(series[1:]), self._inputs(), self._start_u(), joints)
 
     def _bodies(self) -> list[_Body] | None:
-        """Return the bodies in `/body`, the main one first; None without `/body`."""
+        """Return the bodies in `/body`, the main body first; None without `/body`."""
         if "body" not in self.file.keys():  # noqa: SIM118 - `in file` follows links
             return None
         bodies = [
@@ -124,7 +128,7 @@ class _CaseReader:
         if _is_chain(bodies) and len({*places}) < len(places):
             raise self.reader.fail(
                 f"{self.file.filename} has two bodies of the same place.",
-                "Number the bodies with the attribute 'place', from 0 for the one that may come to rest.",
+                "Number the bodies with the attribute 'place', from 0 for the body that may come to rest.",
             )
         return sorted(bodies, key=lambda b: (b.stated["role"] == "rotor", b.stated["place"]))
 
@@ -178,7 +182,7 @@ class _CaseReader:
         quantities, found = set(), []
         for name, body, of_body in bodies:
             group = self._fitted(body)
-            # this hint is more specific than the hint of the table
+            # the quantity is checked here, because this hint is more specific than the hint of the table
             quantity = self.reader.attribute(group, "quantity", str, "angle")
             if quantity not in layout.QUANTITIES:
                 raise self.reader.fail(
@@ -233,7 +237,7 @@ class _CaseReader:
         if layout.FITTED_SERIES not in several and len(several) != 1:
             raise self.reader.fail(
                 f"{location(body)} has {len(several)} series and none is named {layout.FITTED_SERIES}.",
-                f"Name the one to be fitted {layout.FITTED_SERIES}.",
+                f"Name the series to be fitted {layout.FITTED_SERIES}.",
             )
         return several.get(layout.FITTED_SERIES) or next(iter(several.values()))
 

@@ -1,4 +1,4 @@
-"""Parallel execution: a pool of worker processes, and one thread of linear algebra in each of them."""
+"""Parallel execution: a pool of worker processes, each with a single thread of linear algebra."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class WorkerPool:
                 self._executor = ProcessPoolExecutor(self.processes, context, _start_worker, own)
             except (OSError, ImportError):  # no semaphores: /dev/shm is missing or read-only
                 return self
-            self.submit(int)  # so that the first worker imports its modules in the meantime
+            self.submit(int)  # started now, so that the first worker imports its modules in the meantime
         return self
 
     def __exit__(self, fault: type[BaseException] | None, *_: object) -> None:
@@ -108,8 +108,8 @@ class WorkerPool:
     ) -> list[T]:
         """Return ``work(common, item)`` for each item; workers start with the first items, the caller with the last.
 
-        ``shared(common)``, a module-level function, returns parts of `common`. Results refer to these parts instead of
-        containing copies of them.
+        ``shared(common)``, a module-level function, returns parts of `common`. The results that a worker sends back
+        refer to these parts instead of containing copies.
         """
         waiting, futures, lock = deque(range(len(items))), dict[int, Future[bytes]](), RLock()
 
@@ -139,11 +139,11 @@ class WorkerPool:
         return [results[i] for i in range(len(items))]
 
     def begin(self, work: Callable[..., T], *args: Any) -> Future[T] | None:
-        """Start a call in a worker; None if there is no worker, or after a worker was killed."""
+        """Start a call in a worker. The result is None if there is no worker, or after a worker was killed."""
         if self._executor is not None:
             try:
                 return self._executor.submit(_unpacked, _packed(work, *args))
-            except (OSError, RuntimeError):  # no process can be started; or the pool is broken or shut down
+            except (OSError, RuntimeError):  # no process can be started, or the pool is broken or shut down
                 self._executor.shutdown(wait=False)
                 self._executor = None
         return None
@@ -200,7 +200,8 @@ def _run(work: Any, common: Any, item: Any, shared: Any) -> bytes:
 
 
 def _start_worker(start: Callable[..., object] | None, *arguments: Any) -> None:
-    warnings.simplefilter("ignore")  # as in the program, whose filters this process does not inherit
+    # the filters of the program are set again, because this process does not inherit them
+    warnings.simplefilter("ignore")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the calling process, which ends the workers
     Thread(target=_end_with_parent, daemon=True).start()
     if start is not None:

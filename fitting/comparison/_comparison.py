@@ -63,11 +63,12 @@ class ParameterComparison:
     """One parameter over several runs."""
 
     name: str
-    unit: str  # SI
+    unit: str  # SI unit of the parameter
     repeats: tuple[Repeat, ...]  # value in each run that determines the parameter
-    difference_sigma: float | None  # second minus first value [standard uncertainties]; None unless two runs
+    # second minus first value [standard uncertainties]; None unless there are two runs
+    difference_sigma: float | None
     p_value: float  # probability of such differences if the values are equal in all runs
-    mean: float  # of the random-effects model [unit]
+    mean: float  # mean of the random-effects model [unit]
     mean_u: float  # standard uncertainty of the mean [unit]
     spread: float  # standard deviation tau between the runs, without the part due to uncertainties of the fits [unit]
     spread_interval: tuple[float, float]  # 68 % interval of the spread [unit]
@@ -124,10 +125,10 @@ class Comparison:
 
     runs: tuple[str, ...]  # names of the runs
     parameters: tuple[ParameterComparison, ...]  # the most significant difference first
-    effects: dict[str, tuple[str, ...]]  # by effect that some runs do not have: the runs that have the effect
+    effects: dict[str, tuple[str, ...]]  # runs that have an effect, by effect that some runs do not have
     bounds: dict[
         str, tuple[str, ...]
-    ]  # by parameter: the runs in which it is at a bound or has no uncertainty
+    ]  # runs in which a parameter is at a bound or has no uncertainty, by parameter
     population: Population | None = None  # outlying runs, drifts and steps; None for fewer than eight runs
     words: Mapping[str, str] = field(default_factory=dict)  # effects and parameters in words, by key
 

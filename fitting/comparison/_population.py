@@ -1,9 +1,9 @@
 """Many runs of one machine: population of the parameters, outlying runs, drifts and steps over the times of the runs.
 
 **Population.** Run i has estimates y_i of p parameters with the covariance C_i of its fit. The true values are X_i beta
-+ b_i. X_i beta is the mean, with a drift or a step over the times of the runs if there is one. b_i is a random
-deviation with the distribution N(0, T). Let r_i = y_i - X_i beta be the residuals, V_i = C_i + T, and T = L L' with a
-lower triangular L. Restricted maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 320 (1977)) minimises
++ b_i. X_i beta is the mean; if there is a drift or a step over the times of the runs, the mean contains it. b_i is a
+random deviation with the distribution N(0, T). Let r_i = y_i - X_i beta be the residuals, V_i = C_i + T, and T = L L'
+with a lower triangular L. Restricted maximum likelihood (D. A. Harville, J. Am. Stat. Assoc. 72, 320 (1977)) minimises
 
     -2 log L_R = sum log|V_i| + log|sum X_i' V_i^-1 X_i| + sum r_i' V_i^-1 r_i.
 
@@ -13,16 +13,16 @@ element j.
 
 **Outlying runs.** Let T be estimated from m runs. If the spread dominates the uncertainties of the fits, the statistic
 (m - p) / (p (m - 1)) r_i' V_i^-1 r_i has an F distribution with p and m - p degrees of freedom (H. Hotelling, Ann.
-Math. Statist. 2, 360 (1931)); if the uncertainties dominate, the statistic has smaller quantiles than this
-distribution, so that fewer runs are outlying. A run is outlying if its p-value is below the level divided by the number
-of runs (Bonferroni). Outlying runs are omitted, and T is estimated again until the set of outlying runs no longer
-changes. In the first round, the median of neighbouring runs replaces the fitted mean.
+Math. Statist. 2, 360 (1931)). If the uncertainties dominate, the quantiles of the statistic are smaller, so that fewer
+runs are outlying. A run is outlying if its p-value is below the level divided by the number of runs (Bonferroni).
+Outlying runs are omitted, and T is estimated again until the set of outlying runs no longer changes. In the first
+round, the median of neighbouring runs replaces the fitted mean.
 
 **Changes.** Each parameter is tested for a drift (regression on the time of the run, Student's t) and for a step at any
 time. The statistic of the step is the largest F over all changepoints with at least `FEWEST` runs on each side; its
 null distribution is simulated with the weights of the runs in this regression. Holm's procedure (S. Holm, Scand. J.
 Statist. 6, 65 (1979)) over all parameters and both tests limits the probability of any false change in the whole set of
-runs to the level. BIC decides between drift and step; a step has one parameter more than a drift.
+runs to `LEVEL`. BIC decides between drift and step; a step has one parameter more than a drift.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ _SETS = 20000
 """Number of simulated sets for the null distribution of the largest step [1]. Chosen: a smaller number makes small
 p-values coarse, a larger one costs time."""
 _AT_A_TIME = 2**21
-"""Random numbers simulated at a time [1]. Chosen: 16 MiB; another value costs time or memory and does not change the
-result."""
+"""Number of random numbers that are simulated at once [1]. Chosen: 16 MiB; another value costs time or memory and does
+not change the result."""
 _NEIGHBOURS = 7
 """Number of runs on each side of a run in its running median, which replaces the fitted mean in the first round [runs].
 Chosen: a smaller number follows outlying runs, a larger one blurs a drift."""
@@ -86,13 +86,13 @@ sentence unreadable."""
 class Change:
     """A drift or a step of one parameter."""
 
-    kind: str  # "drift", "step", or "drift or step" if BIC does not prefer one
-    slope: float  # of the drift [unit per unit of time]
+    kind: str  # "drift", "step", or "drift or step" if BIC prefers neither
+    slope: float  # slope of the drift [unit per unit of time]
     slope_u: float  # standard uncertainty of the slope
-    time: float  # of the step, midway between the runs before and after the step
+    time: float  # time of the step, midway between the runs before and after the step
     before: str  # the last run before the step
     after: str  # the first run after the step
-    size: float  # of the step [unit]
+    size: float  # size of the step [unit]
     size_u: float  # standard uncertainty of the size
     delta_bic: float  # BIC of the step minus BIC of the drift
 
@@ -146,7 +146,7 @@ class PopulationDocument(TypedDict):
     time_unit: str  #: Unit of the times of the runs.
     times: dict[str, float]  #: Time of each run [`time_unit`].
     parameters: dict[str, PopulationParameterDocument]  #: Parameters by key, as in a fit.
-    #: Correlation between the true values of two parameters, over the runs; null if a spread is zero [1].
+    #: Correlation of the true values of two parameters over the runs; null if a spread is zero [1].
     correlation: list[list[float]]
     outlying: list[OutlyingRun]  #: Outlying runs, which are excluded.
     #: Parameters that too few runs determine, each with the number of runs that do not determine it.
@@ -162,8 +162,8 @@ class PopulationParameter:
     unit: str
     mean: float
     mean_u: float
-    # standard deviation between runs, without the part due to uncertainties of the fits: about the drift or step if it
-    # is significant, otherwise about the mean
+    # standard deviation between runs, without the part due to uncertainties of the fits: about a significant drift or
+    # step, otherwise about the mean
     spread: float
     spread_u: float
     runs: int  # number of runs that determine the parameter and are not outlying
@@ -181,9 +181,9 @@ class Population:
     times: Array  # shape (n,)
     time_unit: str
     parameters: tuple[PopulationParameter, ...]
-    # shape (p, p); correlation between the true values of two parameters, over the runs; NaN if a spread is zero
+    # shape (p, p); correlation of the true values of two parameters over the runs; NaN if a spread is zero
     correlation: Array
-    outlying: tuple[tuple[str, float], ...]  # runs, and p-values adjusted for the number of runs
+    outlying: tuple[tuple[str, float], ...]  # outlying runs, with p-values adjusted for the number of runs
     untested: Mapping[
         str, int
     ]  # parameters that too few runs determine, and the number of runs that do not determine them
@@ -366,8 +366,8 @@ class Fitted(Protocol):
 def compared_parameters(fits: Mapping[str, Fitted]) -> Iterator[tuple[str, str, str, str]]:
     """For each parameter that is compared between runs, yield its run, case, key and name.
 
-    The case is ``run:case``, or the run for a parameter without a case; the key is without the case; the name in the
-    fit is ``key@case``.
+    The case is ``run:case``, or the run if the parameter has no case. The key does not contain the case. The name in
+    the fit is ``key@case``.
 
     Initial values, constants and changepoints are not compared.
     """
@@ -461,7 +461,7 @@ def _columns(kind: str, place: int, times: Array, inside: Flags) -> Array:
 
 
 def _left_out(y: Array, c: Array, times: Array, known: Flags) -> tuple[Flags, list[tuple[str, int]], Array]:
-    """Return a mask of the outlying runs, the mean model of each parameter, and the adjusted p-values of the runs."""
+    """Return a mask of the outlying runs, the mean model of each parameter, and the adjusted p-values of all runs."""
     from scipy.special import fdtrc
 
     n, p = y.shape
@@ -506,7 +506,7 @@ class _Tests:
     p_drift: float
     p_step: float
     kind: str  # the mean model of smaller BIC: "drift" or "step"
-    label: str  # `kind`, or "drift or step" if BIC does not prefer one
+    label: str  # `kind`, or "drift or step" if BIC prefers neither
     place: int  # index of the first run after the step, among all runs
     slope: float
     slope_u: float
@@ -539,7 +539,8 @@ def _tests(y: Array, u2: Array, times: Array, used: Flags, rng: np.random.Genera
     y, u2, times = y[used], u2[used], times[used]
     n = len(y)
     ones = np.ones((n, 1))
-    # a line: a constant and a drift; the spread is estimated about it and, below, about the constant alone
+    # the columns of a line are a constant and a drift; the spread is estimated about the line and, below, about the
+    # constant alone
     straight = np.column_stack([np.ones(n), times - times.mean()])
     p_drift, slope, slope_u = 1.0, 0.0, 0.0
     from scipy.special import stdtr
@@ -556,7 +557,7 @@ def _tests(y: Array, u2: Array, times: Array, used: Flags, rng: np.random.Genera
     w_step, _ = _weights(y, u2, step)
     size, size_u, _ = _coefficient(y, w_step, step)
     # the time of a step is an additional parameter
-    line = straight if np.ptp(times) > 0 else ones  # without different times there is no drift
+    line = straight if np.ptp(times) > 0 else ones  # if all times are equal, there is no drift
     delta = _deviance(y, u2, step) + 2 * math.log(n) - _deviance(y, u2, line) - math.log(n)
     kind = "drift" if delta > 0 and np.ptp(times) > 0 else "step"
     label = kind if abs(delta) > _PREFERRED else "drift or step"
@@ -592,8 +593,8 @@ def _deviance(y: Array, u2: Array, design: Array) -> float:
 def _coefficient(y: Array, w: Array, design: Array) -> tuple[float, float, int]:
     """Return the last coefficient of a weighted regression, its standard uncertainty and degrees of freedom.
 
-    The uncertainty is multiplied by the root of the reduced chi-square if that exceeds 1 (J. Hartung, G. Knapp, Stat.
-    Med. 20, 1771 (2001)).
+    The uncertainty is multiplied by the root of the reduced chi-square if this root exceeds 1 (J. Hartung, G. Knapp,
+    Stat. Med. 20, 1771 (2001)).
     """
     gram = np.linalg.inv(design.T @ (design * w[:, None]))
     beta = gram @ (design.T @ (w * y))
@@ -626,8 +627,8 @@ def _step_statistics(y: Array, w: Array) -> tuple[Array, Array]:
 def _p_step(largest: float, w: Array, rng: np.random.Generator) -> float:
     """Return the probability of a larger F statistic at any place if there is no step.
 
-    The probability is simulated. If no simulated set has a larger statistic, the result is the resolution of the
-    simulation or the Bonferroni bound over all places, whichever is smaller.
+    The probability is simulated. If no simulated set has a larger statistic, the result is the smaller of two values:
+    the resolution of the simulation, and the Bonferroni bound over all places.
     """
     from scipy.special import fdtrc
 

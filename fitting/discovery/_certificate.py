@@ -1,7 +1,7 @@
 """Test of an answer by a parametric bootstrap: recordings simulated from the fit are analysed like the original.
 
-Recordings are simulated under three kinds of hypotheses (`fitting.inference._replica`), then fitted and diagnosed with
-the same base model:
+Recordings are simulated under three kinds of hypotheses (`fitting.inference._replica`). They are then fitted and
+diagnosed with the base model of the original:
 
 - "null": the base model alone. The false-alarm rate is the share of null recordings in which an effect is named or the
   model is rejected, although no effect is missing. The share of null recordings whose best score is at least the score
@@ -54,8 +54,8 @@ _RIVAL_SHARE = 0.25
 """Simulated recordings of each rival per null recording [1]. Chosen: a smaller value widens the intervals of the rates,
 a larger one costs time."""
 _FEWEST = 4
-"""Smallest number of simulated recordings of a rival [recordings]. Chosen: a smaller number does not show the effect
-that is usually named, a larger one costs time in short certificates."""
+"""Smallest number of simulated recordings of a rival [recordings]. Chosen: fewer recordings do not show which effect is
+usually named; more recordings cost time in a short test."""
 _INTERVAL = 1.96
 """Half width of an interval that contains the true value in 95 % of the cases [standard uncertainties]. Derived:
 quantile 0.975 of the standard normal distribution."""
@@ -192,13 +192,16 @@ class Certificate:
 
     @property
     def right_first(self) -> float | None:
-        """Share of the "truth" recordings whose named effect is the simulated one; None if none was simulated."""
+        """Share of the "truth" recordings whose named effect is the simulated effect; None without such recordings."""
         found = [bool(o.named) and o.named[0] == o.effect for o in self.of("truth")]
         return sum(found) / len(found) if found else None
 
     @property
     def in_class(self) -> float | None:
-        """Share of the "truth" recordings whose named equivalence class contains the simulated effect; None if none."""
+        """Share of the "truth" recordings whose named equivalence class contains the simulated effect.
+
+        None without such recordings.
+        """
         found = [o.effect in o.named for o in self.of("truth")]
         return sum(found) / len(found) if found else None
 
@@ -353,7 +356,8 @@ def hypotheses(found: Diagnosis) -> list[Hypothesis]:
     for c in (*in_class, *next_best):
         other = _with_effect(found.fit, c) if len(rivals) < _MOST_RIVALS else None
         if other is not None:
-            # the random torque estimated with a wrong model contains the lack of fit of that model
+            # the rival is a wrong model, and its estimated random torque contains its lack of fit; so the noise of
+            # `truth` is used
             rivals.append(Hypothesis("rival", c.effect.name, replace(other, noise=truth.noise)))
     null = Hypothesis("null", "", replace(base, noise=truth.noise))
     return [null, Hypothesis("truth", named.effect.name, truth), *rivals]
@@ -457,7 +461,7 @@ def certify(
     done: dict[Item, Outcome] = {(o.kind, o.effect, o.number): o for o in known}
     missing = [item for item in wanted if item not in done]
     several = workers.processes + 1
-    # the first round is short: its duration predicts the duration of the later rounds
+    # the first round is short; the duration of the later rounds is predicted from it
     edges = {0, *range(several, len(missing), _PER_PROCESS * several), len(missing)}
     for first, last in pairwise(sorted(edges)):
         part = missing[first:last]

@@ -9,8 +9,8 @@ the nuisance parameters. Then
 
 has rank(M S) degrees of freedom if no torque is missing. The level of the process noise is profiled. The p-value is
 family-wise: it is compared with the smallest p-value of all these correlated tests in null data (P. Westfall, S. Young,
-Resampling-Based Multiple Testing (1993)). The lack of fit is the excess of chi-square over its degrees of freedom at
-the noise level of the data; the explained share is the part of this excess that the function removes.
+Resampling-Based Multiple Testing (1993)). The size of the lack of fit is the excess of chi-square over its degrees of
+freedom at the noise level of the data. The explained share is the part of this excess that the function removes.
 
 The curve has finer splines than the test, so that it resolves a resonance. The coefficients b of the splines have a
 Gaussian prior with the Matern covariance of order 3/2,
@@ -19,7 +19,7 @@ Gaussian prior with the Matern covariance of order 3/2,
 
 at the centres x_i of the splines. s and l maximise the likelihood (C. Rasmussen, C. Williams, Gaussian Processes for
 Machine Learning, MIT Press (2006), ch. 5). A broad law gives a large l, which averages the noise; a narrow peak gives a
-small l. The base already contains some functions, for example a linear drag, and the data hardly determine some other
+small l. The base already contains some functions, for example a linear drag. The data hardly determine some other
 functions. The curve is therefore the least-squares estimate of the part of the torque that the data determine better
 than the prior; its band is the standard uncertainty. A law is compared with the curve after the same projection.
 """
@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 _COLUMNS = 10
 """Number of splines in the test of a torque that depends on one variable [1]. Chosen: a smaller number overlooks narrow
-laws, a larger one lowers the power for broad ones."""
+laws, a larger one lowers the power for broad laws."""
 _FINE = 36
 """Number of splines of the displayed curve [1]. Chosen: a smaller number does not resolve a resonance, a larger one
 costs time; the prior smooths the splines."""
@@ -56,8 +56,8 @@ _HARMONICS = (1, 2, 3, 4)
 """Harmonics of the angle of the casing in the test [1]. Chosen: with fewer harmonics, higher harmonics are overlooked;
 with more, the power for the first two is lower."""
 _ROTOR_HARMONICS = (1, 2)
-"""Harmonics of the angle of the rotor in the test [1]. Chosen: a single harmonic overlooks the second one; higher
-harmonics are aliased at the frame rate of the casing."""
+"""Harmonics of the angle of the rotor in the test [1]. Chosen: with the first harmonic alone, the second harmonic is
+overlooked; higher harmonics are aliased at the frame rate of the casing."""
 _FASTEST = np.pi
 """Largest phase by which a tested harmonic of the rotor angle may advance between two frames of the casing [rad].
 Derived: the Nyquist limit, half a period per frame."""
@@ -65,18 +65,19 @@ _DRAWS = 1000
 """Number of null data sets [1]. Chosen: the smallest p-value is 0.001; a smaller number makes the p-value coarser, a
 larger one costs time."""
 _RANK = 1e-5
-"""Singular values, relative to the largest column, below which a direction is rounding error [1]. Chosen: a smaller
-value counts rounding errors as a degree of freedom, a larger one omits directions that the data determine weakly."""
+"""A direction is rounding error if its singular value, divided by the norm of the largest column, is below this value
+[1]. Chosen: a smaller value counts rounding errors as a degree of freedom, a larger one omits directions that the data
+determine weakly."""
 _CURVE = 120
 """Number of points of a displayed curve [1]. Chosen: a smaller number shows corners, a larger one makes larger
 files."""
 _STRENGTHS = np.geomspace(1e-3, 1e5, 33)
 """Trial standard deviations of a torque, divided by the standard deviation that the data suggest [1]. Chosen: four per
-decade from far below the noise to far above it; the optimum may be outside a shorter range, a coarser grid rounds
-it."""
+decade from far below the noise to far above it; the optimum may be outside a shorter range; a coarser grid rounds the
+optimum."""
 _LENGTHS = np.geomspace(0.03, 3.0, 9)
 """Trial correlation lengths, divided by the range of the variable [1]. Chosen: the splines do not resolve shorter
-lengths; with longer lengths, a law does not differ from a straight line."""
+lengths; with longer lengths, the curve is nearly a straight line."""
 _WORDS = {
     "omega_c": "the speed of the casing",
     "omega_r": "the speed of the rotor",
@@ -97,11 +98,12 @@ _TESTS: dict[Joint, tuple[tuple[str, ...], ...]] = {
 class Dependence:
     """The unmodelled torque as a smooth function of one variable, or of two."""
 
-    variable: str  # "omega_c", "t", ...; two joined by "*"
+    variable: str  # "omega_c", "t", ...; a pair of variables is joined by "*"
     body: str  # "casing", "rotor", or "bearing" (internal)
-    # family-wise: probability of an equal or more significant dependence if there is no dependence
+    # family-wise: probability that any tested dependence is at least as significant if there is none
     p_value: float
-    explained: float  # share of the lack of fit (excess of chi-square over its degrees of freedom), 0-1
+    # explained share of the lack of fit (excess of chi-square over its degrees of freedom), 0-1
+    explained: float
     score: float  # fall of the deviance
     columns: int  # number of functions of the test that the base cannot represent
     value: Array = field(repr=False)  # values of the variable [s, rad/s or rad]; empty for two variables
@@ -346,7 +348,7 @@ def _curve(context: ScoreContext, level: Level, test: _Test) -> tuple[Array, Arr
         return np.zeros(0), np.zeros(0), np.zeros((0, 0))
     white = level.gain[:, None] * context.rotated(test.fine)
     response = orthogonal_to(level.basis, white)
-    # the residuals scatter more than the noise if the law is finer than the curve or depends on another variable
+    # the residuals scatter more than the noise if the law has finer details than the curve, or another variable
     free = orthonormal(response, RANK)
     rest = orthogonal_to(free, level.residual)
     scatter = max(1.0, float(rest @ rest) / max(len(rest) - level.basis.shape[1] - free.shape[1], 1))

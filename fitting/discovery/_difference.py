@@ -44,7 +44,8 @@ class ValuesPerRecording:
     """The values of one parameter in the recordings."""
 
     name: str  # ``<effect>.<symbol>``
-    estimates: dict[str, Estimate]  # by label of the recording; their errors may be strongly correlated
+    # values by label of the recording; the errors of the values may be strongly correlated
+    estimates: dict[str, Estimate]
     differences: dict[str, Estimate]  # value in each other recording minus the value in the first, by label
 
     @property
@@ -54,7 +55,10 @@ class ValuesPerRecording:
 
     @property
     def largest(self) -> float:
-        """The largest difference [sigma]; 0 if no uncertainty is known, for example at a bound."""
+        """The largest difference between two recordings [sigma].
+
+        It is 0 if no uncertainty is known, for example at a bound.
+        """
         return max(
             (abs(e.value) / e.stderr for e in self.differences.values() if e.stderr > 0.0), default=0.0
         )
@@ -62,13 +66,13 @@ class ValuesPerRecording:
 
 @dataclass(frozen=True)
 class DifferentParameter(ValuesPerRecording):
-    """A shared parameter whose values in the recordings differ, and further parameters with separate values."""
+    """A shared parameter whose values in the recordings differ, and any further parameters with separate values."""
 
-    indistinguishable_from: tuple[str, ...]  # parameters whose difference describes the data as well
+    # other parameters that describe the data equally well if their values differ
+    indistinguishable_from: tuple[str, ...]
     delta_bic: float  # BIC with a value for each recording minus BIC of the base
-    p_value: (
-        float  # probability of such a difference in any shared parameter if all are equal in the recordings
-    )
+    # probability of such a difference in any shared parameter if no parameter differs between the recordings
+    p_value: float
     others: tuple[ValuesPerRecording, ...] = ()  # other parameters with a value for each recording
 
     @property
@@ -119,11 +123,12 @@ def different_parameter(
     values must describe the data as well as the rival does, at the noise of the rival. Without a rival, it must
     describe the data better than the base.
 
-    A parameter is refitted only if its score is at least `least`. If no single parameter suffices, several parameters
-    may differ; this is tested only without a rival.
+    A parameter is refitted only if its score, the predicted fall of the deviance, is at least `least`. If no single
+    parameter suffices, several parameters may differ; this is tested only without a rival.
     """
     layout = base.problem.layout
-    # parameters at a bound are tested as well, because the difference may cause the active bound
+    # parameters at a bound are tested as well: a difference between the recordings may shift the shared value to its
+    # bound
     keys = [k for k in base.model.free if k not in layout.per_case]
     if len(layout.records) < 2 or not keys:
         return None
@@ -181,8 +186,8 @@ def _several_that_differ(base: Fit, keys: Sequence[str], criteria: Criteria) -> 
     """Return parameters whose separate values describe the data; None if separate values of all do not suffice.
 
     The shared values of the base are a compromise between the recordings, and its noise contains the differences of the
-    recordings. Therefore the first fit has its own initial values and noise. Then parameters are shared again one by
-    one, in ascending order of their difference, if this lowers the BIC and causes no lack of fit.
+    recordings. Therefore the first fit does not use the initial values and the noise of the base. Then parameters are
+    shared again one by one, in ascending order of their difference, if this lowers the BIC and causes no lack of fit.
     """
     found = None
     with attempt("all parameters per recording"):
@@ -275,5 +280,5 @@ def improves_on_difference(
 
 
 def penalised(s: Score, length: float, n_eff: float) -> float:
-    """Return a score minus the penalties of the constants and of the length of the formula."""
+    """Return a score minus the penalties for the number of constants and for the length of the formula."""
     return s.score - (s.columns + len(s.shape[0])) * float(np.log(n_eff)) - length

@@ -5,8 +5,8 @@ further addition or removal lowers BIC. The remedy is sequential replacement (A.
 2nd ed., Chapman & Hall (2002), ch. 3). An added law is removed from the model, and its torque is added to the
 residuals. Every law and every pair of laws in its place is then fitted by linear least squares, together with all other
 parameters. The compared models describe nearly the same motion. Therefore the first order is accurate if a fit needs no
-more process noise than its recording shows. Otherwise the fall of BIC is an upper limit, because the level of the
-process noise is optimised.
+more process noise than the recording shows without a model. Otherwise the fall of BIC is an upper limit, because the
+level of the process noise is optimised.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _LAWS = 2
 """Largest number of laws that replace one law [1]. Chosen: with 1, a wrong law that imitates two missing laws remains;
 a larger number costs time and fits noise."""
 _EQUAL = 1e-9
-"""Two laws are equal in a recording, and only the first one takes part, if one minus the cosine of the angle between
-their responses is at most this value [1]. Chosen: a smaller value refits equal laws that differ by rounding errors, a
-larger one omits laws that differ."""
+"""Two laws are equal in a recording if one minus the cosine of the angle between their responses is at most this value;
+only the first of two equal laws takes part [1]. Chosen: a smaller value refits equal laws that differ by rounding
+errors, a larger one omits laws that differ."""
 _SINGULAR = 1e-9
 """Relative singular value of normal equations below which a combination of columns is rounding error [1]. Chosen: a
 smaller value fits rounding errors, a larger one ignores weakly determined combinations."""
@@ -49,7 +49,7 @@ class Exchange(NamedTuple):
     """A law that is removed from the model, the laws in its place, and the first-order change of BIC."""
 
     removed: Effect
-    # of the laws that replace the removed law, with their strengths; empty if no law replaces it
+    # scores of the laws that replace the removed law, with their strengths; empty if no law replaces it
     scores: tuple[Score, ...]
     delta_bic: float
 
@@ -64,7 +64,7 @@ class Exchange(NamedTuple):
 
     @property
     def laws(self) -> tuple[Effect, ...]:
-        """The laws in the place of the removed one."""
+        """The laws in the place of the removed law."""
         return tuple(s.effect for s in self.scores)
 
     def refit(self, about: Fit) -> Fit | None:
@@ -87,7 +87,7 @@ class Exchange(NamedTuple):
 def exchanges(
     about: Fit, removed: Effect, effects: Sequence[Effect], cases: Sequence[CaseColumns], criteria: Criteria
 ) -> list[Exchange]:
-    """Return the removal of an effect of a fit and its exchanges for one or two other effects, if BIC falls enough.
+    """Return the removal of an effect of a fit and its exchanges for one or two other effects that lower BIC enough.
 
     An exchange for two laws must also lower BIC more than the addition of one law to the fit, because a search adds
     every significant law anyway.
@@ -96,8 +96,8 @@ def exchanges(
     own = torque_rows([removed], cases)[:, None]
     layout, prefix = about.problem.layout, removed.name + "."
     of_removed = np.array([n.startswith(prefix) for n in layout.names])
-    # laws that are equal in these recordings take part once and do not replace each other; an exception is a law with
-    # fewer parameters than the removed one: the same law without a free shape constant, or its limit at a bound
+    # Laws that are equal in these recordings take part once and do not replace each other. An exception is an equal law
+    # with fewer parameters than the removed law: the law without a free shape constant, or its limit at a bound.
     laws = [best_group(context, removed, [(({},), own)], context.levels, null=False)]
     for s in score(about, effects, cases, criteria, context=context):
         equal = [i for i, other in enumerate(laws) if 1 - abs(s.direction @ other.direction) <= _EQUAL]

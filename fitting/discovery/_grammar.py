@@ -40,7 +40,7 @@ from fitting.effects._expression import parse
 
 _BITS = 2.0
 """Bits for each symbol of a formula [1]. Chosen: a vocabulary of four symbols; a smaller value prefers long formulas, a
-larger one refuses them."""
+larger one refuses long formulas."""
 _OWN_SPEED = {"rotor": "omega_r", "casing": "omega_c", "bearing": "delta"}
 _SPEEDS: dict[str, tuple[str, ...]] = {
     "rotor": ("omega_r",),
@@ -51,19 +51,19 @@ _EXPONENTS = (-1.0, -0.5, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0)
 """Trial exponents of a power law [1]. Chosen: quarters and halves in addition to the integers of the library; with
 fewer, a fit starts far from the optimum; with more, the search takes longer."""
 _SCALES = tuple(float(v) for v in np.geomspace(0.03, 3.0, 13))
-"""Trial speeds of a law, divided by the largest speed [1]. Chosen: six per decade; with fewer, a fit starts far from
-the optimum; with more, the search takes longer."""
+"""Trial values of a shape constant that is a speed, divided by the largest speed [1]. Chosen: six per decade; with
+fewer, a fit starts far from the optimum; with more, the search takes longer."""
 _THRESHOLDS = tuple(round(0.05 + 0.05 * i, 2) for i in range(18))
-"""Trial thresholds of a law, divided by the largest speed [1]. Chosen: in steps of 0.05; with fewer, narrow laws are
-overlooked; with more, the search takes longer."""
+"""Trial values of a shape constant that is a threshold speed, divided by the largest speed [1]. Chosen: in steps of
+0.05; with fewer, narrow laws are overlooked; with more, the search takes longer."""
 _TIMES = tuple(float(v) for v in np.geomspace(0.02, 2.0, 10))
 """Trial time constants, divided by the length of the record [1]. Chosen: a shorter time constant affects few rows, a
 longer one gives a straight line."""
 _NEAR_ZERO = 0.01
-"""Smallest speed of a law with a negative power, divided by the largest speed [1]. Chosen: a smaller value admits
-torques that diverge, a larger one excludes laws of slow bodies."""
+"""Smallest speed at which a law with a negative power is admitted, divided by the largest speed [1]. Chosen: a smaller
+value admits torques that diverge, a larger one excludes laws of slow bodies."""
 _COARSE_MOMENTS = MOMENTS[::3]
-"""Trial moments of a law with several shape constants, divided by the length of the record [1]. Chosen: every third of
+"""Trial times t0 of a law with several shape constants, divided by the length of the record [1]. Chosen: every third of
 `MOMENTS`; with fewer, a fit starts far from the optimum; with more, the search takes longer."""
 _FEWEST_PERIODS = 0.5
 """Smallest number of periods of an oscillating law within a record [1]. Chosen: with fewer the law is a trend; a larger
@@ -72,9 +72,9 @@ _PHASE_STEP = 2.0
 """Spacing of trial frequencies, as a phase difference over the record [rad]. Chosen: a smaller value costs time, a
 larger one passes over narrow peaks."""
 _HIGHEST = 1000.0
-"""Highest trial frequency of a law, as the phase that it accumulates over the record [rad]. Chosen: 5 rad/s in the
-recordings of 200 s of the paper, because the periodogram finds faster oscillations; a larger value tests the fast
-oscillations twice, a smaller one overlooks slow oscillations."""
+"""Highest trial frequency of a law, as the phase over the whole record [rad]. Chosen: 5 rad/s in a record of 200 s; the
+periodogram finds faster oscillations. A larger value tests the fast oscillations twice, a smaller one overlooks slow
+oscillations."""
 _MOST_FREQUENCIES = 800
 """Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; with
 more, the search takes longer."""
@@ -102,7 +102,7 @@ def description_length(symbols: int) -> float:
 
 @dataclass(frozen=True)
 class _Form:
-    """A form: its formula in {x}, the symbol and the kind of each shape constant, and the length of the formula.
+    """A form: the formula with the variable {x}, symbol and kind of each shape constant, and length of the formula.
 
     `phase` states whether the formula contains a free phase phi.
     """
@@ -114,7 +114,7 @@ class _Form:
     phase: bool = False
 
 
-# forms of a speed x; {s} is "*sign(x)" if x is the body's own speed, otherwise empty; odd forms of x need no {s}
+# Forms of a speed x. {s} is "*sign(x)" if x is the body's own speed, otherwise empty. Odd functions of x need no {s}.
 _OF_SPEED = (
     _Form("power", "abs({x})**n{s}", (("n", "exponent"),), 2),
     _Form("exponential", "exp(-abs({x})/w){s}", (("w", "speed"),), 3),
@@ -147,7 +147,7 @@ _OF_TIME = (
         (("w", "few frequencies"), ("u", "time few")), 6, phase=True,
     ),
 )  # fmt: skip
-# forms whose time is a separate parameter in each recording
+# forms with a moment t0, which is a separate parameter in each recording
 _EVENTS = (
     _Form("step in time", "heaviside(t - t0)", (("t0", "moment"),), 3),
     _Form("ramp in time", "heaviside(t - t0)*(t - t0)", (("t0", "moment"),), 4),
@@ -198,8 +198,8 @@ _SWITCHED = {
 }
 _DECAYING = _SWITCHED | {"casing": (*_SWITCHED["casing"], "omega_r")}
 _HARMONICS = (3, 4)
-"""Orders of harmonics of the angle that the library does not contain [1]. Chosen: with more orders, each law is less
-significant; with fewer, laws of three or four periods per turn are overlooked."""
+"""Orders of the harmonics of the angle in the grammar; the library contains the lower ones [1]. Chosen: with more
+orders, each law is less significant; with fewer, laws of three or four periods per turn are overlooked."""
 
 
 def grammar(

@@ -71,8 +71,8 @@ class Run:
     duration: float  # length of the recording of the casing [s]
     windows: tuple[float, ...]  # start of each rotor window [s]
     window_length: float  # length of each window [s]
-    ring: float = 1.0  # moment of inertia of the casing, divided by the present one
-    surface: float = 1.0  # friction at the touch point, divided by the present one
+    ring: float = 1.0  # moment of inertia of the casing, divided by the present value
+    surface: float = 1.0  # friction at the touch point, divided by the present value
 
 
 class Information:
@@ -234,8 +234,8 @@ _COLLINEAR = 1e-6
 sets with undetermined strengths, a larger one drops rivals that data could separate."""
 _ABSORBED = 1e-12
 """The shared parameters absorb a candidate if the information about its strength with free shared parameters, divided
-by the information with fixed shared parameters, is below this value [1]. Chosen: the rounding error of the projection;
-a larger value drops weakly determined candidates, a smaller one keeps rounding errors."""
+by the information with fixed shared parameters, is below this value [1]. Chosen: it is the rounding error of the
+projection; a larger value drops weakly determined candidates, a smaller one keeps rounding errors."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Which tests contradict an answer, and which laws outside the library rival it.
+"""Tests that contradict an answer, and laws outside the library that describe the data as well as the answer.
 
 Every fit has a smooth test (`fitting.inference._smooth_test`) and a periodogram (`fitting.inference._periodogram`).
 Answers with an angle-dependent torque have a third test: harmonics of third or higher order in the angle of the casing.
@@ -54,21 +54,21 @@ def nonparametric_law(fit: Fit, site: str, speed: str) -> float:
 
 
 _RANK = 1e-4
-"""Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
-rounding errors, a larger one omits deviations that are nearly absorbed."""
+"""A direction is not tested if its singular value, divided by the largest, is below this value [1]. Chosen: a smaller
+value tests rounding errors, a larger one omits deviations that are nearly absorbed."""
 _RANK_FREE = 1e-7
-"""Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
-projects out rounding errors, a larger one ignores some free columns."""
+"""A direction is not projected out if its singular value, divided by the largest, is below this value [1]. Chosen: a
+smaller value projects out rounding errors, a larger one ignores some free columns."""
 _ORDERS = (3, 4, 5, 6)
 """Orders of the tested harmonics of the angle, which no law of the library has [1]. Chosen: with more orders, the
 significance is lower; with fewer, torques of several periods per turn are overlooked."""
 _HARMONIC_AMPLITUDE = "harmonic.k"
 _FIRST_SHARE = 0.01
-"""Largest initial amplitude of a harmonic, as a share of the largest torque [1]. Chosen: a larger value starts in a
-wrong motion, a smaller one needs more steps."""
+"""Largest initial amplitude of a harmonic, as a share of the largest torque [1]. Chosen: with a larger value, the fit
+starts from a wrong motion; with a smaller one, it needs more steps."""
 _DETERMINED = 2.0
-"""Smallest amplitude of a harmonic that counts as determined [standard errors]. Chosen: a smaller value reports
-harmonics of noise, a larger one omits weak harmonics; the p-value is tested first."""
+"""Smallest amplitude of a harmonic that counts as determined [standard errors]. Chosen: the p-value is tested first; a
+smaller value reports harmonics of noise, a larger one omits weak harmonics."""
 _AMPLITUDE_AND_PHASE = (Parameter("k", "N m"), Parameter("phi", "rad", "phase"))
 
 
@@ -81,7 +81,7 @@ class HarmonicTest:
         float  # probability that noise has a harmonic of this significance (Bonferroni bound over the orders)
     )
     unit: str = TORQUE  # unit of the torque: "N m", or "rad/s2" per unit of inertia
-    fit: Fit | None = None  # with the harmonic as an effect; None if its amplitude is not determined
+    fit: Fit | None = None  # fit with the harmonic as an effect; None if its amplitude is not determined
 
     @property
     def words(self) -> str:
@@ -128,8 +128,8 @@ def harmonic_test(fit: Fit, criteria: Criteria) -> HarmonicTest:
                 torque, phase = float(np.hypot(*gamma)), math.atan2(gamma[1], gamma[0])
         single = float(tail_probability(chi2, count, fit.noise, shares)) if count else 1.0
         p_value = min(1.0, len(_ORDERS) * single)
-        # a torque of high order hardly moves the body: it describes an error of the motion only if it exceeds all
-        # other torques
+        # A harmonic of high order hardly moves the body. To describe an error of the motion, it would have to exceed
+        # all other torques.
         if p_value < found.p_value and torque <= max(others):
             found = HarmonicTest(order, p_value, fit.torque_unit)
             start = {_HARMONIC_AMPLITUDE: min(torque, _FIRST_SHARE * max(others)), f"{law.name}.phi": phase}

@@ -40,12 +40,12 @@ _LEVELS = 21
 """Number of trial standard deviations of the start times, over two decades [1]. Chosen: a smaller number makes the mean
 likelihood coarse, a larger one costs time."""
 _REFITS = 3
-"""Largest number of fits with increasingly accurate uncertainties of the starts [1]. Chosen: the second fit corrects
-the bias of the base; a smaller number leaves this bias, a larger one costs time."""
+"""Largest number of fits in which the uncertainty of the starts is improved from fit to fit [1]. Chosen: the second fit
+corrects the bias of the base; a smaller number leaves this bias, a larger one costs time."""
 _SAME_SIZE = math.log(2.0)
-"""Change of the logarithm of the size of the start errors below which the fit is not repeated [1]. Derived: n errors
-determine their size with a relative uncertainty of 1 / sqrt(2 n), 40 % for three errors; a smaller value repeats fits
-that do not differ."""
+"""The fit is not repeated if the logarithm of the size of the start errors changes by less than this value [1].
+Derived: n errors determine their size with a relative uncertainty of 1 / sqrt(2 n), 40 % for three errors; a smaller
+value repeats fits that do not differ."""
 
 
 class StartErrors:
@@ -89,7 +89,10 @@ class StartErrors:
 
     @property
     def p_value(self) -> float:
-        """Probability of this fall if the starts have no errors; s is at its bound 0 in half of the null data."""
+        """Probability of this fall of the deviance if the starts have no errors.
+
+        The parameter s is then at its bound 0 in half of the data sets.
+        """
         from scipy.special import chdtrc
 
         return 0.5 * float(chdtrc(1, max(self.fall, 0.0)))
@@ -115,8 +118,8 @@ class StartErrors:
     def evidence_of(self, refitted: Fit) -> float:
         """Return the evidence from `refitted`, a fit with starts of uncertainty `u` and the noise of its own residuals.
 
-        Errors of the starts bias the base: its noise is too large, and the linear fall is too small. The average over s
-        lowers this evidence by the same amount as the linear evidence.
+        Errors of the starts bias the base: its noise is too large, and the fall in a linear fit is too small. The
+        average over s lowers this evidence by the same amount as the evidence of the linear fit.
         """
         more, base = (
             sum(d.start_time_noise.log_determinant for d in f.problem.data) for f in (refitted, self.base)
@@ -125,7 +128,7 @@ class StartErrors:
         return max(self.evidence, fall + self.evidence - self.fall)
 
     def refit(self) -> tuple[Fit | None, StartErrors]:
-        """Return the fit with starts of the uncertainty `u`, and the errors about its parameters.
+        """Return the fit with starts of the uncertainty `u`, and the errors of the starts, linearised about this fit.
 
         Errors of the starts bias the parameters of the base. An error that is common to all windows resembles a change
         of friction, so its linear estimate about such a base may be wrong by many standard uncertainties (measured: 72

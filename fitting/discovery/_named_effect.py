@@ -1,7 +1,7 @@
 """Tests of a named effect: of its form, and of the moments of inertia with which it was found.
 
-If the residuals are consistent with noise, the effect need not be exact: the recordings may not contain enough
-information to refute its form. Three tests of the form use the fit with the effect. tau(v) is the torque of the effect
+If the residuals are consistent with noise, the form of the effect may still be wrong: the recordings may not contain
+enough information to refute it. Three tests of the form use the fit with the effect. tau(v) is the torque of the effect
 as a function of its variable v.
 
 *Detection limit.* Another law of v deviates by tau(v) h(v) with a smooth function h. Here h is piecewise linear with
@@ -14,8 +14,9 @@ The limit is the rms of h, as a share of the torque. At this rms the test detect
 with a probability of at least 90 %. Deviations that the base absorbs are not detectable. An example is a constant
 torque of the bearing in a narrow range of speeds.
 
-*Active bounds.* If chi-square falls when parameters pass their bounds, the true torque differs in form from the sum of
-the laws. With the columns B of these parameters, orthogonal to all free columns, the fall of chi-square is
+*Active bounds.* If chi-square falls when parameters at a bound are allowed to pass it, the true torque differs in form
+from the sum of the laws. With the columns B of these parameters, orthogonal to all free columns, the fall of chi-square
+is
 
     chi2 = r'B (B'B)^-1 B'r   with rank(B) degrees of freedom.
 
@@ -23,10 +24,11 @@ the laws. With the columns B of these parameters, orthogonal to all free columns
 changes slowly in time. Such a law is compared with a cubic spline in time on the same body: the spline replaces the
 effect in a linear refit.
 
-The *inertia* is a further test. Only ratios of torque to inertia are observable, and the torque between the bodies acts
-on both. The data therefore determine the ratio of the moments of inertia. If the given ratio is wrong, the base has a
-systematic error. A wrong effect, or the right effect with a wrong form, may then describe the data best. Therefore all
-candidates are scored again with a free ratio, and the best candidates are refitted with a free ratio.
+*Inertia.* This test concerns the given moments of inertia. Only ratios of torque to inertia are observable, and the
+torque between the bodies acts on both bodies. The data therefore determine the ratio of the moments of inertia. If the
+given ratio is wrong, the base has a systematic error. A wrong effect, or the right effect with a wrong form, may then
+describe the data best. Therefore all candidates are scored again with a free ratio, and the best candidates are
+refitted with a free ratio.
 """
 
 from __future__ import annotations
@@ -76,16 +78,16 @@ _DRAWS = 4000
 """Number of random deviations from which the limit is computed [1]. Chosen: a smaller number makes the limit random, a
 larger one costs time."""
 _RANK = 1e-4
-"""Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: as in
+"""A direction is not tested if its singular value, divided by the largest, is below this value [1]. Chosen: as in
 `fitting.inference._smooth_test`; a smaller value tests rounding errors, a larger one omits deviations that are nearly
 absorbed."""
 _RANK_FREE = 1e-7
-"""Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: as in
-`fitting.inference._smooth_test`; a smaller value projects out rounding errors, a larger one ignores some free
+"""A direction is not projected out if its singular value, divided by the largest, is below this value [1]. Chosen: as
+in `fitting.inference._smooth_test`; a smaller value projects out rounding errors, a larger one ignores some free
 columns."""
 _TINY = 1e-300
-"""Smallest mean square torque that is used as a divisor [1]. Derived: it avoids a division by zero and is below any
-other mean square."""
+"""Smallest mean square torque that is used as a divisor [1]. Derived: any smaller mean square is zero, and a division
+by zero is avoided."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class FormTest:
     any_in_time: bool  # whether any torque that changes slowly in time describes the data as well
 
     def is_strong(self, criteria: Criteria) -> bool:
-        """Return whether the data would show any deviation that an approximate answer does not allow.
+        """Return whether the data would show any deviation that is too large for an approximate answer.
 
         False also if the fit significantly prefers values outside active bounds.
         """
@@ -129,7 +131,7 @@ def form_test(found: Fit, effect: Effect, criteria: Criteria) -> FormTest:
     effects = [c.torque_rows(*(x[:, None] for x in own)) for c, own in zip(cases, torques, strict=True)]
     columns = [np.concatenate(parts, axis=1) for parts in zip(deviations, splines, effects, strict=True)]
     known = zip(found.problem.data, found.predictions, found.noise, columns, strict=True)
-    # a deviation may raise the process noise of its own test, but only up to the level of the recording
+    # a deviation may raise the process noise of the fit, but the test uses at most the level that the recording shows
     rows = [FewRows.of(*case, level=case[2].pure) for case in known]
     free, residual = np.concatenate([r.free for r in rows]), np.concatenate([r.residual for r in rows])
     tested = [np.split(r.tested, [_KNOTS, -1], axis=1) for r in rows]
@@ -150,7 +152,7 @@ def _torque(case: CaseColumns, effect: Effect) -> tuple[Array, ...]:
 
 
 def _senses(effect: Effect, torques: Sequence[Array]) -> list[float]:
-    """Return, for each body, its share of a torque in time; 0 for a body on which the effect does not act."""
+    """Return the factor of a torque in time on each body; 0 for a body on which the effect does not act."""
     shares = effect.mechanism.shares(effect.site)
     return [share if own.any() else 0.0 for share, own in zip(shares, torques, strict=True)]
 
@@ -173,7 +175,7 @@ def _variable(effect: Effect, mechanism: Mechanism = GYROSCOPE) -> str:
 
 
 def _has_time_constant(effect: Effect) -> bool:
-    """Return whether a law of time, or with a state, has a shape constant and no changepoint."""
+    """Return whether a law of time, or a law with a state, has a shape constant and no changepoint."""
     names = symbols(effect.expression)
     in_time = effect.state is not None or "t" in names
     return in_time and not effect.breakpoint and any(p.role == "shape" for p in effect.parameters)
@@ -294,7 +296,7 @@ def _percent_off(share: Estimate) -> str:
 def with_free_inertia(
     base: Fit, selection: Selection, extra: tuple[Effect, ...], criteria: Criteria
 ) -> InertiaRival | None:
-    """Return the effect that describes the data at least as well as the selection if the ratio of inertias is free.
+    """Return the effect that, with a free ratio of inertias, describes the data at least as well as the selection.
 
     None if there is no such effect, if the error of the ratio is not credible, or if the chosen effect depends on an
     angle.
@@ -329,7 +331,7 @@ def with_free_inertia(
 
 
 def reselected(selection: Selection, rival: InertiaRival) -> Selection:
-    """Return the selection with the rival of free inertia.
+    """Return the selection with the rival that was found with a free ratio of inertias.
 
     If the rival is better, it becomes the chosen effect, and the previous choice becomes indistinguishable from it.
     Otherwise the rival becomes indistinguishable from the chosen effect. If both are the same effect, only the final

@@ -43,24 +43,24 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _RING = 1.5
-"""Moment of inertia of the casing with an inertia ring, divided by the present one [1]. Chosen: such a ring is easily
+"""Moment of inertia of the casing with an inertia ring, divided by the present value [1]. Chosen: such a ring is easily
 made; a larger value proposes heavy rings, a smaller one gains little information."""
 _SURFACE = 3.0
 """Largest ratio of the friction of another surface to the friction of the present surface [1]. Chosen: usual surfaces
-differ by about this factor; a larger value proposes unknown surfaces, a smaller one gains little information."""
+differ by about this factor; a larger value proposes unusual surfaces, a smaller one gains little information."""
 _APPARATUS_GAIN = 1.5
-"""Smallest factor by which a change of the apparatus must raise the information to be proposed [1]. Chosen: a smaller
-value proposes changes of little use, a larger one hides useful changes."""
+"""A change of the apparatus is proposed only if it raises the information by at least this factor [1]. Chosen: a
+smaller value proposes changes of little use, a larger one hides useful changes."""
 _AMPLE = 4.0
 """Upper limit of the separation in the criterion of a run, divided by the square of `Criteria.experiment_sigma` [1].
 Chosen: a smaller value accepts a narrow separation, a larger one neglects the detection limits."""
 _CAP = 50.0
-"""Upper limit of the logarithm of a gain in information in the criterion of a run [1]. Chosen: the gain of a strength
-that is undetermined without the run is unlimited; a larger value lets this strength decide alone, a smaller one hides
-differences between runs."""
+"""Upper limit of the logarithm of a gain in information in the criterion of a run [1]. Chosen: without the limit, the
+gain is infinite for a strength that only this run determines. With a larger value, this strength decides alone; a
+smaller one hides differences between runs."""
 _RANDOM = 20
-"""Largest number of quasi-random runs before the local search [1]. Chosen: a smaller number may start the local search
-at a local maximum, a larger one leaves fewer runs for it."""
+"""Largest number of quasi-random runs before the local search [1]. Chosen: with fewer, the local search may start at a
+local maximum; with more, fewer runs are left for the local search."""
 _FINEST = 0.02
 """Step, as a share of the range between the bounds, at which the local search ends [1]. Chosen: a run cannot be
 prepared with finer steps; a larger value loses information."""
@@ -122,9 +122,9 @@ class NextRun:
     present: float  # smallest expected difference of deviance without the run
     repeated: float  # smallest expected difference of deviance after one more run like the present runs
     gains: dict[str, float]  # by effect: detection limit after the run, divided by the present limit
-    times: Array = field(repr=False)  # of the predicted motion [s]
-    omega_rotor: Array = field(repr=False)  # predicted [rad/s]
-    omega_casing: Array = field(repr=False)  # predicted [rad/s]
+    times: Array = field(repr=False)  # times of the predicted motion [s]
+    omega_rotor: Array = field(repr=False)  # predicted speed of the rotor [rad/s]
+    omega_casing: Array = field(repr=False)  # predicted speed of the casing [rad/s]
     inseparable: tuple[tuple[str, str], ...] = ()  # pairs of rivals that no run within the bounds separates
     sentence: str = ""  # the result in words
 
@@ -166,7 +166,7 @@ class _Criterion:
         return min(values, default=math.nan)
 
     def limits(self, total: Array) -> Array:
-        """Return the information about the strength of each candidate without the others, averaged over its columns."""
+        """Return the information about the strength of each single candidate, averaged over its columns."""
         traces = [float(np.trace(schur(total, places, self._all))) for places in self._candidates]
         return np.array(traces) / [len(places) for places in self._candidates]
 
@@ -249,7 +249,7 @@ _LARGER_AMPLITUDE = (
 def _mean_values(
     effect: Effect, estimates: Mapping[str, Estimate], records: Sequence[Record]
 ) -> dict[str, float]:
-    """Return the parameters of an effect by symbol; a parameter with per-case values has their mean."""
+    """Return the parameters of an effect by symbol; for per-case values, the mean over the cases."""
     values = {}
     for key, p in parameters_at([effect], records).items():
         own = [e.value for k, e in estimates.items() if k.partition("@")[0] == key]

@@ -43,7 +43,7 @@ _BLOCKS = 12
 correlated parts."""
 _OF_AVERAGING = 5e-3
 """Relative error of a strength from the averaged equations, which are of first order [1]. Measured: up to 0.5 % for a
-pendulum of 94 degrees and for springs that soften by a tenth; the recordings are not stated."""
+pendulum with an amplitude of 94 degrees and for springs that soften by a tenth; the recordings are not stated."""
 _CONTRADICTING_SHARE = 0.2
 """Relative difference from the averaged equations above which an exact value contradicts them [1]. Chosen: a smaller
 value takes the error of these equations for a contradiction, a larger one accepts a fit to a wrong motion."""
@@ -57,7 +57,7 @@ class Strength:
     """Strength of a law of an oscillator."""
 
     value: float  #: Value [`unit`].
-    #: Standard uncertainty, with the error of the averaged equations if they are used [`unit`].
+    #: Standard uncertainty; it contains the error of the averaged equations if they are used [`unit`].
     stderr: float
     unit: str  #: Unit of the value and its uncertainty.
     approximate: bool = True  #: Whether the value is from the averaged equations.
@@ -91,7 +91,7 @@ class OscillatorLaws:
     restoring_classes: tuple[Names, ...]  #: All inseparable sets of restoring torques, by ascending BIC.
     damping_classes: tuple[Names, ...]  #: All inseparable sets of damping torques, by ascending BIC.
     parameters: dict[str, Strength]  #: Strengths of the chosen set, by key as in a fit.
-    sets: tuple[LawSet, ...] = ()  #: All sets that describe the phase, by ascending BIC.
+    sets: tuple[LawSet, ...] = ()  #: All sets of laws that describe the phase, by ascending BIC.
 
     def with_fit(self, fit: Fit) -> tuple[OscillatorLaws, str]:
         """Return the laws with the effects and values of an exact fit, and a sentence that states a contradiction.
@@ -127,7 +127,7 @@ class OscillatorLaws:
     def wrong_period(self, fit: Fit) -> str:
         """Return a sentence if the spring or the gravity of an exact fit contradicts the measured period, else "".
 
-        Such a fit has converged to another frequency, and its random torque stands for the motion.
+        Such a fit has converged to another frequency, and its random torque describes the motion.
         """
         values = _exact_strengths(fit)
         wrong = self._contradicted(
@@ -187,10 +187,10 @@ def fit_oscillator(
     """Return the laws of an oscillator and their exact fit.
 
     Amplitude and phase of a period contain less information than its samples, and at a large amplitude the error of the
-    averaged equations exceeds the noise. Therefore the sets are fitted exactly in two steps. First, each equivalent set
-    of damping torques is fitted with the restoring torques of the lowest BIC. Second, the best damping torques are
-    fitted with each other equivalent set of restoring torques. The fit with the lowest BIC is returned. If the
-    recording has too many reversals for `Criteria.refit_least` refits (more than 125), only the chosen set is fitted.
+    averaged equations exceeds the noise. Therefore the sets are fitted exactly in two steps. First, each inseparable
+    set of damping torques is fitted with the restoring torques of lowest BIC. Second, the best damping torques are
+    fitted with each of the other inseparable sets of restoring torques. The fit with the lowest BIC is returned. If the
+    recording has more than 125 reversals, too many for `Criteria.refit_least` refits, only the chosen set is fitted.
     """
     reversals = len(data.motion.reversals)
     if not laws.sets or criteria.refits_through(reversals) < criteria.refit_least:
@@ -284,8 +284,8 @@ def _jackknife(design: Array, rest: Array, scale: Array) -> Array:
 def _strengths(best: Averaged, shares: Array, data: CaseData) -> dict[str, Strength]:
     """Return the strengths of a set of laws.
 
-    The standard uncertainty is the larger of two errors, combined with the error of the averaged equations. One is the
-    least-squares error, scaled by the reduced chi-square if this exceeds 1. The other is the error of the block
+    The standard uncertainty combines a random error with the error of the averaged equations. The random error is the
+    larger of the least-squares error, which is scaled if the reduced chi-square exceeds 1, and the error of the block
     jackknife.
     """
     keys, design, rest = best.rows[0]

@@ -5,10 +5,10 @@ parameters. The noncentrality of the effect is
 
     delta = k |M s|,        standard error of k:  se = 1 / |M s|.
 
-Null data plus delta times the unit response are tested with the score test of the search: with all candidates, all
-trials of their shape constants, the null distributions of the search, and the thresholds of `Criteria`. The power is
-the share of data sets in which at least one candidate is significant in the whole list and lowers BIC by the evidence
-required for an added effect. The detection limit is the strength at which the power is 90 %.
+Null data plus delta times the unit response are tested with the score test of the search. The test uses all candidates,
+all trials of their shape constants, the null distributions of the search, and the thresholds of `Criteria`. The power
+is the share of data sets in which at least one candidate is significant in the whole list and lowers BIC by the
+evidence required for an added effect. The detection limit is the strength at which the power is 90 %.
 
 If no effect is significant, the one-sided 95 % upper limit of a strength with estimate k is |k| + 1.64 se (max(k, 0) +
 1.64 se for a friction coefficient, which is not negative). The upper limit of an amplitude with a phase is the
@@ -16,13 +16,14 @@ amplitude for which a score below the observed score has a probability of 5 %, f
 Neyman, Phil. Trans. R. Soc. A 236, 333 (1937)). For recordings that are only planned, the estimate is zero, which gives
 the expected limit.
 
-If the effect shifts a parameter of the model to its bound, the search may find even a strength below this limit with a
-probability of 95 %. An insignificant score then excludes this smaller strength, which becomes the limit.
+If the effect shifts a parameter of the model to its bound, the score is larger. The search may then find a smaller
+strength than this limit with a probability of 95 %. In this case an insignificant score excludes the smaller strength,
+so the smaller strength is the upper limit.
 
-The threshold of a significant score depends on the uncertainty of the level of the process noise, which varies between
-recordings: if the data do not exclude a tenfold level, the threshold is far higher. For recordings that are only
-planned, the thresholds are therefore computed for several simulated estimates of the noise, and the power is the mean
-over these estimates.
+The threshold of a significant score depends on the uncertainty of the level of the process noise. This uncertainty
+varies between recordings: if the data allow a level ten times as high, the threshold is far higher. For recordings that
+are only planned, the thresholds are therefore computed for several simulated estimates of the noise, and the power is
+the mean over these estimates.
 
 If several runs of one kind are made, delta^2 is multiplied by their number.
 """
@@ -59,8 +60,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 POWER = 0.9
-"""Probability of detection at the detection limit [1]. Chosen: a larger value raises the limits, a smaller one leaves
-effects at the limit undetected too often."""
+"""Probability of detection at the detection limit [1]. Chosen: a larger value raises the limits; with a smaller one,
+effects at the limit often remain undetected."""
 CONFIDENCE = 0.95
 """Confidence of upper limits [1]. Chosen: the usual value; a larger one raises the limits, a smaller one excludes true
 strengths more often."""
@@ -68,7 +69,7 @@ _ONE_SIDED = 1.6448536
 """Distance of a one-sided limit of 95 % from the estimate [standard errors]. Derived: quantile 0.95 of the standard
 normal distribution, at `CONFIDENCE`."""
 _POWER_SIGMA = 1.2815516
-"""Distance of an expected value above a threshold at which the value exceeds the threshold with 90 % probability
+"""A value exceeds a threshold with 90 % probability if its expected value is this distance above the threshold
 [standard errors]. Derived: quantile 0.9 of the standard normal distribution, at `POWER`."""
 _DRAWS = 1500
 """Number of null data sets for thresholds [1]. Chosen: a smaller number makes thresholds of a long list uncertain, a
@@ -95,30 +96,33 @@ _RANK = 1e-6
 """Relative eigenvalue below which a direction is not determined [1]. Chosen: a smaller value amplifies rounding errors,
 a larger one omits weakly determined strengths."""
 _RARE = 0.5
-"""The bound of one parameter is neglected if the share of the data sets in which this parameter is at its bound, summed
-over the strengths, is below this value [1]. Chosen: a smaller value costs time for rare bounds, a larger one biases the
-power."""
+"""The bound of a parameter is neglected if the parameter is at this bound in too few data sets. The share of these data
+sets is added up over all strengths; below this sum the bound is neglected [1]. Chosen: a smaller value costs time for
+rare bounds, a larger one biases the power."""
 
 
 @dataclass(frozen=True)
 class EffectLimits:
-    """Detection limit, upper limit and power of some recordings for one effect."""
+    """Detection limit, upper limit and power of the search for one effect in some recordings."""
 
     effect: Effect
-    strength: str  # symbol
-    unit: str  # of the strength
-    shape: dict[str, float]  # shape constants with the median detection limit; they apply to the limits below
-    # of the strength if the effect is added to the model [unit]; infinite if the base absorbs it
+    strength: str  # symbol of the strength
+    unit: str  # unit of the strength
+    # shape constants with the median detection limit; the limits below are for these constants
+    shape: dict[str, float]
+    # standard error of the strength in a fit with the effect [unit]; infinite if the base absorbs the effect
     stderr: float
-    torque: float  # largest rms torque on a body for a strength of 1 [N m / unit]; NaN for a camera
+    torque: float  # largest rms torque on a body for a strength of 1 [N m / unit]; NaN for a camera effect
     detection_limit: float  # strength found with 90 % probability [unit]
-    detection_range: tuple[float, float]  # over the shapes tried, as rms torques [N m]
+    # smallest and largest limit over all trial shapes, as rms torques [N m]
+    detection_range: tuple[float, float]
     upper_limit: float  # 95 % upper limit of the strength [unit]; NaN if the effect is significant
     power: float  # probability of finding an effect of `size`
     size: float  # strength for which `power` and `runs_needed` are computed [unit]
     # number of runs, including the present ones, that find this size with 90 % probability
     runs_needed: float
-    indistinguishable_from: tuple[str, ...]  # not separated at the larger of `size` and `detection_limit`
+    # effects that are not separated from this effect at the larger of `size` and `detection_limit`
+    indistinguishable_from: tuple[str, ...]
     curve: Array = field(repr=False)  # (points, 2): noncentrality and power
 
     @property
@@ -128,12 +132,15 @@ class EffectLimits:
 
     @property
     def detection_torque(self) -> float:
-        """Detection limit as an rms torque along the motion [N m]; NaN for a camera."""
+        """Detection limit as an rms torque along the motion [N m]; NaN for a camera effect."""
         return self.detection_limit * self.torque
 
     @property
     def upper_torque(self) -> float:
-        """Upper limit as an rms torque along the motion [N m]; NaN for a camera, or if the effect is significant."""
+        """Upper limit as an rms torque along the motion [N m].
+
+        NaN for a camera effect, or if the effect is significant.
+        """
         return self.upper_limit * self.torque
 
 
@@ -142,9 +149,9 @@ class UpperLimit:
     """An effect that could still be hidden in the recordings."""
 
     effect: str
-    symbol: str  # of the strength
+    symbol: str  # symbol of the strength
     upper_limit: float  # 95 % upper limit of the strength [unit]
-    unit: str  # of the strength
+    unit: str  # unit of the strength
     torque_Nm: float  # upper limit as an rms torque along the motion [N m]
 
 
@@ -197,11 +204,11 @@ class _Responses:
 class _Test:
     """The score test of one candidate in null data."""
 
-    # one item, or one for each case if each case has its own strength; the scores of the best shapes are then added
+    # one item if the cases share a strength; otherwise one item per case, and the best scores of the cases are added
     parts: tuple[_Responses, ...]
-    # shape (rows of all bases, data sets); projections of the null data on the bases of all parts, stacked
+    # shape (basis vectors of all `parts`, data sets); projections of the null data on these vectors
     null: Array
-    # shape (estimates of the noise,); smallest score that detects the candidate, for each possible estimate of the
+    # shape (estimates of the noise,); smallest score that detects the candidate, for each simulated estimate of the
     # process noise
     thresholds: Array
 
@@ -342,7 +349,8 @@ class Search:
         self.effects = applicable_effects(fit, extra)
         self.cases = [CaseColumns(fit, i) for i in range(len(fit.problem.cases))]
         self._context = ScoreContext(fit, draws)
-        # the lack of fit of a model is not noise: if the missing effect is added, the noise has its own level again
+        # a lack of fit raises the estimated noise level; the level without this rise is used, because the missing
+        # effect removes the lack of fit
         self._level = self._context.levels[0 if fit.fails(criteria) else -1]
         self._trials = {e.name: self._all_trials(e) for e in self.effects}
         self._common = {e.name: self._responses(e, self._stacked(e), self._level.basis) for e in self.effects}
@@ -381,7 +389,8 @@ class Search:
             common = self._responses(e, self._stacked(e), free)
             variants: list[tuple[tuple[_Responses, ...], float]] = [((common,), 1.0)]
             if len(self.cases) > 1 and e.per_case:
-                # each case has its own strength; a common strength is also tried, so the p-value is doubled
+                # cases with separate strengths are tested first; a common strength is a second test, so its p-value is
+                # doubled
                 per_case = tuple(
                     self._responses(e, self._of_case(e, i), free) for i in range(len(self.cases))
                 )
@@ -426,7 +435,7 @@ class Search:
         return [rows for _, rows in groups]
 
     def power(self, effect: Effect, group: int, strengths: Array) -> Array:
-        """Return the probability that the search finds something, for some strengths of an effect."""
+        """Return the probability that the search finds any effect, for some strengths of the given effect."""
         stacked = self._stacked(effect)
         group = min(group, len(stacked) - 1)
         raw = self._whitened(stacked[group : group + 1])
@@ -507,7 +516,7 @@ class Search:
         upper = self._upper(effect, group, planned=planned)
         detected = delta_of_power(curve, CONFIDENCE) if self._tests else np.inf
         if detected < _ONE_SIDED and not math.isnan(upper):
-            # if a parameter is at its bound, the search may detect the effect at a strength that the estimate allows
+            # if a parameter is at its bound, the search may detect a smaller strength than the limit from the estimate
             upper = detected
         return EffectLimits(
             effect,
@@ -603,7 +612,7 @@ class Search:
 def largest_hidden(
     fit: Fit, extra: Sequence[Effect], criteria: Criteria, candidates: Sequence[Candidate] = ()
 ) -> HiddenEffects:
-    """Return the physical effects with the largest upper limits of the rms torque, and those without a limit.
+    """Return the physical effects with the largest upper limits of the rms torque, and the effects without a limit.
 
     An effect has no limit if the model absorbs it. A limit above the torque of the bearing (for a single body: the net
     torque) contains no information. If an effect without shape constants was refitted as one of the `candidates`, its
@@ -672,7 +681,7 @@ def _smallest_score(
 
 
 def _median_shape(root: Array, torque: Array) -> tuple[int, tuple[float, float]]:
-    """Return the index of the shape with the median limit, and the range of the torques of unit noncentrality."""
+    """Return the index of the shape with the median limit, and the extreme torques of unit noncentrality."""
     with np.errstate(divide="ignore", invalid="ignore"):
         per_sigma = np.where(root > 0, (1.0 if np.isnan(torque).any() else torque) / root, np.inf)
     order = np.argsort(per_sigma)

@@ -25,10 +25,10 @@ from fitting.inference._result import Fit
 Array = NDArray[np.float64]
 
 _CERTAIN = 3.0
-"""Assumed inflation (see `inflation`); an effect that is significant even with this inflation needs no simulation [1].
-Measured: the inflation in all simulated recordings is 1.0 to 1.8."""
+"""Largest plausible inflation (see `inflation`); an effect that is significant with this inflation needs no simulation
+[1]. Measured: the inflation in all simulated recordings is 1.0 to 1.8."""
 _SEED = 11
-"""Seed of the simulated recordings [1]. Chosen: any value makes the verdict reproducible; another one changes the
+"""Seed of the simulated recordings [1]. Chosen: any value makes the verdict reproducible; another seed changes the
 inflation within its error."""
 _DRAWS = 200
 """Number of simulated recordings for one inflation [1]. Chosen: a smaller number makes the inflation uncertain, a
@@ -70,12 +70,12 @@ class RandomTorque:
 
     @property
     def likely(self) -> LikelyNoise:
-        """Noise, deviance and mean torque only."""
+        """Noise, deviance and mean torque, without the fit."""
         return LikelyNoise(self.fit.noise, self.deviance, self.mean_torque)
 
     @property
     def is_raised(self) -> bool:
-        """Whether the random torque exceeds the process noise that a recording shows without a model."""
+        """Whether the random torque exceeds the process noise that the recording of any case shows without a model."""
         return self.likely.is_raised
 
 
@@ -100,7 +100,7 @@ def is_established(
         enough = more * float(np.log(named.rows)) + criteria.evidence
         return fall / factor > enough and p_value < criteria.significance
 
-    # a random torque in addition to the effect could only increase this fall, so its fit is not needed
+    # with a random torque beside the effect, the fall could only be larger, so this fit is not needed
     if more > 0 and passes(without.deviance - named.deviance, _CERTAIN):
         return True
     fall = without.deviance - with_random_torque(named, criteria).deviance
@@ -117,8 +117,8 @@ def inflation(without: RandomTorque, named: Fit, criteria: Criteria) -> float:
     Level and correlation time of the random torque are optimised both without and with the effect. Under the null
     hypothesis the fall is therefore larger, on average, than chi-square with one degree of freedom per added column.
     The mean fall is simulated to first order from the most likely random torque of the fit without the effect. The
-    factor is this mean divided by the number of columns; the fall is divided by the factor (M. S. Bartlett, Proc. R.
-    Soc. A 160, 268 (1937)). With several cases, the largest factor counts.
+    factor is the mean fall per column; an observed fall is divided by the factor (M. S. Bartlett, Proc. R. Soc. A 160,
+    268 (1937)). With several cases, the largest factor counts.
     """
     old = set(without.fit.problem.layout.names)
     added = np.array([n not in old for n in named.problem.layout.names])

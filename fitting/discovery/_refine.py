@@ -37,14 +37,14 @@ from fitting.inference._trace import attempt, with_purpose
 Array = NDArray[np.float64]
 
 _NEIGHBOURHOOD = 0.04
-"""Neighbourhood of a changepoint that is scanned, as a share of the record [1]. Chosen: a smaller value leaves the
-refit in a local minimum, a larger one leaves the range in which the motion is linear."""
+"""Width of the scanned neighbourhood of a changepoint, as a share of the record [1]. Chosen: with a smaller value, the
+refit remains in a local minimum; with a larger one, the motion is not linear in the changepoint."""
 _STEPS = 48
 """Number of trial times in the neighbourhood of a changepoint [1]. Chosen: a smaller number overlooks the minimum, a
 larger one costs time."""
 _SEARCHES = 3
-"""Largest number of searches for changepoints in cases with a high remaining process noise [1]. Chosen: a smaller
-number leaves cases with a wrong time, a larger one costs time."""
+"""Largest number of searches for changepoints in cases with a high remaining process noise [1]. Chosen: with fewer,
+some cases keep a wrong changepoint; with more, the search takes longer."""
 _RANK = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one ignores some free columns."""
@@ -70,9 +70,9 @@ def has_model_noise(found: Fit) -> bool:
 def at_lowest_noise(found: Fit, criteria: Criteria) -> Fit:
     """Return a fit, or its refit at the lowest process noise of the recordings if the refit describes the data better.
 
-    If process noise absorbs an error in the shape of a law, the deviance has no gradient in the shape. Oscillations are
-    excluded for two reasons. They were fitted period by period, so the fit is not in a wrong minimum. With little
-    noise, a search that slips by half a period would not converge.
+    If process noise absorbs an error in the shape of a law, the deviance has no gradient with respect to the shape.
+    Oscillations are excluded for two reasons. First, they were fitted period by period, so the fit is not in a wrong
+    minimum. Second, if the phase of the model is wrong by half a period, the search does not converge at low noise.
     """
     if not has_model_noise(found) or not are_smooth(d.motion for d in found.problem.data):
         return found
@@ -99,7 +99,7 @@ def restarted_from(found: Fit, other: Fit) -> Fit:
 
 
 def distant_changepoints(fit: Fit, effect: Effect, criteria: Criteria) -> dict[str, float]:
-    """Return the parameters of a fit, by name, with new changepoints of the cases whose process noise is raised.
+    """Return the parameters of a fit, by name, with new changepoints for the cases with a raised process noise.
 
     The whole record of such a case is searched for its changepoint. Empty if no other time is better.
     """
@@ -165,9 +165,9 @@ def _best_time(fit: Fit, index: int, place: int) -> float:
 def scores_mislead(base: Fit, criteria: Criteria) -> bool:
     """Return whether scores about a fit are unreliable because its model has a drive and a significant lack of fit.
 
-    Drive and drag are strongly correlated. If a drag is missing, the fitted drive and drag are so wrong (measured: the
-    drag by 40 %) that the linear score of the missing drag is small or prefers a negative strength. Oscillating bodies
-    are excluded.
+    Drive and drag are strongly correlated. If a drag is missing, the fitted drive and drag are wrong (measured: the
+    drag by 40 %). The linear score of the missing drag is then small, or the score prefers a negative strength.
+    Oscillating bodies are excluded.
     """
     return not base.model.restoring and any(e.inputs for e in base.model.effects) and base.fails(criteria)
 
@@ -189,8 +189,8 @@ def replaced_laws(base: Fit, effect: Effect) -> list[str]:
     """Return the laws of a base that an effect replaces, by name.
 
     While no body reverses, such a law and the effect are the same torque except for its sign (`Effect.equivalent`). The
-    strength of the law in the base is at a bound, for example dry friction of a body driven by a constant torque. If
-    the model contained both, only the sum of their strengths would be determined.
+    strength of the law in the base is at a bound; an example is dry friction of a body driven by a constant torque. If
+    the model contained both laws, only the sum of their strengths would be determined.
     """
     found = []
     for law in base.model.effects if effect.equivalent else ():
@@ -213,15 +213,15 @@ def with_candidate(base: Fit, effect: Effect) -> Model:
 def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True) -> Fit | None:
     """Return the fit of base and candidate from the optimum of the base; None if it fails.
 
-    At the process noise of a base with a large lack of fit, the search may converge to zero strength or to a wrong
-    shape. With `thorough`, a refit is therefore repeated in other ways if its deviance falls by less than the score
-    predicts.
+    A base with a large lack of fit has a high process noise. At this noise the search may converge to zero strength or
+    to a wrong shape. With `thorough`, a refit is therefore repeated in other ways if its deviance falls by less than
+    the score predicts.
     """
     if score.effect.restoring and not base.model.restoring:
         # the motion of the base does not oscillate, so its optimum is not an initial value for an oscillation
         return fit_from_scratch(base, score.effect)
     if score.effect.inputs and not any(e.inputs for e in base.model.effects):
-        # the parameters of a model without the drive absorb the drive
+        # in a base without the drive, other parameters absorb the drive; therefore its optimum is not used either
         return fit_from_scratch(base, score.effect)
 
     def falls_short(refitted: Fit) -> bool:
@@ -248,7 +248,8 @@ def refit(base: Fit, score: Score, criteria: Criteria, *, thorough: bool = True)
 def fit_from_scratch(base: Fit, effect: Effect) -> Fit | None:
     """Return the fit of base and candidate without the initial values and the noise of the base; None if it fails.
 
-    At the noise level of a base without a restoring torque, a search ends before phase and frequency are determined.
+    A base without a restoring torque has a high noise level, at which a search ends before it finds phase and
+    frequency.
     """
     with attempt("a candidate from scratch"):
         found = fit(with_candidate(base, effect), base.problem.data, quick=True)
@@ -311,8 +312,8 @@ def _steady(effect: Effect, names: Iterable[str], *, strength: bool) -> list[str
 def with_common_values(base: Fit, score: Score, found: Fit) -> Fit | None:
     """Return the fit in which all cases share the per-case parameters of the candidate; None if it has none.
 
-    If the values of all cases agree, BIC then counts a single parameter. A law whose parameters may differ between
-    cases thus has no disadvantage.
+    If the values of all cases agree, BIC counts a single parameter instead of one per case. A law whose parameters may
+    differ between cases then has no disadvantage in BIC.
     """
     prefix = score.effect.name + "."
     keys = [k for k in found.problem.layout.per_case if k.startswith(prefix)]
@@ -326,7 +327,7 @@ def with_common_values(base: Fit, score: Score, found: Fit) -> Fit | None:
 
 
 def with_values_per_case(base: Fit, score: Score, found: Fit, common: Fit) -> Fit:
-    """Return the better of two fits with per-case values: the given one, and one that starts at the common values."""
+    """Return the better of two fits with per-case values: the given fit, and a fit that starts at the common values."""
     values = common.values
     start = {n: values.get(n, values.get(n.partition("@")[0])) for n in found.problem.layout.names}
     return _better(found, fit_together(base, score, {n: v for n, v in start.items() if v is not None}))

@@ -6,11 +6,11 @@ fit. R is the unmodelled torque of the most complete fit; it is zero unless its 
 
     U = T_end - T_base + R,      explained = 1 - <(U - T_named + T_base)^2> / <U^2>,
 
-where <> is the mean over the record, the bodies and the cases. A law of an angle enters by its amplitude k:
-<(k sin(n psi - phi))^2> = k^2 / 2.
+where <> is the mean over the record, the bodies and the cases. The mean square torque of a law of an angle follows from
+its amplitude k: <(k sin(n psi - phi))^2> = k^2 / 2.
 
 There are three exceptions. First, a named law that does not depend on an angle is compared with the slow torques only.
-The reason is that angles measured once per turn do not determine angle-dependent torques, whose estimates are then
+The reason is that angles measured once per turn do not determine angle-dependent torques, so their estimates may be
 large. The message states angle-dependent torques separately. Second, if a second effect is not determined, the
 unmodelled torque of the fit with the named effect alone is the better estimate of the remainder; the smaller of the two
 estimates is used. Third, if the most complete fit changes only a shape constant of the named law, and the base absorbs
@@ -67,13 +67,12 @@ larger one costs time."""
 class Remainder:
     """The unmodelled torque that is still significant with the named effect."""
 
-    torque_rms_Nm: float  # of the body with the larger rms torque [N m]
-    share: float  # of the mean square unmodelled torque (0-1)
-    p_value: (
-        float  # smallest p-value of the likelihood ratio test of its parameters and of the lack-of-fit tests
-    )
-    sentence: str  # size of the torque, and the variable on which it depends
-    effects: tuple[str, ...] = ()  # further effects that describe it
+    torque_rms_Nm: float  # rms torque on the body where it is largest [N m]
+    share: float  # share of the mean square unmodelled torque (0-1)
+    # smallest p-value of two kinds of tests: likelihood ratio of the further parameters, and lack of fit
+    p_value: float
+    sentence: str  # the size of the torque and the variable on which it depends, in words
+    effects: tuple[str, ...] = ()  # further effects that describe the remainder
 
 
 _ANGLE_ERRORS = {
@@ -163,7 +162,7 @@ class Torques:
         return float(bodies.sum() / whole.sum()), float(np.sqrt(bodies.max()))
 
     def of_angle(self, named: Fit) -> float:
-        """Return the rms of the unexplained angle-dependent torques [N m] on the body where it is largest."""
+        """Return the rms of the unexplained angle-dependent torques on the body where this rms is largest [N m]."""
         bodies = np.zeros(len(self._mechanism.bodies))
         explained = self._difference(named)
         for (_, harmonics), (_, fitted) in zip(self.unmodelled, explained, strict=True):
@@ -222,7 +221,7 @@ class Torques:
                 y[:, i] = common + (y[:, i].mean() - common.mean())
         numbers = dict(fit.problem.layout.numbers(fit.theta, case))
         if self._end.model.restoring and not fit.model.restoring:
-            # parameters of a model without a restoring torque that was fitted to an oscillation have no meaning
+            # if a model without a restoring torque was fitted to an oscillation, its parameters have no meaning
             known = self._end.problem.layout.numbers(self._end.theta, case)
             numbers |= {k: v for k, v in known.items() if k in numbers}
         rates = fit.problem.cases[case].dynamics.rates(t, y, numbers)
@@ -234,7 +233,9 @@ def _mean_square(curves: Sequence[ResidualTorque]) -> float:
 
 
 def _slow_residual(end: Fit, case: int) -> tuple[Array, Array] | None:
-    """Return times [s] and unmodelled torque [N m] of an oscillation whose phase a model does not describe; else None.
+    """Return times [s] and unmodelled torque [N m] of an oscillation whose phase the model does not describe.
+
+    The result is None if the model describes the phase.
 
     Let a be the residual of the amplitude A, p the residual of the phase, and w the angular frequency. The residuals
     are caused by torques per moment of inertia with the amplitudes 2 w a' (in quadrature with the deflection) and 2 w A
@@ -277,10 +278,10 @@ class Grade:
     """The size of an answer: form, explained share, remainder, and the rivals that explain an equal share.
 
     `form` is "exact", "approximate", or None if the form is not established. `unknown` is the speed whose smooth law
-    describes the data better than the named effect; empty if there is none. `unknown_bic` is the BIC of this law at the
-    noise of the fit with the named effect, if no second effect was tried. `test` is the result of the form test. If
-    `form` and `remainder` are None, the residuals are consistent with noise, but the form is not established. With
-    `noisy`, the reason is that the fit needs more process noise than the recording shows.
+    describes the data better than the named effect; empty if there is none. If no second effect was tried,
+    `unknown_bic` is the BIC of this law at the noise of the fit with the named effect. `test` is the result of the form
+    test. If `form` and `remainder` are None, the residuals are consistent with noise, but the form is not established.
+    With `noisy`, the reason is that the fit needs more process noise than the recording shows.
     """
 
     form: str | None
@@ -294,11 +295,11 @@ class Grade:
 
 
 _INNER_KNOTS = 4
-"""Number of inner knots of a smooth law [1]. Chosen: the law represents any cubic and one bend; a smaller number leaves
-out the bend, a larger one absorbs noise."""
+"""Number of inner knots of a smooth law [1]. Chosen: the law represents any cubic, and one sharp bend; with fewer knots
+the bend is lost, with more the law absorbs noise."""
 _POWERS = {"casing": (2, 3), "rotor": (0, 1, 3), "bearing": (0, 2, 3)}
-"""Powers of a speed that no effect of the usual base model contains, by body or joint [1]. Derived: from the laws of
-the reduced model; the powers of casing and bearing also apply to the bodies and joints of a chain."""
+"""Powers of a speed in a smooth law, by body or joint; the usual base model does not contain these powers [1]. Derived:
+from the laws of the reduced model; the powers of casing and bearing also apply to the bodies and joints of a chain."""
 
 
 def smooth_law(
@@ -311,8 +312,8 @@ def smooth_law(
 ) -> Effect:
     """Return an effect whose law is a cubic spline of a speed.
 
-    The spline has these powers of the speed and `_INNER_KNOTS` knots between `low` and `high` [rad/s]; it represents
-    any smooth law.
+    The spline consists of the powers in `_POWERS` and of `_INNER_KNOTS` truncated cubes between `low` and `high`
+    [rad/s]. It represents any smooth law.
     """
     x = f"(({speed} - {low!r})/{high - low!r})"
     knots = np.linspace(0, 1, _INNER_KNOTS + 2)[1:-1].tolist()
@@ -394,7 +395,8 @@ def grade(
     if doubt is None and significant and chosen.effect.depends_on_angle:
         test = harmonic_test(selection.named, criteria)
         if test.p_value < criteria.doubt_adequate:
-            # a second effect that depends on the speeds does not describe a residual periodic in the angle
+            # residuals periodic in the angle contradict the answer; a second effect of the speeds does not describe
+            # them
             doubt, end, others = test, selection.named, []
     free = [e for e in end.model.effects if _is_freed(e.name, selection)]
     tested = None
@@ -418,8 +420,8 @@ def grade(
     )
     for e in free if not others else []:
         of_unmodelled, of_law, difference = torques.shape_error(_named(selection, e.name), e, end)
-        # the fit with the wrong shape may be in another minimum; the law with the free shape is then the better
-        # reference
+        # the fit with the fixed shape may be in another minimum; then the difference from the law with the free shape
+        # is the better estimate
         share, rms = unexplained = min(unexplained, (of_unmodelled, difference))
         if not significant and of_law <= 1 - criteria.explained < share:
             # if the base absorbs most of the law, a small deviation of the law is a large part of the remainder
@@ -441,7 +443,7 @@ def grade(
             if found.p_value < criteria.doubt_named
             else "a lack of fit of unknown form"
         )
-    # a contradicting test alone, for example a sinusoid, states its own size
+    # a contradicting test, for example of a sinusoidal torque, states the size of its own torque
     size = (
         f" {format_torque(rms, unit=base.torque_unit)} rms, {percentage(share)} of the mean square {whole}"
         if share > _NO_TORQUE and sized
@@ -458,7 +460,7 @@ def grade(
     )
     if unknown:
         return Grade(None, 1 - share, remainder, unknown=unknown, test=tested)
-    # a rival is equivalent if its score is lower by less than the lack of fit of the chosen effect
+    # a rival is equivalent if its score is lower by at most the lack of fit of the fit with the chosen effect
     excess = max(selection.named.lack_of_fit.chi2 - selection.named.lack_of_fit.dof, 0.0)
     margin = max(excess, selection.named.deviance - end.deviance)
     rivals = tuple(
@@ -499,7 +501,7 @@ def _complete(
 
 
 def _likelihood_ratio(smaller: Fit, larger: Fit) -> float:
-    """Return the p-value of the likelihood ratio of two nested fits; 1 if the larger one has no more parameters."""
+    """Return the p-value of the likelihood ratio of two nested fits; 1 if the larger fit has no more parameters."""
     from scipy.special import chdtrc
 
     more = len(larger.theta) - len(smaller.theta)
@@ -523,16 +525,16 @@ def _shape(fit: Fit, name: str, symbol: str) -> str:
 
 
 _POWER_OF_SPEED = {"camera.shutter": 1, "camera.blur": 2}
-"""Exponent n for each camera error: its amplitude times the n-th power of the speed is an angle [1]. Derived: the laws
-of these effects in the library."""
+"""Exponent n of each camera effect: its amplitude multiplied by the n-th power of the speed is an angle [1]. Derived:
+the laws of these effects in the library."""
 
 
 def nuisance_parameters(fit: Fit) -> list[Nuisance]:
     """Return the amplitudes of the nuisance camera effects of each case.
 
-    The amplitudes (with their priors) and the free parameters are estimated together by generalised least squares, with
-    the noise of the tests. An amplitude is the root of the sum of the squares of the cosine and sine coefficients; its
-    p-value follows from chi-square with two degrees of freedom.
+    The amplitudes (with their priors) and the free parameters are estimated together by generalised least squares, at
+    the noise level of the lack-of-fit tests. An amplitude is the root of the sum of the squares of the cosine and sine
+    coefficients; its p-value follows from chi-square with two degrees of freedom.
     """
     from fitting.effects._library import LIBRARY
 

@@ -72,13 +72,13 @@ _SHARE = 1 / 30
 """Correlation time of the unmodelled torque, divided by the length of the record [1]. Chosen: a smaller value follows
 noise, a larger one blurs failing intervals."""
 _FLOOR = 3e-3
-"""Smallest standard deviation of the unmodelled torque, divided by its prior value [1]. Chosen: it prevents negative
-variances by rounding errors; a larger value hides well-determined torques, a smaller one shows rounding errors."""
+"""Smallest standard deviation of the unmodelled torque, divided by its prior value [1]. Chosen: rounding errors would
+otherwise give negative variances; a larger value hides well-determined torques, a smaller one shows rounding errors."""
 
 
 @dataclass(frozen=True, repr=False)
 class ResidualTorque:
-    """Unmodelled torque on one body: time [s], torque and its standard deviation [N m], and speeds there.
+    """Unmodelled torque on one body: times [s], torque and its standard deviation [N m], and the speeds at these times.
 
     `omega_c` is the speed of the casing or main body, `omega_r` the speed of the rotor or of the next body of a chain.
     """
@@ -117,7 +117,8 @@ def _of_case(fit: Fit, index: int) -> list[ResidualTorque]:
         covariance = covariance + level**2 * cross[name] @ w.T
     nuisance = data.nuisance[smooth]
     inverse = _inverse_without_nuisance(covariance, nuisance)
-    # in angles of thousands of turns, rounding errors are as large as a torque unless the constant is removed first
+    # angles of thousands of turns have rounding errors as large as the effect of a torque; so constants are removed
+    # first
     weighted = inverse @ orthogonal_to(orthonormal(nuisance, _RANK), residual[smooth])
     y = Sampler(prediction.path.mesh, response.centres).value(prediction.path.y)
     curves = []
@@ -147,7 +148,7 @@ def _of_the_measured_motion(
     """
     case, record = fit.problem.cases[index], fit.problem.data[index].record
     samples, inertia = record.casing, record.inertias[MAIN]
-    order = 2 if record.quantity == "angle" else 1  # of the acceleration as a derivative
+    order = 2 if record.quantity == "angle" else 1  # order of the derivative that is the acceleration
     speed, acceleration, u = np.zeros((3, len(times)))
     for i, t in enumerate(times):
         middle = np.clip(t, samples.time[0] + 0.5 * width, samples.time[-1] - 0.5 * width)
@@ -199,7 +200,7 @@ _RANK = 1e-6
 rounding errors, a larger one ignores some nuisance columns."""
 
 _BAND = 1.96
-"""An interval of significant torque ends where the torque is closer to zero than this distance [standard deviations].
+"""An interval of significant torque ends where the size of the torque falls below this value [standard deviations].
 Derived: quantile 0.975 of the standard normal distribution, a band of 95 %."""
 _TURNS = {1: "once a turn", 2: "twice a turn"}
 _SHORTEST = 1 / 100
@@ -216,17 +217,19 @@ class Failure:
 
     label: str
     body: str
-    t_start: float  # [s]
-    t_stop: float  # [s]
+    t_start: float  # start of the interval [s]
+    t_stop: float  # end of the interval [s]
     # "loses torque" or "gains torque" compared with the model; "ripple" for a harmonic of the angle
     kind: str
-    where: str  # in words, for example "while speeding up", "near the peak", "once a turn"
+    where: str  # place in words, for example "while speeding up", "near the peak", "once a turn"
     size_sigma: float  # largest distance from zero in standard deviations
-    residual_rad_s: float  # extreme (5 % or 95 %) speed residual with its sign; speed amplitude of a harmonic
-    residual_torque_Nm: float  # mean, weighted by inverse variances; amplitude of a harmonic
+    # extreme (5 % or 95 %) speed residual with its sign; for a harmonic, its speed amplitude
+    residual_rad_s: float
+    residual_torque_Nm: float  # mean torque, weighted by inverse variances; for a harmonic, its amplitude
     omega_c: tuple[float, float]  # lowest and highest speed of the casing in the interval [rad/s]
     called: str  # name of the body for the user, for example "body" if a single body was recorded
-    torque_sigma_Nm: float = float("nan")  # for the mean over an interval, an upper bound
+    # standard uncertainty of the torque; for a mean over an interval, its upper bound
+    torque_sigma_Nm: float = float("nan")
     unit: str = TORQUE  # "N m", or "rad/s2" for torques per unit of inertia
 
     def __str__(self) -> str:
@@ -340,7 +343,7 @@ def _intervals(fit: Fit, curve: ResidualTorque, least: float) -> list[Failure]:
 
 
 _AT_START = 0.02
-"""If the highest speed occurs within this share of the record, the body counts as slowing down only [1]. Chosen: a
+"""A body counts as slowing down only if its highest speed occurs within this first share of the record [1]. Chosen: a
 smaller value takes noise at the start for a rise, a larger one overlooks a short rise."""
 
 

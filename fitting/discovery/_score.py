@@ -58,8 +58,8 @@ RANK = 1e-10
 """Relative singular value below which a direction of the free columns is rounding error [1]. Chosen: a smaller value
 projects out rounding errors, a larger one ignores some free columns."""
 _SEED = 7
-"""Seed of the null data sets [1]. Chosen: any value makes p-values reproducible; another one changes them within their
-error."""
+"""Seed of the null data sets [1]. Chosen: any value makes p-values reproducible; another seed changes p-values within
+their error."""
 
 
 class Level(NamedTuple):
@@ -158,8 +158,8 @@ class ScoreContext:
     def shares(self, direction: Array) -> tuple[float, ...]:
         """Return the share of the process noise of each case in the variance of a response.
 
-        The response is rotated, whitened, and of unit length. The share is zero for a case whose level is raised by a
-        lack of fit, because such a level is not process noise.
+        The response is rotated, whitened, and of unit length. If a lack of fit raises the level of a case, its share is
+        zero, because the raised level is not process noise.
         """
         found = []
         for n, a in zip(self.fit.noise, self.ends, strict=False):
@@ -191,8 +191,8 @@ _MAX_FREQUENCIES = 1500
 """Largest number of trial frequencies [1]. Chosen: with fewer, the highest frequency in long records is lower; with
 more, the search takes longer."""
 _FINER = 8
-"""Ratio of the declared spacing of changepoints to the trial spacing [1]. Chosen: a smaller value overlooks narrow
-maxima of the score, a larger one costs time."""
+"""Number of trial changepoints per interval between the trial values that an effect declares [1]. Chosen: a smaller
+value overlooks narrow maxima of the score, a larger one costs time."""
 _CHOICES = 128
 """Number of choices of shape constants that are evaluated at once [1]. Chosen: a smaller number makes the matrix
 products small and slow, a larger one needs memory; the result does not depend on this number."""
@@ -231,11 +231,11 @@ class CaseColumns:
         taus = zip(dynamics.joint_torques, torques, strict=True)
         self._known |= {symbol: np.asarray(tau) * np.ones(len(y)) for symbol, tau in taus}
         rates = dynamics.rates(self.response.centres, y, self.numbers)
-        # an effect that is a factor multiplies this torque: the torque of a joint, or inertia times acceleration
+        # some effects multiply an existing torque by a factor: the torque of a joint, or inertia times acceleration
         self._scaled_torque = {c.name: self._known[c.tau] for c in mechanism.couplings}
         for i, (body, key) in enumerate(zip(mechanism.bodies, mechanism.inertias, strict=True)):
             self._scaled_torque[body] = self.numbers[key] * rates[:, i]
-        # the typical torque of a recording, by the role of the body that is spun up
+        # torque that represents the size of all torques of a recording; it depends on the body that is spun up
         joint, main = mechanism.couplings[0].name, mechanism.main
         self._typical = {"rotor": self._scaled_torque[joint], "body": self._scaled_torque[main]}
 
@@ -291,7 +291,7 @@ class CaseColumns:
             return np.linspace(fastest / max(count, 1), fastest, max(count, 1))
         grid = np.array(p.grid or (p.start,))
         if p.symbol == effect.breakpoint:
-            # a stronger effect has a narrower minimum of chi-square about the changepoint
+            # the stronger an effect, the narrower is the minimum of chi-square about its changepoint
             finer = np.interp(np.arange((len(grid) - 1) * _FINER + 1) / _FINER, np.arange(len(grid)), grid)
             return np.asarray(first + finer * (last - first))
         return grid * (last - first) if p.relative else grid
@@ -438,8 +438,8 @@ class Score:
     null: Array = field(repr=False)  # scores of the null data
     # share of the process noise of each case in the variance of the response
     shares: tuple[float, ...] = field(default=(), repr=False)
-    noise: tuple[Noise, ...] = field(default=(), repr=False)  # of each case
-    own_phase: bool = False  # each case has a separate strength and phase; the shape is shared
+    noise: tuple[Noise, ...] = field(default=(), repr=False)  # noise of each case
+    own_phase: bool = False  # whether each case has a separate strength and phase; the shape is shared
 
 
 def score_in_case(context: ScoreContext, effect: Effect, trials: list[Trial], case: int) -> Score:
@@ -592,8 +592,8 @@ class FamilywiseNull:
 
 
 _ROUNDS = 3
-"""Number of refinements of a shape constant [1]. Chosen: a smaller number leaves the constant on the coarse grid, a
-larger one changes the score by less than the noise."""
+"""Number of refinements of a shape constant [1]. Chosen: with fewer, the constant remains near the coarse grid; further
+refinements change the score by less than the noise."""
 _POINTS = 9
 """Number of points of a refinement of a shape constant [1]. Chosen: a smaller number may overlook the optimum, a larger
 one costs time."""
@@ -632,7 +632,7 @@ def _shape_refined(
     cases: Sequence[CaseColumns],
     criteria: Criteria,
 ) -> Score:
-    """Return the score with a shape constant between the points of its grid, if the effect has a single one."""
+    """Return the score with a shape constant between the points of its grid, if the effect has one shape constant."""
     shapes = [p.symbol for p in score.effect.parameters if p.role == "shape"]
     if len(shapes) != 1:
         return score
@@ -674,7 +674,7 @@ def _is_per_case(effect: Effect, cases: int) -> bool:
 
 def _all_trials(effect: Effect, cases: Sequence[CaseColumns]) -> list[list[Trial]]:
     first = cases[0].trials(effect)
-    # a shape constant that the cases share has the same trial values in all of them
+    # a shape constant that the cases share has the same trial values in all cases
     shapes = None if _is_per_case(effect, len(cases)) else [t.shape for t in first]
     return [first, *(c.trials(effect, shapes) for c in cases[1:])]
 
@@ -708,7 +708,10 @@ def _score(
 
 
 def has_phases(effect: Effect, cases: int) -> bool:
-    """Return whether an effect is periodic, so that its phase may differ between several cases."""
+    """Return whether there are several cases and the effect is periodic.
+
+    Its phase may then differ between the cases.
+    """
     return cases > 1 and effect.mechanical and any(p.role == "phase" for p in effect.parameters)
 
 

@@ -82,11 +82,11 @@ class Candidate:
     delta_bic : float
         BIC with the effect minus BIC without the effect; a negative value favours the effect. nan without a refit.
     p_value : float
-        Family-wise p-value: probability of a score this large anywhere in the list if nothing is missing.
+        Family-wise p-value: probability that any candidate of the list has a score this large if nothing is missing.
     held_out_gain : float
         Decrease of the casing's cross-validation error in units of the noise. nan without a refit.
     indistinguishable_from : tuple of str
-        Other candidates that these data cannot separate from this one.
+        Other candidates that these data cannot separate from this candidate.
     estimates : dict
         Parameters of the effect.
     significant : bool
@@ -128,7 +128,7 @@ class Candidate:
 
 
 def equivalence_classes(candidates: Sequence[Candidate]) -> dict[str, str]:
-    """Return the letter of the equivalence class of each candidate that is indistinguishable from another."""
+    """Return the letter of the equivalence class of each candidate that is indistinguishable from another candidate."""
     letters: dict[str, str] = {}
     for c in candidates:
         if c.indistinguishable_from and c.effect.name not in letters:
@@ -151,7 +151,8 @@ def rank(
     `extra` are effects of the user, in addition to the library; `workers` run some of the refits.
     """
     data = base.problem.data
-    # only a restoring torque causes an oscillation; scores about a motion without oscillation are not reliable
+    # if the base lacks the restoring torque, its motion does not oscillate, and scores about this motion are not
+    # reliable
     restoring_only = base.lacks_restoring_torque
     effects = [e for e in applicable_effects(base, extra) if e.restoring or not restoring_only]
     driving = needed_drives(base, effects)
@@ -178,7 +179,7 @@ def rank(
         near = _nearest(base, [c.effect for c in found if c.effect.mechanical], criteria)
         chosen = afresh = [c.effect.name in near[: criteria.refit_most] for c in found]
     if base.model.restoring:
-        # over many periods a refit takes long; besides, the refit of a law with a small score is degenerate
+        # a refit over many periods takes long; moreover, the parameters of a law with a small score are degenerate
         most = criteria.refit_oscillation_p
         least = criteria.refit_share * max((c.score for c in found), default=0.0)
         chosen = [w and c.p_value < most and c.score >= least for w, c in zip(chosen, found, strict=True)]
@@ -241,7 +242,7 @@ wide oscillations."""
 
 
 def shared_data(fit: Fit) -> Sequence[CaseData]:
-    """Return the parts of a fit that the refits of workers share."""
+    """Return the parts of a fit that all refits in the workers use."""
     return fit.problem.data
 
 
@@ -308,7 +309,7 @@ def _without_dead_time(base: Fit) -> bool:
 def _is_applicable(effect: Effect, base: Fit, *, asked: bool = False) -> bool:
     if effect.breakpoint and _without_dead_time(base):
         return False
-    if effect.joint == "input":  # without a law of the input its dead time has no influence
+    if effect.joint == "input":  # the dead time of an input has no influence if no law depends on the input
         return any(effect.inputs[0] in e.inputs for e in base.model.effects)
     if not (effect.searched or asked) or not effect.bodies <= base.problem.data[0].record.parts:
         return False
@@ -344,7 +345,8 @@ def _to_refit(candidates: Sequence[Candidate], criteria: Criteria) -> list[bool]
             and c.p_value < criteria.refit_p
             and c.score > criteria.refit_share * (best_score or 0.0)
         )
-        # if the base has partly absorbed an error of the measurement, the linear score of this error is small
+        # the base may have absorbed a part of a measurement error, so that its linear score is small; it is refitted
+        # anyway
         faulty = significant and not c.physical
         chosen.append(testable and (count < criteria.refit_least or promising or faulty))
         count += testable
@@ -357,7 +359,7 @@ class _Promising(NamedTuple):
     family: FamilywiseNull
     criteria: Criteria
     thorough: bool = False
-    afresh: bool = False  # fitted from scratch, because scores about the base are not reliable
+    afresh: bool = False  # whether to fit from scratch, because scores about the base are not reliable
 
 
 def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
@@ -383,8 +385,8 @@ def _refit_candidate(base: Fit, promising: _Promising) -> Candidate:
 def _noisier_rivals(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
     """Return the rivals of the candidate with the lowest BIC whose refits have clearly more process noise.
 
-    As a function of the noise level, the deviance may have two minima. If a search ends at the higher minimum, the law
-    is wrongly ranked behind another law of similar shape.
+    As a function of the noise level, the deviance may have two minima. If the search ends at the higher minimum of the
+    deviance, the law is wrongly ranked behind another law of similar shape.
     """
     fits = {c.effect.name: c.fit for c in found if c.fit is not None and c.significant}
     leader = min((c for c in found if c.effect.name in fits), key=lambda c: c.delta_bic, default=None)
@@ -423,7 +425,7 @@ def _with_fit(base: Fit, promising: _Promising, found: Fit) -> Candidate:
         p = np.minimum(p, 2 * null.of(base.deviance - common.deviance, width))
     p_value = family(p, null.weights)
     excess = base.deviance - deviance_at_noise_of(base, found) if p_value < criteria.significance else 0.0
-    if excess > 0:  # a part of the improvement is due to the noise
+    if excess > 0:  # a lower noise level causes a part of the improvement
         delta_bic, p_value = (
             delta_bic + excess,
             family(null(base.deviance - excess - found.deviance), null.weights),
@@ -445,8 +447,8 @@ def _own_estimates(found: Fit, effect: Effect) -> dict[str, Estimate]:
 
 
 _TIE = 1
-"""Number of decimal places to which BIC is rounded when candidates are ordered [1]. Chosen: with fewer, different laws
-appear in the order of the library; with more, rounding errors order equal laws."""
+"""Number of decimal places to which BIC is rounded when candidates are ordered [1]. Chosen: with fewer, the library
+decides the order of different laws; with more, rounding errors decide the order of equal laws."""
 
 
 def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
@@ -460,7 +462,7 @@ def ordered(found: Sequence[Candidate], criteria: Criteria) -> list[Candidate]:
                 -c.score + (c.screened.columns + len(c.screened.shape[0])) * criteria.equivalence_width
             )
         penalised += 0.0 if c.physical else criteria.measurement_penalty
-        # laws that are equal in a recording differ by rounding errors; then the order of the library decides
+        # laws that are equal in a recording differ only by rounding errors; they are sorted as in the library
         return (not c.significant, round(penalised, _TIE), place.get(c.effect.name, len(place)))
 
     def indistinguishable(a: Candidate, b: Candidate) -> bool:
@@ -526,8 +528,8 @@ def reason_undetermined(effect: Effect, fit: Fit, criteria: Criteria) -> str:
 def needed_evidence(effect: Effect, fit: Fit, criteria: Criteria) -> float:
     """Return the decrease of BIC that is required for adding an effect to a fit.
 
-    Tracking errors are periodic in the turns of casing and rotor and in their beats, so a periodic law needs more
-    evidence if the data were measured on film.
+    Tracking errors are periodic in the angles of casing and rotor and in their beats. Therefore a periodic law needs
+    more evidence if the data were measured on film.
     """
     tracked = any(d.record.tracked for d in fit.problem.data)
     periodic = tracked and effect.kind == "physical" and effect.periodic
@@ -658,11 +660,11 @@ class History(list[Step]):
 class Selection(NamedTuple):
     """The outcome of `select`."""
 
-    candidates: list[Candidate]  # in their final order
+    candidates: list[Candidate]  # candidates in their final order
     chosen: Candidate | None  # the effect to add
-    named: Fit  # the refined fit with this effect alone; the base if there is none
-    # the refined fit with everything that was added (also a free shape constant or a second effect); the base if
-    # nothing was added
+    named: Fit  # the refined fit with this effect alone; the base if no effect is added
+    # the refined fit with everything that was added, for example also a free shape constant or a second effect; the
+    # base if nothing was added
     final: Fit
 
 
@@ -679,7 +681,7 @@ def select(
     """Return the effect to add to a fit, and the fit with this effect and any further parameters that are needed.
 
     `known` is the history of an earlier `improve` of the same fit; its first steps are reused if it added the same
-    effect. With `follow_up`, further effects are tried even if the fit with the first one has no lack of fit.
+    effect. With `follow_up`, further effects are tried even if the fit with the first effect has no lack of fit.
     """
     ranked = list(candidates)
     chosen = best(ranked, criteria)
@@ -714,7 +716,7 @@ def select(
         named = end
         end = _with_free_shape(end, chosen, (), criteria) or end
     if end is not named and not named.model.restoring:
-        # the averaged equations of an oscillation have only one minimum
+        # an oscillation is fitted by averaged equations first, which have only one minimum
         named = restarted_from(named, end)
     if chosen.indistinguishable_from and end is not named:
         # at the noise of the most complete fit the data may separate the class
@@ -731,7 +733,9 @@ def select(
 def _superseding(
     base: Fit, history: Sequence[Step], candidates: Sequence[Candidate], chosen: Candidate
 ) -> Candidate | None:
-    """Return the effect that made the chosen effect unnecessary; None if the most complete fit contains the chosen one.
+    """Return the effect that made the chosen effect unnecessary.
+
+    None if the most complete fit contains the chosen effect.
 
     If the base does not describe the motion, scores are misleading, and the second effect may describe the data without
     the first effect. The result is the first effect of the history that was alone in one step and is part of the last
@@ -757,7 +761,10 @@ def _superseding(
 
 
 def _refined(found: Fit, criteria: Criteria) -> Fit:
-    """Return a fit at full convergence, or unchanged if the model cannot be computed during the search."""
+    """Return a fit continued to full convergence.
+
+    The fit is unchanged if the model cannot be computed during the search.
+    """
     with attempt("to full convergence"):
         return refined(found, criteria)
     return found
@@ -766,7 +773,7 @@ def _refined(found: Fit, criteria: Criteria) -> Fit:
 def _with_free_shape(
     found: Fit, chosen: Candidate, following: Sequence[Candidate], criteria: Criteria
 ) -> Fit | None:
-    """Return the fit with a free shape constant of the newest law, if its BIC is lower than with a further effect."""
+    """Return the fit with a free shape constant of the newest law if this lowers BIC more than a further effect."""
     if chosen.effect not in found.model.effects:
         return None
     general = with_free_shape(found, chosen.effect, criteria)
@@ -785,7 +792,7 @@ def separate_values(
     """
     if not base.fails(criteria):
         return None
-    # scores of large effects are approximate: a difference may have a smaller score than an effect, but fit better
+    # scores of large effects are approximate: separate values may have a smaller score than an effect, but fit better
     least = criteria.rival_share * max((c.score for c in candidates if c.physical), default=0.0)
     separate = different_parameter(base, criteria, least=least)
     if separate is None or separate.fit.fails(criteria):
@@ -927,7 +934,7 @@ def _of_determined(
 ) -> Sequence[Step]:
     """Return steps that add two effects instead of `chosen`, whose refit is `found` and whose strength is undetermined.
 
-    The shape of one law may imitate the sum of two laws. The steps are returned if BIC is not higher with them.
+    The shape of one law may imitate the sum of two laws. The steps are returned if the two effects do not raise BIC.
     """
     if not reason_undetermined(chosen.effect, found, criteria):
         return []
@@ -948,9 +955,10 @@ def _steps(
     criteria: Criteria,
     workers: WorkerPool | None,
 ) -> Iterator[Step]:
-    """Yield the step that adds a candidate, whose refit is `found`, and the step that frees its shape constant."""
+    """Yield the step that adds a candidate with the refit `found`, and the step that also frees its shape constant."""
     converged = _refined(found, criteria)
-    # a search at a new noise level may end in a worse minimum, most often for an oscillation with dry friction
+    # a search at a new noise level may end in a worse minimum; this is most frequent for an oscillation with dry
+    # friction
     found = converged if converged.bic < found.bic + criteria.evidence else found
     if found.bic > history[-1].fit.bic - criteria.evidence:
         return
@@ -988,8 +996,8 @@ def _may_be_random(history: Sequence[Step], chosen: Candidate, found: Fit, crite
 def _backward(history: Sequence[Step], criteria: Criteria) -> Step:
     """Drop effects that the newest effect makes unnecessary.
 
-    If many effects were added, the model is fitted without each of them in turn, because several wrong effects can
-    imitate a right effect that is added last.
+    If many effects were added, each effect is omitted in a separate fit, because several wrong effects can imitate a
+    right effect that is added last.
     """
     newest = history[-1]
     change, current = newest.change, newest.fit
@@ -1024,8 +1032,8 @@ def _without(fitted: Fit, effect: Effect) -> Fit | None:
 
 
 _EXCHANGES = 3
-"""Largest number of refits of exchanges for one step [1]. Chosen: a smaller number relies on the ranking by linearised
-fits, a larger one costs time."""
+"""Largest number of refits of exchanges for one step [1]. Chosen: with fewer refits, the ranking by linearised fits
+decides; with more, the search takes longer."""
 
 
 def _exchanged(history: Sequence[Step], extra: Sequence[Effect], criteria: Criteria) -> Step | None:
@@ -1051,10 +1059,10 @@ def _exchanged(history: Sequence[Step], extra: Sequence[Effect], criteria: Crite
     if change is None:
         return None
     end = _refined(fits[change], criteria)
-    # a lower level of the noise causes a part of the fall
+    # a lower noise level causes a part of the fall
     fall = current.bic - end.bic - max(current.deviance - deviance_at_noise_of(current, end), 0.0)
     if not current.fails(criteria):
-        # a random torque may describe the data as well as the new laws
+        # the fall must also remain if both models have their most likely random torque
         old, new = (f.bic - f.deviance + with_random_torque(f, criteria).deviance for f in (current, end))
         fall = min(fall, old - new)
     if fall < criteria.evidence:

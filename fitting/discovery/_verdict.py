@@ -116,8 +116,8 @@ class Diagnosis:
     fit : Fit
         The diagnosed fit.
     verdict : {"adequate", "missing_effect", "unexplained", "undecided"}
-        The answer. "undecided": nothing is established. Either the best effect is not determined, or a random torque
-        describes the data as well.
+        The answer. "undecided": no effect is established, because the best effect is not determined, or because a
+        random torque describes the data as well as the effect.
     sentence : str
         The answer in words.
     failures : tuple of Failure
@@ -127,9 +127,9 @@ class Diagnosis:
     form : {"exact", "approximate", None}
         "exact": with the named effect or equivalence class no remainder is significant, and the test of the form would
         detect a deviation as large as an approximate answer allows. "approximate": a remainder is significant, but the
-        effect explains at least `Criteria.explained` of the unmodelled torque. None: no single effect explains this
-        share; or no remainder is significant, but the data cannot test the form; or the verdict is not
-        "missing_effect".
+        effect explains at least `Criteria.explained` of the unmodelled torque. None has three possible reasons: no
+        single effect explains this share; no remainder is significant, but the data cannot test the form; the verdict
+        is not "missing_effect".
     explained : float or None
         Share of the mean square unmodelled torque that the best effect explains (0-1); None without a best effect. If
         the effect changes only a shape constant of a law of the model, and the base absorbs most of this law, the share
@@ -339,7 +339,7 @@ def diagnose(
 
 
 def _with_findings(found: Diagnosis) -> Diagnosis:
-    """Return a diagnosis with the measurement faults that the data show even without a model.
+    """Return a diagnosis with the measurement faults that are visible in the data without a model.
 
     Slipped turns become the first candidate, and the answer if the fit is otherwise adequate.
     """
@@ -441,7 +441,7 @@ def _diagnosis(
     )
     if noisy:
         random = with_random_torque(fit, criteria)
-        # a random torque is an explanation only if its level is below the ceiling that counts as noise
+        # a random torque is an explanation only if its level is below the largest level that counts as noise
         random = random if random.is_raised and describes(random, criteria) else None
     if hint or noisy or random is not None:
         unexplained = random is None and (misfit or noisy or doubt is not None)
@@ -533,13 +533,13 @@ class _Search(NamedTuple):
         return self._replace(ranked=ranked)
 
     def suggests_two(self, found: _Graded) -> bool:
-        """Return whether a second effect is worth a search: none was tried, and one effect does not suffice.
+        """Return whether to search for a second effect: none was tried, and one effect does not suffice.
 
         One effect does not suffice in three cases. In the first case a smooth law of a speed describes the data better
-        than the effect. In the other cases a test of lack of fit is significant: without a lack of fit, a second effect
-        may be a tracking error. In the second case the strength of the effect is not determined: the shape of one law
-        may imitate the sum of two. In the third case the score of a second effect about the fit with the first effect
-        exceeds the threshold of `_are_two_effects`.
+        than the effect. In the other cases a test of lack of fit must be significant, because otherwise the second
+        effect may be a tracking error. In the second case the strength of the effect is not determined: the shape of
+        one law may imitate the sum of two laws. In the third case the score of a second effect about the fit with the
+        first effect exceeds the threshold of `_are_two_effects`.
         """
         selection = found.selection
         end = selection.final
@@ -560,7 +560,10 @@ class _Search(NamedTuple):
 
 
 def _needed(selection: Selection, criteria: Criteria) -> float:
-    """Return the difference of BIC that two effects need; the second effect is the best of N, at prior odds of 1:N."""
+    """Return the needed fall of BIC for two effects.
+
+    The second effect is the best of N effects, so its prior odds are 1:N.
+    """
     return criteria.equivalence_width + 2 * math.log(max(len(selection.candidates), 1))
 
 
@@ -588,7 +591,7 @@ def _random_alternative(
     doubt: SmoothTest | PeriodogramPeak | HarmonicTest | None,
     criteria: Criteria,
 ) -> RandomTorque | None:
-    """Return the slow random torque that describes the data as well as the answer; None if there is none."""
+    """Return the slow random torque that describes the data as well as the answer; None if no random torque does."""
     is_smooth = are_smooth(d.motion for d in fit.problem.data)
     # a torque periodic in an angle or in time is not a random torque
     periodic = isinstance(doubt, PeriodogramPeak | HarmonicTest)
@@ -606,7 +609,7 @@ def _random_alternative(
         random, chosen.screened, selection.named, len(selection.candidates), criteria
     ):
         return None
-    # an unmodelled law of a speed makes the residuals a function of this speed; a random torque does not
+    # if a law of a speed is missing, the residuals depend on this speed; the residuals of a random torque do not
     return random if random.fit.smooth_test.p_value > criteria.doubt_adequate else None
 
 
@@ -683,7 +686,7 @@ def _graded(
             else replace(size, form="approximate")
         )
     if size.form == "exact" and selection.final.has_excess_noise(criteria):
-        # the excess process noise, and not the law, may describe the data
+        # the agreement with the data may be due to the excess process noise instead of the law
         size = replace(size, form=None, noisy=True)
     return size
 
@@ -718,7 +721,7 @@ def _verdict(selection: Selection, size: Grade, criteria: Criteria, *, significa
         return "missing_effect"
     if significant or (size.explained is not None and size.explained < 1 - criteria.explained):
         return "unexplained"
-    # a second effect of the library completes the answer; a law with another shape is not in the library
+    # with a second effect of the library the answer is complete; without one, the law has a shape outside the library
     return "missing_effect" if _has_more_effects(selection) else "unexplained"
 
 
@@ -837,7 +840,7 @@ def _unexplained(
         ]
     if chosen is not None and size.explained is not None and size.remainder is not None:
         if size.explained < 1 - criteria.explained:
-            # such a share also results for a wrong law, so the effect is not even a hypothesis
+            # a wrong law explains a similar share, so the effect is not stated as a hypothesis
             return [
                 f"No effect of the library explains more than {percentage(1 - criteria.explained)} of it.",
                 size.remainder.sentence,
@@ -868,7 +871,7 @@ def _unexplained(
 
 
 def _nothing_explains(selection: Selection) -> str:
-    """Return the sentence that no effect of the library explains the data, or that none was fitted.
+    """Return the beginning of a sentence: no effect of the library explains the data, or no effect was fitted.
 
     For an oscillation with hundreds of reversals, candidates are scored but not refitted.
     """
@@ -923,7 +926,7 @@ def _class_names(selection: Selection, chosen: Candidate) -> list[str]:
 
 
 def _start_errors(chosen: Candidate, others: Sequence[str]) -> list[str]:
-    """Return the answer that start times of rotor windows, whose uncertainty is not stated, may be wrong."""
+    """Return the answer that the start times of rotor windows may be wrong; their uncertainty is not stated."""
     errors = [e.value for e in chosen.estimates.values()]
     rms = 1e3 * math.sqrt(sum(x**2 for x in errors) / len(errors))
     sentence = (
@@ -938,7 +941,7 @@ def _start_errors(chosen: Candidate, others: Sequence[str]) -> list[str]:
 def _untested(test: FormTest, criteria: Criteria) -> list[str]:
     """Return the reason why the form of a law is not established although the residuals are consistent with noise."""
     if test.is_strong(criteria):
-        return []  # stated with the rivals
+        return []  # this reason is stated with the rivals
     if test.bounds_p <= criteria.doubt_named:
         pulled = f"the fit prefers {', '.join(test.bounds)} outside its bounds"
         return [f"The form is not established: {pulled} ({stated_probability(test.bounds_p)})."]
@@ -970,7 +973,8 @@ _PER_MILLI = {"rad": 1e3, "s": 1e3, "s2": 1e6}
 
 
 def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Criteria) -> list[str]:
-    # an unmodelled angle-dependent torque changes the fitted camera effects, so their values are not reported
+    # camera effects are not reported if an angle-dependent torque is missing, because this torque changes their fitted
+    # values
     if chosen is not None and chosen.effect.depends_on_angle:
         return []
     return [
@@ -981,7 +985,7 @@ def _nuisance(chosen: Candidate | None, found: Sequence[Nuisance], criteria: Cri
 
 
 def _strength(c: Candidate, fit: Fit | None) -> str:
-    """Return the strength of a candidate with its combined uncertainty in the fit that determines it."""
+    """Return the strength of a candidate with its combined uncertainty in the fit that determines this strength."""
     if c.effect.amplitude is None:
         return ""
     symbol = c.effect.amplitude.symbol

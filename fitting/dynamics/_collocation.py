@@ -7,7 +7,7 @@ On an interval of length h with the initial state y0, the states at the K Gauss 
 with the Lagrange polynomials L_j of the nodes. This is an implicit Runge-Kutta method of order 2K (E. Hairer, G.
 Wanner, Solving ODEs II, IV.5). Newton's method solves all intervals together. An interval whose Legendre coefficients
 have not decayed is halved. In each solution the casing turns in one sense or is at rest; `fitting.dynamics._events`
-joins such stretches.
+joins several solutions.
 
 With the Jacobian A of f at the nodes, deviations dy_k in an interval with the initial deviation dy_0 satisfy
 
@@ -17,7 +17,7 @@ This is one small dense linear system per interval. All systems are solved in on
 matrices.
 
 The time at which the casing comes to rest is an additional unknown. Each step of Newton's method stretches the end of
-the mesh and extrapolates the states along their rates to the new node times.
+the mesh, and extrapolates the states with their rates to the new node times.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ NODES = 10
 """Number of Gauss nodes of an interval [1]. Chosen: the order of the method is twice this number; a smaller number
 needs more intervals, a larger one makes larger systems."""
 _MANY_PER_INTERVAL = 12
-"""Number of times per interval above which one matrix product for each interval is faster than one for each time [1].
-Chosen: another value costs time and does not change the result."""
+"""With more times per interval than this number, a matrix product for each interval is faster than a product for each
+time [1]. Chosen: another value costs time and does not change the result."""
 TOLERANCE = 1e-10
 """Relative truncation error of an interval [1]. Chosen: far below the noise of any camera; a smaller value needs more
 intervals, a larger one makes derivatives inaccurate."""
@@ -55,28 +55,28 @@ MAX_INTERVALS = 40_000
 """Largest number of intervals [1]. Chosen: a limit of memory; a smaller value refuses long motions, a larger one delays
 the failure of stiff motions."""
 _SMALL = 1e-9
-"""Relative step of Newton's method after which the remaining error is rounding error [1]. Derived: convergence is
-quadratic, so the next step is about the square of this step."""
+"""After a relative step of Newton's method below this value, the remaining error is rounding error [1]. Derived:
+convergence is quadratic, so the next step is about the square of this step."""
 _LARGEST_ERROR = 1e-13
 """Largest error after the last step, predicted from the convergence of the previous steps with a margin of ten [1].
 Chosen: a smaller value adds steps of the size of rounding errors, a larger one stops before convergence."""
 _MEASURED = 1e-6
-"""Smallest previous step from which the convergence is measured [1]. Chosen: smaller steps contain rounding errors; a
+"""Smallest Newton step from which the convergence is measured [1]. Chosen: smaller steps contain rounding errors; a
 larger value uses too few steps."""
 _RESOLVED = 1e-14
-"""Truncation error below which an interval of twice the length is resolved as well [1]. Derived: `TOLERANCE` divided by
-the growth of the error, 2^9 and more, with a margin."""
+"""If the truncation error is below this value, an interval of twice the length is resolved as well [1]. Derived:
+`TOLERANCE` divided by the factor of at least 2^9 by which the error grows, with a margin."""
 _FEWEST = 12
 """Smallest number of intervals of a coarsened mesh [1]. Chosen: a smaller number overlooks changes between the nodes, a
 larger one costs time."""
 _CONSTANT_SLIP = 1e12
-"""Relaxation time with which a slip counts as constant [s]. Derived: longer than any record, so that the relaxation has
-no effect."""
+"""Relaxation time of a slip that is constant during the record [s]. Derived: longer than any record, so that the
+relaxation has no effect."""
 UNBOUNDED = "the equations of motion have no bounded solution for these numbers"
 TOO_SHARP = "the equations of motion change too sharply to be integrated"
 _FEW = 24
-"""Number of steps of the mesh below which the steps are chained one by one [1]. Chosen: another value costs time and
-does not change the result."""
+"""With fewer steps of the mesh than this number, the steps are chained one by one [1]. Chosen: another value costs time
+and does not change the result."""
 
 
 class Rule(NamedTuple):
@@ -121,7 +121,10 @@ class Mesh:
         return {}
 
     def sampler(self, times: Array) -> Sampler:
-        """Return the sampler at these times; it is cached by the identity of the array, which must stay unchanged."""
+        """Return the sampler at these times.
+
+        The sampler is cached by the identity of the array, so the array must not be changed.
+        """
         known = self._samplers.get(id(times))
         if known is None:
             known = self._samplers[id(times)] = times, Sampler(self, times)
@@ -155,7 +158,10 @@ class Mesh:
         return Mesh(np.unique(np.concatenate([self.edges, inside]))) if inside else self
 
     def moved(self, anchors: Sequence[float], places: Sequence[float]) -> Mesh:
-        """Return the mesh after each anchor [s] moves to its place [s]; between anchors it is stretched linearly."""
+        """Return the mesh in which each anchor [s] is moved to its place [s].
+
+        Between anchors it is stretched linearly.
+        """
         if list(anchors) == list(places):
             return self
         edges = np.interp(self.edges, anchors, places)
@@ -175,13 +181,13 @@ class Path:
     states: tuple[str, ...]  # names of the states
     sense: Array  # shape (intervals,); sense of rotation of the casing: +1 or -1; 0 while friction holds the casing
     kinks: tuple[float, ...] = ()  # times at which a torque jumps [s]
-    # saltation matrices of small deviations, by the index of the edge at which the casing stops or reverses
+    # saltation matrices (jumps of small deviations), by the index of the edge at which the casing stops or reverses
     jumps: dict[int, Array] = field(default_factory=dict)
-    # error of a Newton step divided by the square of the previous step, for solutions near this one
+    # error of a Newton step divided by the square of the previous step, for solutions near this solution
     newton_ratio: float = 1.0
     exact: bool = True  # True for a solution, False for the measured motion
-    # smallest scale of the errors of a speed [rad/s]. In a stretch in which an oscillating casing hardly moves, its
-    # torques cancel, and errors relative to its own speed are rounding errors
+    # Smallest scale of the errors of a speed [rad/s]. In a stretch in which an oscillating casing hardly moves, the
+    # torques cancel, so that errors relative to the speed in this stretch are only rounding errors.
     least_scale: float = 0.0
 
     @cached_property
@@ -265,7 +271,7 @@ class Sampler:
 
 
 def transfer(guess: Path, mesh: Mesh, start: Array, sense: float) -> Path:
-    """Return a known path interpolated on another mesh, as the initial solution for the initial states `start`."""
+    """Return a known path interpolated on another mesh, as an initial solution with the initial states `start`."""
     sampler = Sampler(guess.mesh, mesh.times.ravel())
     y = sampler.value(guess.y).reshape(*mesh.times.shape, -1)
     edges = Sampler(guess.mesh, mesh.edges).value(guess.y)
@@ -285,8 +291,8 @@ class Propagator:
     """The linearised equations d(dy)/dt = A dy + b on a mesh, with A of shape (intervals, nodes, n, n) at its nodes.
 
     `jumps` contains saltation matrices at edges where the torque jumps. If right-hand sides `defect` (intervals, nodes,
-    n, columns) are given, `response` equals `nodes(defect)` at less cost. `constraint` (2, 2) converts accelerations of
-    free bodies to accelerations of bodies in contact.
+    n, columns) are given, `response` equals `nodes(defect)` at less cost. `constraint` (2, 2) maps the accelerations of
+    bodies without contact to their accelerations in contact.
     """
 
     def __init__(
@@ -517,15 +523,15 @@ def coarsened(path: Path) -> Path:
 
 
 _PARTS_OF_STEPS = (1, 4, 16, 64)
-"""Trial numbers of Runge-Kutta steps between two nodes of the mesh [1]. Chosen: a motion that needs more steps is
-abandoned; a larger last value costs time for stiff motions."""
+"""Trial numbers of Runge-Kutta steps between two nodes of the mesh [1]. Chosen: the integration fails if the motion
+needs more steps; a larger last value costs time for stiff motions."""
 _STABLE = 2.5
 """Largest step of the Runge-Kutta method, divided by the time constant of decay [1]. Derived: the method of order 4 is
-stable up to 2.8; the remainder is a margin."""
+stable up to 2.8; the difference is a margin."""
 _SHORT_INTERVALS = 400
-"""Number of edges above which each interval has a single step, with linear interpolation of the states [1]. Chosen: the
-intervals of such a mesh are short enough for Newton's method; a smaller value gives a poor initial solution, a larger
-one costs time."""
+"""If the mesh has more edges than this number, each interval has a single step, with linear interpolation of the states
+[1]. Chosen: the intervals of such a mesh are short enough for Newton's method; a smaller value gives a poor initial
+solution, a larger one costs time."""
 
 
 def _stepped(
@@ -583,7 +589,7 @@ def runge_kutta(
     times = np.append(times.ravel(), mesh.edges[-1])
     with np.errstate(all="ignore"):
         jacobian = dynamics.tangent(times[:1], start[None], numbers, sense)[1][0]
-    # a square root of a speed has no derivative at rest, but the rates at rest are finite
+    # at rest, the square root of a speed has no finite derivative, but the rates are finite
     known = np.isfinite(jacobian).all()
     decay = max(0.0, float(-np.linalg.eigvals(jacobian).real.min())) if known else 0.0
     parts = next((n for n in _PARTS_OF_STEPS if decay * float(np.diff(times).max()) < _STABLE * n), None)

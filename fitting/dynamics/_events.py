@@ -10,13 +10,13 @@ becomes
     dy+ = dy- - (f- - f+) dy-_c / f-_c        (the saltation matrix).
 
 A known solution for similar parameters is the initial solution: each stretch between events is solved on the mesh of
-this solution, and the time at which the casing stops is an additional unknown. If the sequence of events has changed,
-meshes and events are determined anew.
+this solution, and the time at which the casing stops is an additional unknown. If the sequence of events differs from
+that of the known solution, meshes and events are determined anew.
 
 An oscillation has hundreds of events. In this case Newton's method treats all stretches simultaneously. At an edge
 where the casing reverses, let y be the state, w the speed of the casing, f- and f+ the rates. The edge moves by -(w +
-dw) / f-_c. Continued to the old time, the deviation of the next stretch is S dy - (f- - f+) w / f-_c, with the
-saltation matrix S.
+dw) / f-_c. The next stretch, extrapolated to the old time of the edge, has the deviation S dy - (f- - f+) w / f-_c,
+with the saltation matrix S.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ ROUNDING = 1e-10
 """Relative speed below which a change of sign is rounding error [1]. Derived: the truncation error of the motion,
 `fitting.dynamics._collocation.TOLERANCE`."""
 _STOPPED = 1e-11
-"""Share of the largest speed below which the casing is at rest [1]. Derived: the size of rounding errors, below
-`ROUNDING`."""
+"""The casing is at rest if its speed, as a share of its largest speed, is below this value [1]. Derived: the size of
+rounding errors, below `ROUNDING`."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Segments:
         return -(sense or 1.0) if back * -(sense or 1.0) > 0 else 0.0
 
     def released(self, time: float, y: Array) -> float:
-        """Return the sense of rotation in which the casing starts when friction no longer holds it."""
+        """Return the sense in which the casing starts to rotate when friction no longer holds it."""
         return 1.0 if self.acceleration(time, y, 1.0) > -self.acceleration(time, y, -1.0) else -1.0
 
     def _solved(self, first: Path, pivot: float | None = None) -> Path:
@@ -130,8 +130,8 @@ class Segments:
     ) -> Path | None:
         """Return the path between two events from a known solution; None if the sequence of events differs.
 
-        `known` is this stretch of the known solution; with `stops` it ends where the casing stops, not where the record
-        ends.
+        `known` is this stretch of the known solution. With `stops` it ends where the casing stops, otherwise where the
+        record ends.
         """
         edges = known.mesh.edges
         within = [b for b in self.breaks if time < b < (edges[-1] if stops else end)]
@@ -243,7 +243,7 @@ class Segments:
         raise SimulationError(UNBOUNDED)
 
     def _valid(self, pieces: list[Path]) -> list[Path]:
-        """Return the stretches before the first invalid one, in which the casing reverses or is held wrongly."""
+        """Return the stretches before the first stretch in which the casing reverses, or friction does not hold it."""
         largest = max(float(np.abs(p.y[..., MAIN]).max()) for p in pieces)
         for i, piece in enumerate(pieces):
             if piece.sense[0] == 0:
@@ -488,18 +488,19 @@ _HORIZON = 2.0
 """Time within which the next event is first searched for, relative to the largest time between two reversals [1].
 Chosen: a smaller value overlooks the next reversal, a larger one integrates needlessly."""
 _NEARBY = (1.0, 0.97)
-"""Shares of the reversals that are solved simultaneously, in order of trial, if a known solution is the initial
-solution [1]. Chosen: the second share omits reversals at the end that may not exist; a smaller share costs time."""
+"""Trial shares of the reversals that are solved simultaneously, if a known solution is the initial solution [1].
+Chosen: the second share omits reversals at the end that may not exist; a smaller share costs time."""
 _SHARES = (*_NEARBY, 0.9, 0.7, 0.4)
-"""Shares of the reversals that are solved simultaneously, in order of trial, if the measured motion is the initial
-solution [1]. Chosen: smaller shares allow larger errors of the frequency; with fewer shares, the solution may fail;
-with more, it takes longer."""
+"""Trial shares of the reversals that are solved simultaneously, if the measured motion is the initial solution [1].
+Chosen: smaller shares allow larger errors of the frequency; with fewer shares, the solution may fail; with more, it
+takes longer."""
 _BRIEF = 0.1
-"""Length of the first stretch, relative to the second, below which the first stretch is determined again [1]. Chosen: a
-smaller value keeps a first stretch that may not exist, a larger one discards a valid stretch."""
+"""The first stretch is determined again if its length, divided by the length of the second stretch, is below this value
+[1]. Chosen: a smaller value keeps a first stretch that may not exist, a larger one discards a valid stretch."""
 _LONGEST_BEGINNING = 0.3
-"""Largest length of a first stretch that is added to the known motion, relative to the time to the first reversal [1].
-Chosen: a smaller value solves a motion without its first reversal, a larger one extrapolates the first rate too far."""
+"""Largest length of a first stretch that is added before the known motion, relative to the time to the first reversal
+[1]. Chosen: a smaller value solves a motion without its first reversal, a larger one extrapolates the first rate too
+far."""
 _SMALL = 1e-9
 """Relative change of the times below which Newton's method has converged [1]. Derived: convergence is quadratic, so the
 next change is rounding error."""
@@ -507,8 +508,8 @@ _EXACT = 1e-13
 """Relative change of the times that is rounding error [1]. Derived: several hundred times the relative precision of a
 number, for sums over many reversals."""
 _SLOW = 1e-3
-"""Smallest scale of the errors of an oscillating casing's speed, relative to its largest speed [1]. Chosen: a smaller
-value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""
+"""Smallest scale of the errors of the speed of an oscillating casing, relative to its largest speed [1]. Chosen: a
+smaller value refines the mesh at each reversal, a larger one makes slow parts inaccurate."""
 _LONGEST_DELAY = 0.45
 """Largest change of the time of a reversal in a step, as a share of the time to its neighbours [1]. Derived: below one
 half, so that two reversals do not change their order."""
@@ -552,7 +553,7 @@ def solve(
             raise SimulationError(UNBOUNDED)
         guess = None
     if ready and ready[0].sense[0] == sense:
-        # one vector operation for hundreds of reversals
+        # a single vector operation is faster for hundreds of reversals
         jumps = run.reversals([p for p in ready if p.mesh.edges[-1] < end])
         pieces, ready = ready[: len(jumps)], ready[len(jumps) :]
         if pieces:

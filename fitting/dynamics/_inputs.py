@@ -1,10 +1,10 @@
 """Recorded inputs of a motion: currents, voltages, commanded torques, temperatures.
 
-An input is a function of time, given by samples at its own times. Between two samples it is linear, or it holds the
-value of the earlier one. A torque that depends on an input therefore changes abruptly at the samples: its value jumps
-if a held input changes, and its slope jumps if the slope of a linear input changes. The equations of motion are
-integrated from one such time to the next, because they are smooth in between. An input with more than `MOST_CHANGES`
-changes is replaced by its means over short cells, which give the body the same impulse.
+An input is a function of time, given by samples at times that differ from the times of the motion. Between two samples
+it is linear, or it holds the value of the earlier sample. A torque that depends on an input therefore changes abruptly
+at the samples: its value jumps if a held input changes, and its slope jumps if the slope of a linear input changes. The
+equations of motion are integrated from one such time to the next, because they are smooth in between. An input with
+more than `MOST_CHANGES` changes is replaced by its means over short cells, which give the body the same impulse.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ MOST_CHANGES = 4000
 """Largest number of times at which an input changes value or slope [1]. Chosen: a smaller value averages over longer
 cells, a larger one costs time."""
 _ROUNDING = 1e-9
-"""Step of a held input, divided by its largest value, below which the step is rounding error [1]. Chosen: a smaller
-value splits the integration at rounding errors, a larger one overlooks steps."""
+"""A step of a held input is rounding error if its size, divided by the largest value of the input, is below this value
+[1]. Chosen: a smaller value splits the integration at rounding errors, a larger one overlooks steps."""
 _ROUNDED = 1e-7
 """A change of slope counts as rounding error if it changes the next sample by less than this share of the range of the
 input [1]. Derived: eight digits of a number in a file, with a margin of ten."""
@@ -149,7 +149,8 @@ class Input:
         return self._interpolated(np.zeros(len(self.time)) if self.u is None else self.u, times)
 
     def _interpolated(self, values: Array, times: Array | float, late: float = 0.0) -> Array:
-        # the times of the samples are shifted, not the requested times, so that a change is exactly at its time
+        # the delay is added to the times of the samples instead of subtracted from `times`, so that a change is exactly
+        # at its time
         t, at = np.asarray(times, dtype=np.float64), self._acting + late
         if self.interpolation == "linear":
             return np.asarray(np.interp(t, at, values))
@@ -157,7 +158,7 @@ class Input:
         return np.asarray(values[np.maximum(np.searchsorted(at, t, side="right") - 1, 0)])
 
     def integral(self, times: Array) -> Array:
-        """Return the integral from the first of the times to each of them [unit s]."""
+        """Return the integral from the first time to each of `times` [unit s]."""
         t = np.asarray(times, dtype=np.float64)
         knots = np.unique(np.concatenate([self._acting, t]))
         step = np.diff(knots)
@@ -187,7 +188,7 @@ class Input:
             # before the first and after the last sample the value is constant
             step = np.diff(self.time)
             slope = np.concatenate([[0.0], np.diff(self.value) / step, [0.0]])
-            # change of the next sample that the change of the slope causes
+            # change of the next sample due to the change of the slope
             size = np.abs(np.diff(slope)) * np.minimum(np.append(step, step[-1]), np.append(step[0], step))
             at = self._acting[size > _ROUNDED * max(float(np.ptp(self.value)), 1e-300)]
         at = at + late

@@ -1,12 +1,13 @@
 """A model: a set of effects, its equations of motion, and their derivatives.
 
 The torque tau_j of each joint j is the sum of all torque laws between its two bodies, multiplied by all effects that
-are declared as factors of this joint. It drives the second body and brakes the first body. The equations of motion are
+are declared as factors of this joint. This torque drives the second body and brakes the first body. The equations of
+motion are
 
     I_b d(omega_b)/dt = sum of the torques on the body b + sum of tau_j (b second) - sum of tau_j (b first),
 
 and there is one more equation for each effect with its own state. In a gyroscope the rotor is the first and the casing
-the second body of the bearing. A model cannot be changed after it was made, and it contains no values of free
+the second body of the bearing. A model cannot be changed after it is made, and it contains no values of free
 parameters. Values are passed separately, as a mapping from ``<effect>.<symbol>`` to a value.
 """
 
@@ -197,7 +198,7 @@ class Model:
         return self.with_only(_holding(e, held) for e in self.effects)
 
     def of_bodies(self, bodies: Set[str]) -> Model:
-        """Return the model without the effects that act on another body than these, or depend on one."""
+        """Return the model without the effects that act on, or depend on, a body that is not in `bodies`."""
         return self.with_only(e for e in self.effects if e.bodies <= bodies)
 
     @cached_property
@@ -222,7 +223,7 @@ class Model:
 
     @cached_property
     def smooth(self) -> Model:
-        """The model of the physical effects whose torque is a function of the states of the motion.
+        """The model with only the physical effects whose torque is a function of the states of the motion.
 
         If a torque restores an equilibrium, the deflection of the casing is a state.
         """
@@ -415,7 +416,7 @@ class Dynamics:
         return places
 
     def _collect_delays(self, outputs: list[Expr], rates: list[Expr]) -> list[tuple[int, int, int]]:
-        """Return the places (rate, parameter, output) of the derivatives with respect to the dead times T.
+        """Return the indices (rate, parameter, output) of each derivative with respect to a dead time T.
 
         At times at which the input u does not jump, d(rate)/dT = -d(rate)/du du/dt.
         """
@@ -480,7 +481,7 @@ class Dynamics:
     def _in_one_sense(self, rate: Expr) -> Expr:
         """Return a rate in which the sign of the speed of the main body is a separate symbol.
 
-        The rate is then smooth where this body stops.
+        With a fixed value of this symbol, the rate is smooth where the body stops.
         """
         sign = call("sign", sym(self.mechanism.speeds[MAIN]))
         new: dict[int, Expr] = {}
@@ -512,7 +513,7 @@ class Dynamics:
     def moving_breaks(
         self, first: float, last: float, numbers: Mapping[str, float]
     ) -> dict[str, list[float]]:
-        """Return the times of jumps of a torque, if a free parameter shifts them [s]; by the key of this parameter.
+        """Return the times of jumps of a torque that a free parameter shifts, by the key of this parameter [s].
 
         These times are changepoints. If the dead time of an input is free and the input is constant between its samples
         (interpolation "hold"), its steps between `first` and `last` are included.
@@ -559,7 +560,7 @@ class Dynamics:
         return decay, slopes
 
     def constraint(self, numbers: Mapping[str, float]) -> Array | None:
-        """Return the matrix (2, 2) that converts accelerations of free bodies to accelerations of rolling bodies.
+        """Return the matrix (2, 2) that maps accelerations without contact to accelerations of rolling bodies.
 
         Torques tau_r and tau_c give omega_c' = (tau_c + n tau_r) / (I_c + n^2 I_r) and omega_r' = n omega_c'.
         n is the ratio of the contact. None if the bodies may slip.

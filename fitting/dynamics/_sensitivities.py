@@ -1,13 +1,14 @@
 """Sensitivities of a solution to parameters, to initial values and to small additional torques.
 
-With the fundamental matrix Phi(t) of the linearised equations, the response to a torque u(t) along b is
+Let Phi(t) be the fundamental matrix of the linearised equations. A torque u(t) causes the accelerations b u(t). The
+response to this torque is
 
     d omega(t) = Phi(t) integral Phi^-1(s) b u(s) ds,
     d psi(t)   = integral [Psi(t) - Psi(s)] Phi^-1(s) b u(s) ds,    Psi = integral of Phi.
 
 The integrals are running sums over the times at which u is known; u may therefore have any frequency. After the casing
-has come to rest, earlier deviations have no influence. A millionth of these deviations is kept, so that Phi has an
-inverse.
+has come to rest, earlier deviations have no influence. A millionth of these deviations is kept nevertheless, so that
+Phi has an inverse.
 
 If one mode decays long before the end of the record, all columns of Phi become parallel to each other, and the inverse
 is inaccurate. In this case the modes, ordered from slow to fast decay, are used as columns. With the QR decompositions
@@ -47,7 +48,7 @@ class LinearMotion:
     """The linearised motion of the speeds of all bodies about a solution.
 
     States of effects (a temperature, a phase) are coupled with the speeds. If a state decays so fast that Phi has no
-    accurate inverse, all states of effects are held.
+    accurate inverse, all states of effects are held constant.
     """
 
     def __init__(self, path: Path, propagator: Propagator) -> None:
@@ -76,7 +77,8 @@ class LinearMotion:
     def impulses(self, times: Array, direction: Array) -> Array:
         """Return Phi^-1(s) b, shape (times, n).
 
-        b = `direction` (2,) contains the accelerations of free bodies due to a torque of 1 N m [rad s-2].
+        b = `direction` (2,) contains the accelerations that a torque of 1 N m causes in bodies without contact [rad
+        s-2].
         """
         return self._impulses(Sampler(self._mesh, times), direction)
 

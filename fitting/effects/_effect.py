@@ -1,11 +1,11 @@
 """Effect: a torque law, the body or joint on which it acts, and its parameters.
 
 The unit of every torque law is the newton metre. A dimension is a vector of exponents of (kg, m, s, K, A, V); radians
-and pixels count as 1. The volt is a base unit here, so that the proposed unit of the constant of a motor is N m A-1 or
-N m V-1. If an exponent is a parameter (the g of a power law), its value must be given to determine the dimension.
+and pixels count as 1. The volt is a base unit here, so that N m V-1 can be proposed as the unit of the constant of a
+motor. If an exponent is a parameter (the g of a power law), its value must be given to determine the dimension.
 
-A law may depend on recorded inputs. Inputs have separate symbols (`input_symbol`), so that an input may have the name
-of a variable or a parameter.
+A law may depend on recorded inputs. In formulas, inputs have separate symbols (`input_symbol`), so that an input may
+have the name of a variable or a parameter.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ sums of decimal exponents, a larger one accepts wrong units."""
 def parse_unit(unit: str, exponents: Mapping[str, float] | None = None) -> Dimension:
     """Return the dimension of a unit like ``N m s2``, ``K-1`` or ``N m s^g``.
 
-    A part of a unit is one of kg, m, s, K, A, V, N, J, rad, px, 1 and may have an exponent. If a part has another form,
-    an ExpressionError names this part.
+    A part of a unit is one of kg, m, s, K, A, V, N, J, rad, px, 1 and may have an exponent. An ExpressionError names a
+    part that has another form.
     """
     result = NONE
     for token in unit.split():
@@ -72,7 +72,7 @@ def format_unit(dimension: Dimension) -> str:
 
 
 def dimension(e: Expr, units: Mapping[str, Dimension], exponents: Mapping[str, float]) -> Dimension:
-    """Return the dimension of an expression, given `units` of its symbols and values of symbols in `exponents`.
+    """Return the dimension of an expression, given the `units` of its symbols and the values of symbols in `exponents`.
 
     An ExpressionError is raised if quantities of different units are added, or the argument of a function has a unit.
     """
@@ -135,10 +135,10 @@ Kind = Literal["physical", "measurement"]
 Role = Literal["amplitude", "shape", "phase", "fixed"]
 Scale = Literal["", "speed", "length", "chirp"]
 
-# The variables of a law, with their units. `tau` is the whole bearing torque; states of effects may depend on it.
-# `deflection` is the angle of the casing, or of the single body, from its equilibrium. For a contact with the ratio n,
-# `slip` is omega_r - n omega_c, `inertia_slip` the effective inertia 1 / (1 / I_r + n^2 / I_c), and `torque_held` the
-# torque of the contact on the rotor with which the slip remains constant under all other torques.
+# The variables of a law, with their units. `tau` is the whole bearing torque; states of effects may depend on `tau`.
+# `deflection` is the angle of the casing, or of the single body, from its equilibrium. In a contact with the ratio n,
+# `slip` is omega_r - n omega_c, and `inertia_slip` is the effective inertia 1 / (1 / I_r + n^2 / I_c). `torque_held` is
+# the torque of the contact on the rotor that keeps the slip constant under all other torques.
 VARIABLES: dict[str, str] = {
     "t": "s", "omega_r": "s-1", "omega_c": "s-1", "psi_r": "1", "psi_c": "1", "deflection": "1",
     "delta": "s-1", "temperature": "K", "chirp": "1", "strain": "1", "tau": "N m", "lag": "s-1", "psi": "1",
@@ -156,7 +156,7 @@ def variables_of(mechanism: Mechanism) -> dict[str, str]:
     """Return the variables of laws about the bodies of a mechanism, with their units."""
     if mechanism == GYROSCOPE:
         return VARIABLES
-    # only a single body may oscillate
+    # the deflection is a variable of a single body only, because only a single body may oscillate
     absent = {*GYROSCOPE.variables, "deflection"}
     return {k: u for k, u in VARIABLES.items() if k not in absent} | mechanism.variables
 
@@ -192,9 +192,9 @@ def refuse_input_name(name: str) -> None:
 
 
 MOMENTS = tuple(round(0.04 + 0.02 * i, 3) for i in range(47))
-"""Trial changepoints, as shares of the length of the recording [1]. Chosen: steps of 0.02, without the ends, where a
-change is equivalent to an initial value; with fewer, a fit starts far from the optimum; with more, the search takes
-longer."""
+"""Trial changepoints, as shares of the length of the recording [1]. Chosen: steps of 0.02, except at the ends, where a
+change is equivalent to a different initial value; with fewer, a fit starts far from the optimum; with more, the search
+takes longer."""
 # joints whose law is a torque; laws of other joints are numbers
 TORQUES: tuple[Joint, ...] = ("rotor", "casing", "bearing", "contact")
 # symbol of the ratio omega_r / omega_c of a contact without slip
@@ -203,7 +203,7 @@ _CAMERAS: dict[Joint, Literal["casing", "rotor"]] = {"camera.casing": "casing", 
 
 
 THE_ROTOR, THE_CASING = frozenset({"rotor"}), frozenset({"casing"})
-# bodies affected by laws that act neither on a body of a gyroscope nor in the bearing
+# bodies affected by the laws that act neither on a single body of a gyroscope nor in the bearing
 _BODIES: dict[str, frozenset[str]] = {
     "camera.rotor": THE_ROTOR,
     "camera.casing": THE_CASING,
@@ -214,14 +214,14 @@ _SITES = {"factor": "bearing", "inertia": "casing"}
 
 
 def bodies_of(joint: str, variables: Iterable[str], mechanism: Mechanism = GYROSCOPE) -> frozenset[str]:
-    """Return the bodies on which a law acts at its joint, and the bodies of the variables in the law."""
+    """Return the bodies on which a law with this joint acts, and the bodies whose variables are in the law."""
     known = _BODIES | mechanism.bodies_by_symbol if mechanism == GYROSCOPE else mechanism.bodies_by_symbol
     return frozenset().union(*(known.get(name, frozenset()) for name in (joint, *variables)))
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number in a law: symbol, SI unit, bounds, and how its initial value is found.
+    """A number in a law: symbol, SI unit, bounds, and the source of its initial value.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ class Parameter:
         Whether the grid is in lengths of the recording.
     scale : {"", "speed", "length", "chirp"}
         Unit of the bounds, of `start` and of the grid: "speed" is the largest speed of the body, "length" is the length
-        of the recording, "chirp" is this speed divided by this length, "" is `unit`.
+        of the recording, "chirp" is the quotient of these two, "" is `unit`.
     meaning : str
         One line of description.
     """
@@ -293,11 +293,9 @@ class Effect:
     - ``bearing``: the torque +tau on the casing and -tau on the rotor;
     - ``contact`` (rims that touch, gears, a belt): the torque tau on the rotor and -n tau on the casing, where n is the
       ratio of the contact;
-    - ``factor``: a factor of the whole bearing torque;
-    - ``inertia``: a factor of the acceleration of the casing;
-    - ``camera.casing`` or ``camera.rotor``: an angle added to those that the camera measures; psi and omega are then
-      the angle and the speed of the filmed body;
-    - ``input``: the dead time of a recorded input.
+    - ``factor``: a factor of the whole bearing torque; - ``inertia``: a factor of the acceleration of the casing; -
+    ``camera.casing`` or ``camera.rotor``: an angle added to the angles that the camera measures; psi and omega are then
+    the angle and the speed of the filmed body; - ``input``: the dead time of a recorded input.
 
     All properties of an effect are fields or properties of this class. No code depends on the name of an effect, so a
     new law is one entry of the library.
@@ -334,13 +332,13 @@ class Effect:
         Effects that a usual recording does not separate from this effect.
     searched : bool
         Whether the effect is a candidate of every search. A contact between bodies is not a candidate, because it is
-        visible on the apparatus. A law is not a candidate either if only few motions distinguish it from simpler laws.
+        visible on the apparatus. Laws that only few motions distinguish from simpler laws are not candidates either.
     contact : bool
         Whether the effect is friction whose states depend on the angle since the last reversal. A body that turns in
         one sense slides after a small angle; from then on, the law is a function of the speed.
     rigid : bool
-        Whether the effect is a contact without slip: its law contains torque_held, and one initial speed follows from
-        the other.
+        Whether the effect is a contact without slip: its law contains torque_held, and the initial speed of one body
+        follows from the initial speed of the other body.
     inputs : tuple of (str, str)
         Names and units of the recorded inputs in the law.
     words : str
@@ -417,7 +415,7 @@ class Effect:
 
     @property
     def amplitude(self) -> Parameter | None:
-        """The parameter in which the law is linear; None if it is linear in more than one or in none."""
+        """The parameter in which the law is linear; None if there is no such parameter, or more than one."""
         found = [p for p in self.parameters if p.role == "amplitude"]
         return found[0] if len(found) == 1 else None
 
@@ -438,7 +436,10 @@ class Effect:
 
     @cached_property
     def bodies(self) -> frozenset[str]:
-        """The bodies on which the effect acts or depends; it does not apply to cases without one of them."""
+        """The bodies on which the effect acts or depends.
+
+        The effect does not apply to cases in which one of these bodies is missing.
+        """
         site = self.place or self.joint
         return bodies_of(site, symbols(self.expression).union(*map(symbols, self.rates)), self.mechanism)
 
@@ -451,8 +452,8 @@ class Effect:
     def about_equilibrium(self) -> Effect:
         """The law for an oscillating body: its angle is measured from the equilibrium and is a state of the motion.
 
-        A response linearised about the measured angle does not suffice: over a hundred periods, a change of the
-        frequency accumulates to a large error of the phase.
+        A response linearised about the measured angle does not suffice, because a change of the frequency accumulates
+        to a large error of the phase over a hundred periods.
         """
         angle = self.mechanism.main_angle
         if not self.mechanical or angle not in symbols(self.expression):
@@ -523,5 +524,5 @@ def at_site(
 
 
 def with_input_symbols(expression: Expr, names: Iterable[str]) -> Expr:
-    """Return an expression in which these names of inputs are replaced by their symbols."""
+    """Return an expression in which the names of inputs are replaced by their symbols (`input_symbol`)."""
     return substitute(expression, {name: sym(input_symbol(name)) for name in names})

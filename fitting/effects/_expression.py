@@ -26,8 +26,8 @@ FUNCTIONS = ("abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", 
 class Expr(NamedTuple):
     """One node: an operation on smaller expressions, a number, or a symbol.
 
-    ``op`` is one of ``num``, ``sym``, ``add``, ``mul``, ``pow`` or the name of a function. ``value`` is the number of a
-    ``num``, ``name`` the name of a ``sym``.
+    ``op`` is one of ``num``, ``sym``, ``add``, ``mul``, ``pow`` or the name of a function. ``value`` is the value of a
+    number (``num``), and ``name`` is the name of a symbol (``sym``).
     """
 
     op: str
@@ -118,7 +118,10 @@ def total(terms: list[Expr]) -> Expr:
 
 
 def nodes(e: Expr) -> list[Expr]:
-    """Return the nodes of an expression, each object once and after its arguments; the expression is the last node."""
+    """Return the nodes of an expression, each object once. A node follows its arguments.
+
+    The expression is the last node.
+    """
     found: dict[int, Expr] = {}
     path = [e]
     while path:
@@ -196,7 +199,7 @@ def parse(text: str) -> Expr:
         raise ExpressionError("the formula is nested too deeply", f"at most {MAX_DEPTH} levels are allowed")
     try:
         with warnings.catch_warnings():
-            # Python's warnings about literals do not help the author of a formula
+            # Python's warnings about literals are suppressed, because they do not help the author of a formula
             warnings.simplefilter("ignore")
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -305,7 +308,7 @@ def _power_rule(e: Expr, du: Expr, dv: Expr) -> Expr:
 
 Array = NDArray[np.float64]
 _TINY = 1e-300
-"""Smallest argument of a logarithm [1]. Derived: it avoids the logarithm of zero and is below any other argument."""
+"""Smallest argument of a logarithm [1]. Derived: the logarithm of zero is avoided, and any other argument is larger."""
 
 
 def _log(x: Any) -> Any:
@@ -382,7 +385,7 @@ _SUM = 0
 """Precedence of a sum in a typeset formula [1]. Derived: the lowest precedence, so operands need no brackets in a
 sum."""
 _PRODUCT = 1
-"""Precedence of a product in a typeset formula [1]. Derived: between those of a sum and of a power."""
+"""Precedence of a product in a typeset formula [1]. Derived: between the precedences of a sum and of a power."""
 _ATOM = 2
 """Precedence of an operand that is one symbol or in brackets [1]. Derived: the highest precedence."""
 
@@ -397,7 +400,7 @@ def _symbol(name: str) -> str:
     if name in _LATEX_NAMES:
         return _LATEX_NAMES[name]
     head, _, tail = name.partition("_")
-    if tail and head in _OF_PLACES:  # of a body or joint with its own name
+    if tail and head in _OF_PLACES:  # symbol of a body or joint with its own name
         return rf"{_OF_PLACES[head]}_\mathrm{{{tail}}}"
     head = name.rstrip("0123456789")
     if head and head != name:

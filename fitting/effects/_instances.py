@@ -60,7 +60,7 @@ def law_of_main(pattern: str, mechanism: Mechanism) -> Effect:
 
 
 def counterparts(name: str, mechanism: Mechanism) -> tuple[Effect, ...]:
-    """Return the laws of a mechanism that correspond to a law of a gyroscope in the library.
+    """Return the laws of a mechanism that correspond to one law of the library, which is written for a gyroscope.
 
     The main body corresponds to the casing, every other body to the rotor, and every joint to the bearing.
     """
@@ -89,7 +89,7 @@ def _of_body(mechanism: Mechanism, body: str) -> Iterator[Effect]:
 
 
 def _of_joint(mechanism: Mechanism, joint: Coupling) -> Iterator[Effect]:
-    """Yield the laws of a joint; its first body loads the joint like the rotor loads the bearing."""
+    """Yield the laws of a joint; in load-dependent laws, the first body replaces the rotor."""
     names = {"delta": joint.delta, "tau": joint.tau, "omega_r": speed_of(joint.first)}
     for law in LIBRARY.values():
         if law.joint == "bearing" or (law.joint == "factor" and law.kind == "physical"):
@@ -98,7 +98,10 @@ def _of_joint(mechanism: Mechanism, joint: Coupling) -> Iterator[Effect]:
 
 
 def _written(law: Effect, mechanism: Mechanism, name: str, place: str, names: Mapping[str, str]) -> Effect:
-    """Return a law with other symbols; the names of its states contain the place, so several laws can be fitted."""
+    """Return a law with other symbols.
+
+    The names of its states contain the place, so that copies of a law can be combined.
+    """
     names = {**names, **{s.symbol: f"{s.symbol}_{place}" for s in law.states}}
 
     def state(old: State | None) -> State | None:

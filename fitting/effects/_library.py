@@ -1,8 +1,8 @@
 """The library of physical and measurement effects; one entry for each law.
 
 The drag torque of a disc is proportional to omega^1.5 in laminar flow and to omega^1.8 in turbulent flow (Th. von
-Karman, Z. angew. Math. Mech. 1, 233 (1921)). The drag torque of a thin viscous film is proportional to omega, and that
-of a bluff body to omega^2.
+Karman, Z. angew. Math. Mech. 1, 233 (1921)). The drag torque of a thin viscous film is proportional to omega, and the
+drag torque of a bluff body to omega^2.
 
 D = omega_r - omega_c is the speed of the bearing. Two effects scale the whole bearing torque: the temperature of the
 bearing, which frictional heat raises, and a slow drift.
@@ -144,7 +144,7 @@ BEARING = (
         source="running-in or ageing, first order in time"),
 )
 
-# rate of the strain of a contact that first yields and then slides; in sliding, the strain approaches the Stribeck
+# rate of the strain of a contact that first yields and then slides; while it slides, the strain approaches the Stribeck
 # curve 1 + r exp(-(omega_c/w)^2)
 _BRISTLE = "(omega_c - abs(omega_c)*{z}/(1 + r*exp(-(omega_c/w)**2)))/{s}"
 _SLOW = (0.007, 0.013, 0.033, 0.08, 0.2, 0.6)
@@ -211,7 +211,7 @@ TOUCHPOINT = (
         (
             Parameter("k", "N m", meaning="Coulomb friction"),
             Parameter("s", "1", "shape", 1e-5, 10.0, 0.01, (0.003, 0.03, 0.3),
-                meaning="angle through which the contact yields before it slides [rad]; k/s is its stiffness"),
+                meaning="angle through which the contact yields before it slides [rad]; k/s is a stiffness"),
             _STATIC, _STRIBECK,
             Parameter("T", "s", "shape", 0.0, 1.0, 0.0, (0.0,), scale="length",
                 meaning="ratio of damping to stiffness of the bristles"),
@@ -228,7 +228,7 @@ TOUCHPOINT = (
             Parameter("s", "1", "shape", 1e-5, 10.0, 0.01, (0.003, 0.03),
                 meaning="angle through which the first element yields before it slides [rad]"),
             Parameter("q", "1", "shape", 1.5, 1e3, 10.0, (3.0, 10.0, 30.0),
-                meaning="ratio of the angle of the second element to that of the first"),
+                meaning="angle of the second element, divided by the angle of the first element"),
             _STATIC, _STRIBECK,
         ),
         words="two-element Maxwell-slip friction of the casing",
@@ -359,16 +359,16 @@ SETUP = (
     Effect("setup.inertia", "inertia", "1/(1 + eps)",
         (
             Parameter("eps", "1", lower=-0.3, upper=0.3,
-                meaning="relative amount by which the casing's inertia is too small"),
+                meaning="relative amount by which the given inertia is too small"),
         ),
         kind="measurement",
         words="error of the given inertia of the casing",
-        signature="the torques between the bodies inferred from rotor and casing differ by a constant factor",
+        signature="the bearing torques that follow from rotor and casing differ by a constant factor",
         confused_with=("touchpoint.load", "bearing.heating"),
         source="only ratios of torque to inertia are observable; the bearing torque acts on both bodies"),
 )
 
-# errors of single windows and samples, which the discovery fits by separate methods
+# errors of single windows and samples, which the search for effects fits by separate methods
 START = Effect("camera.start", "camera.rotor", "dt*omega",
     (Parameter("dt", "s", meaning="error of the start of a window"),),
     kind="measurement", words="start errors of the rotor windows",
@@ -449,7 +449,7 @@ def find(name: str) -> Effect:
 
 
 def unknown(name: str, names: Iterable[str], hint: str) -> EffectError:
-    """Return the error for an unknown name, with the closest names, or with a hint if there are none."""
+    """Return the error for an unknown name, with the closest names, or with a hint if no name is close."""
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
     return EffectError(
         f"there is no effect named {name[:60]!r}", f"did you mean {' or '.join(close)}?" if close else hint
@@ -470,7 +470,7 @@ PAPER = MappingProxyType(
     }
 )
 """Typical values of the parameters, used as initial values [SI units]. Source: table 5 of the paper, case 1, the
-reduced model on full data; the origin of a1, c and e, which this model does not contain, is not recorded."""
+reduced model on full data; this model does not contain a1, c and e, and the origin of their values is not recorded."""
 INERTIA_ROTOR = 5.54e-5
 """Moment of inertia of the rotor of the paper [kg m2]. Source: the paper."""
 INERTIA_CASING = 2.06e-5
@@ -480,7 +480,10 @@ _BUDGET = 1e-4
 
 
 def of_the_rotor(effect: Effect) -> Effect | None:
-    """Return the effect of the rotor with the law of an effect of a single body, or None."""
+    """Return the effect of the rotor that has the law of a given effect of a single body.
+
+    None if there is no such effect.
+    """
 
     def law(e: Effect) -> tuple[str, ...]:
         own = {p.symbol: sym(f"p{i}") for i, p in enumerate(e.parameters)}
@@ -495,7 +498,7 @@ def of_the_rotor(effect: Effect) -> Effect | None:
 def typical_values(
     effect: Effect, share: float, *, duration: float, speeds: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return values of the parameters of an effect for which its torque is a given share of the torque budget.
+    """Return values of the parameters of an effect with which its torque is a given share of the torque budget.
 
     `share` is the largest torque at the typical `speeds` omega_r and omega_c [rad/s], divided by the budget of
     1e-4 N m. Time constants follow from the `duration` of the recording [s].
@@ -515,7 +518,7 @@ def typical_values(
 def _typical_strength(
     effect: Effect, values: Mapping[str, float], share: float, duration: float, speeds: Mapping[str, float]
 ) -> float:
-    """Return the strength for which an effect has a given share of the torque budget."""
+    """Return the strength with which the torque of an effect is a given share of the torque budget."""
     if effect.joint == "inertia":
         return share
     delta = speeds["omega_r"] - speeds["omega_c"]
@@ -547,7 +550,7 @@ def typical_of_model(
 ) -> dict[str, float]:
     """Return a value for each parameter of a model: the paper's value if there is one, otherwise a typical value.
 
-    The other arguments have the meanings that they have in `typical_values`.
+    `typical_values` explains the other arguments.
     """
     values: dict[str, float] = {}
     for effect in effects:

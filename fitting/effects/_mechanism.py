@@ -1,8 +1,8 @@
 """The bodies of a case, the joints between them, and the symbols of their motion in laws.
 
 The speed of the body ``wheel`` is omega_wheel and its angle psi_wheel. A joint acts between two bodies: delta_belt is
-the speed of its first body minus that of its second body, and its torque tau_belt drives the second body and brakes the
-first one. In a gyroscope the symbols are omega_r, omega_c, psi_r, psi_c, delta and tau.
+the speed of its first body minus the speed of its second body. Its torque tau_belt drives the second body and brakes
+the first body. In a gyroscope the symbols are omega_r, omega_c, psi_r, psi_c, delta and tau.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ body of a gyroscope."""
 
 
 class Coupling(NamedTuple):
-    """A joint: its torque brakes the first body and drives the second one."""
+    """A joint: its torque brakes the first body and drives the second body."""
 
     name: str
     first: str
@@ -35,7 +35,7 @@ class Coupling(NamedTuple):
 
     @property
     def delta(self) -> str:
-        """The symbol of the speed of the first body relative to the second one."""
+        """The symbol of the speed of the first body relative to the second body."""
         return "delta" if self.name == _BEARING else f"delta_{self.name}"
 
     @property
@@ -112,7 +112,10 @@ class Mechanism:
         return sum(body in {c.first, c.second} for c in self.couplings)
 
     def short_names(self, site: str) -> dict[str, str]:
-        """Return the symbols behind the short names omega, psi and delta at a body or joint; empty for a gyroscope."""
+        """Return the symbols that the short names omega, psi and delta mean at a body or joint.
+
+        Empty for a gyroscope.
+        """
         if self == GYROSCOPE:
             return {}
         joint = self.joints.get(site)

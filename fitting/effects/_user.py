@@ -50,16 +50,16 @@ from fitting.effects._instances import find_law
 from fitting.effects._library import LIBRARY
 from fitting.effects._mechanism import GYROSCOPE, Mechanism, renamed, speed_of
 
-# unit of a strength whose unit cannot be derived, because other units were not given
+# unit of a strength that cannot be derived, because the units of other parameters were not given
 UNKNOWN_UNIT = "SI"
 _COARSE = 5
-"""If a law has other shape constants as well, only every n-th trial changepoint is tried, with this n [1]. Chosen: a
-smaller value costs time; with a larger one, a fit starts far from the optimum."""
+"""If a law has a changepoint and other shape constants, only every n-th trial changepoint is tried; this is n [1].
+Chosen: a smaller value costs time; with a larger one, a fit starts far from the optimum."""
 _GRID_FACTORS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Trial values of a shape constant, divided by its initial value [1]. Chosen: two per decade; with fewer, a fit starts
 far from the optimum; with more, the search takes longer."""
 _EDITS = 2
-"""Largest number of edits by which a name that counts as misspelt differs from a variable [1]. Chosen: a smaller value
+"""A name counts as misspelt if it differs from a variable by at most this number of edits [1]. Chosen: a smaller value
 overlooks misspelt names, a larger one suggests unrelated names."""
 
 
@@ -79,7 +79,7 @@ def formula(
 ) -> Effect:
     """Return an effect from a law.
 
-    Names in the law that are neither variables nor inputs are parameters; `declared` contains the keys of their tables
+    Names in the law that are neither variables nor inputs are parameters. `declared` contains the tables of parameters
     in a file of effects, by symbol. With a `rate`, the law has a state variable `lag` [1/s] with d(lag)/dt = rate, zero
     at the start. `inputs` contains the units of the recorded inputs that the law may contain, by name. An EffectError
     or ExpressionError is raised if the law is not understood, if it has no strength to fit, or if its units do not
@@ -176,7 +176,7 @@ def _refuse_misspelt(
 
 
 def _refuse_product(expression: Expr, undeclared: Sequence[str], inputs: Mapping[str, str]) -> None:
-    """Refuse two parameters that occur only as a product: they are degenerate, and one of them may mean an input."""
+    """Refuse two parameters that occur only as a product: they are degenerate, and one may be meant as an input."""
     for i, first in enumerate(undeclared):
         slope = derivative(expression, first)
         if first in symbols(slope) or substitute(expression, {first: ZERO}) != ZERO:
@@ -225,8 +225,8 @@ def _check(effect: Effect) -> None:
 def _timed(parameters: Sequence[Parameter], expression: Expr) -> tuple[tuple[Parameter, ...], str]:
     """Return the parameters, and the symbol of the changepoint at which the law jumps ("" if there is none).
 
-    A changepoint t0 occurs as t - t0; its trial values cover the whole record. The law jumps at t0 if t0 occurs as
-    heaviside(t - t0) and in no other heaviside.
+    A parameter t0 in a difference t - t0 is a time; its trial values cover the whole record. It is a changepoint, at
+    which the law jumps, if t0 occurs in heaviside(t - t0) and in no other heaviside.
     """
     parts = nodes(expression)
     alone = [p.role for p in parameters].count("shape") == 1
@@ -285,7 +285,10 @@ def _strength(law: str, expression: Expr, candidates: list[str]) -> str:
 
 
 def _is_phase(expression: Expr, symbol: str) -> bool:
-    """Return whether a parameter is a phase: minus the second derivative with respect to a phase is the law itself."""
+    """Return whether a parameter is a phase.
+
+    The second derivative of the law with respect to a phase is minus the law.
+    """
     slope = derivative(derivative(expression, symbol), symbol)
     tape = Tape([expression, slope])
     values = {name: 0.4 + 0.17 * i + np.linspace(0.0, 1.0, 5) for i, name in enumerate(sorted(tape.names))}
@@ -389,7 +392,7 @@ def drives(inputs: Mapping[str, str] | Sequence[Any], mechanism: Mechanism = GYR
 _OF_INPUT = re.compile(r"(?P<joint>[A-Za-z]\w*)\.input\.(?P<driven>\w+)|input\.(?P<delayed>\w+)\.delay")
 _NAME = re.compile(r"^[A-Za-z][A-Za-z0-9_.]{0,60}$")
 _KINDS = {"text": str, "a list": list, "true or false": bool, "a table": dict}
-# keys of a table and the kinds of their values; numbers ("") are checked together with their bounds
+# keys of a table and the kinds of their values; a kind "" is a number, which is checked together with its bounds
 _PARAMETER_KEYS = dict.fromkeys(("lower", "upper", "start"), "") | {
     "unit": "text", "meaning": "text", "grid": "a list", "shape": "true or false"
 }  # fmt: skip
@@ -498,7 +501,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             return tomllib.load(file)
     except OSError as fault:
         raise EffectError(f"{path}: {fault.strerror or fault}") from None
-    except (ValueError, RecursionError) as fault:  # also a number of thousands of digits
+    except (ValueError, RecursionError) as fault:  # a number of thousands of digits also raises a ValueError
         raise EffectError(f"{path} is not a TOML file: {fault}") from None
 
 

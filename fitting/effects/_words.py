@@ -1,7 +1,7 @@
 """Effects in words: the name, the symbol and the key of any effect or parameter.
 
 The library names each law once, for the casing: "quadratic air drag of the casing". A single recorded body has the role
-of the casing; the name of this body then replaces "casing", and "support" replaces "touch point".
+of the casing. The name of this body replaces "casing", and "support" replaces "touch point".
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class EffectName:
     Attributes
     ----------
     key : str
-        The key that commands accept; for a single body without the role: ``air.quadratic``, ``support.constant``.
+        The key that commands accept. Keys of a single body have no role: ``air.quadratic``, ``support.constant``.
     words : str
         The name in words, for example "quadratic air drag of the casing".
     symbol : str
@@ -65,7 +65,7 @@ def effect_name(key: str, body: str = CASING, effects: Iterable[Effect] = ()) ->
     Returns
     -------
     EffectName
-        The words of an unknown key are the key itself, so that other texts among the keys of a list remain unchanged.
+        The words of an unknown key are the key itself, so that texts that are not keys remain unchanged.
 
     Examples
     --------
@@ -103,7 +103,7 @@ def change_name(change: str, body: str = CASING, effects: Iterable[Effect] = ())
 
 
 def of_body(text: str, body: str) -> str:
-    """Return a text about the casing as a text about a single body with the name `body`, which has a support."""
+    """Return a text about the casing as a text about a single body with the name `body` and its support."""
     if body == CASING:
         return text
     text = text.replace("at the touch point", f"of the {body}'s support").replace("touch point", "support")

@@ -2,8 +2,8 @@
 
 Let S be the whitened response of the rows to torques sin(n psi), cos(n psi) of 1 N m, n = 1, 2, and r the whitened
 residual. Both are made orthogonal to the free columns (parameters, phases, the camera's centre offset, tilt, rolling
-shutter and blur). They are also made orthogonal to slow torques of any shape: within the few turns in which the casing
-is slow, any other lack of fit has harmonics as well. Then
+shutter and blur). They are also made orthogonal to slow torques of any shape, because such a torque also has harmonics
+of the angle during the few turns in which the casing is slow. Then
 
     gamma = (S'S)^-1 S'r,   cov(gamma) = (S'S)^-1,   torque(psi) = sum_n gamma_2n-1 sin(n psi) + gamma_2n cos(n psi).
 """
@@ -31,15 +31,15 @@ _ANGLE_POINTS = 73
 """Number of points of a curve over one turn [1]. Chosen: steps of 5 degrees; a smaller number shows corners, a larger
 one makes larger files."""
 _RANK = 1e-6
-"""Singular values, relative to the largest, below which a free direction is rounding error [1]. Chosen: a smaller value
-projects out rounding errors, a larger one leaves a part of the free columns."""
+"""A free direction is rounding error if its singular value, divided by the largest, is below this value [1]. Chosen: a
+smaller value projects out rounding errors; with a larger one, some free columns are not projected out."""
 
 
 @dataclass(frozen=True, repr=False)
 class AngleHarmonics:
     """Harmonics of the unmodelled torque in the angle of the casing of one case."""
 
-    label: str  # case
+    label: str  # label of the case
     gamma: Array  # shape (4,); amplitudes of sin psi, -cos psi, sin 2 psi, -cos 2 psi [N m]
     covariance: Array  # shape (4, 4); their covariance [N2 m2]
     turns: float = math.inf  # turns of the casing in the record
@@ -74,7 +74,7 @@ class AngleHarmonics:
         gamma = self.gamma[part]
         if not self.covariance[part, part].any():
             return 0.0, 0.0
-        # a direction that the free parameters explain has no variance
+        # a direction that the free parameters describe completely has zero variance
         square = float(gamma @ np.linalg.pinv(self.covariance[part, part], hermitian=True) @ gamma)
         return float(np.hypot(*gamma)), float(np.sqrt(square))
 
@@ -93,7 +93,10 @@ class Solved(Protocol):
 
 
 def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
-    """Return the harmonics of each case of a fit, except where speeds do not determine them or the body oscillates."""
+    """Return the harmonics of each case of a fit.
+
+    Cases are omitted if their speeds do not determine the angle, or if the body oscillates.
+    """
     found = []
     cases = zip(fit.problem.cases, fit.problem.projections, fit.predictions, strict=True)
     for index, (case, project, p) in enumerate(cases):
@@ -116,7 +119,7 @@ def angle_harmonics(fit: Solved) -> list[AngleHarmonics]:
         size = np.linalg.norm(rows[:, :-1], axis=0)
         rows = orthogonal_to(basis, rows)
         response, residual = rows[:, :-1], rows[:, -1]
-        # what remains of a torque that is in the model is rounding error
+        # a torque that is already in the model leaves only rounding errors after the projection
         response[:, np.linalg.norm(response, axis=0) < _RANK * size] = 0.0
         turns = float(np.ptp(case.data.measured_angle)) / (2 * math.pi)
         covariance = np.linalg.pinv(response.T @ response, hermitian=True)

@@ -1,7 +1,7 @@
 """Correlated angle noise of a recording, estimated once and used for every fit.
 
-Tracking errors are not white. The measured angle is shifted temporarily if the hub is estimated from neighbouring
-frames, if the camera is hand-held, or by the codec. The angle noise of a run has the covariance
+Tracking errors are not white. The measured angle is shifted temporarily by the codec, by a hand-held camera, or if the
+hub is estimated from neighbouring frames. The angle noise of a run has the covariance
 
     cov[n(t), n(t')] = a^2 exp(-|t - t'| / T),
 
@@ -12,17 +12,17 @@ polynomial in each of a few stretches of time. Projected rows with unit white no
     C = 1 + a^2 (P R P' - f 1) + s^2 K,
 
 where P is the projection, and R is the correlation matrix of the samples. f is the mean of P R P' in the band in which
-the white noise is measured; its subtraction avoids that this part counts twice. K is the covariance of the response to
-a random acceleration of rms 1, and s is the rms of this acceleration. a maximises the likelihood after integration over
-level and correlation time of the process noise; angle noise is included if twice the log-likelihood ratio exceeds
-`Criteria.correlated_noise`. The noise of rows that are slower than T depends only on a^2 T, and the noise of faster
-rows only on a^2 / T. Therefore T is known much less precisely than the noise of the rows. Every fit uses the mean
-covariance over the posterior of a and T, with priors uniform in ln a and ln T; this adds the uncertainty of a and T to
-the uncertainties of all parameters.
+the white noise is measured. It is subtracted, because this part of the noise is already contained in the white noise. K
+is the covariance of the response to a random acceleration of rms 1, and s is the rms of this acceleration. a maximises
+the likelihood after integration over level and correlation time of the process noise; angle noise is included if twice
+the log-likelihood ratio exceeds `Criteria.correlated_noise`. The noise of rows that are slower than T depends only on
+a^2 T, and the noise of faster rows only on a^2 / T. Therefore T is known much less precisely than the noise of the
+rows. Every fit uses the mean covariance over the posterior of a and T, with priors uniform in ln a and ln T; this adds
+the uncertainty of a and T to the uncertainties of all parameters.
 
-In a short record both kinds of noise may fit equally well. Then the deviations are attributed to process noise as long
-as its torque is smaller than the mean torque on the body. A random torque larger than the torque that slows the body is
-not credible; the deviations then count as angle noise.
+In a short record, angle noise and process noise may describe the deviations equally well. The deviations then count as
+process noise if its torque is smaller than the mean torque on the body. A random torque larger than the torque that
+slows the body is not credible; the deviations then count as angle noise.
 
 If a block contains few turns, errors that are periodic in the angle affect its rows. A displaced hub and a tilted
 camera cause harmonics of constant amplitude, which are nuisance functions of every fit. If the camera or the hub moves
@@ -30,8 +30,8 @@ slowly, the amplitude of the harmonics varies,
 
     cov[n(t), n(t')] = b^2 cos(psi - psi') exp(-|t - t'| / T).
 
-The same likelihood decides whether these harmonics are included, instead of the noise above or in addition to it. In
-blocks of many turns, harmonics are orthogonal to the polynomials.
+The same likelihood decides whether these harmonics are included: not at all, instead of the noise above, or in addition
+to it. In blocks of many turns, harmonics are orthogonal to the polynomials.
 
 The noise of all windows of the rotor is estimated together, with a single pair (a, T) and with the process noise of the
 casing.
@@ -60,12 +60,12 @@ from fitting.inference._process_noise import (
 Array = NDArray[np.float64]
 
 _UNLIKELY = 0.25
-"""A finer search follows if the gain of a coarse search, or the sum of the gains of both kinds of noise, exceeds this
-share of `Criteria.correlated_noise` [1]. Chosen: a smaller value costs time, a larger one may omit noise that the fine
-search would find."""
+"""A finer search follows if the gain in likelihood of a coarse search exceeds this share of
+`Criteria.correlated_noise`; for two kinds of noise, the sum of their gains counts [1]. Chosen: a smaller value costs
+time, a larger one may omit noise that the fine search would find."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
-"""Trial correlation times [lengths of a block]. Chosen: noise of shorter times is white for the rows, noise of longer
-times is part of the polynomials."""
+"""Trial correlation times [lengths of a block]. Chosen: noise with a shorter time is white for the rows, noise with a
+longer time is absorbed by the polynomials."""
 _LEVELS = np.geomspace(0.3, 300.0, 13)
 """Trial levels, in units of the white noise of the rows [1]. Chosen: lower levels change nothing, higher levels do not
 occur; a coarser grid rounds the most likely level."""
@@ -76,8 +76,8 @@ _HALF_WIDTH = 0.3
 """Half width of the parabola through the likelihood at its maximum, in the logarithm of the level [1]. Chosen: a
 smaller value is sensitive to rounding errors, a larger one to the asymmetry of the likelihood."""
 _FEWEST_BLOCKS = 4
-"""Smallest number of blocks of a stretch, in which the motion is a cubic [1]. Chosen: a smaller number gives too few
-rows to separate motion and noise, a larger one refuses short records."""
+"""Smallest number of blocks of a stretch; in a stretch the motion is described by a cubic [1]. Chosen: a smaller number
+gives too few rows to separate motion and noise, a larger one refuses short records."""
 _TORQUE_TIMES = (0.1, 0.3, 1.0)
 """Trial correlation times of the process noise [lengths of a block]. Chosen: a smaller number takes process noise for
 angle noise, a larger one costs time."""
@@ -85,15 +85,16 @@ _FINER = 16
 """Number of points of the finer grid per interval of the coarse grid [1]. Chosen: a smaller number makes the posterior
 mean coarse, a larger one costs time."""
 _NEGLIGIBLE = 0.01
-"""Variance of a stated error, in units of the white noise of a row, below which it is neglected [1]. Chosen: 1 % of the
-variance; a smaller value costs time, a larger one understates uncertainties."""
+"""A stated error is neglected if its variance, in units of the variance of the white noise of a row, is below this
+value [1]. Chosen: 1 % of the variance; a smaller value costs time, a larger one understates uncertainties."""
 _LARGEST_RELATIVE_U = 0.7
 """Upper limit of the standard deviation of the logarithm of a level; it applies if the data hardly determine the level
 [1]. Chosen: a factor of two; a smaller value understates the uncertainty, a larger one lets improbable high levels
 dominate the mean."""
 TURNS_PER_BLOCK = 3.0
 """Noise periodic in the angle affects the rows of a block if the block contains at most this number of turns [1].
-Chosen: in longer blocks it is orthogonal to the polynomials; a smaller value neglects it, a larger one costs time."""
+Chosen: in blocks with more turns this noise is orthogonal to the polynomials; a smaller value neglects it, a larger one
+costs time."""
 _PERIODIC_TIMES = 5
 """Number of trial correlation times of noise periodic in the angle [1]. Chosen: a smaller number passes over the
 maximum of the likelihood, a larger one costs time."""
@@ -104,12 +105,12 @@ _ALL_BINS = 1500
 """Number of groups of samples in all blocks together, for noise periodic in the angle [1]. Chosen: a smaller number
 blurs a turn in few blocks, a larger one costs time and memory."""
 _LOWER_LEVELS = (0.1, 0.2, 0.4, 0.8)
-"""Trial levels of the exponential noise if periodic noise is included as well, divided by its most likely level without
-periodic noise [1]. Chosen: two kinds share the variance, so each level is lower; a smaller number passes over the
-maximum, a larger one costs time."""
+"""Trial levels of the noise with an exponential correlation if periodic noise is included as well, divided by the most
+likely level without periodic noise [1]. Chosen: two kinds of noise share the variance, so each level is lower; a
+smaller number passes over the maximum, a larger one costs time."""
 _NEAR_LEVELS = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Trial levels of the periodic noise if exponential noise is included as well, divided by its most likely level without
-exponential noise [1]. Chosen: a smaller number passes over the maximum, a larger one costs time."""
+"""Trial levels of the periodic noise if noise with an exponential correlation is included as well, divided by the most
+likely level without the latter [1]. Chosen: a smaller number passes over the maximum, a larger one costs time."""
 
 
 @dataclass(frozen=True)
@@ -120,12 +121,12 @@ class AngleNoise:
     sigma: float = 0.0
     sigma_u: float = 0.0
     time: float = 0.0  # correlation time T [s]
-    # standard deviation b of the part periodic in the angle, and its standard uncertainty [rad]; 0 if not
-    # significant
+    # standard deviation b of the noise that is periodic in the angle, and its standard uncertainty [rad]; 0 if it is
+    # not significant
     turn_sigma: float = 0.0
     turn_sigma_u: float = 0.0
-    turn_time: float = 0.0  # correlation time of the amplitude of this part [s]
-    gain: float = 0.0  # twice the logarithm of the likelihood ratio of this noise against white noise
+    turn_time: float = 0.0  # correlation time of the amplitude of the periodic noise [s]
+    gain: float = 0.0  # twice the logarithm of the likelihood ratio of correlated noise against white noise
     needed: float = DEFAULT.correlated_noise  # smallest significant gain
     # shape (rows, rows); C^(1/2) and C^(-1/2) of the polynomial rows, or empty for white noise
     root: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
@@ -133,7 +134,7 @@ class AngleNoise:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the data show this noise, instead of only not excluding it."""
+        """Whether the data show correlated noise; noise that they merely do not exclude does not count."""
         return self.gain >= self.needed and not self.is_white
 
     @property
@@ -225,7 +226,7 @@ def estimate_angle_noise(run: Compressed, nuisance: Array, criteria: Criteria = 
     if exponential.gain < least:
         return AngleNoise(gain=exponential.gain)
     fine, levels, relative_u, weights = _fine_posterior(exponential)
-    # mean of the square of a log-normal level
+    # the square of the level is averaged over a log-normal distribution
     squares = levels**2 * np.exp(2 * relative_u**2)
     shares = np.stack([np.interp(np.log(fine), np.log(times), row) for row in np.eye(len(times))])
     total = np.eye(len(covariances[0]))
@@ -249,7 +250,7 @@ class _Peak(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """Angle noise of one kind: correlation times [s], covariances of the rows, the most likely level of each."""
+    """Angle noise of one kind: correlation times [s]; at each time, covariance of the rows and likeliest level."""
 
     times: Array
     covariances: list[Array]
@@ -301,7 +302,8 @@ HARMONICS = range(3, 13)
 [1]. Derived: the nuisance functions describe the first two orders; tracking states errors of up to 12 periods per
 turn."""
 _NEGLIGIBLE_ROWS = 0.1
-"""Norm of a column below which it is neglected [1]. Derived: it adds less than 0.1^2, 1 %, to the variance of a row."""
+"""A column is neglected if its norm is below this value [1]. Derived: it adds less than 0.1^2, 1 %, to the variance of
+a row."""
 
 
 def stated_error_rows(
@@ -314,15 +316,15 @@ def stated_error_rows(
 ) -> Array:
     """Return B, (rows, columns); B B' is the covariance of the polynomial rows due to stated errors of the angle.
 
-    One error is an Ornstein-Uhlenbeck process of standard deviation `sigma` [rad] and correlation time `time` [s]; its
-    mean is the zero of the angle, which is free. With a `profile` of times [s] and standard deviations [rad], its
-    standard deviation changes (see `profile_at`).
+    One error is an Ornstein-Uhlenbeck process of standard deviation `sigma` [rad] and correlation time `time` [s]. Its
+    mean is not an error, because the zero of the angle is free. With a `profile` of times [s] and standard deviations
+    [rad], the standard deviation of this error varies in time (see `profile_at`).
 
     The other errors are harmonics of the angle. Harmonics of orders 1 and 2 have amplitudes of standard deviation
     `periodic` [rad], independent in each block of few turns. In blocks of more turns, they are orthogonal to the
     polynomials (see `stated_harmonic_scale`). Harmonics of orders 3 to 12 have amplitudes of standard deviation
-    `harmonic` [rad], independent in each block. They count because frames alias them to slow errors if the order times
-    the rate of rotation is close to a multiple of the frame rate.
+    `harmonic` [rad], independent in each block. They matter because sampling by frames aliases them to slow errors if
+    the order times the rate of rotation is close to a multiple of the frame rate.
     """
     found = [np.zeros((len(run.z), 0))]
     if sigma > 0 and time > 0:
@@ -393,7 +395,7 @@ def _with_periodic_part(
     best = 2 * float(log.max())
     if best - needed * (int(np.argmax(log)) >= len(alone)) <= exponential.gain:
         return None
-    # both kinds together have the same prior probability as one kind
+    # the combination of both kinds has the same prior probability as each single kind
     weights = np.exp(log - log.max()) / np.repeat([len(alone), len(both)], [len(alone), len(both)])
     weights /= weights.sum()
     total = np.eye(len(points[0][2]))
@@ -494,7 +496,7 @@ _FEWEST_IN_GROUP = 4
 short correlations."""
 _FEWEST_GROUPS = 40
 """Smallest number of groups in all windows together from which angle noise is estimated [1]. Chosen: a smaller number
-does not determine a level, a larger one leaves short windows without a level."""
+does not determine a level; with a larger one, no level is estimated in short windows."""
 _WINDOW_TIMES = 15
 """Number of trial correlation times in the windows [1]. Chosen: a smaller number makes the posterior mean coarse, a
 larger one costs time."""
@@ -502,14 +504,14 @@ _SHORTEST = 64.0
 """Length of a block divided by the shortest correlation time in the windows [1]. Chosen: shorter correlations are white
 for the rows; a larger value costs time, a smaller one overlooks fast noise."""
 _LONGEST = 3.0
-"""Length of a block divided by the longest correlation time in the windows [1]. Chosen: slower noise is a polynomial; a
-smaller value estimates noise that the rows do not contain, a larger one overlooks slow noise."""
+"""Length of a block divided by the longest correlation time in the windows [1]. Chosen: slower noise is absorbed by the
+polynomial; a smaller value estimates noise that the rows do not contain, a larger one overlooks slow noise."""
 _RATIOS = np.geomspace(1e-3, 1e6, 91)
 """Variances of angle noise divided by the variance of the white noise of a group [1]. Chosen: lower ratios change
 nothing, higher ratios do not occur; a coarser grid rounds the posterior mean."""
 _NEGLIGIBLE_SHARE = 1e-4
-"""Share of the total posterior weight below which a correlation time is omitted [1]. Derived: four digits of the
-covariance remain."""
+"""A correlation time is omitted if its share of the total posterior weight is below this value [1]. Derived: the
+covariance keeps four correct digits."""
 _RANK = 1e-7
 """Relative singular value below which a direction is rounding error [1]. Chosen: a smaller value counts rounding errors
 as motion, a larger one takes motion for noise."""
@@ -519,8 +521,8 @@ distribution."""
 _THIRD_DIFFERENCE = 20.0
 """Variance of the third difference of white noise of variance 1 [1]. Derived: 1 + 9 + 9 + 1."""
 _TINY = 1e-300
-"""Smallest variance that is used as a divisor [rad2]. Derived: it avoids a division by zero and is below any other
-variance."""
+"""Smallest variance that is used as a divisor [rad2]. Derived: a division by zero is avoided, and any other variance is
+larger."""
 
 
 def estimate_window_noise(
@@ -528,7 +530,7 @@ def estimate_window_noise(
 ) -> AngleNoise:
     """Estimate the correlated angle noise that all windows of the rotor have in common.
 
-    As for the process noise, no test decides whether there is angle noise: in a few windows of some seconds, a test
+    As for the process noise, no test decides whether there is angle noise. In a few windows of a few seconds, a test
     would overlook noise that doubles the errors of the speeds. The posterior distribution includes levels far below the
     white noise, so the mean covariance adds little if the data show no angle noise.
 

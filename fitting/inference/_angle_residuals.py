@@ -2,10 +2,10 @@
 
 The rows of a block are the projections of the measured angles on polynomials, minus the projections of the modelled
 angles. Nuisance parameters are the zero of the angle in each series of samples, the errors of the starts of the
-windows, and camera effects. Generalised least squares removes their contributions from the rows. The polynomial with
-the remaining rows as coefficients is the residual of the angle within the block. It does not contain the noise that is
-orthogonal to the polynomials. Its uncertainty follows from the covariance of the rows, as for the residual speeds
-(`_speed_residuals`).
+windows, and camera effects. Generalised least squares removes their contributions from the rows. The remaining rows are
+the coefficients of a polynomial, which is the residual of the angle within the block. It does not contain the noise
+that is orthogonal to the polynomials. Its uncertainty follows from the covariance of the rows, as for the residual
+speeds (`_speed_residuals`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ polynomial, a larger one makes larger files."""
 
 @dataclass(frozen=True)
 class AngleResidual:
-    """Measured minus modelled angle of one series of samples: that of the casing, or of one rotor window.
+    """Measured minus modelled angle of one series of samples: the samples of the casing, or of one rotor window.
 
     All arrays have shape (n,).
 
@@ -58,7 +58,7 @@ def angle_residuals(fit: Fitted, case: int) -> tuple[AngleResidual, ...]:
     Parameters
     ----------
     fit : Fit
-        The fit. The clock errors, zeros of the angle and camera effects that it estimated belong to the modelled angle.
+        The fit. Its estimates of clock errors, zeros of the angle and camera effects are part of the modelled angle.
     case : int
         Index of the case.
 

@@ -8,7 +8,7 @@ Mitropolsky, Asymptotic Methods in the Theory of Non-Linear Oscillations, 1961)
 
 Both equations are linear in the strengths of the laws. Therefore their integrals along the measured amplitude are
 fitted to the measured amplitudes and phases by linear least squares. The phases of the whole record determine the
-frequency so accurately that a search from these values does not slip by whole periods.
+frequency accurately. A search from these values is therefore never wrong by whole periods.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _ANGLES = 2 * np.pi * (np.arange(128) + 0.5) / 128
 """Phases of a period at which laws are averaged [rad]. Chosen: 128 equal steps; a smaller number blurs the jump of dry
 friction, a larger one costs time."""
 _STEPS = 3
-"""Number of passes of the linear fit [1]. Chosen: the equations are linear about the strengths found before; a smaller
-number leaves the second order, a larger one costs time."""
+"""Number of passes of the linear fit [1]. Chosen: each pass linearises the equations about the strengths of the
+previous pass; with fewer passes, an error of second order remains; more passes cost time."""
 _DEGREE = 5
 """Degree of the polynomial between averaged points [1]. Chosen: a smaller value blurs the decay, a larger one
 oscillates at the ends."""
@@ -41,9 +41,9 @@ _NEGLIGIBLE = 1e-6
 """Smallest ratio of the averages of a torque to its harmonics; below it, the averages count as zero [1]. Chosen: a
 smaller value fits rounding errors, a larger one drops weak laws."""
 LARGEST_PHASE_ERROR = 0.7
-"""A search over the whole record does not slip by a period if the rms error of the phase is at most this value [rad].
-Chosen: well below half a period; a larger value starts searches at a wrong period, a smaller one refuses usable initial
-values."""
+"""If the rms error of the phase is at most this value, a search over the whole record does not converge to a motion
+that is wrong by a period [rad]. Chosen: well below half a period; a larger value starts searches at a wrong period, a
+smaller one refuses usable initial values."""
 
 
 class Averaged(NamedTuple):
@@ -51,8 +51,8 @@ class Averaged(NamedTuple):
 
     theta: Array  # shape (variables,); values of all variables
     phase_error: float  # largest rms error of the phase [rad]
-    # for each case, the strengths, and their columns and the residuals in units of the errors; rows of the amplitudes
-    # come first, then rows of the phases
+    # for each case, the strengths, their columns and the residuals; both in units of the errors, first rows of
+    # amplitudes, then of phases
     rows: tuple[tuple[list[str], Array, Array], ...]
     scales: tuple[Array, ...]  # for each case, the errors of amplitudes and phases [rad]
 
@@ -68,9 +68,9 @@ def averaged(
     """Fit the averaged equations of motion to the amplitudes and phases; None if a case has too few periods.
 
     `linear` selects the parameters in which the equations are linear. `regress` fits the strengths of all cases within
-    their bounds. `errors` are `Averaged.scales` of another model; they make both models comparable. By default, the
-    errors follow from the residuals. A phase error above `LARGEST_PHASE_ERROR` shows that a law does not describe the
-    frequency, or that the amplitude is so large that higher harmonics change it.
+    their bounds. `errors` are `Averaged.scales` of another model; with the same errors, both models are comparable. By
+    default, the errors follow from the residuals. A phase error above `LARGEST_PHASE_ERROR` shows that a law does not
+    describe the frequency, or that the amplitude is so large that higher harmonics change it.
     """
     theta = theta.copy()
     found = [d.motion.slow_motion for d in data]

@@ -2,9 +2,9 @@
 
 About its optimum, a fit is linear in its data. Let P W (m - z) be the whitened residuals, where W whitens the noise and
 P projects the nuisance parameters out, and let J be their Jacobian. With G = (J'J)^-1 J' P W, each source of noise with
-the covariance V_i contributes G V_i G'. A nuisance parameter that is fitted to the same data contributes the increase
-of the variance that its freedom causes (type A). These contributions add up to the square of the standard error of the
-fit.
+the covariance V_i contributes G V_i G'. A nuisance parameter that is fitted to the same data contributes the difference
+of the variances with and without this parameter (type A). These contributions add up to the square of the standard
+error of the fit.
 
 A relative rate error eps of the clock changes the rows of the model by eps dm/d(eps), and the parameters by -eps G
 dm/d(eps) (type B). The same holds for a relative error eps of the scale of a sensor of angular velocity, which reads
@@ -50,10 +50,10 @@ _WEIGHTS = (1 / 6, 2 / 3, 1 / 6)
 """Weights of a quadrature rule for a normal distribution [1]. Derived: the Gauss-Hermite rule of three nodes."""
 _RANK = 1e-7
 """Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
-rounding errors, a larger one leaves a part of the nuisance columns."""
+rounding errors; with a larger one, some nuisance columns are not projected out."""
 _ROUNDING = 1e-12
-"""Share of the total below which a contribution is rounding error [1]. Chosen: a smaller value lists contributions that
-are zero, a larger one hides small contributions."""
+"""A contribution is rounding error if its share of the total is below this value [1]. Chosen: a smaller value lists
+contributions that are zero, a larger one hides small contributions."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ class _Linearised:
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
         r, _ = fit.problem.residuals(fit.predictions)
-        # the level of the process noise is chosen as for the standard errors
+        # the level of the process noise is the level used for the standard errors
         self.noise = [n.with_unresolved for n in fit.noise]
         self.problem = fit.problem.with_noise(self.noise)
         _, j = self.problem.residuals(fit.predictions)
@@ -252,7 +252,7 @@ class _Linearised:
         self.covariance = covariance_of(j, self.free)
 
     def _projected(self, nuisances: int) -> tuple[Array, list[Array]]:
-        """Return the covariance with the first camera effects free, and P W J of each case."""
+        """Return the covariance if only the first `nuisances` camera effects are free, and P W J of each case."""
         blocks = []
         cases = zip(self.fit.problem.data, self.noise, self.fit.predictions, strict=True)
         for data, noise, prediction in cases:
@@ -304,8 +304,8 @@ class _Linearised:
 def _inertias(fit: Fit) -> Iterator[tuple[str, str, float, float]]:
     """Yield the moments of inertia of known uncertainty: source, body, value and uncertainty [kg m2].
 
-    If the ratio of both moments of inertia is a parameter with a prior, its uncertainty is part of the standard errors;
-    only the moment of inertia of the rotor, which scales both, is then yielded.
+    If the ratio of both moments of inertia is a parameter with a prior, its uncertainty is part of the standard errors.
+    Then only the moment of inertia of the rotor is yielded, which scales both.
     """
     records = fit.problem.layout.records
     parts = [b.part for b in reversed(records[0].bodies)]
@@ -325,7 +325,8 @@ def _ratio_has_prior(fit: Fit) -> bool:
 def _inertia_contributions(fit: Fit) -> dict[str, tuple[Array, Array | None]]:
     """Return the standard uncertainty of all variables due to each moment of inertia, and their mean slope."""
     inputs = list(_inertias(fit))
-    # up to two inputs are propagated jointly; more inputs, for example of several instruments, one by one
+    # up to two inputs are propagated jointly; more than two, for example of several instruments, are propagated one by
+    # one
     groups = [inputs] if len(inputs) < 3 else [[i] for i in inputs]
     found: dict[str, tuple[Array, Array | None]] = {}
     for group in groups:
@@ -389,7 +390,7 @@ def _clock_rows(data: CaseData, prediction: Prediction) -> Array:
     def change(t: Array, omega: Array) -> Array:
         if data.is_angle:
             return (t - start) * omega
-        # gradients of angles are proportional to the clock rate
+        # speeds that are gradients of angles are proportional to the clock rate
         scaled = omega if data.record.gradients else 0.0
         return (t - start) * np.gradient(omega, t) + scaled
 
@@ -402,7 +403,10 @@ def _speed_rows(data: CaseData, prediction: Prediction) -> Array:
 
 
 def _changed_rows(data: CaseData, prediction: Prediction, of: Callable[[Array, Array], Array]) -> Array:
-    """Return the rows of a change of the samples, a function of their times and of the speed of their body."""
+    """Return the rows of a change of the samples.
+
+    The change is a function of the times and of the speed of the body.
+    """
     path = prediction.path
 
     def change(run: Compressed, state: int) -> Array:

@@ -1,4 +1,4 @@
-"""A case as Python users write it: bodies by their names, each with arrays; and the names of its parameters.
+"""A case as Python users write it, with the arrays of each body by its name, and the names of its parameters.
 
 The library contains laws of a casing and its touch point. A single body has its own name, for example wheel. Its laws
 are then called ``wheel.air.quadratic``, which is ``casing.air.quadratic`` of the library, and
@@ -130,7 +130,7 @@ class Case:
             Recorded inputs on which torques may depend: ``{"current": {"t": t, "value": i, "unit": "A"}}``.
         joints : mapping of str to (str, str), optional
             The joints of several bodies: ``{"belt": ("motor", "drum")}``. The speed of a joint is the speed of its
-            first body minus the speed of its second body; its torque drives the second body and brakes the first one.
+            first body minus the speed of its second body; its torque drives the second body and brakes the first body.
         **bodies : mapping of arrays
             One body by its name, ``casing`` and ``rotor`` of a gyroscope, or several bodies with `joints`. Of several
             bodies, only the first may come to rest and reverse; the others turn in one sense. Each body has times ``t``
@@ -139,8 +139,8 @@ class Case:
             torques on a single body are per unit of inertia [rad/s2]; several bodies need all inertias. The rotor, and
             each body of a chain but the first, may have several such mappings, one for each window in which it was
             measured. ``modes`` are errors that samples share, by name: ``{"tilt": {"basis": b, "covariance": c}}`` with
-            a row of `b` for each sample (see `fitting.ErrorMode`), and optionally the name of a ``group`` whose
-            amplitudes several series share, and an ``origin``.
+            a row of `b` for each sample (see `fitting.ErrorMode`). Optional entries are the name of a ``group`` of
+            modes with the same amplitudes, and an ``origin``.
 
         Returns
         -------
@@ -249,8 +249,8 @@ class Case:
         Parameters
         ----------
         *effects : str
-            Names of laws (``"support.constant"``, ``"wheel.air.quadratic"``) or formulas (``"wheel: -k*omega**3"``),
-            also several joined by " + "; or the name of one of the paper's models.
+            Names of laws (``"support.constant"``, ``"wheel.air.quadratic"``) or formulas (``"wheel: -k*omega**3"``); a
+            string may contain several, joined by " + ". The name of one of the paper's models is also accepted.
 
         Raises
         ------
@@ -274,7 +274,7 @@ def model_of(effects: str | Sequence[str], record: Record) -> Model:
         )
     if len(names) == 1 and names[0] in NAMED:
         return Model.of(names[0], record.mechanism).of_bodies(record.parts)
-    # a plus within a formula belongs to it
+    # a plus sign within a formula is a part of the formula
     names = [n for e in names for n in ([e] if ":" in e else e.split("+"))]
     known = (inward(n.strip(), record.name) for n in names)
     return Model(tuple(resolve(n, record.inputs, record.mechanism) for n in known))

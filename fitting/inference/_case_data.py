@@ -72,7 +72,10 @@ from fitting.inference._spectral_lines import (
 
 @dataclass(frozen=True)
 class StartTimeNoise:
-    """Whitens the rows of rotor windows with uncertain starts; `parts` are rows, unit vector u and |s c| by window."""
+    """Whitens the rows of rotor windows with uncertain starts.
+
+    `parts` contain, for each window, its rows, the unit vector u and |s c|.
+    """
 
     parts: tuple[tuple[slice, Array, float], ...]
 
@@ -125,7 +128,7 @@ def start_response(window: Compressed, *, angle: bool) -> Array:
 
 def rate_of_change(samples: Samples, times: Array, *, degree: int) -> Array:
     """Return the derivative at times of a polynomial fitted to samples; few samples reduce its degree."""
-    # a polynomial through all samples would follow their noise
+    # with as many coefficients as samples, the polynomial would follow the noise
     degree = min(degree, (len(samples) - 1) // 2)
     if degree < 1:
         return np.zeros(len(times))
@@ -141,20 +144,21 @@ _GENERATED_BLOCKS = 20
 """Number of blocks of a generated curve [1]. Chosen: the curve is smooth; a smaller number does not resolve its start,
 a larger one costs time."""
 _SHORT_WINDOW = 0.25
-"""Share of the casing's record below which a window of the rotor is one block [1]. Chosen: the rotor hardly slows down
-within such a window; a smaller value divides windows needlessly, a larger one averages changing speeds."""
+"""A window of the rotor is a single block if its length, as a share of the casing's record, is below this value [1].
+Chosen: the rotor hardly slows down within such a window; a smaller value divides windows needlessly, a larger one
+averages changing speeds."""
 _WINDOW_BLOCKS = 20
 """Number of blocks of a window of the rotor, if the window is as long as the record of the casing [1]. Chosen: a
-smaller number does not resolve the deceleration, a larger one leaves few samples for each block."""
+smaller number does not resolve the deceleration; with a larger one, each block has few samples."""
 _WINDOW_ROWS = 8
-"""Smallest number of rows of a rotor window for estimating correlated noise [rows]. Chosen: a smaller number does not
-separate motion and noise, a larger one leaves short windows without an estimate."""
+"""Smallest number of rows of a rotor window from which correlated noise is estimated [rows]. Chosen: a smaller number
+does not separate motion and noise; with a larger one, short windows have no estimate."""
 _PERIOD_SAMPLES = 24
-"""Smallest number of samples of a block of an oscillation [samples]. Chosen: a smaller number leaves no samples for the
-noise, a larger one gives blocks of several periods at low frame rates."""
+"""Smallest number of samples of a block of an oscillation [samples]. Chosen: with a smaller number, no samples remain
+for the noise; a larger one gives blocks of several periods at low frame rates."""
 _DRIVEN_POINTS = 1000
-"""Largest number of approximate speeds of a driven body [1]. Chosen: with fewer, the response to the input is blurred;
-with more, each speed is noisy."""
+"""Largest number of approximate speeds that are computed for a driven body, as initial values [1]. Chosen: with fewer,
+the response to the input is blurred; with more, each speed is noisy."""
 _DRIVEN_SAMPLES = 6
 """Smallest number of samples from which one approximate speed of a driven body is computed [samples]. Chosen: with
 fewer, each speed is noisy; with more, the response to the input is blurred."""
@@ -165,11 +169,12 @@ _INDEPENDENT = 1e-6
 """Smallest relative singular value of independent responses to inputs [1]. Chosen: a smaller value keeps rounding
 errors, a larger one drops weak responses."""
 SPEED_BLOCKS = 30
-"""Number of blocks of a record of smoothed speeds [1]. Chosen: the blocks are long compared with the smoothing; with
-more, they contain correlated noise; with fewer, they do not resolve the motion."""
+"""Number of blocks of a record of smoothed speeds [1]. Chosen: blocks must be long compared with the smoothing; with
+more blocks, their noise is correlated; with fewer, they do not resolve the motion."""
 SPEED_NOISE_ROWS = 28
 """Number of further polynomials of a block of speeds, which measure the noise [1]. Chosen: twice the number for angles,
-so that the rows of a window resolve the smoothing; a smaller number understates the noise, a larger one costs time."""
+because the rows must resolve the smoothing of the speeds; a smaller number understates the noise, a larger one costs
+time."""
 
 
 class Block(NamedTuple):
@@ -183,8 +188,8 @@ class Block(NamedTuple):
 class OscillationBlocks(NamedTuple):
     """The blocks of records with at most `periods` periods.
 
-    Over a block of half width h [rad], cos(x) is almost a polynomial of a degree slightly above h, because the Bessel
-    functions J_n(h), its coefficients, fall steeply beyond n = h. In short records the model includes the third
+    Over a block of half width h [rad], cos(x) is almost a polynomial of a degree slightly above h. Its coefficients are
+    the Bessel functions J_n(h), which fall steeply beyond n = h. In short records the model includes the third
     harmonic, in long records only the fundamental; in both cases the noise is measured beyond the third harmonic.
     """
 
@@ -211,7 +216,7 @@ def blocks_of_window(window: Samples, casing: Samples) -> int:
 
 
 def _beyond_noise(modes: Array, samples: Samples) -> Array:
-    """Return the directions of error modes at one standard deviation that exceed the white noise of all samples."""
+    """Return the combinations of error modes that exceed the white noise of all samples at one standard deviation."""
     u, s, _ = np.linalg.svd(modes / samples.sigma[:, None], full_matrices=False)
     return np.asarray(u[:, s > 1.0] * samples.sigma[:, None])
 
@@ -220,7 +225,7 @@ def _beyond_noise(modes: Array, samples: Samples) -> Array:
 class CaseData:
     """A record, projected once and used for every model.
 
-    `rotor` are the windows of the rotor, and in a chain the runs of all bodies but the main one (see `Record`).
+    `rotor` are the windows of the rotor or, in a chain, the runs of all bodies except the main body (see `Record`).
     `noiseless` states that the values were computed for a planned run: no noise is estimated from them. `free_inertia`
     states that the ratio of the moments of inertia is a parameter of the model, with a prior from their stated
     uncertainties. `slips` are slips of whole turns in the measured angles; record and rows contain the corrected
@@ -298,7 +303,7 @@ class CaseData:
         return replace(made, noiseless=self.noiseless, free_inertia=self.free_inertia)
 
     def has_noise_of(self, criteria: Criteria) -> bool:
-        """Return whether other criteria leave the noise of this recording unchanged (`NOISE`)."""
+        """Return whether the noise of this recording is the same with other criteria (see `NOISE`)."""
         return all(getattr(criteria, name) == getattr(self.criteria, name) for name in NOISE)
 
     def with_start_u(self, u: float) -> CaseData:
@@ -338,7 +343,7 @@ class CaseData:
                 yield i, self.with_white_angles(rows)
 
     def with_prior(self, prior: Prior | None) -> CaseData:
-        """Return the same data with this prior."""
+        """Return the same data with this prior of the parameters."""
         if prior == self.record.prior:
             return self
         return self._of_same_samples(record=replace(self.record, prior=prior))
@@ -362,8 +367,8 @@ class CaseData:
     def measured_angle(self) -> Array | None:
         """The angle of the casing [rad], measured or integrated; None if the speeds do not determine the angle.
 
-        The error of an integrated angle is a random walk. It is far smaller than the error of the modelled angle if the
-        model has a lack of fit.
+        The error of an integrated angle is a random walk. If the model has a lack of fit, this error is far smaller
+        than the error of the modelled angle.
         """
         return _turning_angle(self.record) if self.is_angle or self.motion.is_smooth else None
 
@@ -422,7 +427,7 @@ class CaseData:
 
     @cached_property
     def harmonic_row_responses(self) -> tuple[Array, Array]:
-        """For each row of a harmonic: integral of its squared response to an acceleration, and frequency [rad/s].
+        """For each row of a harmonic: integral of the squared response to an acceleration, and frequency [rad/s].
 
         A random acceleration of the spectral density S, constant near this frequency, gives the row the variance S
         times the integral. In a block with few turns, the correlation with the polynomial rows is neglected; its
@@ -435,7 +440,8 @@ class CaseData:
         k = self.casing.lift.shape[1]
         for where, operator in self.casing.operators:
             t, rows = self.casing.samples.time[where], operator[k:]
-            # the speed is the integral of the earlier acceleration; the response of the angle increases with time
+            # after an impulse of acceleration, the change of the speed is constant, and the change of the angle
+            # increases with time
             later = np.cumsum(rows[:, ::-1], axis=1)[:, ::-1]
             if self.is_angle:
                 later = np.cumsum((rows * (t - t[0]))[:, ::-1], axis=1)[:, ::-1] - later * (t - t[0])
@@ -584,7 +590,7 @@ class CaseData:
             or min(len(w.z) for w in self.rotor) < _WINDOW_ROWS
         ):
             return AngleNoise()
-        # the rotor has only the random torques of its joints; a random torque of the ground acts on the casing as well
+        # random torques act on the rotor only in its joints, but on the casing also from the ground
         mechanism, process = record.mechanism, self.process_noise
         torques = math.sqrt(1 + mechanism.joints_of(mechanism.main))
         levels = {
@@ -621,8 +627,8 @@ class CaseData:
     def spectral_lines(self) -> tuple[SpectralLine, ...]:
         """Sinusoidal torques that are not treated as noise; none for an oscillation.
 
-        A camera may have systematic errors at some frequencies. On film, a line smaller than the noise of one angle is
-        therefore treated as noise.
+        A camera may have systematic errors at some frequencies. Therefore a line in filmed angles that is smaller than
+        the noise of one angle is treated as noise.
         """
         if not self.motion.is_smooth:
             return ()
@@ -671,7 +677,10 @@ class CaseData:
         return np.concatenate(rows, axis=1)
 
     def whitened(self, rows: Array) -> Array:
-        """Return rows with unit white measurement noise, from rows in units of the white noise of the frames."""
+        """Return rows with white measurement noise of variance 1.
+
+        The given rows are in units of the white noise of the frames.
+        """
         return self.with_white_angles(self.start_time_noise.whitened(rows))
 
     def with_white_angles(self, rows: Array) -> Array:
@@ -798,10 +807,11 @@ class CaseData:
                 camera[first : first + len(self._camera_prior)] = np.diag(1 / self._camera_prior)
                 columns += list(camera.T)
         elif self.record.gradients:
-            # in the first slow turns, camera errors vary as slowly as the effects of torques
+            # during the first slow turns, camera errors vary as slowly as the effects of torques
             columns += list(self.casing_rows(_gradients(self.casing.samples)).T)
         else:
-            # zero-rate output of a gyroscope; its scale factor is not distinguishable from a factor of the deflections
+            # the zero-rate output of a gyroscope sensor is free; an error of its scale is not distinguishable from
+            # larger deflections
             offsets = self.motion.offsets(len(self.casing.node_times))
             columns += [self.rows(offset, []) for offset in offsets.T]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.z), 0))
@@ -829,7 +839,7 @@ class CaseData:
         return self.whitened(np.concatenate([polynomial, *windows, self._tail(harmonic)]))
 
     def observe(self, path: Path, nodes: Array | None = None) -> Array:
-        """Return the rows of a solution, or of a sensitivity of its states (intervals, nodes, states, columns)."""
+        """Return the rows of a solution, or of the derivatives of its states (intervals, nodes, states, columns)."""
         found: dict[int, Array] = {}
         runs = (self.casing, *self.rotor)
         for state, own, times in self._times_of_bodies:
@@ -848,7 +858,7 @@ class CaseData:
 
     def _projected_by_samples(self, path: Path, nodes: Array | None, rows: Array) -> Array:
         """Replace the rows of blocks in which the motion is not a polynomial (a kink, or many harmonics)."""
-        # an oscillation has many harmonics in a block, and the response to a step may be shorter than a block
+        # such blocks occur in an oscillation, which has many harmonics, and after a step of an input
         everywhere = not self.motion.is_smooth or bool(self.record.driving)
         if not path.kinks and not everywhere:
             return rows
@@ -901,7 +911,7 @@ def with_free_inertia(data: Sequence[CaseData], names: Sequence[str]) -> list[Ca
 
 
 def _correlation(run: Compressed, noise: AngleNoise) -> float:
-    """Return the spectral density of all angle noise, divided by that of the white noise alone, at low frequencies."""
+    """Return the spectral density of the angle noise at low frequencies, divided by the density of the white noise."""
     samples = run.samples
     if noise.is_white or len(samples.time) < 2:
         return 1.0
@@ -913,7 +923,7 @@ def _correlation(run: Compressed, noise: AngleNoise) -> float:
 
 
 def _reverses(record: Record) -> bool:
-    """Return whether the body reverses so much that its net rotation is less than `_ONE_SENSE` of its path."""
+    """Return whether the net rotation of a reversing body is less than the share `_ONE_SENSE` of its path."""
     value = record.casing.value
     way = np.diff(value) if record.quantity == "angle" else value[1:] * np.diff(record.casing.time)
     path = float(np.abs(way).sum())
@@ -955,17 +965,18 @@ _PERIOD_PARTS = 16
 Chosen: a smaller number understates the torque, a larger one follows noise."""
 _CENTRE = 0.15
 """Prior standard deviation of the displacement of a centre, relative to the radius [1]. Chosen: tracked films have
-errors of 0.5 to 5 mrad once per turn; a smaller value biases displaced hubs, a larger one absorbs slow motion."""
+once-per-turn errors of 0.5 to 5 mrad; a smaller value gives biased results for displaced hubs, a larger one absorbs
+slow motion."""
 _TILT = 0.05
-"""Prior standard deviation of the second harmonic of a tilt [rad]. Chosen: a tilt of 26 degrees; a smaller value biases
-oblique films, a larger one absorbs slow motion."""
+"""Prior standard deviation of the second harmonic of a tilt [rad]. Chosen: it corresponds to a tilt of 26 degrees; a
+smaller value gives biased results for oblique films, a larger one absorbs slow motion."""
 _BLUR = 5e-3
 """Prior standard deviation of the change of the first harmonic due to motion blur at the largest speed [rad]. Chosen:
-the upper end of the once-per-turn errors of tracked films; a smaller value biases blurred films, a larger one absorbs
-slow motion."""
+the upper end of the once-per-turn errors of tracked films; a smaller value gives biased results for blurred films, a
+larger one absorbs slow motion."""
 _LONGEST_STEP = 1.0
-"""Longest step of the integral of speeds from sample to sample [rad]. Chosen: a larger step does not resolve a harmonic
-of the angle, a smaller one excludes slow sensors."""
+"""Speeds are integrated to an angle only if the angle changes by at most this value between samples [rad]. Chosen: with
+a larger value, harmonics of the angle are not resolved; a smaller one excludes slow sensors."""
 _ROUNDING = 1e-7
 """Smallest range of a harmonic of the angle that is more than rounding error [1]. Chosen: a smaller value fits rounding
 errors, a larger one drops slowly turning bodies."""
@@ -976,9 +987,9 @@ def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:
 
     The columns are cos and sin of the angle, cos and sin of twice the angle, and cos and sin of the angle multiplied by
     the speed and by its square. The speed is in units of the largest speed. Columns are zero if a harmonic has the same
-    value in all samples. This is so for pulses once per turn, which contain no information on harmonics of the angle;
-    the rounding errors of their sines increase with the angle. Only frames are `blurred` by the motion; for other
-    samples, the last two columns are zeros.
+    value in all samples. An example are pulses once per turn, which contain no information on harmonics of the angle;
+    their sines are only rounding errors, which increase with the angle. Only frames are `blurred` by the motion; for
+    other samples, the last two columns are zeros.
     """
     psi = samples.value
     knots, speed = _rough_speeds(samples)

@@ -21,7 +21,7 @@ from fitting.inference._record import Record, make_record
 
 
 def _error(what: str, hint: str) -> RecordError:
-    """Return the error of this package with a sentence and a hint of the reader."""
+    """Return an error of this package that states what is wrong, and what to do."""
     return RecordError(what.removesuffix("."), f"{hint[:1].lower()}{hint[1:].removesuffix('.')}")
 
 

@@ -1,9 +1,9 @@
 """One case under one model: predicted rows and their derivatives.
 
-If the argument of a torque that is periodic in the angle were the measured angle, the noise of this angle would make
-the torque random. Therefore the argument is the angle of the model, including the response to the torque itself, plus
-the smoothed difference between the measured and the modelled angle. If speeds were measured, their integral is the
-measured angle. The smoothing uses many pieces if the model has a large lack of fit, and few pieces if it has none.
+Some torques are periodic in the angle. Their argument is not the measured angle, because its noise would make the
+torque random. The argument is the angle of the model, including the response to the torque itself, plus the smoothed
+difference between the measured and the modelled angle. If speeds were measured, their integral is the measured angle.
+The smoothed curve consists of many pieces if the model has a large lack of fit, and of few pieces if it has none.
 """
 
 from __future__ import annotations
@@ -37,11 +37,12 @@ _PASSES = 20
 """Largest number of iterations for a law of an angle whose response changes the angle [1]. Chosen: a smaller number
 stops before convergence, a larger one costs time in iterations that do not converge."""
 _NEGLIGIBLE = 0.01
-"""Change of the angle below which the iteration has converged, relative to the uncertainty of a mean of all samples
-[1]. Chosen: a smaller value costs iterations, a larger one biases the angle."""
+"""The iteration has converged if the angle changes by less than this value, relative to the uncertainty of a mean of
+all samples [1]. Chosen: a smaller value costs iterations, a larger one biases the angle."""
 _CHANGE = 1e-3
-"""Change of the derivative of the angle below which the iteration has converged, relative to its fast part [1]. Chosen:
-a smaller value costs iterations, a larger one gives inaccurate derivatives."""
+"""The iteration has converged if the derivative of the angle changes by less than this value, relative to the part of
+the derivative that is not smooth [1]. Chosen: a smaller value costs iterations, a larger one gives inaccurate
+derivatives."""
 _MEMORY = 6
 """Number of earlier iterations that Anderson's acceleration uses [1]. Chosen: with fewer, the convergence is slow; with
 more, the least-squares problem is degenerate."""
@@ -56,8 +57,8 @@ class AngleRows(NamedTuple):
     columns: Array  # (rows, 2), derivatives with respect to the two strengths
     strength: Array  # the present strengths
     value: Array  # (rows,), response at these strengths
-    # response of speed and angle of the bodies at the samples of the casing at these strengths, (2, bodies, samples);
-    # None for an error of the measurement
+    # response of speeds and angles of the bodies to these strengths, at the samples of the casing, (2, bodies,
+    # samples); None for an error of the measurement
     motion: Array | None = None
 
 
@@ -71,9 +72,9 @@ def angle_dependent_rows(
 ) -> AngleRows:
     """Return the response of the rows to a law of an angle about the solution without it.
 
-    The law changes the angle that is its own argument; this causes a mean torque of second order in the strength. If
-    the argument were held constant, a change of the phase would wrongly cause a mean torque of first order. `error` is
-    an error of the measured angle of the casing [rad] as a function of time, whose effect is computed.
+    The law changes its own argument, the angle; this causes a mean torque of second order in the strength. With a
+    constant argument, a change of the phase would wrongly cause a mean torque of first order. `error` is an error of
+    the measured angle of the casing [rad] as a function of time, whose effect is computed.
     """
     record = data.record
     t = record.casing.time
@@ -125,7 +126,7 @@ def angle_dependent_rows(
     value = _observed(data, speed, angle) @ strength
     moved = np.stack([speed @ strength, angle @ strength])
     if measured is not None and error is None and strength.any():
-        # the smoothed deviation contains a part of the response; only the other part changes the argument
+        # the smoothed deviation already contains a part of the response; only the remaining part changes the argument
         stiffness = torques(Tape([derivative(effect.expression, own_angle)])) @ strength
         for j in range(2):
             response, search = np.stack([speed[MAIN][:, j], angle[MAIN][:, j]]), _FixedPoint()
@@ -214,10 +215,10 @@ _PER_SAMPLE = 2
 measured; a smaller value refuses fast changes, a larger one costs time in motions that cannot be computed."""
 _MANY_REVERSALS = 3
 """Smallest number of reversals that are solved simultaneously [1]. Chosen: equal to `fitting.dynamics._events._MANY`;
-with a smaller value the number of events may still change, a larger one costs time."""
+with a smaller value, motions are included whose number of reversals may still change; a larger one costs time."""
 _SPARE_EVENTS = 20
-"""Largest number of stops and reversals of a trial, minus twice their number in the measured motion [1]. Chosen: a
-smaller value refuses trials that converge, a larger one costs time for trials that chatter."""
+"""Largest number of stops and reversals of a trial motion, in excess of twice their number in the measured motion [1].
+Chosen: a smaller value refuses trials that converge, a larger one costs time for trials that chatter."""
 _FEW_SINGLE = 40
 """Largest number of stretches between reversals that are integrated one by one [1]. Chosen: the integration of one
 stretch takes as long as the simultaneous solution of all stretches; a smaller value refuses trials that converge, a
@@ -247,12 +248,12 @@ class Prediction:
 
     @property
     def motion(self) -> LinearMotion:
-        """Small motions about the solution."""
+        """The equations of motion, linearised about the solution."""
         return LinearMotion(self.path, self.sensitivity.propagator)
 
 
 class CaseModel:
-    """Predicts the rows of one case of a layout; its last solution is the initial solution of the next."""
+    """Predicts the rows of one case of a layout; each solution starts from the previous solution."""
 
     def __init__(self, data: CaseData, layout: ParameterLayout, case: int) -> None:
         self.data, self.layout, self.case = data, layout, case
@@ -282,9 +283,9 @@ class CaseModel:
     def solve(self, theta: Array, halvings: int = _HALVINGS) -> Path:
         """Integrate the smooth part of the model; with many reversals, by continuation from the last solution.
 
-        Over hundreds of reversals a change of the frequency accumulates, and Newton's method converges only if each
-        reversal is near its previous time. Integration from one reversal to the next takes a hundred times as long.
-        Therefore a trial that fails even in short steps raises an error and is not integrated.
+        Over hundreds of reversals a change of the frequency shifts the later reversals far, and Newton's method
+        converges only if each reversal is near its previous time. Integration from one reversal to the next takes a
+        hundred times as long. Therefore a trial that fails even in short steps raises an error and is not integrated.
         """
         last = self._last
         known = self._measured(theta) if last is None else last[1]
@@ -336,7 +337,7 @@ class CaseModel:
         return Mesh(np.append(edges, last))
 
     def _measured(self, theta: Array) -> Path:
-        """Return the measured motion as the first initial solution."""
+        """Return the measured motion, from which the first solution starts."""
         first = np.array([*self.layout.start(theta, self.case), *self.dynamics.start])
         times, speeds = self.data.initial_speeds
         mesh, n = self._mesh, len(first)

@@ -1,10 +1,10 @@
 """Lossless compression of samples by projection on polynomials.
 
-The samples of a block are projected on polynomials in time, and on the first two harmonics of the measured angle, by a
-weighted QR decomposition at their actual times. A smooth model is a polynomial within a block, so the chi-square of the
-model depends only on these projections; the orthogonal part of the samples is noise. The polynomials of the next higher
-degrees contain no part of the model. Their rows measure the noise at the relevant low frequencies, including any
-correlation between neighbouring samples.
+The samples of a block are projected on polynomials in time and on the first two harmonics of the measured angle. A
+weighted QR decomposition uses the actual times of the samples. A smooth model is a polynomial within a block, so the
+chi-square of the model depends only on these projections; the orthogonal part of the samples is noise. The polynomials
+of the next higher degrees contain no part of the model. Their rows measure the noise at the relevant low frequencies,
+including any correlation between neighbouring samples.
 """
 
 from __future__ import annotations
@@ -92,11 +92,11 @@ def responses_to_harmonics(time: Array, psi: Array) -> tuple[Array, Array]:
 
 
 _TIME_CONSTANTS = 8
-"""Number of time constants for the responses to an input [1]. Chosen: a smaller number leaves responses to other time
-constants in the noise, a larger one needs more rows."""
+"""Number of time constants for the responses to an input [1]. Chosen: with fewer, responses with other time constants
+count as noise; with more, more rows are needed."""
 _SHORTEST = 2.0
 """Shortest time constant of a response to an input, relative to the sampling interval [1]. Chosen: a smaller value is
-not resolved, a larger one leaves fast responses in the noise."""
+not resolved; with a larger one, fast responses count as noise."""
 
 
 def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) -> Array:
@@ -125,14 +125,15 @@ def responses_to_inputs(time: Array, inputs: Sequence[Input], *, angle: bool) ->
 
 
 _ABRUPT = 0.1
-"""Smallest size of an abrupt change, relative to the range of the input [1]. Chosen: a smaller value cuts blocks at
-noise, a larger one leaves kinks of the motion within blocks."""
+"""Smallest size of an abrupt change, relative to the range of the input [1]. Chosen: with a smaller value, blocks are
+cut at noise; with a larger one, blocks contain kinks of the motion."""
 _MOST_STEPS = 12
-"""Largest number of abrupt changes of an input that is a sequence of steps [1]. Chosen: a larger number leaves blocks
-without enough samples, a smaller one refuses stepped inputs."""
+"""Largest number of abrupt changes of an input that is a sequence of steps [1]. Chosen: with a larger number, some
+blocks have too few samples; a smaller one refuses stepped inputs."""
 _AFTER_STEP = (20, 40)
 """Number of samples of the first blocks after a step [samples]. Chosen: the response changes fastest there, and later
-blocks have the usual length; a smaller number leaves no samples for the noise, a larger one needs a higher degree."""
+blocks have the usual length; with a smaller number, no samples remain for the noise; a larger one needs a higher
+degree."""
 
 
 def cuts_at_steps(time: Array, inputs: Sequence[Input]) -> NDArray[np.int_]:
@@ -188,28 +189,29 @@ NOISE_ROWS = 14
 """Number of further polynomials of a block, which measure the white noise [1]. Chosen: with fewer, the noise is known
 less precisely; with more, it is measured at irrelevant frequencies."""
 BLOCKS = 60
-"""Number of blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree, a larger one leaves few
-samples for the noise."""
+"""Number of blocks of a record of angles [1]. Chosen: a smaller number needs a higher degree; with a larger one, few
+samples remain for the noise."""
 _MIN_SAMPLES = 60
-"""Smallest number of samples of a block [samples]. Chosen: a smaller number leaves no samples for the noise, a larger
-one blurs fast motion."""
+"""Smallest number of samples of a block [samples]. Chosen: with a smaller number, no samples remain for the noise; a
+larger one blurs fast motion."""
 _SPEED_RATIO = 1.6
 """Ratio of the largest to the smallest speed in a block above which the block is cut [1]. Chosen: a smaller value makes
 short blocks, a larger one fits a single polynomial to an angle whose speed changes much."""
 _AT_REST = 0.003
-"""Speed below which a body counts as at rest, as a share of the largest speed [1]. Chosen: a smaller value divides the
-blocks of a record in which the casing comes to rest, a larger one leaves slow turns in long blocks."""
+"""A body counts as at rest if its speed, as a share of the largest speed, is below this value [1]. Chosen: with a
+smaller value, blocks are divided needlessly if the casing comes to rest; with a larger one, slow turns remain in long
+blocks."""
 _MOST_CUTS = 12
-"""Largest number of cuts [1]. Chosen: a smaller number leaves fast changes in a block, a larger one leaves few samples
-for the noise."""
+"""Largest number of edges that are added to blocks in which the speed changes by a large factor [1]. Chosen: with a
+smaller number, blocks contain fast changes; with a larger one, few samples remain for the noise."""
 _BINS = 128
-"""Number of groups of samples of a block [1]. Chosen: a smaller number blurs short correlations, a larger one costs
-time and memory."""
+"""Number of groups into which the samples of a block are divided for the covariance of correlated noise [1]. Chosen: a
+smaller number blurs short correlations, a larger one costs time and memory."""
 _SAME = 1e-7
 """Smallest range of a harmonic that is more than rounding error [1]. Chosen: a smaller value adds rows of rounding
 errors, a larger one drops slowly turning bodies."""
 _CLIP = 3.0
-"""Deviation beyond which values are excluded from the estimate of the noise [standard deviations]. Chosen: a smaller
+"""Values with a larger deviation are excluded from the estimate of the noise [standard deviations]. Chosen: a smaller
 value loses efficiency, a larger one includes outliers."""
 _CLIPPED_VARIANCE = 0.9733
 """Variance of a standard normal variable truncated at 3 [1]. Derived: 1 - 6 phi(3) / (2 Phi(3) - 1), at `_CLIP`."""
@@ -282,13 +284,14 @@ def compress(
 ) -> Compressed:
     """Project the samples of a series block by block, with the noise calibrated on the rows that contain no model.
 
-    `degree` is the highest power of the polynomials. The first two harmonics of `angle` [rad] (the values themselves,
-    or the integral of measured speeds) have separate rows. `noise_rows` polynomials of each block measure the noise.
-    Their powers begin with `first_noise_row` (by default the power after `degree`). More of them are needed if there
-    are few blocks and the noise of neighbouring samples is correlated. Without `noisy` the sigma of the samples is
-    used. `blocks` is the largest number of blocks, `samples_per_block` the smallest number of samples in a block.
-    Further blocks begin at the samples `cuts`. `driven` (samples, columns) are responses to recorded inputs, and
-    `modes` (samples, columns) are errors with amplitudes of variance 1; neither counts as noise.
+    `degree` is the highest power of the polynomials that describe the motion. The first two harmonics of `angle` [rad]
+    (the values themselves, or the integral of measured speeds) have separate rows. `noise_rows` polynomials of each
+    block measure the noise. Their powers begin with `first_noise_row` (by default the power after `degree`). More noise
+    rows are needed if there are few blocks and the noise of neighbouring samples is correlated. Without `noisy`, the
+    noise is not estimated, and the sigma of the samples is used. `blocks` is the largest number of blocks,
+    `samples_per_block` the smallest number of samples in a block. Further blocks begin at the samples `cuts`. `driven`
+    (samples, columns) are responses to recorded inputs, and `modes` (samples, columns) are errors with amplitudes of
+    variance 1; neither counts as noise.
     """
     count = max(1, min(blocks, len(samples) // samples_per_block))
     edges = np.linspace(0, len(samples), count + 1).astype(int)
@@ -307,8 +310,8 @@ def compress(
     rest, dof = sum(p.rest for p in parts), sum(p.rest_dof for p in parts)
     fast = rest / dof if dof > 0 else 1.0
     variance = _robust_variance(slow) if len(slow) >= 20 else fast
-    # values without noise, for example in a computed table, contain only rounding errors and the error of the
-    # integration
+    # the scatter of values without noise, for example in a computed table, consists of rounding errors and errors of
+    # the integration
     least = (TOLERANCE * float(np.abs(samples.value).max()) / float(np.median(samples.sigma))) ** 2
     variance, fast = max(variance, least), max(fast, least)
     scale = float(np.sqrt(variance)) if variance > 0 else 1.0
@@ -435,7 +438,7 @@ def _block(
     responses, higher = _independent(model, responses, higher, skipped)
     design = np.concatenate([model, responses, higher], axis=1)
     q, r = np.linalg.qr(design)
-    # the sign is chosen equally in all blocks, so that a constant harmonic gives constant rows
+    # the sign convention is the same in all blocks, so that a constant harmonic gives constant rows
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
     q, r = q * sign, r * sign[:, None]
     kept = k + len(chosen)
@@ -447,19 +450,21 @@ def _block(
     fixed = kept + responses.shape[1] + skipped
     noise = projected[fixed:]
     rest = float(np.sum((y / sigma) ** 2) - np.sum(projected[:fixed] ** 2))
-    if rest < 1e-6 * np.sum((y / sigma) ** 2):  # large angles: subtract before squaring
+    # angles may be large, so the projection is subtracted before squaring
+    if rest < 1e-6 * np.sum((y / sigma) ** 2):
         rest = float(np.sum((y / sigma - q[:, :fixed] @ projected[:fixed]) ** 2))
     return _Block(where, middle + half * x, lift, rows, noise, rest, max(0, len(t) - fixed))
 
 
 _INDEPENDENT = 1e-4
 """Smallest relative singular value of independent responses and polynomials [1]. Chosen: with a smaller value, rounding
-errors of the times are part of the noise; a larger one loses rows of the noise."""
+errors of the times enter the noise; a larger one loses noise rows."""
 _TINY = 1e-300
-"""Smallest norm of a column [1]. Derived: zero divided by this norm is zero."""
+"""Smallest norm by which a column is divided [1]. Derived: a column of zeros remains zero, without a division by
+zero."""
 _DEPENDENT = 1e-6
 """Smallest share of a response to an input that must be orthogonal to the other responses and to the model [1]. Chosen:
-a smaller value keeps rounding errors, a larger one leaves a part of the response in the noise."""
+a smaller value keeps rounding errors; with a larger one, a part of the response counts as noise."""
 
 
 def _independent(model: Array, responses: Array, higher: Array, skipped: int) -> tuple[Array, Array]:
@@ -477,7 +482,7 @@ def _independent(model: Array, responses: Array, higher: Array, skipped: int) ->
     u, s, _ = np.linalg.svd(rest - known @ (known.T @ rest), full_matrices=False)
     responses = u[:, s > _INDEPENDENT]
     known = np.concatenate([known, responses], axis=1)
-    # the highest polynomials most certainly contain only noise
+    # the highest polynomials come first, because they contain the least motion
     noise = higher[:, skipped:][:, ::-1]
     noise = noise - known @ (known.T @ noise)
     r = np.abs(np.diag(np.linalg.qr(noise, mode="r")))

@@ -1,4 +1,4 @@
-"""Errors that samples of a series share: functions of time whose amplitudes have a known covariance.
+"""Errors that all samples of a series have in common: functions of time whose amplitudes have a known covariance.
 
 A quantity that was estimated and then subtracted from a measurement, for example the axis of a body, the tilt of a
 camera or the start of a film, has an error. All samples of the measurement have this error e in common,
@@ -42,7 +42,8 @@ class ErrorMode:
     window : int, optional
         Number of the window of the rotor that has the error, from 0; by default, all windows that `time` covers.
     group : str
-        Name of the amplitudes: modes of the same group share them. If it is empty, body and name are the group.
+        Name of the amplitudes; modes of the same group have the same amplitudes. If the name is empty, body and name of
+        the mode are the group.
     origin : str
         Where the error comes from: "axis", "tilt", "start", "rate", "hub" ...
     """
@@ -130,13 +131,13 @@ def checked_modes(modes: object) -> tuple[ErrorMode, ...]:
     if count > MOST_AMPLITUDES:
         raise RecordError(
             f"the error modes have {count} amplitudes; at most {MOST_AMPLITUDES} can be fitted",
-            "combine the smallest ones into the uncertainty of the samples",
+            "combine the smallest amplitudes into the uncertainty of the samples",
         )
     return tuple(modes)
 
 
 def of_windows(modes: Sequence[ErrorMode], kept: Sequence[bool]) -> tuple[ErrorMode, ...]:
-    """Return the error modes of the windows that are kept, with their new numbers."""
+    """Return the error modes of the windows that are kept, with the new numbers of these windows."""
     number = {old: new for new, old in enumerate(np.flatnonzero(kept).tolist())}
     return tuple(
         m if m.window is None else replace(m, window=number[m.window])

@@ -114,6 +114,6 @@ def _estimate(fit: Fit, index: int, quantity: Expr, unit: str) -> Estimate | Non
     used = gradient != 0
     own = fit.covariance[np.ix_(places[used], places[used])]
     variance = float(gradient[used] @ own @ gradient[used]) if used.any() else 0.0
-    # at a bound, and for held parameters, no uncertainty is known
+    # parameters at a bound and held parameters have no known uncertainty
     stderr = math.sqrt(variance) if math.isfinite(variance) and variance > 0 else math.nan
     return Estimate(value, stderr, unit, at_bound=False)

@@ -3,9 +3,10 @@
 The search avoids wrong minima. In such a minimum, for example, the modelled motion stops at a wrong time, a parameter
 is at a bound far from its optimum, or a power law has a wrong exponent.
 
-Parameters are estimated at the level of random torque that the residuals of the model show. Otherwise a short interval
-in which the model fails by a thousand standard deviations would determine all parameters. Chi-square, cross-validation
-error and tests use the noise of the recording, which does not depend on a model (`fitting.inference._noise`).
+Parameters are estimated at the level of random torque that the residuals of the model show. Otherwise all parameters
+would be dominated by a short interval in which the model fails by a thousand standard deviations. Chi-square,
+cross-validation error and tests use the noise of the recording, which does not depend on a model
+(`fitting.inference._noise`).
 
 With a robust loss the result is an M-estimate: sum psi(r_i / s) J_i vanishes instead of sum r_i J_i. Here r_i are the
 residuals, J_i their derivatives, and psi is the derivative of the loss. The M-estimate is found by least squares on
@@ -59,24 +60,24 @@ _OTHER_POWERS = (0.7, 1.35)
 """Further initial exponents of a power law, on either side of 1 [1]. Chosen: chi-square has a minimum on each side of
 the exponent of the linear law; with fewer, a fit may end in the wrong minimum; with more, the search takes longer."""
 _AT_REST = 0.01
-"""Share of its largest speed below which the casing counts as at rest [1]. Chosen: a smaller value overlooks stops in
-noise, a larger one takes slow bodies for stopped bodies."""
+"""The casing counts as at rest if its speed, as a share of its largest speed, is below this value [1]. Chosen: a
+smaller value overlooks stops in noise, a larger one takes slow bodies for stopped bodies."""
 _MOST_STEPS = 60
-"""Number of iterations of a trial search [1]. Chosen: a fit that needs more is continued; a smaller number leaves
-trials that cannot be compared, a larger one costs time."""
+"""Number of iterations of a trial search [1]. Chosen: a search that needs more is continued later; with fewer, trials
+are too far from their minima to be compared; with more, the search takes longer."""
 
 
 def search_with_noise(
     problem: Problem, theta: Array, given: Mapping[str, float] | None, *, quick: bool
 ) -> tuple[Solution, tuple[Noise, ...]]:
-    """Return the minimum of a fit and the noise measured at it; `given` are the values given by the user.
+    """Return the minimum of a fit and the noise measured at this minimum; `given` are the values given by the user.
 
     With `quick` the search stops where chi-square is within about 0.01 of its minimum.
     """
     try:
         noise = first_noise(problem, theta)
     except SimulationError:
-        # a regression of nearly collinear laws may give strengths for which the motion diverges
+        # for nearly collinear laws, the regression may give strengths with which the motion diverges
         theta = _without_strengths(problem, theta, given)
         noise = first_noise(problem, theta)
     problem = problem.with_noise(noise)
@@ -86,8 +87,8 @@ def search_with_noise(
     if is_smooth and _comes_to_rest(problem, theta):
         problem, theta, active = _past_stops(problem, theta)
     if held:
-        # before the other parameters are consistent with a new law, the residuals contain no information about its
-        # shape, but a step of all variables would change the shape
+        # The other parameters must first adapt to a new law. Until then the residuals contain no information about the
+        # shape of the law, and a step of all variables would change this shape arbitrarily.
         found = search(problem.holding(held, theta), theta, quick=True, active=active)
         theta, active = found.theta, found.active
         problem = problem.with_noise(measure_noise(problem, theta))
@@ -156,13 +157,13 @@ def _with_less_noise(
 
     A fit may be in a wrong minimum for three reasons. First, the modelled motion stops at a wrong time, and the
     response to process noise is computed for this motion. Second, a parameter is at a bound far from its optimum, and
-    process noise accounts for the residuals. Third, the model does not describe one of several cases, and the
-    parameters are a compromise whose residuals are attributed to process noise in all cases.
+    process noise accounts for the residuals. Third, the model does not describe one of several cases. The parameters
+    are then a compromise, and the residuals of all cases are attributed to process noise.
     """
     ends, active = [(found, noise)], found.active
     for levels in _lower_levels(problem, found.theta, noise):
         trial = problem.with_noise([n.at(level) for n, level in zip(noise, levels, strict=True)])
-        # with little noise a search may reach values at which the model cannot be computed
+        # at a low noise level a search may reach values at which the model cannot be computed
         with attempt("a search with less process noise"):
             other = search(trial, found.theta, quick=quick, active=active)
             active = other.active
@@ -198,9 +199,9 @@ def _deviance(problem: Problem, theta: Array, noise: Sequence[Noise]) -> float:
 def deviance_at_noise_of(base: Fit, other: Fit) -> float:
     """Return the deviance of a fit, or its deviance at the process noise of another fit if this is lower.
 
-    The level of the process noise maximises the restricted likelihood. If this likelihood is flat, the deviance may
-    still decrease by tens towards a lower level. A second fit that ends at a lower level would then seem to describe
-    the data better.
+    The level of the process noise maximises the restricted likelihood. If this likelihood is flat, the deviance may be
+    lower by 10 to 100 at a lower level. A second fit that ends at a lower level would then seem to describe the data
+    better.
     """
     if all(o.level >= n.level for n, o in zip(base.noise, other.noise, strict=True)):
         return base.deviance
@@ -214,7 +215,7 @@ def deviance_at_noise_of(base: Fit, other: Fit) -> float:
 def _other_starts(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Iterator[Array]:
     """Yield further initial values: the automatic values if some were given, no dry friction, other exponents.
 
-    If dry friction stops the body too early in the model, the search does not use the motion after this stop.
+    If dry friction stops the body too early in the model, a search cannot use the measured motion after this stop.
     """
     usual = initial_values(problem, None) if given else theta
     if given:
@@ -240,7 +241,8 @@ def _from_other_starts(
 ) -> Solution:
     """If a solution is far from the data, search from further initial values and return the best solution.
 
-    With a random torque as large as the lack of fit, a search may leave a minimum that was found at a low level.
+    At a low level of random torque a search may have ended in a wrong minimum. At a level as large as the lack of fit,
+    it may leave this minimum.
     """
     for begin in others:
         with attempt("a search from further initial values", EstimationError):
@@ -250,7 +252,7 @@ def _from_other_starts(
 
 
 _GIVEN_UP = 30.0
-"""The model does not describe a case if the random torque of the case, relative to the random torque that its recording
+"""The model does not describe a case if the random torque of the fit, divided by the random torque that the recording
 shows, exceeds this value [1]. Chosen: a smaller value gives up recordings with a small lack of fit, a larger one lets a
 wrong motion determine shared parameters."""
 
@@ -260,9 +262,10 @@ def _from_separate_fits(
 ) -> tuple[Solution, tuple[Noise, ...]]:
     """Search again from fits of each case alone; return the solution of a joint fit and its noise.
 
-    If the model does not describe a case even alone, the random torque of this case absorbs the lack of fit, and the
-    other cases are not biased. If the model describes each case alone, the shared parameters differ between the cases.
-    With separate levels of random torque one case would then lose its weight, so all cases get a common level.
+    If the model does not describe a case even in a separate fit, the random torque of this case absorbs the lack of
+    fit, and the other cases are not biased. If the model describes each case alone, the shared parameters differ
+    between the cases. With separate levels of random torque, one case would then have hardly any weight, so all cases
+    get a common level.
     """
     alone: list[Fit] = []
     with attempt("a case alone"):
@@ -280,12 +283,12 @@ def _from_separate_fits(
 
 
 def _of_separate_fits(name: str, alone: Sequence[Fit]) -> float:
-    """Return the value of a variable of a joint fit: that of its case, or the mean of all cases weighted by 1 / u^2."""
+    """Return the value of a variable of a joint fit: the value from its case, or the weighted mean over all cases."""
     key, _, label = name.partition("@")
     chosen = [f.estimates for f in alone if not label or f.labels == (label,)]
     own = [e for found in chosen if (e := found.get(name, found.get(key))) is not None]
     if not own:
-        return 0.0  # the speed of a rotor, which a fit of a single body does not contain
+        return 0.0  # a fit of a single body does not contain the speed of a rotor
     known = [e for e in own if np.isfinite(e.stderr) and e.stderr > 0]
     if not known:
         return float(np.mean([e.value for e in own]))
@@ -316,10 +319,10 @@ def fit(
     If another fit is given instead of cases, its data are fitted, with its shared and per-case parameters. `noise` is
     the noise of an earlier fit of the same data; it makes both fits comparable. `ranges` are bounds tighter than the
     declared bounds. `ties` are expressions of parameters that follow other parameters, by key. `steady` parameters, by
-    their names in the fit, keep their initial values until all others have converged. With `quick`, the search stops
-    where chi-square is within about 0.01 of its minimum, which suffices to rank candidates. `criteria` determine the
-    noise of cases that are given as a `Record`. An EstimationError is raised if there is nothing to fit, or
-    if labels repeat.
+    their names in the fit, keep their initial values until all other parameters have converged. With `quick`, the
+    search stops where chi-square is within about 0.01 of its minimum, which suffices to rank candidates. `criteria`
+    determine the noise of cases that are given as a `Record`. An EstimationError is raised if there is nothing to fit,
+    or if labels repeat.
     """
     with of_model(model):
         try:
@@ -383,7 +386,7 @@ def _fitted(
         theta, active = found.theta, found.active
         noise = refine_level(problem, theta, noise)
     problem = problem.with_noise(noise)
-    # without a restoring torque, the parameters fitted to an oscillation have no meaning
+    # parameters of a model without a restoring torque that was fitted to an oscillation have no meaning
     quick = quick or not (model.restoring or are_smooth(d.motion for d in data))
     held = tuple(steady)
     if held:
@@ -469,11 +472,11 @@ def _jumps_at_rest(effect: Effect, speed: str) -> bool:
 
 
 _REST = 1e-12
-"""Speed on either side of rest at which a law is evaluated [rad/s]. Chosen: continuous laws do not differ; a smaller
-value is rounding error, a larger one takes a steep law for a jump."""
+"""Speed on either side of rest at which a law is evaluated [rad/s]. Chosen: a continuous law has the same torque at
+both speeds; a smaller value is rounding error, a larger one takes a steep law for a jump."""
 _JUMP = 1e-3
-"""Smallest jump of a law whose parameters are 1 [1]. Chosen: the jump of dry friction is 2; a smaller value takes a
-steep law for a jump, a larger one overlooks a part of the torque that jumps."""
+"""Smallest jump of a law for which dry friction is assumed, if all its parameters are 1 [1]. Chosen: the jump of dry
+friction is 2; a smaller value takes a steep law for a jump, a larger one overlooks a part of the torque that jumps."""
 
 
 def _check(model: Model, data: Sequence[CaseData]) -> None:
@@ -534,12 +537,12 @@ def _refuse_missing_inputs(model: Model, data: Sequence[CaseData]) -> None:
 def _changes_sign(divisor: Expr, data: CaseData, mechanism: Mechanism = GYROSCOPE) -> bool:
     """Return whether an expression without parameters passes through zero along the measured motion.
 
-    The range of each speed is extended by a tenth on both sides, but not beyond zero: a trial of the fit may start a
-    little slower or faster than the record.
+    The range of each speed is extended by a tenth on both sides, but not beyond zero, because a trial of the fit may be
+    a little slower or faster than the record.
     """
     names = symbols(divisor)
     if not names or not names <= {"t", *(speed for _, speed in mechanism.sites)}:
-        return False  # a constant, a parameter that the fit may move, or an angle
+        return False  # a constant, a parameter that the fit may change, or an angle
     time, speeds = data.initial_speeds
     measured = mechanism.motion(speeds.T)
     motion = {"t": np.concatenate([time, time[[0, -1]]])}
@@ -565,7 +568,7 @@ _ITERATIONS = 12
 costs time in fits that do not converge."""
 _CONVERGED = 0.01
 """Change of the parameters below which a robust fit has converged [standard errors]. Chosen: a smaller value costs
-iterations, a larger one leaves a bias."""
+iterations; with a larger one, a bias remains."""
 
 
 def huber(x: Array) -> tuple[Array, Array]:
@@ -584,7 +587,7 @@ _LOSSES: dict[str, tuple[Psi, ...]] = {"linear": (), "huber": (huber,), "cauchy"
 
 
 def robust_fit(model: Model, cases: Sequence[Record | CaseData], loss: str = "linear", **options: Any) -> Fit:
-    """Fit a model with a loss that limits the influence of outliers; the `options` are those of `fit`.
+    """Fit a model with a loss that limits the influence of outliers; `options` are passed to `fit`.
 
     "linear" is least squares. "huber" limits the influence of a sample. "cauchy" starts at the result of "huber"; the
     influence of an outlier tends to zero. R2, rmse and energy refer to the measured data; chi-square and

@@ -1,10 +1,10 @@
 """Initial values of a fit from the data alone.
 
-The laws are linear in their strengths gamma_k, so along the approximate speeds of the recording
+The laws are linear in their strengths gamma_k. Along the approximate speeds of the recording,
 
     I_c [omega_c(t) - omega_c(0)] = sum_k gamma_k integral_0^t law_k dt,
 
-and an analogous equation holds for the rotor. This is a linear least-squares problem with bounds.
+and an analogous equation holds for the rotor. These equations are a linear least-squares problem with bounds.
 
 At strength zero, chi-square has no gradient with respect to the shape of a law, and with a wrong shape the search may
 end in a wrong minimum. Therefore the model is first fitted without the law. For every shape on a grid, a score test
@@ -53,13 +53,13 @@ _FIRST_SHARE = 0.1
 gradient with respect to the exponent; a larger value prefers the power law."""
 _LEAST_SHARE = 1e-5
 """Smallest initial value of a bearing torque, divided by the torque that would stop the rotor within the record [1].
-Chosen: it prevents a start at zero strength; a larger value exceeds the torque of weak bearings."""
+Chosen: the search must not start at zero strength; a larger value exceeds the torque of weak bearings."""
 _AT_REST = 0.01
-"""Share of its largest speed below which the casing counts as at rest, for initial values [1]. Chosen: a smaller value
-uses the sign of noise, a larger one omits slow parts."""
+"""For initial values, the casing counts as at rest if its speed, as a share of its largest speed, is below this value
+[1]. Chosen: a smaller value uses the sign of noise, a larger one omits slow parts."""
 _END = 10
-"""Number of equal parts of a run; the last part is the end of the run [1]. Chosen: with more parts, the end contains
-few speeds; with fewer, the end includes the middle of the run."""
+"""Number of equal parts of a run; the last part counts as the end of the run [1]. Chosen: with more parts, the end
+contains few speeds; with fewer, the end includes the middle of the run."""
 _DEAD_TIMES = 40
 """Number of dead times of an input that are tried [1]. Chosen: with fewer, a fit starts far from the optimum; with
 more, the search takes longer."""
@@ -68,10 +68,10 @@ _LONGEST_DEAD_TIME = 0.1
 loses the start of the record."""
 _FIRST_PERIODS = 2.0
 """Number of periods of the first search of an oscillation [1]. Chosen: a smaller number does not determine the
-frequency, a larger one may start with an error of a period."""
+frequency; with a larger one, the initial values may be wrong by a period."""
 _FEWEST_SAMPLES = 24
 """Smallest number of samples of the first search of an oscillation [samples]. Chosen: a smaller number does not
-determine all laws, a larger one may start with an error of a period."""
+determine all laws; with a larger one, the initial values may be wrong by a period."""
 _MOST_STEPS = 60
 """Largest number of steps of the first search of an oscillation [1]. Chosen: a smaller number stops before convergence,
 a larger one costs time."""
@@ -153,7 +153,7 @@ def _deflection(data: CaseData, times: Array) -> Array:
 
 
 def _period_by_period(problem: Problem, theta: Array) -> Array:
-    """Return initial values from the first periods of oscillations: two, doubled up to at least half of the record.
+    """Return initial values from the first periods of an oscillation: two periods, doubled up to half of the record.
 
     Over a record of n periods, a relative error of the frequency of 1 / (2 n) shifts the phase by half a period, and
     the search ends in a wrong minimum. The frequency from k periods is accurate enough for 2 k periods.
@@ -209,7 +209,8 @@ def start_values(
         free = [i for i, k in enumerate(keys) if k not in prior]
         known = design @ np.array([prior.get(k, 0.0) for k in keys])
         parts.append((layout.places(case, [keys[i] for i in free]), design[:, free], target - known))
-    # shared parameters are estimated from all cases together: a mean of separate estimates may describe none of them
+    # shared parameters are estimated from all cases together, because the mean of separate estimates may describe no
+    # case
     places, values = _regress(layout, parts)
     theta[places] = values
     for case, (_, speeds) in enumerate(rough):
@@ -229,7 +230,7 @@ def _with_power_law(
     rough: Sequence[tuple[Array, Array]],
     theta: Array,
 ) -> None:
-    """Set the strengths of the linear law and the power law of a joint that has both, if the power law has none yet."""
+    """Set the strengths of a joint with a linear law and a power law, if the power law has no strength yet."""
     pair = (f"{joint.name}.linear.d", f"{joint.name}.power.f", f"{joint.name}.power.g")
     if not all(k in layout.model.free for k in pair):
         return
@@ -250,7 +251,7 @@ def _with_power_law(
 
 
 def _ratio(speeds: Array, *, rigid: bool) -> float:
-    """Return the median ratio of the speeds: of the whole run without slip, otherwise of its end, after the slip."""
+    """Return the median ratio of the speeds of the whole run or, if there is slip, of the end after the slip."""
     rotor, casing = (speeds if rigid else speeds[-(len(speeds) // _END) - 1 :]).T
     turning = np.abs(casing) > _AT_REST * np.abs(casing).max(initial=0.0)
     return float(np.median(rotor[turning] / casing[turning])) if turning.any() else 1.0
@@ -271,7 +272,7 @@ def _equations(
     dynamics = Dynamics(layout.model.smooth, inputs=layout.records[case].inputs)
     numbers = layout.numbers(theta, case)
     if dynamics.ratio is not None:
-        # independent errors of both speeds would seemingly separate laws that differ only by a factor
+        # laws that differ only by a factor would seem separable if both speeds had independent errors
         speeds = np.column_stack([numbers[dynamics.ratio] * speeds[:, MAIN], speeds[:, MAIN]])
     count, oscillates = dynamics.speeds, dynamics.free_starts > dynamics.speeds
     state = np.concatenate([speeds, np.zeros((len(times), len(dynamics.states) - count))], axis=1)
@@ -297,7 +298,8 @@ def _equations(
     everywhere = np.ones(len(times), dtype=bool)
     used = [everywhere] * count
     used[MAIN] = everywhere if oscillates else _longest_motion(speeds[:, MAIN])
-    # if the equilibrium is wrong, the integral of the deflection drifts, so the initial speed of each period is free
+    # an error of the equilibrium causes a drift of the integrated deflection, so the initial speed of each period is
+    # free
     free = _periods(deflection) if oscillates else None
     blocks, targets = [], []
     balances = [
@@ -305,7 +307,8 @@ def _equations(
         for i in range(count)
     ]
     if dynamics.ratio is not None:
-        # the torque of a contact without slip cancels in the sum of ratio times rotor and casing
+        # in the ratio times the equation of the rotor plus the equation of the casing, the torque of a contact without
+        # slip cancels
         (rotor, _), (casing, moving) = balances
         balances = [(numbers[dynamics.ratio] * rotor + casing, moving)]
     for columns, chosen in balances:
@@ -419,17 +422,17 @@ def _longest_motion(omega_c: Array) -> NDArray[np.bool_]:
 
 
 _POWERS = (0.25, 0.5, 0.75, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0)
-"""Trial exponents of a power law [1]. Chosen: on both sides of 1, which is the linear law; with fewer, a fit may start
-in a wrong minimum; with more, the search takes longer."""
+"""Trial exponents of a power law [1]. Chosen: values on both sides of 1, the exponent of the linear law; with fewer, a
+fit may start in a wrong minimum; with more, the search takes longer."""
 _MOST = 80
 """Largest number of trial shapes of a law [1]. Chosen: a smaller number may omit the best shape, a larger one costs
 time."""
 _COLLINEAR = 1e-7
-"""Relative singular value below which columns are collinear [1]. Chosen: a smaller value gives large opposite steps, a
-larger one holds well-determined strengths fixed."""
+"""Relative singular value below which columns are collinear [1]. Chosen: a smaller value gives large strengths of
+opposite sign, a larger one holds well-determined strengths fixed."""
 _SHARES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 """Trial levels, divided by the level of random torque without the law [1]. Chosen: at the level without the law any
-shape is consistent; a smaller number may choose a wrong shape, a larger one costs time."""
+shape is consistent with the data; fewer levels may give a wrong shape, more cost time."""
 
 
 def _laws_of_joint(model: Model, site: str) -> int:
@@ -490,7 +493,7 @@ def _without(problem: Problem, theta: Array, effects: list[Effect]) -> Array:
 
 
 def _best(problem: Problem, theta: Array, effect: Effect, noise: Sequence[Noise]) -> tuple[Problem, Array]:
-    """Return variables with the best shape of one effect, and the problem at the noise of that fit."""
+    """Return variables with the best shape of one effect, and the problem at the noise of the fit with this shape."""
     layout = problem.layout
     starts = []
     for values in _grid(problem, effect):

@@ -1,12 +1,12 @@
-"""The deviance of residuals along the level of a random torque, with other columns free.
+"""The deviance of residuals as a function of the level of a random torque, with other columns free.
 
 With the covariance C(s) = 1 + s^2 K of the rows (`fitting.inference._noise`), the residuals r and the free columns J,
 the deviance is
 
     D(s) = log det C + min over x of (r - J x)' C^-1 (r - J x).
 
-It follows from the likelihood and not from the restricted likelihood, so that fits with different numbers of free
-columns can be compared.
+D follows from the likelihood, not from the restricted likelihood: only then can fits with different numbers of free
+columns be compared.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ _EVALUATIONS = 8
 
 
 class LevelProfile:
-    """The deviance of a residual, the last column, at a level of random torque, with the other columns free."""
+    """The deviance of a residual at a level of random torque. The residual is the last column.
+
+    The other columns are free.
+    """
 
     def __init__(self, whitener: Whitener, both: Array) -> None:
         self._whitener, self._rotated = whitener, whitener.rotated(both)
@@ -43,7 +46,7 @@ class LevelProfile:
         return whitener.log_determinant + float(r[-1] ** 2)
 
     def least(self, levels: Array) -> tuple[float, float]:
-        """Return the most likely level between 0 and the last of some positive levels, and its deviance."""
+        """Return the most likely level within the range of `levels`, and its deviance."""
         deviances = [self(float(s)) for s in levels]
         k = int(np.argmin(deviances))
         bounds = levels[max(k - 1, 0)], levels[min(k + 1, len(levels) - 1)]

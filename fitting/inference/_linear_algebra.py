@@ -36,12 +36,12 @@ def block_diagonal(parts: Sequence[Array]) -> Array:
 
 
 def piecewise_linear(values: Array, knots: Array) -> Array:
-    """Return the functions that are 1 at one knot and 0 at the others, linear between, shape (values, knots)."""
+    """Return piecewise linear functions that are 1 at one knot and 0 at all other knots, shape (values, knots)."""
     return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))], axis=1)
 
 
 def cubic_spline(x: Array, y: Array, at: Array) -> Array:
-    """Return the cubic spline through four or more points with not-a-knot ends (scipy has one but imports slowly)."""
+    """Return the not-a-knot cubic spline through four or more points (the import of SciPy's spline is slow)."""
     h, n = np.diff(x), len(x)
     slope = np.diff(y) / h
     matrix, right = np.zeros((n, n)), np.zeros(n)
@@ -62,7 +62,7 @@ def cubic_spline(x: Array, y: Array, at: Array) -> Array:
 
 
 def r_factor(columns: Array) -> Array:
-    """Return R of the QR decomposition: a square matrix whose columns have the same products as the given columns."""
+    """Return R of the QR decomposition, a square matrix; its columns have the scalar products of the given columns."""
     return np.asarray(np.linalg.qr(columns, mode="r") if np.isfinite(columns).all() else columns)
 
 
@@ -74,7 +74,7 @@ def covariance_of(j: Array, free: NDArray[np.bool_]) -> Array:
     size[size == 0] = np.inf
     scaled = (j / size)[:, free]
     _, s, vt = np.linalg.svd(scaled, full_matrices=False)
-    # directions that the data do not determine keep a variance that is large but finite
+    # a direction that the data do not determine has a large but finite variance
     inner = (vt.T / np.maximum(s, 1e-12 * s.max(initial=1.0)) ** 2) @ vt
     unknown = ~np.isfinite(size[free])
     scale = np.where(unknown, 1.0, size[free])

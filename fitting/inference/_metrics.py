@@ -5,8 +5,8 @@ The energy balance is
     K(t) + integral_0^t [ tau_cr D + (a1 w_r + a2 w_r^2) w_r + (b1 + b2 w_c) w_c ] dt = K(0),
 
 with the kinetic energy K and the losses of the paper's friction terms. For any model the loss is minus the power of its
-torques on both bodies, -(tau_r w_r + tau_c w_c). As in the paper, w_c is the *measured* speed of the casing, so that
-the balance drifts if the model lacks a relevant torque. w_r is the speed of the rotor in the model, which is fitted to
+torques on both bodies, -(tau_r w_r + tau_c w_c). As in the paper, w_c is the *measured* speed of the casing. The
+balance then drifts if the model lacks a relevant torque. w_r is the speed of the rotor in the model, which is fitted to
 the windows of the rotor.
 
 The cross-validation error follows without a refit. If a linear model with noise covariance C is fitted without the rows
@@ -62,8 +62,8 @@ from fitting.inference._record import Body, Record, Samples, hermite, median_wid
 Array = NDArray[np.float64]
 
 _TERMS = 21
-"""Order of the series of Mehler below which terms are summed [1]. Chosen: a smaller number understates the correlation
-of gradients, a larger one costs time and changes little."""
+"""Terms of Mehler's series are summed up to an order below this value [1]. Chosen: a smaller number understates the
+correlation of gradients, a larger one costs time and changes little."""
 
 
 def as_velocities(record: Record) -> Record:
@@ -94,29 +94,28 @@ def _velocities(samples: Samples, blocks: int) -> Samples:
     noise = np.hypot(*(np.roll(samples.sigma, k) for k in (-1, 1))) / (2 * step)
     noise = np.interp(time, samples.time, noise)
     rise = np.abs(np.gradient(np.convolve(omega, np.full(width, 1 / width), mode="same"), time))
-    # the moving average is incomplete at both ends
+    # at both ends of the record, the moving average is incomplete
     rise[: width // 2 + 1], rise[-width // 2 :] = rise[width // 2 + 1], rise[-width // 2 - 1]
     cutoff = 0.5 * width * float(np.median(step)) * rise / noise
-    # the sum of the gradients e_(i+1) - e_(i-1) of a block contains the e of both its ends; their variance on the
-    # Legendre polynomial of degree k is (2 k + 1) / samples, on average (degree + 1) / samples
+    # The sum of the gradients e_(i+1) - e_(i-1) of a block reduces to the e at both ends of the block. In the row of
+    # the Legendre polynomial of degree k they have the variance (2 k + 1) / samples, on average (degree + 1) / samples.
     ends = 2 * (CASING_DEGREE + 1) * blocks / len(samples)
     return Samples(time, omega, noise * np.sqrt(median_noise(cutoff) + ends), samples.state)
 
 
 def median_noise(cutoff: Array) -> Array:
-    """Return the variance at low frequencies of a running median of gradients, divided by that of one gradient.
+    """Return the variance at low frequencies of a running median of gradients, divided by the variance of one gradient.
 
-    If the speed rises, a sample next to the middle changes the median only if its noise exceeds the rise. In sums over
-    many medians every gradient v therefore contributes psi(v), which is v limited to +- c. Here c is the slope of the
-    speed multiplied by half the width of the median (`cutoff`, in standard deviations of the noise of one gradient).
-    The spectral density at frequency zero is thus that of Huber's estimate,
+    If the speed rises, a sample next to the middle changes the median only if the noise of the sample exceeds the rise.
+    In sums over many medians every gradient v therefore contributes psi(v), the value v limited to +- c. Here c is the
+    slope of the speed multiplied by half the width of the median (`cutoff`, in standard deviations of the noise of one
+    gradient). The spectral density at frequency zero is therefore the density of Huber's estimate,
 
         S = sum over lags of cov[psi(v_0), psi(v_k)] / P(|v| < c)^2,
 
-    where P is the probability in the denominator. Gradients (e_(i+1) - e_(i-1)) / 2h of independent e have the
-    correlation -1/2 at lag 2 and no correlation at other lags. Mehler's formula with the Hermite polynomials He and the
-    normal density phi then gives cov = sum_k (2 phi(c) He_(k-2)(c))^2 (-1/2)^k / k! over odd k. The first term is -P^2
-    / 2.
+    where P is the probability P(|v| < c). Gradients (e_(i+1) - e_(i-1)) / 2h of independent e have the correlation -1/2
+    at lag 2 and no correlation at other lags. Mehler's formula with the Hermite polynomials He and the normal density
+    phi then gives cov = sum_k (2 phi(c) He_(k-2)(c))^2 (-1/2)^k / k! over odd k. The first term is -P^2 / 2.
     """
     c = np.clip(cutoff, 0.02, 5.0)
     density = np.exp(-0.5 * c**2) / np.sqrt(2 * np.pi)
@@ -141,7 +140,7 @@ class EnergyBalance:
 
     The energy is constant for a right model. The change is relative to the initial energy. If a motion begins at a
     turning point, the change is relative to the largest kinetic energy. If an input drives a body, the change is
-    relative to the energy that the body loses by friction, if this is more.
+    relative to the energy that the body loses by friction, provided that this energy is larger.
     """
 
     time: Array
@@ -185,14 +184,16 @@ _SLOW_START = 0.1
 """A motion begins at a turning point if the initial kinetic energy, divided by the largest kinetic energy, is below
 this value [1]. Chosen: a smaller value divides by a small energy, a larger one changes the scale of usual runs."""
 FOLDS = 6
-"""Number of folds of the cross-validation [1]. Chosen: a smaller number leaves large gaps in the data, a larger one
-leaves neighbours that share slow torques."""
+"""Number of folds of the cross-validation [1]. Chosen: with fewer folds, the gaps in the data are large; with more,
+slow torques are the same in a fold and in its neighbours."""
 
 
 def held_out(
     data: CaseData, project: Projection, prediction: Prediction, bodies: Sequence[str] | None = None
 ) -> dict[str, float]:
-    """Return the cross-validation error of bodies: rms error of omitted rows divided by their noise; 1 = noise limit.
+    """Return the cross-validation error of bodies: rms prediction error of omitted rows, divided by their noise.
+
+    The noise limit is 1.
 
     Each part of the data is predicted from all other rows. A part is one of six intervals of time for ``casing`` and
     for all bodies of a chain, and a window for ``rotor``. All measured bodies by default.
@@ -241,7 +242,7 @@ def _rotor_folds(data: CaseData) -> list[Array]:
 
 
 def _folds(data: CaseData) -> Iterator[tuple[str, list[Compressed], list[Array]]]:
-    """Yield each body with its runs and the rows that are left out together."""
+    """Yield each body with its runs, and for each fold the rows that are left out."""
     yield data.record.mechanism.main, [data.casing], _casing_folds(data)
     rows = _rotor_folds(data)
     for state, name in enumerate(data.record.mechanism.bodies):
@@ -259,7 +260,8 @@ def _folds(data: CaseData) -> Iterator[tuple[str, list[Compressed], list[Array]]
 class BodyMetrics:
     """Figures of merit of one body."""
 
-    # of the measured angular velocity minus the modelled one, both smoothed as in the paper [1, rad/s]
+    # coefficient of determination and rms of the measured minus the modelled angular velocity, both smoothed as in the
+    # paper [1, rad/s]
     r2: float
     rmse: float
     reduced_chi2: float  # chi-square of the fitted quantity, divided by the effective number of samples
@@ -292,7 +294,7 @@ class CaseMetrics:
         return math.sqrt(self.chi2_per_row)
 
     def fails(self, criteria: Criteria) -> bool:
-        """Return whether `chi2_per_row` exceeds its limit, and is improbable for its number of rows.
+        """Return whether `chi2_per_row` exceeds its limit, and whether noise alone rarely gives such a value.
 
         In a short record of twelve rows, noise alone gives a `chi2_per_row` above 1.4 in one case of six.
         """
@@ -366,8 +368,8 @@ def _model_at(data: CaseData, path: Path, state: int, times: Array) -> Array:
 
 
 _SEED = 1
-"""Seed of the simulated noise [1]. Chosen: any value makes the result reproducible; another one changes it within its
-error."""
+"""Seed of the simulated noise [1]. Chosen: any value makes the result reproducible; another seed changes the result
+within its error."""
 _NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable [1]. Derived: quantile 0.75 of the standard normal
 distribution."""
@@ -398,14 +400,14 @@ KNOTS = 21
 """Number of knots of the slow torques of the lack-of-fit test [1]. Chosen: a twentieth of the record apart; a smaller
 number overlooks short torques, a larger one lowers the power for slow torques."""
 _RANK = 1e-4
-"""Relative singular value below which a tested direction is absorbed by the model [1]. Chosen: a smaller value tests
-rounding errors, a larger one omits torques that are nearly absorbed."""
+"""The model absorbs a tested direction if its relative singular value is below this value [1]. Chosen: a smaller value
+tests rounding errors, a larger one omits torques that are nearly absorbed."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: a smaller value projects out
-rounding errors, a larger one leaves a part of the free columns."""
+rounding errors; with a larger one, some free columns are not projected out."""
 _MANY = 4
-"""Number of cases above which the slow torques of each case are projected out first [1]. Chosen: another value costs
-time and does not change the result."""
+"""With more cases than this number, the slow torques of each case are projected out first [1]. Chosen: another value
+costs time and does not change the result."""
 
 
 @dataclass(frozen=True)
@@ -421,7 +423,7 @@ class LackOfFit:
 
 
 class FewRows(NamedTuple):
-    """Columns that are tested in addition to a fitted model, as the few rows R of a QR decomposition."""
+    """Columns that are tested in addition to a fitted model, reduced to a few rows by a QR decomposition."""
 
     tested: Array
     free: Array  # derivatives with respect to all variables of the fit
@@ -430,7 +432,7 @@ class FewRows(NamedTuple):
 
     @classmethod
     def of(cls, data: CaseData, p: Prediction, n: Noise, tested: Array, level: float | None = None) -> Self:
-        """Return the whitened rows of a case without nuisance columns; the default `level` [N m] is that of tests."""
+        """Return the whitened rows of a case without nuisance columns. The default `level` [N m] is `Noise.tested`."""
         project = Projection(data, n.whitener.at(n.tested if level is None else level))
         white = project(np.concatenate([tested, p.columns, (data.z - p.rows)[:, None]], axis=1))
         share = project.whitener.share(orthonormal(white[:, : tested.shape[1]], _RANK))
@@ -441,7 +443,7 @@ class FewRows(NamedTuple):
 
 
 def lack_of_fit(problem: Problem, predictions: Sequence[Prediction], noise: Sequence[Noise]) -> LackOfFit:
-    """Return the lack of fit of a fitted model, at the level of tests of each case."""
+    """Return the lack of fit of a fitted model, at the noise level `Noise.tested` of each case."""
     cases = zip(problem.data, predictions, noise, strict=True)
     rows = [FewRows.of(data, p, n, slow_responses(data, p)) for data, p, n in cases]
     slow, free, residual, shares = zip(*rows, strict=True)
@@ -463,8 +465,8 @@ def _case_by_case(
 ) -> tuple[float, int]:
     """Return the lack of fit of many cases; the slow responses of each case are projected out first.
 
-    The result is that of `_together`, except that ranks are determined for each case. The cost is linear in the number
-    of cases.
+    The result is equal to the result of `_together`, except that ranks are determined for each case. The cost is linear
+    in the number of cases.
     """
     total, rank, rests = 0.0, 0, []
     for s, b, r in zip(slow, free, residual, strict=True):
@@ -472,7 +474,7 @@ def _case_by_case(
         total += float(np.sum((span.T @ r) ** 2))
         rank += span.shape[1]
         rests.append(orthogonal_to(span, np.column_stack([b, r])))
-    # columns of the parameters that slow torques absorb are near zero
+    # if slow torques absorb a parameter, its column is nearly zero
     size = np.linalg.norm(np.concatenate(free), axis=0)
     for rows, sign in (
         (np.concatenate(rests), 1),

@@ -2,7 +2,7 @@
 
 Of N independent tests, the smallest p-value is below p with the probability 1 - (1 - p)^N (Z. Sidak, J. Am. Stat.
 Assoc. 62, 626 (1967)). For correlated tests, N is the number of independent tests whose smallest p-value has the same
-lower tail in data without an effect.
+lower tail as the smallest p-value of the correlated tests in data without an effect.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def over_many_tests(p: float, smallest: Array) -> float:
 
 
 def independent_tests(smallest: Array) -> float:
-    """Return the number of independent tests whose smallest p has the same lower tail as that of correlated tests."""
+    """Return the number of independent tests whose smallest p has the same lower tail as `smallest`."""
     return max(1.0, number_of_trials(float(np.quantile(smallest, 0.1)), 0.1))
 
 

@@ -8,9 +8,9 @@ responds only to the torque at its frequency and has a separate variance.
 Two levels matter. The *pure* level is a property of the recording (`fitting.inference._process_noise`): it does not
 depend on a model, and chi-square and cross-validation errors of every fit of the recording use it. The *level* of a fit
 is the maximum of the restricted likelihood of its residuals. It is larger than the pure level if the model has a lack
-of fit. It is smaller if the recording alone does not exclude a random torque, but the model needs none. Parameters are
-estimated, and rival models are compared, at this level. Otherwise an interval with residuals of a thousand standard
-deviations would dominate the fit. Tests of a fit use the smaller of the two levels.
+of fit. It is smaller if the recording alone does not exclude a random torque, but the model describes the data without
+it. Parameters are estimated, and rival models are compared, at this level. Otherwise an interval with residuals of a
+thousand standard deviations would dominate the fit. Tests of a fit use the smaller of the two levels.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class Whitener:
     """Turns rows with covariance C = 1 + s^2 K into rows with covariance 1 by the symmetric root of C^-1."""
 
     vectors: Array  # (m, m): eigenvectors of K for the first m rows
-    values: Array  # (n >= m,): eigenvalues, then variances of independent rows; further rows are white
+    # (n >= m,): eigenvalues of K, then variances of further rows that are independent; the other rows are white
+    values: Array
     level: float = 0.0  # s [N m]
 
     def __call__(self, rows: Array) -> Array:
@@ -97,18 +98,18 @@ class Noise:
     pure_u: float
     level: float  # rms of the random torque in the residuals of the fitted model [N m]
     time: float  # correlation time of process noise and random torque [s]
-    whitener: Whitener = field(repr=False)  # at `level`
+    whitener: Whitener = field(repr=False)  # whitener of the rows at `level`
     process: ProcessNoise = field(repr=False)  # the process noise as an acceleration
     # twice the log-likelihood ratio of the most likely level to no random torque
     excess: float = 0.0
     # rms of the random torque that the residuals do not exclude [N m]; it is used if `level` is not significant and the
     # angle noise is correlated
     unresolved: float = 0.0
-    # whether `level` is at its upper limit; the model may then need a larger level
+    # whether `level` is at the upper limit of the estimate; the model may then need a larger level
     limited: bool = False
     # whether all cases of a joint fit have the same level, because the model describes each case alone
     common: bool = False
-    # variables of the motion at which the response of the rows is linearised, by their names in the fit
+    # variables of the motion about which the response of the rows is linearised, by their names in the fit
     about: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def at(self, level: float) -> Noise:
@@ -124,13 +125,13 @@ class Noise:
     def tested(self) -> float:
         """The level at which residuals are tested [N m]: the smaller of the levels of the recording and of the fit.
 
-        The level of the recording alone may be so large that it would hide a lack of fit of the model.
+        The level of the recording alone may be so large that it hides a lack of fit.
         """
         return self.pure if self.limited else min(self.pure, self.level)
 
     @property
     def least(self) -> float:
-        """The lowest level that the recording allows [N m]."""
+        """The lowest level of process noise that the recording allows [N m]."""
         return self.pure * self.process.least / self.process.level
 
     @property
@@ -150,8 +151,8 @@ class TorqueNoise:
 def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shares: Sequence[float]) -> Array:
     """Return the probability of a larger chi-square, with the uncertain process noise of the cases integrated out.
 
-    `noise` is empty for white noise alone. `shares` are the fractions of the variance that the process noise of each
-    case contributes.
+    `noise` is empty for white noise alone. `shares` are the fractions of the variance due to the process noise of each
+    case.
     """
     from scipy.special import chdtrc
 
@@ -161,7 +162,7 @@ def tail_probability(chi2: float | Array, dof: int, noise: Sequence[Noise], shar
 
 
 def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Array, Array]:
-    """Return possible ratios of the true to the assumed variance of a sum of squares, and their probabilities.
+    """Return possible ratios of the true to the assumed variance in a sum of squares, and their probabilities.
 
     The process noise of each case is known with an uncertainty (see `tail_probability`); cases have equal weights.
     """
@@ -173,12 +174,12 @@ def possible_scales(noise: Sequence[Noise], shares: Sequence[float]) -> tuple[Ar
 
 
 def variance_factor(chi2: float, dof: int) -> float:
-    """Return the expected factor by which the variance of residuals exceeds that of the noise.
+    """Return the expected ratio of the variance of residuals to the variance of the noise.
 
     Noise alone (factor 1) and a lack of fit (factor above 1) have equal prior probabilities. For a lack of fit, the
-    prior of the inverse factor is uniform between 0 and 1. If chi-square is consistent with the noise, the standard
-    errors hardly change. If chi-square is significantly larger, the factor approaches chi2/dof (R. T. Birge, Phys. Rev.
-    40, 207 (1932)).
+    reciprocal of the factor has a uniform prior between 0 and 1. If chi-square is consistent with the noise, the
+    standard errors hardly change. If chi-square is significantly larger, the factor approaches chi2/dof (R. T. Birge,
+    Phys. Rev. 40, 207 (1932)).
     """
     from scipy.special import gammainc, gammaln
 
@@ -192,8 +193,9 @@ def variance_factor(chi2: float, dof: int) -> float:
 
 
 _LEAST_SHARE = 0.1
-"""Lowest trial level, divided by the level at which the response of the most responsive row equals the white noise [1].
-Chosen: a lower level changes no row noticeably, a higher level leaves a gap above zero."""
+"""Lowest trial level, divided by the level at which the response of the most sensitive row equals the white noise [1].
+Chosen: a lower level changes no row noticeably; with a higher one, the gap between zero and the lowest trial is too
+large."""
 _EVIDENCE = 2.7
 """Twice the log-likelihood ratio above which residuals show a random torque [1]. Derived: without a random torque it is
 larger in 5 % of the recordings (half of chi-square with one degree of freedom; S. Self, K.-Y. Liang, J. Am. Stat.
@@ -204,32 +206,34 @@ far above the level that any lack of fit needs; with a lower limit, the most lik
 _PER_DECADE = 8
 """Number of trial levels per decade [1]. Chosen: a coarser grid rounds the level, a finer one costs time."""
 _ROUNDING = 1e-20
-"""Share of the largest response below which a row counts as not responding [1]. Chosen: rows of a casing at rest
-contain only rounding errors; a larger value excludes slow rows, a smaller one includes rows at rest."""
+"""A row counts as not responding if its response, as a share of the largest response, is below this value [1]. Chosen:
+rows of a casing at rest contain only rounding errors; a larger value excludes slow rows, a smaller one includes rows at
+rest."""
 _MORE = 1.5
 """Smallest ratio of a raised level to the lowest level that the recording allows [1]. Chosen: a smaller value takes the
 uncertainty of the level for a lack of fit, a larger one overlooks a raised level."""
 _LEAST_RESPONSE = 0.1
-"""Lowest unresolved level, divided by the level at which the response of the most responsive row equals the white noise
-[1]. Chosen: a lower level changes nothing, a higher level leaves a gap above zero."""
+"""Lowest trial value of an unresolved level, divided by the level at which the response of the most sensitive row
+equals the white noise [1]. Chosen: a lower level changes nothing; with a higher one, the gap between zero and the
+lowest trial is too large."""
 _LEAST_EXPECTED = 0.03
-"""Ratio of the lowest unresolved level to the expected level [1]. Chosen: a smaller ratio changes nothing, a larger one
-leaves a gap above zero."""
+"""Lowest trial value of an unresolved level, divided by the expected level [1]. Chosen: a smaller value changes
+nothing; with a larger one, the gap between zero and the lowest trial is too large."""
 _MOST_EXPECTED = 4.0
-"""Ratio of the highest unresolved level to the expected level [1]. Chosen: a normal prior has a probability of 6e-5
-beyond it; a smaller value cuts the prior, a larger one makes the grid coarser."""
+"""Highest trial value of an unresolved level, divided by the expected level [1]. Chosen: a normal prior has a
+probability of 6e-5 beyond it; a smaller value cuts the prior, a larger one makes the grid coarser."""
 _UNRESOLVED_LEVELS = 16
-"""Number of unresolved levels [1]. Chosen: a smaller number makes the posterior mean coarse, a larger one costs
-time."""
+"""Number of trial values of an unresolved level [1]. Chosen: a smaller number makes the posterior mean coarse, a larger
+one costs time."""
 
 
 def remaining_level(whitener: Whitener, residual: Array, free: Array) -> tuple[float, float]:
     """Return the most likely level of random torque, and twice the log-likelihood ratio against no random torque.
 
     The likelihood is restricted: the columns `free` (rows, columns), derivatives with respect to parameters and
-    nuisance parameters, are integrated out. The level is set to zero unless its evidence exceeds that of white noise
-    alone in 19 of 20 recordings. An insignificant level would double the standard errors of parameters whose effect
-    resembles a slow torque.
+    nuisance parameters, are integrated out. The level is set to zero unless its evidence exceeds `_EVIDENCE`. White
+    noise alone exceeds this value in only 1 of 20 recordings. An insignificant level would double the standard errors
+    of all parameters that act like a slow torque.
     """
     rotated, values = _rotated(whitener, residual, free)
     # rows of a casing at rest do not respond to a torque
@@ -254,10 +258,10 @@ def unresolved_level(whitener: Whitener, residual: Array, free: Array, expected:
 
     In a short record, or for slow torques, the most likely level is often zero although larger levels are nearly as
     likely. The standard errors of parameters would not include these levels. The prior has probability 1/2 for no
-    random torque, and 1/2 for a half-normal distribution of the rms with standard deviation `expected` [N m]. This is
-    the level of the recording, a posterior mean, whose heavy tail is already integrated out. If the residuals contain
-    no information, the mean of s^2 is half of `expected`^2. If the residuals exclude most levels, the hypothesis of no
-    random torque becomes far more probable.
+    random torque, and 1/2 for a half-normal distribution of the rms with standard deviation `expected` [N m]. The
+    expected level is the level of the recording, a posterior mean that already contains the heavy tail of its
+    distribution. If the residuals contain no information, the mean of s^2 is half of `expected`^2. If the residuals
+    exclude most levels, the hypothesis of no random torque becomes far more probable.
     """
     rotated, values = _rotated(whitener, residual, free)
     largest = values.max(initial=0.0)
@@ -305,8 +309,8 @@ _CELLS_PER_ROW = 2.5
 """Number of cells of the random torque per row [1]. Chosen: equal to `_CELLS_PER_ROW` of
 `fitting.inference._process_noise`; a smaller number blurs the response of the highest row, a larger one costs time."""
 _GROUPS = 8
-"""Number of groups of cells that skip the rows before their first response [1]. Chosen: another value costs time and
-does not change the result."""
+"""Number of groups of cells; the product for a group omits the rows that precede its first response [1]. Chosen:
+another value costs time and does not change the result."""
 
 
 class TorqueResponse:
@@ -369,7 +373,7 @@ class TorqueResponse:
 
     @cached_property
     def _by_time(self) -> tuple[NDArray[np.intp], list[tuple[int, slice]], list[Array]]:
-        """Return the order of the rows by the last cell that affects them, groups of cells, and the responses.
+        """Return the rows ordered by the last cell that affects them, the groups of cells, and the responses.
 
         A torque does not affect earlier rows: a group of cells affects only its row `first` and later rows.
         """
@@ -433,7 +437,7 @@ def _impulses(
         else:
             response = motion.fundamental(times)[:, state] @ impulses.T
         response = np.where(times[:, None] > centres, response, 0.0)
-        # a row within a cell responds only to the part of the cell before it
+        # a row whose time is within a cell responds only to the earlier part of the cell
         cell = np.clip(np.searchsorted(cells, times, side="right") - 1, 0, len(centres) - 1)
         since = times - cells[cell]
         acceleration = motion.accelerations(direction)[state]

@@ -3,8 +3,8 @@
 J. J. More, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630 (1978), with H. B. Nielsen's update of the damping
 (IMM-REP-1999-05). A variable at its bound is held for the step if the negative gradient points out of the bounds.
 
-If chi-square at the end of a search is far above that of noise, the initial values or the model are wrong. The search
-is then repeated from automatic initial values and from other exponents.
+If chi-square at the end of a search is far above the value for noise alone, the initial values or the model are wrong.
+The search is then repeated from automatic initial values and from other exponents.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 ResidualFunction = Callable[[Array], tuple[Array, Array]]
 
 _NEGLIGIBLE_FALL = 0.01
-"""If the sum of squares falls by less than this value, no parameter changes by a tenth of its standard error [variances
-of the noise]. Derived: the square of a tenth."""
+"""Fall of the sum of squares that is negligible, because no parameter then changes by a tenth of its standard error
+[variances of the noise]. Derived: the square of a tenth."""
 _NO_DAMPING = 1e-20
-"""Damping of a Gauss-Newton step [1]. Derived: far below rounding errors, so that the step is undamped."""
+"""Damping of a Gauss-Newton step [1]. Derived: the value is far below rounding errors, so the step is undamped."""
 
 
 @dataclass(frozen=True)
@@ -145,11 +145,11 @@ _CONVERGED_QUICK = 3e-3
 """Fall of chi-square at which a quick search ends [1]. Chosen: it suffices for a ranking; a smaller value costs time, a
 larger one makes the order of similar candidates random."""
 _FAR = 10.0
-"""Chi-square per row above which a search is repeated from further initial values [1]. Chosen: a smaller value repeats
-searches of models with a lack of fit, a larger one accepts a wrong minimum."""
+"""A search is repeated from further initial values if chi-square per row exceeds this value [1]. Chosen: a smaller
+value repeats searches of models with a lack of fit, a larger one accepts a wrong minimum."""
 _STEPS = 60
-"""Largest number of steps of one of several searches [1]. Chosen: a smaller number stops before the minimum is known, a
-larger one costs time."""
+"""Largest number of steps of each search from further initial values [1]. Chosen: a smaller number stops before the
+minimum is known, a larger one costs time."""
 _QUICK_STEPS = 40
 """Largest number of steps of a quick search [1]. Chosen: a smaller number stops before the minimum is known, a larger
 one costs time."""
@@ -165,8 +165,8 @@ searches, a larger one takes neighbouring minima for a single minimum."""
 class ActiveBounds:
     """The bounds at which a search ended.
 
-    d and f are the strengths of a pair of laws d x^m + f x^g. `power_laws` are those that are still fitted in
-    transformed variables, and `held` are the indices of the variables that are held at a bound.
+    d and f are the strengths of a pair of laws d x^m + f x^g. `power_laws` are the pairs that are still fitted in
+    transformed variables. `held` are the indices of the variables that are held at a bound.
     """
 
     power_laws: tuple[PowerLaw, ...]
@@ -195,7 +195,10 @@ def search_widely(
     quick: bool = False,
     active: ActiveBounds | None = None,
 ) -> Solution:
-    """Return the best of several searches; the `others` start only if the first one ends far from the data."""
+    """Return the best of several searches.
+
+    The searches from `others` are made only if the first search ends far from the data.
+    """
     best: Solution | None = None
     for begin in (theta, *others):
         try:
@@ -204,13 +207,13 @@ def search_widely(
             active = None
             continue
         active, cost = found.active, found.minimum.cost
-        # if two starts end in the same minimum, the model is wrong, not the search
+        # if two searches end in the same minimum, the model is wrong, and the search is not repeated
         same = best is not None and abs(cost - best.minimum.cost) < _SAME * best.minimum.cost
         if best is None or cost < best.minimum.cost:
             best = found
         if same or (found.minimum.converged and not is_far(problem, found)):
             break
-    # if all searches failed, the error of the first is raised
+    # if all searches failed, the error of the first search is raised
     return search(problem, theta, quick=quick) if best is None else best
 
 

@@ -23,11 +23,11 @@ from fitting.inference._record import Record
 Array = NDArray[np.float64]
 
 _SIGMAS = 8.0
-"""Hysteresis of a reversal [standard uncertainties]. Chosen: a smaller value counts noise as reversals, a larger one
-ends a decaying oscillation early."""
+"""A reversal counts only if the angle returns by at least this value [standard uncertainties]. Chosen: a smaller value
+counts noise as reversals, a larger one ends a decaying oscillation early."""
 _SHARE = 0.01
-"""Hysteresis of a reversal, as a share of the range [1]. Chosen: a smaller value counts vibrations as reversals, a
-larger one ends a decaying oscillation early."""
+"""A reversal counts only if the angle returns by at least this share of its range [1]. Chosen: a smaller value counts
+vibrations as reversals, a larger one ends a decaying oscillation early."""
 _FEWEST = 3
 """Smallest number of reversals of an oscillation [1]. Derived: three successive turning points determine the
 equilibrium."""
@@ -38,18 +38,18 @@ _PHASE_DEGREE = 5
 """Degree of the polynomial of the phase [1]. Chosen: a smaller value does not follow a changing frequency, a larger one
 oscillates at the ends."""
 _HARMONICS = 3
-"""Number of harmonics of an oscillation [1]. Chosen: a smaller value leaves motion in the noise, a larger one absorbs
-noise."""
+"""Number of harmonics of an oscillation [1]. Chosen: with a smaller value, a part of the motion counts as noise; a
+larger one absorbs noise."""
 _MODULATION = 3
 """Highest power of time in the polynomial for the amplitude of each harmonic [1]. Chosen: a smaller value does not
 follow the decay, a larger one absorbs noise."""
 _MOST_WINDOWS = 300
-"""Largest number of windows in which amplitude and phase of an oscillation are determined [1]. Chosen: a smaller number
-blurs the decay, a larger one costs time."""
+"""Largest number of windows of an oscillation, in each of which amplitude and phase are determined [1]. Chosen: a
+smaller number blurs the decay, a larger one costs time."""
 _WINDOWS = 20
-"""Number of windows below which they become shorter. A window contains three periods. A record of less than 60 periods
-is divided into this number of windows, but no window is shorter than a period [1]. Chosen: a smaller number does not
-resolve the decay of short records, a larger one gives uncertain amplitudes."""
+"""Number of windows of a record of 20 to 60 periods. In longer records a window contains three periods, in shorter
+records one period [1]. Chosen: a smaller number does not resolve the decay of short records, a larger one gives
+uncertain amplitudes."""
 _POINTS_PER_PERIOD = 24
 """Number of approximate speeds in each period of an oscillation, from which a fit begins [1]. Chosen: with fewer, the
 largest deflections are averaged away; with more, each speed is noisy."""
@@ -105,7 +105,7 @@ class Rotation:
         return np.zeros((samples, 0))
 
     def beyond_motion(self, columns: Array, _angle: Array) -> Array:
-        """Return functions of the angle without the part that is not distinguishable from the motion."""
+        """Return functions of the angle: in a rotation, all of them are distinguishable from the motion."""
         return columns
 
 

@@ -11,8 +11,8 @@ single power law has the variable F = f x_ref^g instead of f. If one of d and f 
 replaced by T1, which the data determine well.
 
 A law of strength k and phase phi has the response k [cos(phi) s + sin(phi) c], with the unit responses s and c at phase
-0 and at a quarter period. At k = 0 the derivative with respect to phi vanishes, so a search cannot leave this bound of
-k towards the opposite phase. In the variables
+0 and at a quarter period. At the bound k = 0 the derivative with respect to phi vanishes, so a search cannot continue
+from there with the opposite phase. In the variables
 
     a = k cos(phi),   b = k sin(phi)
 
@@ -57,8 +57,9 @@ class ParameterLayout:
 
     model: Model  # the model
     records: tuple[Record, ...]  # the cases
-    per_case: tuple[str, ...]  # parameters (keys, effects or prefixes) with a value for each case
-    # bounds, by name, within the declared bounds
+    # parameters with a separate value for each case, as keys, effects or prefixes of effects
+    per_case: tuple[str, ...]
+    # bounds by name, narrower than the declared bounds
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     ties: Mapping[str, str] = field(default_factory=dict)  # expressions of dependent parameters, by key
 
@@ -178,7 +179,7 @@ class ParameterLayout:
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """Names, without the case, of initial values of absent bodies, on which no row depends."""
+        """Names, without the case, of the initial values of absent bodies; no row depends on them."""
         present, mechanism = self.records[0].parts, self.model.mechanism
         both = zip(mechanism.bodies, mechanism.speeds, strict=True)
         return tuple(start_of(speed) for part, speed in both if part not in present)
@@ -228,7 +229,7 @@ def parameters_at(effects: Iterable[Effect], records: Sequence[Record]) -> dict[
 
 
 def covers(name: str, key: str) -> bool:
-    """Return whether a name covers a parameter: its key, its effect, a prefix of the effect, or its symbol."""
+    """Return whether a name includes a parameter: as its key, its effect, a prefix of the effect, or its symbol."""
     return key == name or key.startswith(name.rstrip(".") + ".") or key.rpartition(".")[2] == name
 
 
@@ -237,8 +238,8 @@ _NEAREST = 3e-3
 difference of the two terms loses digits and the torque hardly changes; a larger value excludes exponents that the data
 determine."""
 _SAME = 1e-9
-"""Largest relative error of a change of coordinates [1]. Chosen: the size of rounding errors; a smaller value refuses
-valid changes, a larger one accepts inaccurate changes."""
+"""Largest relative error of a change of coordinates [1]. Chosen: above the size of rounding errors; a smaller value
+refuses valid changes, a larger one accepts inaccurate changes."""
 
 
 @dataclass(frozen=True)
@@ -352,7 +353,7 @@ def find_power_laws(layout: ParameterLayout, rough: Sequence[tuple[Array, Array]
 
 
 def exponent(effect: Effect) -> Parameter | None:
-    """Return the possible exponent of the law of an effect: its only shape constant, if it is dimensionless."""
+    """Return the parameter that may be the exponent of a law: its only shape constant, if this is dimensionless."""
     shapes = [p for p in effect.parameters if p.role == "shape"]
     if effect.inputs or effect.state or effect.joint not in {"rotor", "casing", "bearing"}:
         return None
@@ -429,7 +430,8 @@ def _places(
 
 
 _TINY = 1e-30
-"""Smallest strength, which has a phase but no influence [1]. Derived: below any torque and above zero, in its unit."""
+"""Smallest strength; with this value the phase is defined, but the torque has no influence [1]. Derived: it is above
+zero and below any relevant strength."""
 
 
 @dataclass(frozen=True)
@@ -443,8 +445,9 @@ class Sinusoid:
 def find_sinusoids(layout: ParameterLayout) -> tuple[Sinusoid, ...]:
     """Return the pairs of a free strength and a free phase whose only bound is a strength of zero.
 
-    Laws with a free shape are excluded: the data do not determine the shape while the strength is small. Laws whose
-    strength has a value per case and whose phase is shared, or vice versa, are also excluded.
+    Laws with a free shape are excluded: the data do not determine the shape while the strength is small. Also excluded
+    are laws whose strength has a value per case and whose phase is shared, and laws with a shared strength and a phase
+    per case.
     """
     found: dict[Sinusoid, None] = {}
     for effect in layout.model.effects:

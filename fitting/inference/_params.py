@@ -1,7 +1,7 @@
 """Parameters of a fit as lmfit shows them: a mapping by name, with short names, and a report with correlations.
 
-M. Newville et al., lmfit, doi:10.5281/zenodo.11813. A mapping of parameters is not changed: `Params.set` returns a new
-mapping, which is an argument of the next fit.
+M. Newville et al., lmfit, doi:10.5281/zenodo.11813. A mapping of parameters is immutable: `Params.set` returns a new
+mapping, which can be passed to the next fit.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from fitting.inference._record import Record
 from fitting.inference._ties import find_key
 
 _SCREEN = 20
-"""Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
+"""Largest number of lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a
+larger one scrolls."""
 LEAST_CORRELATION = 0.1
 """Smallest correlation in a report [1]. Source: lmfit, whose report has the same default."""
 # settings that a user may change for a parameter
@@ -110,7 +111,7 @@ class Params(Mapping[str, Estimate]):
         return find_key(name, self._estimates)
 
     def set(self, name: str, **settings: Any) -> Params:
-        """Return the parameters with one of them changed, for `fitting.fit(model, case, params=...)`.
+        """Return the parameters with one parameter changed, for `fitting.fit(model, case, params=...)`.
 
         Parameters
         ----------
@@ -151,7 +152,10 @@ class Params(Mapping[str, Estimate]):
 
 
 def note(e: Estimate) -> str:
-    """Return the remark in brackets on a parameter that is tied, held or at its bound; empty for others."""
+    """Return the remark in brackets on a parameter that is tied, held or at its bound.
+
+    Empty for any other parameter.
+    """
     if e.expr is not None:
         return f" (= {e.expr})"
     if not e.vary:
@@ -187,7 +191,7 @@ class Settings:
     ties: dict[str, str] = field(default_factory=dict)
 
     def joined(self, other: Settings) -> Settings:
-        """Return the settings of both; the settings of `other` take precedence."""
+        """Return the combined settings; the settings of `other` take precedence."""
         return Settings(*(getattr(self, f.name) | getattr(other, f.name) for f in fields(self)))
 
 
@@ -215,7 +219,7 @@ def settings_of(params: Any, model: Model, records: Sequence[Record]) -> Setting
                 'write {"value": 0.7, "vary": False}',
             )
         if not isinstance(given, Mapping) and names.missing(name):
-            continue  # a parameter of another model
+            continue  # a parameter of the earlier fit that the new model does not have
         refuse_settings(str(name), entries)
         _add(found, names(name), entries)
     return found
@@ -290,7 +294,7 @@ class Names:
         return False
 
     def tie(self, text: str) -> str:
-        """Return an expression in which names of the library replace those with the name of the body."""
+        """Return an expression with the parameter names of the library instead of names with the name of the body."""
         if not self.body or not isinstance(text, str):
             return text
         for key in sorted(self.keys, key=len, reverse=True):

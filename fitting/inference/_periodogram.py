@@ -1,9 +1,9 @@
 """Periodogram of the residual torque: whether it contains a sinusoid in time.
 
-A sinusoidal torque in time (a vibrating table, a fan) is fast. Process noise of short correlation time therefore
-absorbs its variance, but cannot imitate a single frequency. For each frequency, a cosine and a sine torque on the
-casing are added to the model. Let r be the whitened residuals and S the whitened responses to cosine and sine. Both are
-projected orthogonally to the derivatives with respect to the fitted parameters (the free columns). Then
+A vibrating table or a fan causes a sinusoidal torque in time, which is fast. Process noise of short correlation time
+absorbs the variance of this torque, but cannot imitate a single frequency. For each frequency, a cosine and a sine
+torque on the casing are added to the model. Let r be the whitened residuals and S the whitened responses to cosine and
+sine. Both are projected orthogonally to the derivatives with respect to the fitted parameters (the free columns). Then
 
     chi2 = r'S (S'S)^-1 S'r
 
@@ -40,8 +40,8 @@ _FEWEST_PERIODS = 10
 """Smallest number of periods in a record at which a frequency is tried [1]. Chosen: with fewer, the torque is a trend,
 which the test against slow torques covers; a larger value leaves a gap between the two tests."""
 _PER_PEAK = 2
-"""Number of trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller
-number overlooks peaks, a larger one costs time; the finer search follows."""
+"""Number of trial frequencies per width of a peak; the width is 2 pi divided by the length of the record [1]. Chosen: a
+smaller number overlooks peaks, a larger one costs time; the finer search follows."""
 _FINER = 16
 """Number of trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: a smaller number
 understates the peak, a larger one costs time."""
@@ -49,14 +49,14 @@ _RETAINED = 1e-3
 """A torque is tested if at least this share of its response is orthogonal to the free columns [1]. Chosen: a smaller
 value tests rounding errors, a larger one omits torques that are nearly absorbed."""
 _RANK = 1e-4
-"""Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
-rounding errors, a larger one omits deviations that are nearly absorbed."""
+"""A direction is not tested if its singular value, divided by the largest, is below this value [1]. Chosen: a smaller
+value tests rounding errors, a larger one omits deviations that are nearly absorbed."""
 _RANK_FREE = 1e-7
-"""Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
-projects out rounding errors, a larger one ignores some free columns."""
+"""A direction is not projected out if its singular value, divided by the largest, is below this value [1]. Chosen: a
+smaller value projects out rounding errors, a larger one ignores some free columns."""
 _NEAR_RESONANCE = 0.01
 """Smallest difference of the squared frequencies of a drive and an oscillator, divided by the squared frequency of the
-oscillator [1]. Chosen: a smaller value gives unlimited angles, a larger one understates a resonance."""
+oscillator [1]. Chosen: with a smaller value, the computed angle is unlimited; a larger one understates a resonance."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,10 @@ def periodogram_peak(
 
 
 def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: int) -> PeriodogramPeak | None:
-    """Return the highest peak of one of `cases` cases; None if its record is too short."""
+    """Return the highest peak of one case; None if its record is too short.
+
+    The p-value is for the best of `cases` cases.
+    """
     periodogram = _Periodogram(data, prediction, noise)
     lowest, highest, step = periodogram.band
     if highest <= lowest:

@@ -4,7 +4,7 @@ There are two distributions. The first is the normal distribution of the lineari
 which all standard uncertainties are taken. The second is the likelihood of the fit at its noise with a flat prior
 within the bounds. The package emcee (D. Foreman-Mackey et al., PASP 125, 306 (2013)) samples it with the
 affine-invariant ensemble of J. Goodman, J. Weare, Commun. Appl. Math. Comput. Sci. 5, 65 (2010). If the fit has a lack
-of fit, the log-likelihood is divided by the factor that increases the variances.
+of fit, the log-likelihood is divided by the factor by which the variances are increased.
 """
 
 from __future__ import annotations

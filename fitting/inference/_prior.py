@@ -99,7 +99,7 @@ class Prior:
         return replace(self, names=new, mean=tuple(self.mean[i] for i in kept), covariance=covariance)
 
     def joined(self, other: Self) -> Self:
-        """Return both priors, of independent studies, as one; no parameter may be in both."""
+        """Return two priors from independent studies as a single prior; no parameter may occur in both."""
         twice = sorted({*self.names} & {*other.names})
         if twice:
             raise EstimationError(

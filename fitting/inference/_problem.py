@@ -34,10 +34,11 @@ Array = NDArray[np.float64]
 
 _RANK = 1e-7
 """Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
-rounding errors, a larger one leaves a part of the nuisance columns."""
+rounding errors; with a larger one, some nuisance columns are not projected out."""
 _ROUNDING = 1e-11
-"""Share of a column orthogonal to the nuisance columns below which this part is rounding error [1]. Chosen: a smaller
-value determines parameters by rounding errors, a larger one holds weakly determined parameters fixed."""
+"""The part of a column orthogonal to the nuisance columns is rounding error if its share of the column is below this
+value [1]. Chosen: a smaller value determines parameters by rounding errors, a larger one holds weakly determined
+parameters fixed."""
 
 
 class Projection:
@@ -68,9 +69,9 @@ class Problem:
 
     layout: ParameterLayout
     data: tuple[CaseData, ...]
-    cases: tuple[CaseModel, ...]  # they cache their last solution
+    cases: tuple[CaseModel, ...]  # case models; they cache their last solutions
     projections: tuple[Projection, ...]  # noise and nuisance columns of each case
-    power_laws: tuple[PowerLaw, ...]  # fitted in transformed variables
+    power_laws: tuple[PowerLaw, ...]  # power laws that are fitted in transformed variables
 
     @classmethod
     def of(cls, layout: ParameterLayout, data: Sequence[CaseData]) -> Self:
@@ -161,8 +162,8 @@ class Problem:
     def transformed_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Return the bounds of the transformed variables.
 
-        During the search, d and f of a pair and a strength with a phase have no bounds; f of a single power law has no
-        upper bound.
+        During the search, the strengths d and f of a pair of laws, and a strength with a phase, have no bounds. The
+        strength f of a single power law has no upper bound.
         """
         lower, upper = lower.copy(), upper.copy()
         for w in find_sinusoids(self.layout):
@@ -186,7 +187,7 @@ def reference_speed(data: Sequence[CaseData], mechanism: Mechanism = GYROSCOPE) 
 def typical_speed(speeds: Sequence[Array], mechanism: Mechanism, joint: Coupling) -> float:
     """Return a typical relative speed of a joint, from the speeds (times, bodies) of each case [rad/s]."""
     typical = [np.median(np.abs(mechanism.motion(s.T)[joint.delta])) for s in speeds]
-    return float(np.mean(typical)) or 1.0  # any value for bodies at rest
+    return float(np.mean(typical)) or 1.0  # for bodies at rest, any positive value is suitable
 
 
 _BEYOND = 3.0
@@ -194,8 +195,8 @@ _BEYOND = 3.0
 [standard errors]. Chosen: a smaller value ignores the uncertainty at a bound, a larger one treats a fixed parameter as
 free."""
 _LEAST_CHANGE = 0.2
-"""Smallest relative change that is part of a degenerate direction [1]. Chosen: a smaller value lists uninvolved
-parameters, a larger one omits involved parameters."""
+"""Smallest relative change of a parameter that is listed in a degenerate combination [1]. Chosen: a smaller value lists
+uninvolved parameters, a larger one omits involved parameters."""
 
 
 def surely_at_bound(
@@ -203,9 +204,9 @@ def surely_at_bound(
 ) -> NDArray[np.bool_]:
     """Return a mask of the variables that are known to equal their bound.
 
-    A friction whose unconstrained optimum is far below zero is zero. If the optimum is only slightly below zero, or an
-    exponent is at a bound of its range, the parameter is treated as free in the standard errors of correlated
-    parameters.
+    A friction coefficient whose unconstrained optimum is far below zero is known to be zero. If the optimum is only
+    slightly below zero, or if an exponent is at a bound of its range, the parameter is treated as free: its uncertainty
+    contributes to the standard errors of correlated parameters.
     """
     no_influence = np.linalg.norm(j, axis=0) == 0
     covariance = covariance_of(j, ~no_influence)
@@ -218,9 +219,9 @@ def surely_at_bound(
 def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array) -> list[dict[str, float]]:
     """Return combinations of parameters that the data do not determine although each alone may seem determined.
 
-    Each combination is a dict of relative changes, scaled to a largest change of +1. A common change of the parameters
-    along the combination is within one standard error. Changes below a fifth of the largest, and combinations of a
-    single parameter, are left out.
+    Each combination is a dict of relative changes, scaled to a largest change of +1. If the parameters change together
+    along the combination, the change is within one standard error. Relative changes below a fifth of the largest
+    change, and combinations of a single parameter, are left out.
     """
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     kept = np.flatnonzero((theta != 0) & np.isfinite(error) & (error > 0))
@@ -239,18 +240,18 @@ def degenerate_directions(names: Sequence[str], theta: Array, covariance: Array)
 
 _FIRST_LEVEL = 0.01
 """First random torque, as a share of the median torque on the rotor, or of the largest median torque on a body other
-than the main one [1]. Chosen: a smaller value lets the worst interval dominate the search, a larger one hides the shape
-of laws."""
+than the main one [1]. Chosen: with a smaller value, the worst interval dominates the search; a larger one hides the
+shape of laws."""
 _MOST_AT_REST = 0.5
 """Blocks at rest are left out of the estimate of the random torque if they are at most this share of the blocks [1].
-Chosen: a smaller value includes blocks that do not respond, a larger one leaves few blocks."""
+Chosen: a smaller value includes blocks that do not respond; with a larger one, few blocks remain."""
 _FIRST_TIME = 1 / 200
 """Correlation time of the first random torque, divided by the length of the record [1]. Chosen: a slower torque would
 absorb the error of the initial values, a faster one is white noise."""
 
 
 def recording_noise(data: CaseData, prediction: Prediction) -> Noise:
-    """Return the noise of a recording, with the response of its rows linearised about a prediction.
+    """Return the noise of a recording; the response of the rows to random torques is linearised about a prediction.
 
     The random torques on the main body and in the joints have the same rms; their sum accelerates the main body.
     """
@@ -308,8 +309,8 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
     """Return whether a random torque as large as the residuals would make the phase of an oscillation random.
 
     After the time t, a random acceleration with spectral density S has changed the phase of an oscillation of amplitude
-    a and frequency w by an rms of sqrt(S t / 2) / (a w), like white noise on a tuned circuit. An acceleration of rms s
-    and correlation time tau has S = 2 s^2 tau / (1 + w^2 tau^2). The limit of the phase is `Criteria.gross_misfit`.
+    a and frequency w by an rms of sqrt(S t / 2) / (a w). An acceleration of rms s and correlation time tau has S = 2
+    s^2 tau / (1 + w^2 tau^2). The limit of the phase is `Criteria.gross_misfit`.
     """
     motion = data.motion
     slow = motion.slow_motion
@@ -325,7 +326,7 @@ def fails_grossly(data: CaseData, prediction: Prediction, noise: Noise) -> bool:
 
 
 def _rows_at_rest(data: CaseData, prediction: Prediction) -> Array:
-    """Return unit columns for the smooth rows of the blocks in which the predicted casing is at rest or comes to rest.
+    """Return unit columns for the smooth rows of all blocks in which the modelled casing is at rest or comes to rest.
 
     There are no columns if more than half of the blocks would be left out.
     """
@@ -357,14 +358,14 @@ def refine_level(
     variable may differ between cases.
 
     If the model of an oscillation fails grossly, the level of the recording is kept. At the level of the residuals, the
-    phase would be random. The period, which the data determine best, would then have no weight (measured: the torque of
-    a pendulum was 6 % too small). The uncertainties are scaled by the residuals instead.
+    phase would be random. The period, which the data determine best, would then have no weight (measured: the fitted
+    torque of a pendulum was 6 % too small). The uncertainties are scaled by the residuals instead.
 
-    For a body that is driven by a recorded input, the level is at most the lowest level that the recording allows. That
-    level is measured with any linear response to the input free. The response to a change of the input determines the
-    parameters. At a larger level, random torques would replace an inexact model after such a change (measured: the time
-    constant of a motor becomes 39 ms instead of 25 ms). If the model lacks the drive, random torques would even
-    describe the whole motion.
+    For a body that is driven by a recorded input, the level is at most the lowest level that the recording allows. This
+    lowest level is estimated with the linear response to the input as a free function. The response to a change of the
+    input determines the parameters. At a larger level, random torques would describe the motion after such a change
+    instead of an inexact model (measured: the time constant of a motor becomes 39 ms instead of 25 ms). If the model
+    lacks the drive, random torques would even describe the whole motion.
 
     Rows in which the model is at rest are left out: they hardly respond to a torque, so that only unlimited torques
     would explain their residuals. A random torque is never larger than the largest torque of the recording. Cases whose

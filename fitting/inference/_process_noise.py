@@ -7,14 +7,14 @@ torques, whether a model contains them or not.
 
 The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. The estimated level and time
 are the posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is
-the positive half of a Student distribution with three degrees of freedom. Its scale is the resolution of the camera. At
-this resolution, an acceleration that is white for the rows, with the spectral density 2 s^2 T, has an effect as large
-as the noise in half of the rows. Therefore the level is never zero; if the data contain no process noise, it is a small
+the positive half of a Student distribution with three degrees of freedom. Its scale is the resolution of the camera:
+the rms s of an acceleration, white for the rows, whose effect is as large as the noise in half of the rows; its
+spectral density is 2 s^2 T. The estimated level is never zero; if the data contain no process noise, it is a small
 fraction of this resolution. A random torque is not expected to exceed the mean torque that slows the body, so the scale
 is at most the mean acceleration; this limit matters for records of a second or two. The prior of T is uniform in ln T
 from 1/32 of a block, below which the noise is white for the rows, to three blocks, which are a twentieth of a long
 record. A stretch with a kink or a jump is far noisier than the other stretches. Therefore the likelihood of a stretch
-is a mixture, with a prior probability of 1/20 for a separate level.
+is a mixture: with a prior probability of 1/20, the stretch has a separate level.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ Array = NDArray[np.float64]
 FLAT_PRIOR_SIGMA = 1e6
 """Standard deviation of a prior without information [rad or rad/s]. Derived: far beyond any angle and speed."""
 CONSISTENT = 6.0
-"""Largest value of twice the log-likelihood ratio of two consistent descriptions of the data [1]. Chosen: chi-square
-with two degrees of freedom is larger in 5 % of the cases; a smaller value refuses the right description, a larger one
-accepts wrong descriptions."""
+"""Two descriptions of the data are consistent if twice their log-likelihood ratio is at most this value [1]. Chosen:
+chi-square with two degrees of freedom exceeds this value in 5 % of the cases; a smaller value refuses the right
+description, a larger one accepts wrong descriptions."""
 
 _MOST_STRETCHES = 6
 """Largest number of stretches of a record, each with a level [1]. Chosen: with fewer, a kink distorts the level; with
@@ -62,11 +62,11 @@ _MOST_ROWS = 170
 """Largest number of rows of two stretches together [rows]. Chosen: the cost increases with the cube of this number; a
 larger number costs time, a smaller one neglects the correlation between stretches."""
 _FEW_STRETCHES = 2
-"""If there are at most this number of stretches, none of them has a separate level [1]. Derived: of two stretches, it
-is unknown which is the exception."""
+"""A stretch can have a separate level only if there are more stretches than this number [1]. Derived: with two
+stretches of different levels, it is unknown which stretch is the exception."""
 _OWN_LEVEL_SHARE = 0.05
-"""Prior probability of a separate level of a stretch [1]. Chosen: one kink in twenty stretches; with a smaller value a
-kink raises the level, a larger one discards noisy stretches."""
+"""Prior probability of a separate level of a stretch [1]. Chosen: one kink in twenty stretches; with a smaller value, a
+kink raises the level of all stretches; a larger one discards noisy stretches."""
 _TIMES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 3.0)
 """Trial correlation times [lengths of a block]. Chosen: noise with a shorter time is white for the rows; three blocks
 are a twentieth of a long record; slower noise is absorbed by the polynomials."""
@@ -77,20 +77,21 @@ _FINER = 16
 """Number of levels of the finer grid per level of the coarse grid [1]. Chosen: a smaller number makes the posterior
 mean coarse, a larger one costs time."""
 _REFINED_SHARE = 1e-4
-"""The grid of times is refined about each time whose probability, relative to the largest one, exceeds this value [1].
-Chosen: a smaller value costs time, a larger one rounds the posterior."""
+"""The grid of times is refined about each time whose probability, relative to the largest probability, exceeds this
+value [1]. Chosen: a smaller value costs time, a larger one rounds the posterior."""
 _STUDENT_DOF = 3
 """Degrees of freedom of the prior of a level [1]. Derived: the smallest number with a finite variance; its tails are
 heavy."""
 _LEAST_QUANTILE = 1e-3
-"""Quantile of the posterior that counts as the lowest level allowed by the recording [1]. Chosen: with a smaller value,
-any level counts as raised; a larger value excludes levels that the recording allows."""
+"""Probability of the quantile of the posterior distribution that counts as the lowest level allowed by the recording
+[1]. Chosen: with a smaller value, any level of a fit counts as raised; a larger value excludes levels that the
+recording allows."""
 _NEGLIGIBLE = 1e-25
 """Probability below which a level is omitted [1]. Chosen: a smaller value costs time, a larger one changes integrals
 over far tails."""
 _BINS = 60
 """Number of bins of the marginal distribution of the level [1]. Chosen: a smaller number rounds the quantiles of the
-level, a larger one leaves few levels in each bin."""
+level; with a larger one, each bin contains few levels."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +202,7 @@ def _log_prior(levels: Array, time: float, resolution: float, typical: float = m
 
 
 def _binned(values: Array, weights: Array) -> tuple[Array, Array]:
-    """Return the means and the weights of bins that are equally spaced in the logarithm of the values."""
+    """Return the mean and the weight of the values in bins that are equally spaced in the logarithm."""
     kept = weights > _NEGLIGIBLE
     values, weights = values[kept], weights[kept]
     edges = np.geomspace(values.min(), values.max() * (1 + 1e-9), _BINS + 1)
@@ -226,7 +227,9 @@ def mean_acceleration(run: Compressed) -> float:
 
 
 class WhitenedStretch:
-    """A stretch whose rows are whitened by the angle noise; the process noise is diagonalised once for each time.
+    """A stretch whose rows are whitened by the angle noise.
+
+    The covariance due to process noise is diagonalised once for each correlation time.
 
     `angle_covariance` is the covariance of the rows due to correlated angle noise, without the white noise of variance
     1.
@@ -282,7 +285,7 @@ class StretchLikelihood:
     def marginal(self, times: Sequence[float]) -> float:
         """Return the log-likelihood with the level, and correlation times of equal prior probability, integrated out.
 
-        All stretches have the same level: separate most likely levels would absorb the slow part of angle noise.
+        All stretches have the same level, because separate levels would absorb the slow part of angle noise.
         """
         resolution = 2 * times[0] * self.unit(times[0]) ** 2
         found, total = -np.inf, -np.inf
@@ -337,9 +340,9 @@ class Stretch:
         powers = np.polynomial.legendre.legvander(x.ravel(), degree).reshape(*x.shape, -1)
         nuisance = nuisance[self.rows]
         if nuisance.shape[1] > len(nuisance):
-            # use as many orthogonal combinations of the functions as there are rows: this stretch contains no
-            # information about other combinations; principal combinations keep functions with a flat prior, whose
-            # columns are very large, separate from the others
+            # Use only as many orthogonal combinations of the functions as there are rows, because this stretch contains
+            # no information about further combinations. Principal combinations are used: they separate functions with a
+            # flat prior, whose columns are very large, from the other functions.
             directions, sizes, _ = np.linalg.svd(nuisance, full_matrices=False)
             nuisance = directions * sizes
         # the last rows belong to the prior of the nuisance functions; their measured value is zero
@@ -363,7 +366,7 @@ class Stretch:
     def torque_covariance(self, time: float) -> tuple[Array, float]:
         """Return the covariance due to a random acceleration, with a median variance of 1.
 
-        Also return the rms of the acceleration [rad/s2].
+        Also return the rms of this acceleration [rad/s2].
         """
         if time not in self._torques:
             self._torques[time] = self._torque_covariance(time)
@@ -395,7 +398,7 @@ class Stretch:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(m) + inner)))
 
     def whitenings_at(self, times: Sequence[float], shares: Sequence[float]) -> list[tuple[Array, float]]:
-        """Return whitening matrix and deviance at `shares` of the process noise most likely in this stretch alone."""
+        """Return whitening matrix and deviance at `shares` of the level that is most likely in this stretch alone."""
         best, found = -np.inf, (np.eye(len(self.projected)), np.zeros(len(self.projected)), 0.0)
         for covariance in (self.torque_covariance(t)[0] for t in times):
             values, vectors = np.linalg.eigh(covariance)

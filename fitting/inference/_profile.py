@@ -1,6 +1,6 @@
 """Profile likelihood intervals.
 
-One parameter is held, and the deviance is minimised over all others. The noise remains that of the original fit. At the
+One parameter is held, and the deviance is minimised over all other parameters, at the noise of the original fit. At the
 ends of the interval, this minimum exceeds the deviance of the fit by the quantile of chi-square with one degree of
 freedom, 3.84 for 95 % (S. S. Wilks, Ann. Math. Statist. 9, 60 (1938)). The square root of this rise is nearly linear in
 the parameter, so a few fits find each end. If the rise of the deviance does not reach the quantile on one side, this
@@ -25,11 +25,13 @@ from fitting.inference._problem import Problem
 Array = NDArray[np.float64]
 
 LEVEL = 0.95
-"""Coverage of an interval [1]. Chosen: the usual value; a larger one widens intervals, a smaller one narrows them."""
+"""Coverage probability of an interval [1]. Chosen: the usual value; a larger one widens intervals, a smaller one
+narrows them."""
 _NEAR = 0.02
 """Tolerance of an end [standard deviations]. Chosen: a smaller value costs fits, a larger one rounds the end."""
 _FITS = 20
-"""Largest number of fits for each end [1]. Chosen: a smaller number leaves ends open, a larger one costs time."""
+"""Largest number of fits for each end [1]. Chosen: with a smaller number, some ends are not found; a larger one costs
+time."""
 _MOST_STEPS = 300
 """Largest number of steps of each fit [1]. Chosen: a smaller number stops before convergence, a larger one costs
 time in fits that do not converge."""
@@ -122,8 +124,8 @@ class _Held:
         lower, upper = layout.bounds()
         self._range = float(lower[self._place]), float(upper[self._place])
         problem = Problem.of(layout, fit.problem.data).with_noise(fit.noise)
-        # the strengths d and f of a pair of laws d x^m + f x^g are fitted as transformed variables that mix them, so a
-        # held strength must not be transformed
+        # the strengths d and f of a pair of laws d x^m + f x^g are fitted as transformed variables that contain both
+        # strengths, so a pair with a held strength must not be transformed
         kept = tuple(v for v in problem.power_laws if self._place not in (v.d, v.f))
         self._problem = replace(problem, power_laws=kept)
         self._active: ActiveBounds | None = None
@@ -171,7 +173,7 @@ class _Held:
             z, end = self._root(trial, theta)
             if abs(z - target) < _NEAR:
                 return trial, False
-            # if interpolation moves the same end of the bracket repeatedly, bisect
+            # bisect if interpolation moves the same end of the bracketing interval repeatedly
             repeated = repeated + 1 if (z < target) == within else 1
             within = z < target
             if z < target:
@@ -184,4 +186,4 @@ class _Held:
         return (inside, True) if math.isnan(outside) else (inside + (outside - inside) * 0.5, False)
 
 
-profile_interval = profile  # the public name
+profile_interval = profile  # the public name of the function

@@ -1,9 +1,10 @@
 """The most likely slow random torque in the residuals of a fit.
 
-The process noise of a recording is measured without a model, in short stretches whose fit follows any slow motion.
-A random torque that is slower than these stretches counts as motion and is not measured. Therefore its level s and its
-correlation time T are free here. T is between `Criteria.random_torque_shortest` and `Criteria.random_torque_longest`; s
-is at most the share `Criteria.random_torque` of the mean torque. To first order the deviance is
+The process noise of a recording is measured without a model, in short stretches, in each of which a polynomial follows
+any slow motion. A random torque that is slower than these stretches counts as motion and is not measured. Therefore its
+level s and its correlation time T are free here. T is between `Criteria.random_torque_shortest` and
+`Criteria.random_torque_longest`; s is at most the share `Criteria.random_torque` of the mean torque. To first order the
+deviance is
 
     D = min over s, T of  log det C + min over x of (r - J x)' C^-1 (r - J x),
 
@@ -34,11 +35,11 @@ _LEVELS = 16
 """Number of trial levels of a random torque [1]. Chosen: a smaller number overlooks the maximum of the likelihood, a
 larger one costs time."""
 _FEWEST_TIMES = 6.0
-"""Smallest ratio of the length of a record to the correlation time of the random torque [1]. Chosen: at a smaller value
-the torque is a trend, which absorbs any effect; a larger value leaves slow torques untried."""
+"""Smallest ratio of the length of a record to the correlation time of the random torque [1]. Chosen: with a smaller
+value the torque is a trend, which absorbs any effect; with a larger one, slow torques are not tried."""
 _LOWEST = 1e-3
-"""Lowest trial level, as a share of the ceiling [1]. Chosen: a smaller level cannot be distinguished from zero, a
-larger one leaves a gap above zero."""
+"""Lowest trial level, as a share of the highest allowed level [1]. Chosen: a smaller level cannot be distinguished from
+zero; with a larger one, the gap between zero and the lowest trial is too large."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class LikelyNoise:
 
     @property
     def is_raised(self) -> bool:
-        """Whether the random torque exceeds the process noise that a recording shows without a model."""
+        """Whether the random torque of a case exceeds the process noise that its recording shows without a model."""
         return any(n.raised for n in self.noise)
 
     def describes(self, rows: int, criteria: Criteria) -> bool:
@@ -102,7 +103,7 @@ def mean_torque(problem: Problem, predictions: Sequence[Prediction], theta: Arra
 def _most_likely(
     data: CaseData, prediction: Prediction, columns: Array, noise: Noise, ceiling: float, criteria: Criteria
 ) -> Noise:
-    """Return the noise of one case with the most likely random torque up to a ceiling [N m]."""
+    """Return the noise of one case with the most likely random torque whose rms is at most `ceiling` [N m]."""
     first, last = data.record.span
     longest = min(criteria.random_torque_longest, (last - first) / _FEWEST_TIMES)
     times = np.geomspace(min(criteria.random_torque_shortest, longest), longest, _TIMES)

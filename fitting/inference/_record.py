@@ -35,7 +35,8 @@ Quantity = Literal["angle", "omega"]
 Role = Literal["rotor", "casing", "body"]
 
 _FEWEST_OF_BODY = 24
-"""Smallest number of samples of the first body [samples]. Derived: in a block, 12 for the model and 12 for noise."""
+"""Smallest number of samples of the first body [samples]. Derived: a block needs 12 samples for the model and 12 for
+the noise."""
 _PIECES = (480, 240, 120, 60, 30, 15, 8, 4, 2, 1)
 """Trial numbers of pieces of a smoothed curve [1]. Chosen: BIC selects one of them; a coarser list smooths too much or
 too little, a finer list costs time."""
@@ -45,28 +46,29 @@ motion."""
 _CUBIC = 4
 """Number of coefficients of a piece [1]. Derived: a polynomial of degree 3."""
 _FEWEST: dict[str, int] = {"angle": 8, "omega": 1}
-"""Smallest number of samples of a rotor window, by quantity [samples]. Chosen: a speed follows from several angles, or
-is measured directly; with a smaller number of angles, the speed has no uncertainty; a larger number refuses short
-films."""
+"""Smallest number of samples of a rotor window, by quantity [samples]. Chosen: a measured speed suffices, but a speed
+from angles needs several samples; with fewer angles, the uncertainty of the speed is unknown; a larger number refuses
+short films."""
 _SHOWN = 6
 """Number of windows and inputs in a repr [1]. Chosen: a smaller number hides windows, a larger one fills the
 console."""
 _SPEED_SAMPLES = 5
-"""Number of samples of an average speed; the largest average is the scale of trial speeds in laws [samples]. Chosen: a
+"""Number of samples of an average speed; the largest average is the unit of trial speeds in laws [samples]. Chosen: a
 smaller number contains more noise, a larger one averages over a period of an oscillation."""
 _LARGEST_SHARE = 0.95
 """Quantile of the speeds that counts as the largest speed [1]. Chosen: a higher quantile depends on outliers, a lower
 one is a mean."""
 _MOVES = 3.0
-"""Ratio of the largest speed to the noise of an average speed above which a body moves [1]. Derived: the quantile 0.95
-of the absolute value of noise alone is 2.0."""
+"""A body counts as moving if the ratio of its largest speed to the noise of an average speed exceeds this value [1].
+Derived: for noise alone, the quantile 0.95 of the absolute value is 2.0."""
 LARGEST = 1e20
 """Largest time, angle or rate [SI units]. Derived: products of several such values are finite."""
 SMALLEST = 1e-20
 """Lower limit of the largest value of a moving body [SI units]. Derived: products of several such values do not
 vanish."""
 PRECISION = 1e18
-"""Largest ratio of a value to its uncertainty [1]. Derived: floating-point numbers have 1e16."""
+"""Largest ratio of a value to its uncertainty [1]. Derived: the relative precision of floating-point numbers is 1e-16,
+so a larger ratio has no meaning."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -253,7 +255,7 @@ class Record:
 
     @property
     def is_chain(self) -> bool:
-        """Whether its bodies have names and joints of their own, unlike a gyroscope or a single body."""
+        """Whether the bodies have separate names and joints, unlike a gyroscope or a single body."""
         return self.mechanism != GYROSCOPE
 
     @property
@@ -305,7 +307,7 @@ class Record:
 
     @property
     def driving(self) -> tuple[Input, ...]:
-        """The varying inputs, which may change the speed or reverse the body; a temperature does not."""
+        """The varying inputs that may change the speed or reverse the body; a temperature is not among them."""
         return tuple(i for i in self.inputs if i.varies and i.unit != "K")
 
     @property
@@ -420,7 +422,7 @@ def make_record(
     modes : sequence of ErrorMode
         Errors that samples share.
     mechanism : Mechanism
-        The bodies and joints of a chain: `casing` is its second body, and `rotor` are the runs of all others.
+        The bodies and joints of a chain: `casing` is its second body, and `rotor` are the runs of all other bodies.
     states : sequence of int
         Index in the mechanism of the body of each run of `rotor`; if empty, all runs belong to the first body.
     further : sequence of (float, float)
@@ -503,7 +505,7 @@ def _covering(inputs: Sequence[Input], casing: Samples, windows: Sequence[Sample
     names = [i.name for i in inputs]
     if len(set(names)) < len(names):
         twice = next(n for n in names if names.count(n) > 1)
-        raise RecordError(f"there are several inputs named {twice}", "give each its own name")
+        raise RecordError(f"there are several inputs named {twice}", "give each a different name")
     first = min(float(run.time[0]) for run in (casing, *windows))
     last = max(float(run.time[-1]) for run in (casing, *windows))
     for i in inputs:
@@ -529,7 +531,7 @@ def _clean(time: Array, value: Array, sigma: Array, *, what: str) -> Samples:
         raise RecordError(f"no value of the {what} exceeds {SMALLEST:g} in SI units", _UNITS)
     if not (np.maximum(size[good], SMALLEST) < PRECISION * sigma[good]).all():
         raise RecordError(f"an uncertainty of the {what} is less than {1 / PRECISION:g} of its value", _UNITS)
-    # if no uncertainty is known, all samples have the same weight; the noise level is estimated from the data
+    # if no uncertainty is known, all samples have the same weight, and the noise level is estimated from the data
     typical = float(np.median(sigma[good])) if good.any() else 1e-3
     return Samples(time, value, np.where(good, sigma, typical))
 
@@ -569,7 +571,7 @@ def _digest(record: Record) -> str:
     if any(s > 0 for s in record.start_sigma):
         hasher.update(repr(record.start_sigma).encode())
     if any(record.correlated):
-        # earlier ledgers do not contain the last error
+        # ledgers of earlier versions do not contain the last of these errors
         stated = record.correlated if record.correlated[3] else record.correlated[:3]
         hasher.update(repr(stated).encode())
     if record.correlated_profile:
@@ -613,7 +615,7 @@ def speeds(
     width = median_width(len(samples), width)
     value = samples.value
     if quantity == "angle":
-        # the median of a monotonic angle is its middle point, so only outliers change
+        # the median of a monotonic angle is its middle point, so the median changes only outliers
         value = np.gradient(running_median(value, width), samples.time)
     omega = running_median(value, width)
     cut = min(dropped, len(samples) // 10)
@@ -622,7 +624,7 @@ def speeds(
 
 
 def median_width(count: int, width: int = WIDTH) -> int:
-    """Return the width of the running median of `count` samples: at most a tenth of them."""
+    """Return the width of the running median of `count` samples: at most a tenth of the samples."""
     return min(width, max(3, count // 10 | 1))
 
 
@@ -641,12 +643,12 @@ _POINTS = 160
 """Number of approximate speeds of a run [1]. Chosen: with fewer, the motion is blurred; with more, each speed is
 noisy."""
 _LONG_WINDOW = 0.5
-"""Smallest share of a run for which a rotor window is divided like the run [1]. Chosen: a smaller value divides windows
-in which the speed is nearly constant, a larger one averages a changing speed."""
+"""A rotor window is divided like the run of the casing if it covers at least this share of the run [1]. Chosen: a
+smaller value divides windows in which the speed is nearly constant, a larger one averages a changing speed."""
 
 
 def initial_speeds(record: Record, points: int = _POINTS, samples: int = 12) -> tuple[Array, Array]:
-    """Return times and speeds of the bodies (points, bodies) from local regressions over at least `samples`."""
+    """Return times and speeds of the bodies (points, bodies) from local regressions over at least `samples` samples."""
     is_angle = record.quantity == "angle"
     casing = _local(record.casing, min(points, len(record.casing) // samples), is_angle)
     times = np.linspace(*record.span, points)
@@ -680,7 +682,7 @@ def _local(samples: Samples, count: int, is_angle: bool) -> Array:  # noqa: FBT0
     y = samples.value - np.repeat(samples.value[first], size)
     rows = np.full((len(first), 3), np.nan)
     rows[:, 0] = middle
-    # the lengths of the pieces differ by at most one sample; the shortest piece determines the degree of all
+    # the lengths of the pieces differ by at most one sample; the shortest piece determines the degree of all pieces
     degree = min(2 if is_angle else 1, int(size.min()) - 1)
     powers = [np.ones(len(x)), x, x * x][: degree + 1]
     gram = np.stack([np.stack([sums(p * q) for q in powers], axis=-1) for p in powers], axis=-1)
@@ -740,7 +742,7 @@ def hermite(
 
 
 class PiecewiseCubics:
-    """Piecewise least-squares cubics at given times; all pieces have the same number of samples, or one more."""
+    """Piecewise least-squares cubics at given times. The numbers of samples of the pieces differ by at most one."""
 
     def __init__(self, time: Array) -> None:
         self._time = time

@@ -1,10 +1,10 @@
 """New recordings of a fitted motion: the same bodies, samples and windows, with new random errors.
 
 The expected values are the values of the fit at every sample, with the fitted initial angles, camera errors, laws of an
-angle and measurement effects. The random errors are those that the fit assumes (a parametric bootstrap; A. C. Davison,
-D. V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4). They are white noise at the measured level,
-correlated angle noise at a level drawn from its distribution, the random torque in the residuals of the fit, and the
-errors that tracking states. Errors of the starts of the windows and of the stated moments of inertia are drawn from
+angle and measurement effects. The random errors have the distributions that the fit assumes (a parametric bootstrap; A.
+C. Davison, D. V. Hinkley, Bootstrap Methods and their Application, 1997, ch. 4). They are white noise at the measured
+level, correlated angle noise at a level drawn from its distribution, the random torque in the residuals of the fit, and
+the errors that tracking states. Errors of the starts of the windows and of the stated moments of inertia are drawn from
 their standard uncertainties.
 """
 
@@ -134,7 +134,7 @@ def _recording(motion: FittedMotion, random: Random) -> Record:
 def _other_inertias(motion: FittedMotion, random: Random) -> list[Array]:
     """Return the change of the values due to random errors of the stated moments of inertia.
 
-    The torques are those of the fit. The record contains the stated moments of inertia.
+    The torques are the torques of the fit. The record contains the stated moments of inertia.
     """
     data, record = motion.data, motion.data.record
     runs = (record.casing, *record.rotor)

@@ -82,10 +82,11 @@ VERDICT_TEXT = {
 
 
 _SCREEN = 20
-"""Lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a larger one scrolls."""
+"""Largest number of lines of a repr [lines]. Chosen: one screen of a console; a smaller value hides parameters, a
+larger one scrolls."""
 _POINTS = 600
 """Number of points of a drawn curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
-# printed with a fit to a generated curve
+# warning that is printed with a fit to a generated curve
 GENERATED = (
     "the rotor curve is generated, not measured: the uncertainties do not include its systematic error, which is often "
     "more than ten times larger; fit the rotor windows instead"
@@ -116,8 +117,8 @@ class FitSummary:
     def misfit(self) -> float:
         """Rms residual of all rows that a model can describe, divided by the rms of the noise; 1 is the noise limit.
 
-        Unlike the reduced chi-square of the samples, it does not depend on the sampling rate: further samples add
-        noise, but no row.
+        Unlike the reduced chi-square of the samples, it does not depend on the sampling rate, because further samples
+        add no rows.
         """
         return math.sqrt(sum(c.rows * c.chi2_per_row for c in self.cases) / sum(c.rows for c in self.cases))
 
@@ -134,7 +135,7 @@ class FitSummary:
 
         @property
         def verdict(self) -> str:
-            """One of the keys of `VERDICT_TEXT`."""
+            """The verdict on the fit, a key of `VERDICT_TEXT`."""
             ...
 
     def __repr__(self) -> str:
@@ -260,7 +261,7 @@ def merit_lines(fit: FitSummary) -> list[str]:
     lines = [f"{'':<12}{'R2':>10}{f'rmse [{speed_unit()}]':>14}{'prediction':>11}"]
     for case in fit.cases:
         bodies = case.bodies
-        # a fit that was read from a file does not know the names of bodies
+        # a fit that was read from a file does not contain the names of bodies
         named = fit.problem.data[0].record.bodies if isinstance(fit, Fit) else ()
         names = [b.name for b in named] or _NAMES[len(bodies)]
         for name, body in zip(names, bodies, strict=False):
@@ -342,7 +343,7 @@ def not_determined(estimates: Mapping[str, Estimate], limit: float = 1.0) -> lis
 
 
 _FEWEST_TURNS = 5.0
-"""Smallest number of turns of the casing for which a harmonic of its angle is not treated as a slow torque [1].
+"""In records with fewer turns of the casing, a harmonic of its angle is not distinguished from a slow torque [1].
 Measured: constant torques imitate a first harmonic of up to 6 standard deviations within 1.5 turns, of 2.9 within three
 turns, and of no more than noise within six turns; the recordings are not stated."""
 
@@ -474,7 +475,8 @@ class Fit(FitSummary):
     def residual(self) -> Array:
         """Measured minus fitted value of every sample, divided by its stated standard uncertainty.
 
-        The samples are sorted by case; the samples of the casing or the single body precede those of the rotor windows.
+        The samples are sorted by case; the samples of the casing or the single body precede the samples of the rotor
+        windows.
         """
         return residuals_of(self)
 
@@ -541,7 +543,8 @@ class Fit(FitSummary):
     def verdict(self) -> str:
         """One of "no_lack_of_fit", "lack_of_fit", "not_determined" and "not_converged"."""
         if self.lacks_restoring_torque:
-            return "lack_of_fit"  # the verdict does not depend on the convergence of the fit of a wrong model
+            # a significant lack of fit precedes, because a fit of a wrong model need not converge
+            return "lack_of_fit"
         if not self.converged:
             return "not_converged"
         if self.has_lack_of_fit():
@@ -591,7 +594,7 @@ class Fit(FitSummary):
         ----------
         criteria : Criteria
             Its `lack_of_fit` is the limit of the p-value of the test against slow torques. In a case whose reduced
-            chi-square exceeds `reduced_chi2`, it is also the limit of the p-value of chi-square. By default the
+            chi-square exceeds `reduced_chi2`, the same limit applies to the p-value of chi-square. By default the
             criteria of the fit.
         """
         criteria = criteria or self.criteria
@@ -643,8 +646,8 @@ class Fit(FitSummary):
         ----------
         criteria : Criteria
             Its `excess_noise` is the smallest excess that counts, in standard uncertainties of the recording's level.
-            Its `random_torque_evidence` is the smallest fall of the deviance by the random torque. By default those of
-            the fit.
+            Its `random_torque_evidence` is the smallest fall of the deviance by the random torque. By default the
+            criteria of the fit.
         """
         criteria = criteria or self.criteria
         if len(self.noise) > 1:
@@ -696,7 +699,7 @@ class Fit(FitSummary):
         likely = self.most_likely_noise(criteria)
         if not (likely.is_raised and likely.describes(self.rows, criteria)):
             return True
-        # an unmodelled law of a speed makes the residuals a function of this speed; a random torque does not
+        # if a law of a speed is missing, the residuals depend on this speed; the residuals of a random torque do not
         return smooth_test(self.problem, self.predictions, likely.noise).p_value <= limit
 
     def has_smooth_torque(self, criteria: Criteria | None = None) -> bool:
@@ -1023,7 +1026,7 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
         j = problem.with_noise([n.with_unresolved for n in noise]).residuals(predictions)[1]
     covariance = covariance_of(j, determined)
     covariance += _by_integration_errors(problem, theta, predictions, covariance)
-    # with a significant lack of fit, the noise alone understates the uncertainty
+    # if there is a significant lack of fit, an uncertainty from the noise alone is too small
     factor = variance_factor(chi2, rows - int((~at_bound & layout.is_free).sum()))
     covariance *= factor
     if factor > _INEXACT and any(d.driven for d in problem.data):
@@ -1051,8 +1054,8 @@ def outcome(problem: Problem, theta: Array, noise: tuple[Noise, ...], *, converg
 
 
 _INEXACT = 1.5
-"""Factor of the variance above which the residuals of a driven body do not count as white noise [1]. Chosen: a smaller
-value enlarges uncertainties by chance, a larger one understates them."""
+"""The residuals of a driven body do not count as white noise if a lack of fit increases the variances by more than this
+factor [1]. Chosen: a smaller value enlarges uncertainties by chance, a larger one understates uncertainties."""
 
 
 def _with_slow_residuals(problem: Problem, predictions: Sequence[Prediction], covariance: Array) -> Array:
@@ -1106,7 +1109,7 @@ def _with_unresolved(
 ) -> Iterator[Noise]:
     """Yield the noise of each case with the random torque that its residuals do not exclude.
 
-    Only correlated deviations of an angle can also be caused by a random torque; white deviations cannot.
+    A random torque can cause correlated deviations of an angle, but not white deviations.
     """
     for data, p, n in zip(problem.data, predictions, noise, strict=True):
         unresolved = 0.0

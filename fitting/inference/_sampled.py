@@ -30,7 +30,7 @@ GAUSS = 3
 cells, a larger one costs time."""
 _PASSES = 8
 """Number of iterations for a law of an angle whose response changes the angle [1]. Chosen: the response is small
-compared with a radian; a smaller number leaves an error, a larger one costs time."""
+compared with a radian, so few iterations suffice; with a smaller number, an error remains; a larger one costs time."""
 
 
 class Solved(Protocol):

@@ -30,8 +30,8 @@ _FIRST_INTERVAL = 1e-6
 """First interval of a mesh for a boundary layer at the start, divided by the duration [1]. Chosen: a larger value does
 not resolve fast transients, a smaller one costs intervals."""
 _GRADED = 60
-"""Number of intervals of a mesh for a boundary layer at the start [1]. Chosen: with fewer, the intervals grow too fast;
-with more, the solution takes longer."""
+"""Number of intervals of a mesh for a boundary layer at the start [1]. Chosen: with fewer, the length of the intervals
+increases too fast; with more, the solution takes longer."""
 _NOISE_STEP = 0.02
 """Step of a simulated random torque [s]. Chosen: short compared with its default correlation time of 1 s; a larger
 value makes it a sequence of steps, a smaller one costs time."""
@@ -39,11 +39,11 @@ value makes it a sequence of steps, a smaller one costs time."""
 
 @dataclass(frozen=True)
 class Experiment:
-    """How a run is filmed."""
+    """Initial speeds, cameras and noise of a simulated run."""
 
     omega_rotor: float = 900.0
-    """Speed of the rotor at the start [rad/s]. Chosen: a fast rotor at the scale of the paper; a smaller value leaves
-    less energy for the casing, a larger one needs a faster camera."""
+    """Speed of the rotor at the start [rad/s]. Chosen: a fast rotor at the scale of the paper; with a smaller value,
+    the casing receives less energy; a larger one needs a faster camera."""
     omega_casing: float = 5.0
     """Speed of the casing at the start [rad/s]. Chosen: the casing has just been released; a smaller value starts near
     rest, a larger one shows less of the acceleration."""
@@ -63,8 +63,8 @@ class Experiment:
     """Length of each rotor clip [s]. Chosen: a shorter one determines the speed less precisely, a longer one makes
     larger films."""
     sigma: float = 1e-3
-    """Noise of each angle [rad]. Chosen: the order of tracked films; a smaller value shows smaller effects than films
-    do, a larger one hides them."""
+    """Noise of each angle [rad]. Chosen: the order of magnitude of tracked films; with a smaller value, effects are
+    visible that films do not show; a larger one hides effects."""
     torque_noise: float = 0.0
     """Rms random torque on the casing and in the bearing [N m]. Chosen: none by default; a larger value raises
     detection limits."""
@@ -161,7 +161,8 @@ def simulate(
     if any(w < 0 or w + experiment.window_length > experiment.duration for w in experiment.windows):
         raise SimulationError("a rotor window is outside the recording", "move it or record for longer")
     dynamics, path = simulate_path(model, values, experiment, inputs)
-    # harmonics of the angle hardly change the response to a torque, so the response of the smooth motion is used
+    # torques periodic in the angle hardly change the response to a random torque, so the response of the smooth motion
+    # is used
     smooth = (
         simulate_path(model.smooth, values, experiment, inputs) if model.angle_dependent else (dynamics, path)
     )

@@ -88,7 +88,7 @@ def slipped_turns(samples: Samples, criteria: Criteria = DEFAULT) -> list[tuple[
     if not (np.abs(step - before * interval) > 0.5 * _TURN).any():
         return []
     speed = running_median(quotient, _NEIGHBOURS)
-    # the median at an end is the end value itself, because this value is repeated
+    # at each end, the running median equals the end value, because this value is repeated
     speed[[0, -1]] = speed[[1, -2]]
     excess = step - speed * interval
     scatter = _MAD * float(np.median(np.abs(excess)))

@@ -38,14 +38,14 @@ SPEED_KNOTS = (4, 8)
 narrow deviations, larger ones lower the power for broad deviations."""
 
 _RANK = 1e-4
-"""Singular values, relative to the largest, below which a direction is not tested [1]. Chosen: a smaller value tests
-rounding errors, a larger one omits deviations that are nearly absorbed."""
+"""A direction is not tested if its singular value, divided by the largest, is below this value [1]. Chosen: a smaller
+value tests rounding errors, a larger one omits deviations that are nearly absorbed."""
 _RANK_FREE = 1e-7
-"""Singular values, relative to the largest, below which a direction is not projected out [1]. Chosen: a smaller value
-projects out rounding errors, a larger one ignores some free columns."""
+"""A direction is not projected out if its singular value, divided by the largest, is below this value [1]. Chosen: a
+smaller value projects out rounding errors, a larger one ignores some free columns."""
 _TINY = 1e-300
-"""Smallest norm that is used as a divisor of a column [1]. Derived: it avoids a division by zero and is below any other
-norm."""
+"""Smallest norm that is used as a divisor of a column [1]. Derived: a division by zero is avoided, and any other norm
+is larger."""
 _DRAWS = 2000
 """Number of null data sets for the smallest of several p-values [1]. Chosen: a smaller number makes p-values coarser
 than `Criteria.doubt_adequate`, a larger one costs time."""
@@ -81,7 +81,7 @@ def smooth_test(problem: Problem, predictions: Sequence[Prediction], noise: Sequ
     columns = [(name, s) for name, s in columns if s.size]
     if not columns:
         return SmoothTest("", 1.0)
-    # all columns are in a space of few dimensions; white noise remains white in this space
+    # the tested columns span a space of few dimensions, in which white noise remains white
     whole = orthonormal(np.concatenate([s for _, s in columns], axis=1), _RANK_FREE)
     tests = [s.T @ whole for _, s in columns]
     data = whole.T @ projected
@@ -133,7 +133,7 @@ def _smooth_rows(
 
 
 def _choices(values: Array, torques: int = 2) -> list[tuple[int, Array, int]]:
-    """Return the index of the speed, the knots [rad/s], and the place of the torque: casing (0) or joint (from 1)."""
+    """Return the index of the speed, the knots [rad/s], and where the torque acts: casing (0) or joint (from 1)."""
     return [
         (which, np.linspace(speed.min(), speed.max(), count), body)
         for (which, speed), count, body in product(enumerate(values), SPEED_KNOTS, range(torques))

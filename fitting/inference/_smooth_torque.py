@@ -1,8 +1,9 @@
 """Whether a smooth or a periodic torque describes the residuals of a model better than a random torque does.
 
-Some recordings cannot exclude a random torque that would hide a missing law: the residuals are then consistent with
-noise, although a law would describe them with few parameters and no random torque at all. Descriptions are compared,
-each with the free parameters of the fit: a random torque alone, and a random torque together with one of
+Some recordings cannot exclude a random torque that is large enough to hide a missing law. The residuals are then
+consistent with noise, although a law with few parameters would describe them without any random torque. Several
+descriptions are compared, each with the free parameters of the fit. One is a random torque alone. The others are a
+random torque together with one of
 
 - a torque that is a parabola in time, on the casing and in the bearing;
 - a sinusoidal torque on the casing whose frequency changes linearly in time (a precession).
@@ -13,7 +14,7 @@ than BIC requires, and by more than is probable by chance for this number of par
 
     D0 - D1 > q ln n + `Criteria.random_torque_evidence`,    N P(chi2_c > D0 - D1) < `Criteria.lack_of_fit`,
 
-where n is the number of rows. Of the q parameters, c are linear; the others are tried at N independent values
+where n is the number of rows. c of the q parameters are linear; the other parameters are tried at N independent values
 (Bonferroni). In recordings with nothing but a random torque the fall exceeds chi-square for two reasons: the level is
 free, and only one or two modes of a slow torque are above the noise. In 60 simulated recordings with correlation times
 of 1 to 10 s the fall reaches 33 for parabolas and 28 for sinusoids, with q ln n = 27. For the effects that `diagnose`
@@ -46,15 +47,15 @@ _TIMES = 5
 Chosen: with fewer, the maximum of the likelihood is overlooked; with more, the test takes longer."""
 _FEWEST_TIMES = 6.0
 """Smallest ratio of the length of a record to the correlation time of the random torque [1]. Chosen: as in
-`fitting.inference._random_torque`; with a smaller ratio the torque is a trend, a larger one leaves slow torques
-untried."""
+`fitting.inference._random_torque`; with a smaller ratio the torque is a trend; with a larger one, slow torques are not
+tried."""
 _LEVELS = np.geomspace(0.01, 4.0, 12)
 """Trial levels of the random torque, divided by the level of the fit [1]. Chosen: lower levels have no effect, and
 additional free parameters never raise the level much; with more trial levels, the test takes longer."""
 _RANK_FREE = 1e-7
 """Relative singular value below which a free direction is rounding error [1]. Chosen: as in
-`fitting.inference._metrics`; a smaller value projects out rounding errors, a larger one leaves a part of the free
-columns."""
+`fitting.inference._metrics`; a smaller value projects out rounding errors; with a larger one, some free columns are not
+projected out."""
 _RANK = 1e-4
 """Relative singular value below which the model already contains a smooth torque [1]. Chosen: as in
 `fitting.inference._metrics`; a smaller value tests rounding errors, a larger one omits torques that are nearly
@@ -62,10 +63,9 @@ absorbed."""
 
 
 _FEWEST_PERIODS = 4.0
-"""Smallest number of periods of a periodic torque in a record [1]. Chosen: the spectrum of the response of the angle to
-a random torque falls at least as the fourth power of the frequency, so one realisation resembles a sinusoid of the
-lowest frequency that the parameters do not absorb; a smaller number takes a random torque for a sinusoid, a larger one
-overlooks a slow precession."""
+"""Smallest number of periods of a periodic torque in a record [1]. Chosen: the response of the angle to a random torque
+is strongest at low frequencies, so it resembles a slow sinusoid; a smaller number takes a random torque for a sinusoid,
+a larger one overlooks a slow precession."""
 _MOST_PERIODS = 12.0
 """Largest number of periods of a periodic torque in a record [1]. Chosen: the periodogram tests faster torques; a
 larger number needs more trials."""
@@ -73,8 +73,8 @@ _PERIOD_STEP = 0.25
 """Step of the trial numbers of periods [1]. Chosen: a sinusoid that differs by a quarter of a period at the end of the
 record keeps 0.95 of its power; a larger step overlooks sinusoids, a smaller one costs time."""
 _CHIRPS = np.linspace(-0.4, 0.4, 9)
-"""Trial changes of the frequency over half the record, divided by the mean frequency [1]. Chosen: a precession whose
-rotor loses half of its speed has 0.33; larger changes would be trials of another law."""
+"""Trial changes of the frequency over half the record, divided by the mean frequency [1]. Chosen: the value is 0.33 for
+a precession during which the rotor loses half of its speed; larger changes do not describe a precession."""
 _CHIRP_TRIALS = 4
 """Number of independent trials among the changes of the frequency [1]. Chosen: for few periods, neighbouring changes
 give correlated responses; a larger number requires a larger fall."""
@@ -146,10 +146,11 @@ def smooth_torques(
 
 
 def _beside(alone: Array, columns: Array, noise: Noise) -> Array:
-    """Return the independent combinations of columns that the free columns do not contain."""
+    """Return independent combinations of the columns that the free columns do not already describe."""
     basis = orthonormal(noise.whitener(alone[:, :-1]), _RANK_FREE)
     columns = scaled_columns(columns, alone[:, -1])[:, :-1]
-    # for a single body, the torques on the casing and in the bearing are the same, or already in the model
+    # some columns are dependent: for a single body, the torques on the casing and in the bearing are equal, or in the
+    # model
     _, value, directions = np.linalg.svd(orthogonal_to(basis, noise.whitener(columns)), full_matrices=False)
     return np.asarray(columns @ directions[value > _RANK * value.max(initial=0.0)].T)
 

@@ -36,33 +36,33 @@ from fitting.inference._process_noise import FLAT_PRIOR_SIGMA, Stretch, split_in
 Array = NDArray[np.float64]
 
 _FEWEST_PERIODS = 10
-"""Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; a larger value
-leaves slow lines in the process noise."""
+"""Smallest number of periods of a line in a record [1]. Chosen: with fewer, a line is a slow torque; with a larger
+value, slow lines count as process noise."""
 _PER_PEAK = 2
-"""Number of trial frequencies per width of a peak, 2 pi divided by the length of the record [1]. Chosen: a smaller
-number passes over peaks, a larger one costs time; the finer search follows."""
+"""Number of trial frequencies per width of a peak; the width is 2 pi divided by the length of the record [1]. Chosen: a
+smaller number passes over peaks, a larger one costs time; the finer search follows."""
 _FINER = 16
 """Number of trial frequencies of the finer search about the highest peak, per coarse step [1]. Chosen: with fewer, the
 height of the peak is underestimated; with more, the search takes longer."""
 _FASTEST = 2.5
-"""Highest frequency [rad per row]. Chosen: below the Nyquist limit, pi; a larger value is not resolved by the rows, a
-smaller one overlooks fast lines."""
+"""Highest frequency [rad per row]. Chosen: below the Nyquist limit, pi; with a larger value, lines are not resolved by
+the rows; a smaller one overlooks fast lines."""
 _MOST = 4
-"""Largest number of lines in a record [1]. Chosen: a smaller number leaves lines in the process noise, a larger one
-divides a broad spectrum into lines."""
+"""Largest number of lines in a record [1]. Chosen: with a smaller number, some lines count as process noise; a larger
+one divides a broad spectrum into lines."""
 _RETAINED = 0.05
-"""Smallest norm of the rows of a line orthogonal to the polynomials, as a share of the norm of all its rows [1].
-Chosen: a smaller value finds lines in the motion, a larger one overlooks slow lines."""
+"""A line is tested only if at least this share of the norm of its rows is orthogonal to the polynomials [1]. Chosen: a
+smaller value finds lines in the motion, a larger one overlooks slow lines."""
 _TINY = 1e-6
 """The phase is not determined if the determinant of the normal matrix of cosine and sine, divided by the product of its
 diagonal, is below this value [1]. Chosen: a smaller value inverts rounding errors, a larger one drops lines in short
 stretches."""
 _ROUNDING = 1e-7
-"""Relative singular value of a direction that is rounding error [1]. Chosen: a smaller value projects out rounding
-errors, a larger one leaves a part of the nuisance columns."""
+"""Relative singular value below which a direction is rounding error [1]. Chosen: a smaller value projects out rounding
+errors; with a larger one, some nuisance columns are not projected out."""
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
-"""Trial levels, divided by the most likely process noise without a line [1]. Chosen: that noise is an upper bound; a
-smaller number understates the deviance, a larger one costs time."""
+"""Trial levels, divided by the most likely process noise without a line [1]. Chosen: the process noise without a line
+is an upper bound; with fewer levels, the minimum of the deviance is overlooked; with more, the search takes longer."""
 
 
 def false_alarm_probability(chi2: float, band: float, span: float) -> float:
@@ -115,7 +115,7 @@ def line_rows(run: Compressed, rates: Sequence[float] | Array) -> Array:
 
 
 def p_value_of_response(run: Compressed, nuisance: Array, camera: Array, responses: Array) -> float:
-    """Return the p-value of the fall of the deviance by responses of the angle to a torque, if there is no torque.
+    """Return the p-value of the fall of the deviance if responses of the angle to a torque are added.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def p_value_of_response(run: Compressed, nuisance: Array, camera: Array, respons
     smooth, waves = smooth[:, size > 0] / size[size > 0], waves[:, size > 0] / size[size > 0]
     basis = orthonormal(camera, _ROUNDING)
     data, waves = orthogonal_to(basis, run.harmonic), orthogonal_to(basis, waves)
-    # if the camera errors vary from block to block, the harmonics have more noise than the samples
+    # if camera errors vary from block to block, the noise of the harmonics exceeds the noise of the samples
     left = orthogonal_to(orthonormal(waves, _ROUNDING), data)
     free = int(run.harmonic_exists.sum()) - basis.shape[1] - waves.shape[1]
     scale = math.sqrt(max(1.0, float(left @ left) / max(free, 1)))

@@ -1,10 +1,11 @@
 """Measured, modelled and residual speeds of a fit, with their standard uncertainties.
 
 The rows of a fit are r = z - m: the projections of the measured angles of a block on polynomials, minus the projections
-of the modelled angles. The rows of a block are the coefficients of a polynomial. Its mean slope in each part of the
-block is the residual of the speed in this part, a linear function D r of the rows. With the noise covariance C of the
-rows and the columns X of all free parameters, the covariance of r is C - X (X' C^-1 X)^-1 X'. The uncertainty band
-follows from it. The band contains angle noise and random torque, without the part of both that the fit absorbs.
+of the modelled angles. The rows of a block are the coefficients of a polynomial. The mean slope of this polynomial in a
+part of the block is the residual of the speed in this part. It is a linear function D r of the rows. With the noise
+covariance C of the rows and the columns X of all free parameters, the covariance of r is C - X (X' C^-1 X)^-1 X'. The
+uncertainty band follows from this covariance. It contains the effects of angle noise and random torque that the fit
+does not absorb.
 """
 
 from __future__ import annotations
@@ -74,8 +75,8 @@ def modelled_speed(fit: Fitted, case: int, body: int, time: Array) -> tuple[Arra
 
 
 _MOVES = 0.01
-"""Share of the largest speed above which a measured body moves [1]. Chosen: a smaller value takes noise at rest for a
-motion, a larger one overlooks a slow motion that the model excludes."""
+"""A measured body counts as moving if its speed, as a share of the largest speed, exceeds this value [1]. Chosen: a
+smaller value takes noise at rest for a motion, a larger one overlooks a slow motion that the model excludes."""
 _HELD = 0.01
 """A model counts as far from the motion if friction holds a moving body at rest in more than this share of the times
 [1]. Chosen: a smaller value excludes a rest that begins a little too early, a larger one accepts a wrong rest."""
@@ -96,8 +97,8 @@ _PARTS = {"casing": 2, "rotor": 5}
 """Number of parts of a block over which a residual speed is averaged, by body [1]. Chosen: with fewer, residuals are
 blurred; with more, they are noisy; a window of the rotor is one block."""
 _PERIOD_PARTS = 8
-"""Number of parts of a period of an oscillation over which a residual speed is averaged [1]. Chosen: errors of its
-amplitude and of its phase are both visible; with fewer, errors of the phase are hidden; with more, each residual is
+"""Number of parts of a period of an oscillation over which a residual speed is averaged [1]. Chosen: errors of the
+amplitude and of the phase are both visible; with fewer, errors of the phase are hidden; with more, each residual is
 noisy."""
 _POINTS = 40
 """Number of points of the mean over a block [1]. Chosen: a smaller number makes the mean coarse, a larger one costs
@@ -111,15 +112,15 @@ class SpeedResidual:
     # shape (n,); middle and length of each part [s]
     time: Array
     width: Array
-    value: Array  # mean residual of the speed [rad/s]
-    sigma: Array  # standard deviation of `value` if there is noise alone [rad/s]
+    value: Array  # mean residual of the speed in each part [rad/s]
+    sigma: Array  # standard deviation of `value` due to noise alone [rad/s]
 
     def __repr__(self) -> str:
         return f"SpeedResidual: {span_of('speed', self.value, 'rad/s')}"
 
 
 class SpeedMap:
-    """The linear map from the residual rows of a case to its residual speeds, nuisance columns projected out."""
+    """The linear map from the residual rows of a case, without nuisance columns, to its residual speeds."""
 
     def __init__(self, problem: Problem, noise: Noise, case: int) -> None:
         data = problem.data[case]
@@ -139,7 +140,7 @@ class SpeedMap:
             self.parts.append((rows, *_slopes(run, count, is_angle=data.is_angle)))
 
     def without_nuisance(self, rows: Array) -> Array:
-        """Return rows, not whitened, without the part that the nuisance columns explain."""
+        """Return rows without the part that the nuisance columns explain; the rows are not whitened."""
         return self._unwhitened(rows - self._nuisance @ (self._estimator @ self._whitener(rows)))
 
     def __call__(self, rows: Array) -> list[Array]:

@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 _NAME = re.compile(r"[A-Za-z_][\w.]*")
 _LARGEST = 5000
-"""Number of nodes above which an expression counts as circular, because it grows with each substitution [1]. Chosen: a
-smaller value refuses long expressions, a larger one costs time for circular expressions."""
+"""An expression counts as circular if substitutions enlarge it to more than this number of nodes [1]. Chosen: a smaller
+value refuses long expressions, a larger one costs time for circular expressions."""
 
 
 def find_key(name: str, keys: Iterable[str]) -> str:

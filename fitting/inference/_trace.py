@@ -1,7 +1,7 @@
 """The record of a search: every fit that it made, with its purpose and its result or the reason of its failure.
 
 `recording` collects the fits of a call of `diagnose` or `improve`, including the fits of nested calls and of workers.
-`fit` adds an entry for each of its results, `attempt` one for each failure:
+`fit` adds an entry for each result, and `attempt` adds an entry for each failure:
 
     with recording() as trace:
         with attempt("a refit with a free exponent"):
@@ -82,7 +82,7 @@ class Trace:
     """Refits in the order in which they ended."""
 
     refits: list[Refit] = field(default_factory=list)
-    fault: FittingError | None = None  # the last failure with an entry
+    fault: FittingError | None = None  # the last failure for which an entry exists
 
 
 _TRACE: ContextVar[Trace | None] = ContextVar("trace", default=None)
@@ -92,7 +92,7 @@ _MODEL: ContextVar[Model | None] = ContextVar("model", default=None)
 
 @contextmanager
 def recording(*, passed_on: bool = True) -> Iterator[Trace]:
-    """Collect the fits of this block; an outer block receives them as well if they are `passed_on`."""
+    """Collect the fits of this block; if they are `passed_on`, an outer block collects them as well."""
     outer, trace = _TRACE.get(), Trace()
     token = _TRACE.set(trace)
     try:

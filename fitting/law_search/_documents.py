@@ -32,8 +32,8 @@ from fitting.study._serialisation import shown_difference
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,60}")
 _AROUND = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Ratios of the trial values of a shape constant to the fitted value [1]. Chosen: with fewer, a fit of other data
-starts far from the optimum; with more, the search takes longer."""
+"""Trial values of a shape constant in a file of effects, divided by the fitted value [1]. Chosen: with fewer, a fit of
+other data starts far from the optimum; with more, the search takes longer."""
 _UNITS = {"t": "s", "psi_c": "rad"}
 
 
@@ -49,15 +49,15 @@ class LawDocument(TypedDict):
     """A law that explains the unmodelled torque, and the evidence for it."""
 
     formula: str  #: Terms as `body: law`, joined by ` + `; `fit --add` accepts a single term.
-    body: str  #: Body or joint on which the law acts; two are joined by ` and `.
+    body: str  #: Body or joint on which the law acts; two names are joined by ` and `.
     form: str  #: The law in words.
     score: float  #: Decrease of the deviance when the law is added [1].
     delta_bic: float  #: BIC with the law minus BIC of the base model [1].
     description_length: float  #: Penalty of the length of the formula, added to BIC in the ranking [1].
     p_value: float  #: Probability of an equal or larger score in the whole search if no law is missing [1].
     torque_rms_Nm: float  #: Rms torque along the measured motion [torque].
-    indistinguishable_from: list[str]  #: Formulas of laws that the data cannot separate from this one.
-    same_torque_as: list[str]  #: Formulas of laws with the same torque along the recorded motion.
+    indistinguishable_from: list[str]  #: Formulas of other laws that the data cannot separate from this law.
+    same_torque_as: list[str]  #: Formulas of other laws with the same torque along the recorded motion.
     terms: list[TermDocument]  #: Terms of the law, one or two.
     parameters: dict[str, EstimateDocument]  #: Parameters of the law, by key as in a fit.
     verdict: str  #: Verdict of the fit with this law.
@@ -76,11 +76,11 @@ class CurveDocument(TypedDict):
 class DependenceDocument(TypedDict):
     """The dependence of the unmodelled torque on one variable, or on two."""
 
-    variable: str  #: `omega_c`, `t`, ...; two are joined by `*`.
+    variable: str  #: Variable: `omega_c`, `t`, ...; a pair of variables is joined by `*`.
     body: str  #: Body, or `bearing`.
-    #: Probability of an equal or more significant dependence on any tested variable if none exists [1].
+    #: Probability of an equal or more significant dependence on any tested variable if there is no dependence [1].
     p_value: float
-    explained: float  #: Share of the lack of fit, 0 to 1 [1].
+    explained: float  #: Share of the lack of fit that the dependence explains, 0 to 1 [1].
     score: float  #: Decrease of the deviance [1].
     curve: CurveDocument | None  #: The dependence as a curve; null for two variables.
 
@@ -92,13 +92,13 @@ class LawsDocument(TypedDict):
     #: `law`, `library` (an effect of the library suffices), `parameter` (see `differs`) or `none`.
     verdict: str
     sentence: str  #: The answer in words.
-    next_experiment: str  #: The run that separates the laws; empty for one law.
+    next_experiment: str  #: The run that separates the laws, in words; empty for one law.
     trials: int  #: Number of scored candidates.
     laws: list[LawDocument]  #: Laws, best first.
-    library: str | None  #: Name of the effect of the library that describes the data as well.
-    #: A parameter whose separate values in the cases describe the data as well; null if there is no such parameter.
+    library: str | None  #: Name of the effect of the library that describes the data as well as the laws.
+    #: A parameter whose separate values in the cases describe the data as well as the laws; null if there is none.
     differs: DifferenceBetweenRecordings | None
-    depends_on: list[DependenceDocument]  #: Dependence on each variable, the largest share first.
+    depends_on: list[DependenceDocument]  #: Dependence on each variable, the largest explained share first.
 
 
 def laws_document(found: Laws, fit_id: str) -> LawsDocument:
@@ -138,8 +138,8 @@ def _law(x: Law) -> LawDocument:
 def check_name(name: str, path: Path, terms: int = 1) -> None:
     """Raise an EffectError if a law of one or two terms cannot be added to a file of effects under this name.
 
-    The error is raised if the name is malformed or taken (in the library or the file), or if the file does not contain
-    effects. A second term is called ``NAME.second``.
+    There are three possible reasons: the name is malformed, the name is in use in the library or in the file, or the
+    file does not contain effects. A second term is called ``NAME.second``.
     """
     if not _NAME.fullmatch(name):
         raise EffectError(

@@ -3,21 +3,21 @@
     grammar -> score -> refit -> score about the best refit -> refit -> equivalence set
 
 1. All laws of the grammar, each at many values of its shape constants, are scored together about the base
-   (`_score`: matrix products). Null data are searched in the same way. The smallest p-value of all laws in each null
-   data set calibrates the family-wise p-value, so this p-value accounts for the number of laws.
+   (`_score`: matrix products). Null data are searched in the same way. The family-wise p-value is calibrated by the
+   smallest p-value of all laws in each null data set; it therefore accounts for the number of laws.
 2. The laws with the highest scores are refitted with the base. A law of a few per cent of the torque changes the motion
    by more than the noise, so scores about the base are inaccurate. Therefore all laws are scored again about the best
    refit, with its law removed from the model. The residual is then
 
        r' = z - rows(theta) + W u_law,
 
-   with the data z, the parameters theta of the refit, and the response W u_law to the removed law. This residual needs
-   the motion to be linear only in the difference of two laws; the residual of the base needs it to be linear in the
-   whole law. Shape constants are refined on these scores.
+   with the data z, the parameters theta of the refit, and the response W u_law to the removed law. With this residual,
+   the motion must be linear only in the difference of two laws. With the residual of the base, it would have to be
+   linear in the whole law. Shape constants are refined on these scores.
 3. The best laws of the second search are refitted at the same noise and ranked by BIC plus the description length of
-   the formula. If any of them is significant, the answer is a set: every law within `Criteria.equivalence_width` of the
-   best law belongs to it. Two formulas of the set have the same torque along the recorded motion if the deviance that
-   would separate them is small:
+   the formula. If any of these laws is significant, the answer is a set: every law within `Criteria.equivalence_width`
+   of the best law belongs to it. Two formulas of the set have the same torque along the recorded motion if the deviance
+   that would separate them is small:
 
        |M (x - y)|^2 < `Criteria.evidence`,
 
@@ -88,7 +88,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
 _DRAWS = 1000
-"""Number of null data sets [1]. Chosen: ten of them are beyond the quantile of 1 %, so its probability has a relative
+"""Number of null data sets [1]. Chosen: ten data sets exceed the quantile of 1 %, so a p-value of 1 % has a relative
 error of a third; with fewer, this error is larger; with more, the search takes longer."""
 _FIRST = 5
 """Number of laws that are refitted after the first search [1]. Chosen: a smaller number may omit the right form, a
@@ -100,8 +100,8 @@ _KEPT = 48
 """Number of laws that take part in the later searches [1]. Chosen: a smaller number may omit the best form, a larger
 one costs time."""
 _SEARCHES = 3
-"""Number of searches; each later search scores about the best refit so far [1]. Chosen: a smaller number leaves scores
-about a wrong motion, a larger one costs time and changes little."""
+"""Number of searches; each later search scores about the best refit so far [1]. Chosen: with fewer, the scores are
+about a wrong motion; with more, the search takes longer and changes little."""
 _POINTS = 1000
 """Number of points of a curve along the motion [1]. Chosen: a smaller number blurs narrow laws, a larger one costs
 time."""
@@ -111,16 +111,16 @@ the best law, is at least this value [1]. Chosen: a smaller value costs time, a 
 known effect describes the data as well."""
 _EXPLAINED_TIE = 0.01
 """Difference of explained shares below which two variables count as equal [1]. Chosen: with a smaller value, chance
-decides between them; a larger value hides the better variable."""
+decides between the variables; a larger one hides the better variable."""
 _ROUNDS = 4
-"""Number of steps of the refinement of two shape constants [1]. Chosen: each step narrows the grid; with fewer, the
-refit starts far from the optimum; with more, the refinement takes longer."""
+"""Number of steps of the refinement of two shape constants [1]. Chosen: each step narrows the grid; with fewer steps,
+the refit starts far from the optimum; with more, the refinement takes longer."""
 _GRID = 5
 """Number of points of each shape constant in a step of the refinement [1]. Chosen: a smaller number may overlook the
 optimum, a larger one costs time."""
 _STEPS = 8
 """Number of steps of the progress bar [1]. Chosen: the usual number of searches and refits; with another value, the bar
-jumps or stops before its end."""
+jumps to its end or stops before it."""
 _RANK = 1e-9
 """Relative singular value below which a nuisance direction is rounding error [1]. Chosen: a smaller value projects out
 rounding errors, a larger one ignores some nuisance columns."""
@@ -132,7 +132,7 @@ class Difference:
 
     formula: str  #: The other law.
     torque_Nm: float  #: Largest difference of the net torques on a body, base model included [torque].
-    label: str  #: Name of the case in which it occurs.
+    label: str  #: Name of the case with the largest difference.
     t_start: float  #: Start of the interval in which the difference exceeds half of its maximum [s].
     t_stop: float  #: End of this interval [s].
     omega_c: tuple[float, float]  #: Smallest and largest speed of the casing in this interval [rad s-1].
@@ -152,15 +152,15 @@ class Law:
     """A law that explains the unmodelled torque, and the evidence for it."""
 
     formula: str  # terms as ``body: law``, joined by " + "; `fit --add` takes a single term
-    form: str  # in words
+    form: str  # form of the law in words
     effects: tuple[Effect, ...]  # terms of the law, one or two
     score: float  # fall of the deviance when the law is added to the base
     delta_bic: float  # BIC with the law minus BIC of the base
     description_length: float  # penalty of the length of the formula, added to BIC in the ranking
     # family-wise: probability of an equal or larger score in the whole search if no law is missing
     p_value: float
-    torque_rms_Nm: float  # along the measured motion [N m]
-    estimates: dict[str, Estimate]  # by ``<effect>.<symbol>``
+    torque_rms_Nm: float  # rms torque along the measured motion [N m]
+    estimates: dict[str, Estimate]  # parameters by ``<effect>.<symbol>``
     indistinguishable_from: tuple[str, ...]  # formulas of the other laws within the equivalence width
     same_torque_as: tuple[str, ...]  # formulas of laws with the same torque along the recorded motion
     differences: tuple[Difference, ...]  # largest difference of this law from each other law of the answer
@@ -175,7 +175,7 @@ class Law:
 
     @property
     def body(self) -> str:
-        """The body or joint on which the law acts; if two terms act on different ones, both, joined by " and "."""
+        """The body or joint on which the law acts; two bodies or joints are joined by " and "."""
         return " and ".join(dict.fromkeys(e.joint for e in self.effects))
 
     @property
@@ -192,21 +192,21 @@ class Laws:
     parameter differs between the recordings), or "none" (no law is significant).
     """
 
-    fit: Fit  # the base
+    fit: Fit  # fit of the base model
     verdict: str
     sentence: str
-    laws: tuple[Law, ...]  # best first; those within the equivalence width of the first are the answer
+    # best first; the answer consists of the laws within the equivalence width of the first law
+    laws: tuple[Law, ...]
     library: Candidate | None  # the effect of the library that describes the data as well as any law
-    depends_on: tuple[Dependence, ...]  # torque against each variable, the largest share first
+    # unmodelled torque as a function of each variable, the largest explained share first
+    depends_on: tuple[Dependence, ...]
     next_experiment: str  # the run that separates the laws of the set; empty for one law
     trials: int  # number of scored columns
-    diagnosis: Diagnosis | None = field(default=None, repr=False)  # of the base, if it was made
+    diagnosis: Diagnosis | None = field(default=None, repr=False)  # diagnosis of the base, if it was made
     differs: DifferentParameter | None = (
         None  # shared parameter whose separate values describe the data as well as the laws do
     )
-    trace: tuple[Refit, ...] = field(
-        default=(), repr=False
-    )  # every fit of the search, also those that failed
+    trace: tuple[Refit, ...] = field(default=(), repr=False)  # every fit of the search, including failed fits
 
     def __repr__(self) -> str:
         shown = [f"  {law!r}" for law in self.laws[:_SHOWN]]
@@ -215,7 +215,7 @@ class Laws:
 
     @property
     def answer(self) -> tuple[Law, ...]:
-        """The laws within the equivalence width of the best one."""
+        """The laws within the equivalence width of the best law."""
         if not self.laws:
             return ()
         others = set(self.laws[0].indistinguishable_from)
@@ -223,7 +223,10 @@ class Laws:
 
     @property
     def torques(self) -> tuple[tuple[Law, ...], ...]:
-        """The answer in groups of laws with the same torque along the recorded motion, the best law of each first."""
+        """The answer in groups of laws with the same torque along the recorded motion.
+
+        Each group begins with its best law.
+        """
         groups: list[tuple[Law, ...]] = []
         known: set[str] = set()
         for law in self.answer:
@@ -361,7 +364,7 @@ def _laws(
         diagnosis,
         None if separate is None else separate.parameter,
     )
-    # formulas of the same torque may differ at other speeds
+    # formulas with the same torque in these recordings may differ at other speeds
     rivals = [x for group in answer.torques for x in group[:1]] + [x for g in answer.torques for x in g[1:]]
     return replace(
         answer,
@@ -386,7 +389,7 @@ def library_answer(known: Diagnosis, criteria: Criteria = DEFAULT) -> Candidate 
 
 
 def _may_suffice(candidates: Sequence[Candidate], criteria: Criteria) -> bool:
-    """Return whether the fit with the best effect, or with one of its equivalence class, has no lack of fit."""
+    """Return whether the fit with the best effect, or with an effect of its equivalence class, has no lack of fit."""
     chosen = best_candidate(candidates, criteria)
     if chosen is None:
         return False
@@ -414,7 +417,7 @@ class _Steps:
 
 
 class _Trial(NamedTuple):
-    """A law to refit: its form, its score, the initial values of the other parameters, and the model without it."""
+    """A law to refit: form, score, initial values of the other parameters, and the model without the law."""
 
     law: LawForm
     score: Score
@@ -466,7 +469,7 @@ class _Refitted(NamedTuple):
 
 
 class _Search:
-    """The search of one base: scores, refits, scores about the best refit, refits."""
+    """The search for laws that a base lacks: scores, refits, scores about the best refit, refits."""
 
     def __init__(self, base: Fit, criteria: Criteria, workers: WorkerPool, steps: _Steps) -> None:
         self.base, self.criteria, self.workers, self.steps = base, criteria, workers, steps
@@ -486,7 +489,7 @@ class _Search:
         self._nulls, self._family = nulls, FamilywiseNull(list(nulls.values()))
         self.steps.next()
         significant = min(self._p(s) for s in scored.scores) < self.criteria.significance
-        # about a base with a large lack of fit, scores to first order are not reliable
+        # scores are of first order, and not reliable about a base with a large lack of fit
         if not significant and not self.base.fails(self.criteria):
             return []
         chosen = self._promising(scored, _FIRST)
@@ -520,14 +523,14 @@ class _Search:
         if not refits:
             return []
         if best.fit.fails(self.criteria):
-            # a second term that BIC does not justify only corrects the form of the first one
+            # a second term that BIC does not justify only corrects the form of the first term
             limit = best.penalised - self.criteria.evidence
             refits = [*refits, *(r for r in self._with_second_term(best) if r.penalised < limit)]
         self.steps.next()
         found = sorted((self._law(r) for r in refits), key=lambda x: x.penalised)
         if min(x.p_value for x in found) >= self.criteria.significance:
             return []
-        # laws equivalent to the best one belong to the set although they are not significant themselves
+        # laws equivalent to the best law belong to the set, even if they are not significant themselves
         limit = found[0].penalised + self.criteria.equivalence_width
         return [x for x in found if x.penalised < limit or x.p_value < self.criteria.significance]
 
@@ -558,9 +561,9 @@ class _Search:
     def _scored(self, about: Fit, removed: Sequence[Effect], *, release: bool = False) -> _Scored:
         """Return the scores of all laws about a fit with some of its effects removed.
 
-        If the right law is added, a friction coefficient at its bound may become positive or may remain at the bound.
-        Scores with `release` treat parameters at a bound as free and find laws of the first kind. Scores without
-        `release` hold these parameters and find laws of the second kind.
+        If the right law is added, a friction coefficient at its bound may become positive, or it may remain at the
+        bound. In the first case, scores with `release` find the law, because they treat parameters at a bound as free.
+        In the second case, scores without `release` find it, because they hold these parameters.
         """
         cases = [CaseColumns(about, i) for i in range(len(about.problem.cases))]
         effects = [f.effect for f in self.forms]
@@ -578,7 +581,7 @@ class _Search:
     ) -> list[_Chosen]:
         """Return the `most` laws with the largest score minus the penalty of their constants and formula length.
 
-        The terms of `about` are excluded, and with `stateless` all laws that have a state.
+        The terms of `about` are excluded. With `stateless`, laws that have a state are excluded as well.
         """
         known = set() if about is None else {t.effect.name for t in about.terms}
         found = [
@@ -593,7 +596,10 @@ class _Search:
     def _refits(
         self, chosen: Sequence[_Chosen], about: Fit, noise: Sequence[Noise], replaced: Sequence[LawForm] = ()
     ) -> list[_Refitted]:
-        """Return the refits of laws that replace the effects `replaced` of a fit; its values are the initial values."""
+        """Return refits in which laws replace the effects `replaced` of a fit.
+
+        The values of the fit are the initial values.
+        """
         model = about.model
         for t in replaced:
             model = model.without(t.effect.name)
@@ -602,7 +608,7 @@ class _Search:
         return [_Refitted((c.law,), f) for c, f in zip(chosen, found, strict=True) if f is not None]
 
     def _with_second_term(self, best: _Refitted) -> list[_Refitted]:
-        """Return fits with a second law in addition to the best one."""
+        """Return fits with a second law in addition to the best law."""
         if len(best.terms) > 1:
             return []
         # a model has at most one state variable `lag`
@@ -722,13 +728,13 @@ def formula_of(effect: Effect) -> str:
 
 
 def _with_positive_strength(effect: Effect, found: Fit) -> Effect:
-    """Return the effect; its law is written with a minus sign if its strength is negative in all recordings."""
+    """Return the effect; if its strength is negative in all recordings, its law is written with a minus sign."""
     own = [e.value for k, e in found.estimates.items() if k.partition("@")[0] == f"{effect.name}.k"]
     return replace(effect, law=f"-{effect.law}") if own and max(own) < 0 else effect
 
 
 def net_torques(found: Fit, along: Fit, case: int, times: Array) -> Array:
-    """Return the net torques on rotor and casing of one fit along the motion of another, shape (2, times) [N m]."""
+    """Return the net torques on rotor and casing of one fit along the motion of another fit, shape (2, times) [N m]."""
     y = Sampler(along.predictions[case].path.mesh, times).value(along.predictions[case].path.y)[:, :2]
     own = found.predictions[case].path
     if own.y.shape[-1] > 2:
@@ -758,7 +764,7 @@ def _torque_rms(found: Fit, effects: Sequence[Effect]) -> float:
 
 
 def with_classes(found: Sequence[Law], criteria: Criteria) -> tuple[Law, ...]:
-    """Return the laws, each with the formulas of the others and of laws of equal torque, and with its differences."""
+    """Return the laws, each with its differences and the formulas of the other laws and of laws of equal torque."""
     answer = [x for x in found if x.penalised - found[0].penalised < criteria.equivalence_width]
     groups: list[list[Law]] = []
     for law in answer:
@@ -796,7 +802,7 @@ def _separation(one: Fit, other: Fit) -> float:
 
 
 def _difference(one: Law, other: Law) -> Difference | None:
-    """Return the largest difference of the net torques of two fits along the motion of the first one."""
+    """Return the largest difference of the net torques of two fits along the motion of the first fit."""
     worst: Difference | None = None
     for case, data in enumerate(one.fit.problem.data):
         t = np.linspace(*data.record.span, _POINTS)
@@ -839,7 +845,7 @@ def _equivalent_effect(candidates: Sequence[Candidate], best: Law, criteria: Cri
 def _nothing_sentence(
     model: Model, depends_on: Sequence[Dependence], criteria: Criteria, body: str = CASING
 ) -> str:
-    """Return the sentence of a search that found no law; effects that were added before may imitate the law."""
+    """Return the sentence for a search that found no law; it names effects of the base that may imitate the law."""
     if not depends_on or depends_on[0].p_value >= criteria.significance:
         return "No law is significant: this search finds nothing beyond noise."
     sentence = f"No law improves this fit, although its unmodelled torque depends on {depends_on[0].words}."
@@ -867,7 +873,7 @@ def _sentence(found: Laws, criteria: Criteria) -> str:
             "found, so it is listed first."
         )
     best, depends_on = found.laws[0], found.depends_on
-    # in a single run, one variable may nearly be a function of another; in this case the variable of the law is named
+    # in a single run, one variable may nearly be a function of another variable; then the variable of the law is named
     of_law = {(e.joint, v) for e in best.effects for v in symbols(e.expression)}
     least = depends_on[0].explained - _EXPLAINED_TIE if depends_on else 0.0
     preferred = [d for d in depends_on if (d.body, d.variable) in of_law and d.explained > least]

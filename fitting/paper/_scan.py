@@ -1,11 +1,12 @@
 """All on/off combinations of the paper's terms, the paper's two models, and the robustness of parameters.
 
-Tables 1 and 2 vary the drags of rotor and casing, with the linear law of the bearing: all four terms, then each term
-omitted once. Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen combinations of c, d, e and f.
+As in the paper, tables 1 and 2 vary the drags of rotor and casing, with the linear law of the bearing: first with all
+four drag terms, then without one of the terms. Tables 3 and 4 vary the laws of the bearing (without a1): all fifteen
+combinations of c, d, e and f.
 
-Cross-validation over recordings: shared parameters have the values of a fit of the other recordings. Only parameters
-that the other recordings do not determine are free: the friction at the touch point (another surface) and the initial
-speeds.
+In the cross-validation over recordings, shared parameters have the values of a fit of the other recordings. Only
+parameters that the other recordings do not determine are free: the friction at the touch point (another surface) and
+the initial speeds.
 """
 
 from __future__ import annotations
@@ -100,9 +101,10 @@ bounds that the paper prints."""
 def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str, tuple[float, float]]:
     """Return ranges about the mean of separate fits of the reduced model, by name.
 
-    The mean is over the separate fits, as values of the paper show: in its second case g = 1.05 and f = 0.0795e-7,
-    which equal the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In the joint fit parameters may have
-    separate values for the cases `labels`. A parameter that is zero in the reduced fits keeps its declared bounds.
+    The mean is over the separate fits, as values in the paper show: for the second case, the paper prints g = 1.05 and
+    f = 0.0795e-7, which are the bounds 0.8 (1.32 + 1.30)/2 and 0.5 (0.126 + 0.192)/2 e-7. In a joint fit, parameters
+    may have separate values for the cases `labels`. A parameter that is zero in the reduced fits keeps its declared
+    bounds.
     """
     ranges = {}
     for key, width in WIDTHS.items():
@@ -115,8 +117,8 @@ def paper_ranges(reduced: Sequence[Fit], labels: Sequence[str] = ()) -> dict[str
 
 
 _ROBUST = 0.1
-"""Relative change below which a parameter is robust [1]. Source: parameters that the paper calls robust change by a few
-per cent."""
+"""A parameter is robust if its relative change is below this value [1]. Source: parameters that the paper calls robust
+change by a few per cent."""
 _UNSTABLE = 0.5
 """Smallest relative change of an unstable parameter [1]. Source: parameters that the paper calls unstable change by
 half or more."""
@@ -128,8 +130,9 @@ class Robustness:
 
     The larger of spread and shift determines the `verdict`: "robust" (under a tenth), "varies" (under a half) or
     "unstable". For a touch point the shift alone decides, because surfaces may differ. The verdict is "zero" or "not
-    determined" if this is true in all separate fits, and "not known" for a single case. `shift` is the relative change
-    from the mean of the separate fits to the joint fit, or the largest change if each case has its own value.
+    determined" if the parameter is zero or not determined in all separate fits. It is "not known" for a single case.
+    `shift` is the relative change from the mean of the separate fits to the joint fit, or the largest change if each
+    case has its own value.
     """
 
     symbol: str  #: Symbol of the parameter.
@@ -198,8 +201,8 @@ class Predicted:
     label: str
     casing: float  # rms prediction error divided by the noise; 1 is the noise limit
     rotor: float
-    r2: float  # of the casing's smoothed speed
-    rmse: float  # of the casing's smoothed speed [rad/s]
+    r2: float  # coefficient of determination of the casing's smoothed speed
+    rmse: float  # rms error of the casing's smoothed speed [rad/s]
     others: Fit  # the fit of the other recordings, with the values of the shared parameters
 
 
@@ -237,8 +240,7 @@ def predict_recordings(
         if len(rest) == 1 and alone:
             others = alone[rest[0]]
         else:
-            # a parameter with one value per case has no value for the predicted recording: the other recordings share
-            # one value
+            # a value per case would be unknown for the predicted recording, so the other recordings share one value
             others = fit(model, [data[k] for k in rest], share=shared, noise=[noise[k] for k in rest])
         held_values = {key: others.estimates[key].value for key in shared}
         free = fit(model.with_fixed(held_values), [held], noise=[noise[i]])
@@ -283,8 +285,8 @@ class ModelFits:
     """One of the paper's models on all cases."""
 
     name: str  # "reduced" or "general"
-    separate: tuple[Fit, ...]  # on each case
-    joint: Fit | None  # None for a single case
+    separate: tuple[Fit, ...]  # fit of each case
+    joint: Fit | None  # joint fit of all cases; None for a single case
     predicted: tuple[Predicted, ...]  # prediction of each case from the other cases; empty for a single case
     robustness: tuple[Robustness, ...]
 
@@ -396,7 +398,7 @@ def _model(
 
 
 def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> tuple[Row, ...]:
-    """Fit the runs of a table, small models first, because a larger model with a power law starts at a smaller fit."""
+    """Fit the runs of a table, small models first, because larger models with a power law start from a smaller fit."""
     rows: dict[Run, Row] = {}
     for run in sorted(runs, key=lambda r: len(r.terms)):
         inner = [r.fit for r in rows.values() if r.fit is not None and set(r.run.terms) < set(run.terms)]
@@ -404,7 +406,7 @@ def _rows(runs: Sequence[Run], data: CaseData, noise: Noise, count: _Count) -> t
         follows = best is not None and "bearing.power" in best.model.names
         row = Row(run, None) if follows else _row(run, data, noise)
         if best is not None and (row.fit is None or row.fit.deviance > best.deviance + _SAME_MINIMUM):
-            # a larger deviance than that of a nested model shows that the search ended in a local minimum
+            # a deviance larger than the deviance of a nested model shows that the search ended in a local minimum
             row = _better(row, best, data, noise)
         rows[run] = row
         count.add(1)
@@ -437,7 +439,8 @@ def _fit(model: Model, data: CaseData, noise: Noise) -> Fit:
     try:
         return fit(model, [data], noise=[noise])
     except FittingError:
-        # with a wrong bearing law the touch point may stop the casing: take initial values from a fit without it
+        # with a wrong bearing law, friction at the touch point may stop the casing; a fit without it gives initial
+        # values
         rough = Model(tuple(e for e in model.effects if not e.per_surface))
         if rough == model:
             raise

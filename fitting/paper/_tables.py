@@ -21,8 +21,8 @@ from fitting.paper._scan import AIR_COLUMNS, BEARING_COLUMNS, COLUMNS, ModelFits
 from fitting.study._serialisation import fit_document
 
 NEARLY_ZERO = 1e-4
-"""Value, in units of the header, below which a parameter is printed as approximately 0 [1]. Source: the tables of the
-paper."""
+"""A parameter is printed as approximately 0 if its value, in units of the header, is below this value [1]. Source: the
+tables of the paper."""
 
 
 def three_digits(x: float) -> str:
@@ -42,8 +42,8 @@ def three_digits(x: float) -> str:
 def concise(value: float, error: float) -> str:
     """Return a number with its standard error in units of the last digit: ``9.97(12)``, ``4080(120)``.
 
-    The error has two digits if these are between 10 and 29, otherwise one digit. A number without a standard error has
-    three significant digits.
+    The error has two digits if these digits are between 10 and 29, otherwise one digit. A number without a standard
+    error has three significant digits.
     """
     if not (math.isfinite(value) and math.isfinite(error) and error > 0):
         return three_digits(value)
@@ -164,7 +164,7 @@ def _model(model: ModelFits, labels: Sequence[str]) -> list[str]:
 
 
 def _short_names(labels: Sequence[str]) -> dict[str, str]:
-    """Return for each label a unique name of at most 7 characters: its beginning, its end, or a number."""
+    """Return for each label a unique name of at most 7 characters: its first or last characters, or a number."""
     beginnings = [label[:7] for label in labels]
     ends = [label if len(label) < 8 else f"…{label[-6:]}" for label in labels]
     numbers = [f"case {i}" for i in range(1, len(labels) + 1)]
@@ -512,7 +512,7 @@ class ScanDocument(TypedDict):
 
 
 def scan_document(scan: Scan) -> ScanDocument:
-    """Return a scan as a JSON document, whose keys are a contract with other programs."""
+    """Return a scan as a JSON document; its keys must not change, because other programs use them."""
     tables: list[ScanTable] = []
     for name, blocks in (("air", scan.air), ("bearing", scan.bearing)):
         for label, rows in zip(scan.labels, blocks, strict=True):

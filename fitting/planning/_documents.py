@@ -26,10 +26,11 @@ class LimitsDocument(TypedDict):
     upper_limit: float  #: Upper limit of the strength; null if the effect is significant [`unit`].
     size: float  #: Strength for which `power` and `runs_needed` are computed [`unit`].
     power: float  #: Probability of finding an effect of this size [1].
-    #: Number of runs like these, including these, needed to find the effect; null also if no number suffices [1].
+    #: Number of runs of this kind, including the given runs, with which the effect is found; null also if no number
+    #: suffices [1].
     runs_needed: float
     absorbed: bool  #: Whether the model absorbs the effect, so that it has no limit.
-    #: Effects that are not separated at the larger of `size` and `detection_limit`.
+    #: Effects that are not separated from this effect at the larger of `size` and `detection_limit`.
     indistinguishable_from: list[str]
     effect: str  #: Name of the effect.
     kind: str  #: `physical` or `measurement`.
@@ -53,8 +54,9 @@ class NextRunDocument(TypedDict):
     rivals: list[list[str]]  #: The explanations that the run separates, each a set of effects.
     inseparable: list[list[str]]  #: Pairs of explanations that no run within the bounds separates.
     sentence: str  #: The proposal in words.
-    inertia_casing_ratio: float  #: Moment of inertia of the casing, divided by the present one [1].
-    touchpoint_ratio: float  #: Friction at the touch point, divided by the present one [1].
+    #: Moment of inertia of the casing, divided by the present moment of inertia [1].
+    inertia_casing_ratio: float
+    touchpoint_ratio: float  #: Friction at the touch point, divided by the present friction [1].
     separation_sigma: float  #: Expected separation of the rivals after the run [standard uncertainties].
     present_sigma: float  #: Separation of the rivals without the run [standard uncertainties].
     #: Separation of the rivals after one more run like the present runs [standard uncertainties].
@@ -68,7 +70,8 @@ class PlanDocument(TypedDict):
     """Detection limits of recordings, and the best next run."""
 
     effects: list[LimitsDocument]  #: Limits and power, by effect.
-    classes: tuple[tuple[str, ...], ...]  #: Sets of effects that are indistinguishable near their limits.
+    #: Sets of effects that are indistinguishable near their detection limits.
+    classes: tuple[tuple[str, ...], ...]
     next_run: NextRunDocument | None  #: The best next run.
     power_wanted: float  #: Probability of detection at the detection limit [1].
     confidence: float  #: Confidence level of the upper limits [1].
@@ -92,7 +95,10 @@ def plan_document(found: Plan) -> PlanDocument:
 
 
 def _limits(e: EffectLimits, found: Plan) -> LimitsDocument:
-    """Return limits and power for one effect; not finite if the model absorbs the effect, or if it is not a torque."""
+    """Return limits and power for one effect. Numbers are not finite if the model absorbs the effect.
+
+    Torques are not finite if the effect is not a torque.
+    """
     return as_document(
         LimitsDocument,
         e,

@@ -1,12 +1,12 @@
 """The friction laws of a contact that a motion separates: Coulomb, Stribeck, starvation, Dahl, LuGre, Maxwell slip.
 
 Each law acts along a motion with the strength of the present dry friction and typical shape constants. A rival law,
-together with Coulomb and viscous friction, is fitted to this torque with the best of its trial shapes. The square of
-the residual, in the whitened rows of the recording, is the expected difference of deviance in favour of the right law.
-Three motions of equal length are compared, with the same samples and noise: the motion of the recording, a motion that
-reverses about rest, and a slow ramp of the speed from rest. A body that turns in one sense begins to slide after a
-small angle. From then on its friction is a function of the speed, and even a long recording does not show pre-sliding,
-the elastic yielding of the contact before it slides.
+together with Coulomb and viscous friction, is fitted to this torque; the best of its trial shapes counts. The square of
+the residual of this fit, in the whitened rows of the recording, is the expected difference of deviance in favour of the
+right law. Three motions of equal length are compared, with the same samples and noise: the motion of the recording, a
+motion that reverses about rest, and a slow ramp of the speed from rest. A body that turns in one sense begins to slide
+after a small angle. From then on its friction is a function of the speed, and even a long recording does not show
+pre-sliding, the elastic yielding of the contact before it slides.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ _REVERSALS = 10
 """Number of reversals of the second motion [1]. Chosen: a smaller number shows less of the hysteresis, a larger one is
 not practical."""
 _AMPLITUDE = 4.0
-"""Amplitude of the second motion, relative to the pre-sliding angle of the contact [1]. Chosen: at a smaller value the
-contact does not slide, at a larger one pre-sliding is a small part of the motion."""
+"""Amplitude of the second motion, relative to the pre-sliding angle of the contact [1]. Chosen: with a smaller value
+the contact does not slide; with a larger one, pre-sliding is a small part of the motion."""
 _SHARE = 0.1
-"""Dry friction of a model that has none, as a share of its rms net torque [1]. Chosen: with a smaller value the motions
-separate too few laws, a larger one is not realistic."""
+"""Assumed dry friction of a model without dry friction, as a share of its rms net torque [1]. Chosen: with a smaller
+value the motions separate too few laws, a larger one is not realistic."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +101,11 @@ class FrictionDocument(TypedDict):
 class FrictionPlan:
     """The friction laws that the recording and two other motions separate."""
 
-    strength: float  # of the dry friction [torque unit]
+    strength: float  # strength of the dry friction [torque unit]
     unit: str
     pairs: tuple[Pair, ...]
     width: float  # smallest difference of deviances of two separated laws
-    amplitude: float  # of the motion that reverses [rad]
+    amplitude: float  # amplitude of the motion that reverses [rad]
     ramp: float  # last speed of the ramp [rad/s]
 
     def __repr__(self) -> str:
@@ -152,7 +152,7 @@ class FrictionPlan:
 
 
 def _grouped(pairs: Sequence[Pair]) -> str:
-    """Return pairs as text, each law with all its rivals."""
+    """Return pairs of laws as text: each law once, with all its rivals."""
     rivals: dict[str, list[str]] = {}
     for p in pairs:
         rivals.setdefault(p.first, []).append(p.second)
@@ -160,7 +160,7 @@ def _grouped(pairs: Sequence[Pair]) -> str:
 
 
 def friction_plan(fit: Fit, *, criteria: Criteria = DEFAULT) -> FrictionPlan:
-    """Return the friction laws that the first recording of a fit, and other runs, separate.
+    """Return the friction laws that the first recording of a fit and other runs separate.
 
     Parameters
     ----------
@@ -224,9 +224,9 @@ def _typical(effect: Effect) -> dict[str, float]:
 
 
 def _trials(effect: Effect) -> Iterator[dict[str, float]]:
-    """Yield shape constants with the strength 1: all trial values, the typical values, and the bounds of zero.
+    """Yield choices of the shape constants, with the strength 1.
 
-    At a bound of zero a law reduces to the simpler law that it contains.
+    The choices are all trial values, the typical values, and zero if zero is a bound.
     """
     shapes = [p for p in effect.parameters if p.role == "shape"]
     grids = [dict.fromkeys((*p.grid, p.start, *((0.0,) if p.lower == 0 else ()))) for p in shapes]
@@ -235,10 +235,13 @@ def _trials(effect: Effect) -> Iterator[dict[str, float]]:
 
 
 def torque_along(effect: Effect, values: Mapping[str, float], motion: Motion) -> Array:
-    """Return the torque of a law along a motion; state variables are exact for rates constant between times."""
+    """Return the torque of a law along a motion.
+
+    State variables are exact if their rates are constant between the times.
+    """
     known: dict[str, Array | float] = dict(values) | {"omega_c": motion.omega, "t": motion.time}
     for state, rate in zip(effect.states, effect.rates, strict=True):
-        # the rates are linear in the state: source + decay * state
+        # each rate is linear in the state: source + decay * state
         source, at_one = (
             np.broadcast_to(
                 np.asarray(Tape([rate])(known | {state.symbol: z})[0], dtype=float), motion.omega.shape
@@ -285,7 +288,7 @@ class _Responses:
         return self._known[key]
 
     def evidence(self, one: Effect, other: Effect, motion: Motion, strength: float) -> float:
-        """Return the smallest chi-square of the torque of `one` after a fit of `other` and the simple laws to it."""
+        """Return the smallest chi-square of a fit of `other` and the simple laws to the torque of `one`."""
         target = strength * self.of(one, _typical(one), motion)
         simple = [self.of(find(n), _typical(find(n)), motion) for n in _ALWAYS]
         least = math.inf

@@ -1,7 +1,7 @@
 """Detection limits and power of recordings, and the next run.
 
-The recordings are given as a fit or as a description. From them the program computes the power of the search for a
-missing effect, then the rival explanations that the recordings do not separate, then the next run.
+The recordings are given as a fit or as a description. Three results are computed in order: the power of the search for
+a missing effect, the rival explanations that the recordings do not separate, and the next run.
 
 The recordings are either measured, and a model is fitted to them, or described in a TOML file and simulated::
 
@@ -15,10 +15,8 @@ The recordings are either measured, and a model is fitted to them, or described 
     "rotor.air.quadratic.a2" = 1.0e-10
     ...
 
-    [noise]
-    angle = 1e-3                   # rad, of each frame
-    torque = 1e-7                  # N m rms, random torque; 0 for none
-    torque_time = 1.0              # s, its correlation time
+    [noise] angle = 1e-3                   # rad, of each frame torque = 1e-7                  # N m rms, random torque;
+    0 for none torque_time = 1.0              # s, correlation time of the torque
 
     [[run]]
     omega_rotor = 900.0            # rad/s at the start
@@ -71,7 +69,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pair = tuple[Finite, Finite]
 
 _SEED = 1
-"""Seed of simulated runs [1]. Chosen: any value makes a plan reproducible; another one changes limits within their
+"""Seed of simulated runs [1]. Chosen: any value makes a plan reproducible; another seed changes limits within their
 error."""
 _LARGEST = 1_000_000
 """Longest text of a plan [characters]. Chosen: a limit of memory; a larger value admits malicious files, a smaller one
@@ -82,8 +80,8 @@ _EXAMPLE = "The guide docs/how-to/plan-an-experiment.md has a complete example."
 _SHOWN = 8
 """Number of effects in a repr [1]. Chosen: a smaller number hides detection limits, a larger one fills the console."""
 _WIDTH = 100
-"""Width of a sentence in a repr [characters]. Chosen: it fits into usual consoles; consoles would wrap
-longer lines, and a smaller width needs more lines."""
+"""Width of a sentence in a repr [characters]. Chosen: it fits into usual consoles; a larger width wraps there, a
+smaller one needs more lines."""
 
 
 class _Table(BaseModel):
@@ -135,9 +133,9 @@ class PlannedRecordings:
 
     model: Model  # the friction model of the apparatus
     numbers: dict[str, float]  # every parameter [SI]
-    inertias: tuple[float, float]  # of rotor and casing [kg m2]
+    inertias: tuple[float, float]  # moments of inertia of rotor and casing [kg m2]
     experiments: tuple[Experiment, ...]  # the runs
-    given: dict[str, Any]  # the bounds of the next run that are in the file
+    given: dict[str, Any]  # bounds of the next run, if the file contains them
 
     def fit(self, simulation: int = 0, criteria: Criteria = DEFAULT) -> Fit:
         """Simulate the recordings with the random numbers of one simulation, and fit the model to them."""
@@ -146,7 +144,7 @@ class PlannedRecordings:
         return fit_model(self.model, records, start=start, criteria=criteria)
 
     def process_noise(self, simulation: int, criteria: Criteria = DEFAULT) -> tuple[ProcessNoise, ...]:
-        """Simulate the recordings, and return the estimate of the process noise of each."""
+        """Simulate the recordings, and return the estimate of the process noise of each recording."""
         return tuple(CaseData.of(r, criteria).process_noise for r in self._records(simulation))
 
     def _records(self, simulation: int) -> list[Record]:
@@ -272,7 +270,7 @@ def _check_parameters(model: Model, given: Mapping[str, float], file: str) -> No
         )
     for key, value in given.items():
         p = model.parameters[key]
-        # the bounds of such a parameter are in units of the speed or length of a recording: only its sign is checked
+        # the bounds of such a parameter are in units of the speed or length of a recording, so only its sign is checked
         if p.scale:
             p = replace(p, lower=0.0, upper=math.inf)
         if not p.lower <= value <= p.upper or math.isnan(value):
@@ -311,12 +309,12 @@ limits depend on a single one; with more, the plan takes longer."""
 class Plan:
     """Detection limits and power of some recordings, and the next run."""
 
-    fit: Fit  # to the recordings, measured or simulated
+    fit: Fit  # fit to the recordings, which are measured or simulated
     planned: bool  # True if the recordings are described, False if measured
     size: float  # rms torque of an effect [N m] to which `power` and `runs_needed` refer
-    effects: tuple[EffectLimits, ...]  # in ascending order of the detection limit
-    classes: tuple[tuple[str, ...], ...]  # effects that these recordings would not separate
-    next_run: NextRun | None  # None if no run can be simulated
+    effects: tuple[EffectLimits, ...]  # limits of each effect, in ascending order of the detection limit
+    classes: tuple[tuple[str, ...], ...]  # sets of effects that these recordings would not separate
+    next_run: NextRun | None  # proposed run; None if no run can be simulated
     warning: str = field(
         default=""
     )  # reason why the limits are restricted or unreliable; empty if there is none

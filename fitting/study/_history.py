@@ -61,7 +61,7 @@ from fitting.study._serialisation import (
 )
 
 _ELSEWHERE = "move it away or choose another with --ledger"
-# errors that occur if a part of the file was edited by hand; the program then computes this part again
+# errors that occur if a part of the file was damaged by editing; the program then computes this part again
 _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 
 
@@ -69,7 +69,7 @@ _DAMAGED = (LookupError, TypeError, ValueError, AttributeError, FittingError)
 class Entry:
     """One fit of a ledger."""
 
-    document: dict[str, Any]  # the JSON object, with all keys of the file
+    document: dict[str, Any]  # the JSON object of the entry, with all keys of the file
 
     @cached_property
     def stored(self) -> EntryDocument:
@@ -88,7 +88,10 @@ class Entry:
 
     @property
     def choices(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Parameters shared by all cases, and parameters with one value per case, if this is not the default."""
+        """Parameters shared by all cases, and parameters with one value per case.
+
+        Only choices that differ from the default are listed.
+        """
         return tuple(self.stored.share), tuple(self.stored.per_case)
 
     @cached_property
@@ -134,7 +137,7 @@ class Entry:
         return self.stored.parameters
 
     def shown(self, data: Sequence[CaseData]) -> Fit:
-        """Return the fit for display: restored if the same version of the code made it, otherwise fitted again."""
+        """Return the fit for display: restored if the same version of the code stored it, otherwise fitted again."""
         data = with_prior(data, self.prior)
         stored, found = self.document.get("restored_from"), None
         if stored:
@@ -153,7 +156,9 @@ class Entry:
     def certificate(
         self, found: Diagnosis, seed: int | None = None, *, film: bool | None = None
     ) -> Certificate | None:
-        """Return the stored certificate of `found`, also an incomplete one; None if this version has stored none.
+        """Return the stored certificate of `found`, also an incomplete one.
+
+        None if this version of the code stored none.
 
         `seed` selects certificates whose random errors have this seed; `film` selects certificates from films (True) or
         from simulated data (False). A certificate from films is preferred, because it tests the tracking as well.
@@ -171,7 +176,10 @@ class Entry:
         return None
 
     def latest_certificate(self) -> Certificate | None:
-        """Return the stored certificate of any answer, preferably from films; None if this version has stored none."""
+        """Return the stored certificate of any answer, preferably from films.
+
+        None if this version of the code stored none.
+        """
         for key in (_OF_FILMS, _OF_DATA):
             stored = self.document.get(key)
             with suppress(*_DAMAGED):
@@ -286,7 +294,8 @@ class Ledger:
         previous : Fit, optional
             The fit with which the errors are compared.
         share, per_case : sequence of str
-            Parameters shared by all cases, and parameters with one value per case, if this is not the default.
+            Parameters shared by all cases, and parameters with one value per case; only choices that differ from the
+            default.
         ranges : dict, optional
             Bounds [unit of the parameter] that replace the bounds of the effects.
         loss : str
@@ -332,7 +341,7 @@ class Ledger:
         found : Diagnosis
             The diagnosis of the fit.
         extra : sequence of Effect
-            User-defined effects that were tested with the library.
+            Effects of the user that were tested in addition to the library.
         """
         with self._locked():
             self.find(fit_id).document["diagnosis"] = as_json(stored_diagnosis(found, extra))
@@ -352,7 +361,7 @@ class Ledger:
             self.find(fit_id).document[key] = as_json(stored_certificate(found))
 
     def annotate(self, fit_id: str, *, name: str | None = None, note: str | None = None) -> None:
-        """Set the name or the note of a fit; None keeps the present one.
+        """Set the name or the note of a fit; None keeps the present text.
 
         Parameters
         ----------
@@ -391,7 +400,8 @@ class Ledger:
             successors = [e.fit_id for e in self.entries if e.stored.parent == fit_id]
             if successors:
                 raise LedgerError(
-                    f"{fit_id} has successors: {', '.join(successors)}", "delete those first, or keep it"
+                    f"{fit_id} has successors: {', '.join(successors)}",
+                    "delete the successors first, or keep this fit",
                 )
             self.entries.remove(entry)
             return entry
@@ -435,7 +445,7 @@ class Ledger:
                     raise LedgerError(what, "correct the text") from None
                 # on some network drives a lock does not exclude other hosts
                 write_text(self.path, text, unchanged=lambda: _content(self.path) == before)
-                # entries cache values of their documents, which may have changed
+                # new objects are made, because entries cache values of documents that may have changed
                 self.entries = [Entry(e.document) for e in self.entries]
             except BaseException:
                 self.entries = kept

@@ -1,6 +1,6 @@
 """Preparation of the data as in the paper: smoothed velocities, and one generated rotor curve through all windows.
 
-By default, fits use the measured angles, and the rotor only in its windows.
+By default, fits do not use this preparation: they use the measured angles, and the rotor only in its windows.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def with_generated_rotor(record: Record) -> Record:
         for w, c in ((w, _calibrated(w)) for w in record.rotor)
     )
     curve = Samples(times, omega, np.full(len(times), float(np.sqrt(len(times) / weight))))
-    # the curve extends beyond the windows, where tracking errors of the rotor are unknown
+    # errors of the rotor's tracking are dropped, because they are unknown where the curve extends beyond the windows
     modes = tuple(m for m in record.modes if m.body != "rotor")
     return replace(
         record, rotor=(curve,), windows=record.rotor, generated=True, start_sigma=(), modes=modes, digest=""
@@ -80,7 +80,7 @@ def curve_bias(found: Fit) -> dict[str, CurveBias]:
     """Return the shift of each parameter due to a generated rotor curve, relative to a fit of the model to the windows.
 
     The shift has two reasons: the law of the curve differs from the model, and the values of the curve between the
-    windows are not measured. The largest shift comes first; empty if no rotor curve was generated.
+    windows are not measured. The largest shift comes first. The result is empty if no rotor curve was generated.
     """
     layout = found.problem.layout
     if not any(r.generated for r in layout.records):

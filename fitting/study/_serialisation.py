@@ -1,9 +1,9 @@
 """Fits, diagnoses and histories as documents of `fitting._schema`, and back.
 
-A fit is restored from its variables, its noise and the data by one prediction of the model. A diagnosis is restored
-from its sentence and its ranking; its curves are computed from its fit. Stored states are valid only for the same code
-and the same data; see `fingerprint`. The documents of laws and plans are in separate modules, because only the commands
-for laws and plans need them.
+A fit is restored from its variables, its noise and the data; this takes a single prediction of the model. A diagnosis
+is restored from its sentence and its ranking; its curves are computed from its fit. Stored states are valid only for
+the same code and the same data; see `fingerprint`. The documents of laws and plans are in separate modules, because
+only the commands for laws and plans need them.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ Array = NDArray[np.float64]
 _CURVE_POINTS = 200
 """Number of points of a stored curve [1]. Chosen: a smaller number shows corners, a larger one makes larger files."""
 _FITS = 4
-"""Number of candidates whose fits are stored, best first [1]. Chosen: a report draws fewer candidates; a larger number
-makes larger files; with a smaller number, some curves are missing."""
+"""Number of candidates whose fits are stored, best first [1]. Chosen: a report draws fewer candidates than this; a
+larger number makes larger files; with a smaller one, some curves are missing."""
 
 
 def _angle_noise(noise: AngleNoise) -> AngleNoiseDocument | None:
@@ -153,7 +153,7 @@ class NullDocument(TypedDict):
 
     n: int  #: Number of recordings.
     alarms: int  #: Number of false alarms.
-    rate: float  #: Share of false alarms [1].
+    rate: float  #: Share of the recordings that end in a false alarm [1].
     interval: list[float]  #: 95 % interval of the probability of a false alarm [1].
     names: dict[str, int]  #: Number of recordings in which an effect is named, by effect.
     coverage: dict[str, float]  #: Share of 95 % intervals that contain the simulated value, by parameter [1].
@@ -163,8 +163,9 @@ class TruthDocument(TypedDict):
     """The answers to recordings that are simulated with the named effect."""
 
     n: int  #: Number of recordings.
-    right_first: float  #: Share in which the effect is named first [1].
-    in_class: float  #: Share in which the effect, or an indistinguishable effect, is named [1].
+    right_first: float  #: Share of the recordings in which the effect is named first [1].
+    #: Share of the recordings in which the effect, or an indistinguishable effect, is named [1].
+    in_class: float
     coverage: dict[str, float]  #: Share of 95 % intervals that contain the simulated value, by parameter [1].
 
 
@@ -413,7 +414,7 @@ def history_verdict(steps: Sequence[Step]) -> str:
     """Return the verdict of a finished history: "adequate", "missing_effect" (found and added) or "unexplained"."""
     if steps[-1].fit.verdict != "no_lack_of_fit":
         return "unexplained"
-    # a shared parameter that was freed per recording is not an effect
+    # separate values of a shared parameter for each recording are not an effect
     return "missing_effect" if steps[-1].fit.model.names != steps[0].fit.model.names else "adequate"
 
 
@@ -517,9 +518,9 @@ def stored_fit(fit: Fit) -> StoredFit:
 def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> Fit | None:
     """Return a stored fit; None if it was made by another version of the code.
 
-    The noise is linearised about the same motion as in the original fit, which is the motion at the start of its last
-    optimisation. If a model has a very large lack of fit, the optimum may be far from this start. The noise of a
-    candidate is linearised about the fit without the candidate, with strengths of zero.
+    The noise is linearised about the same motion as in the original fit: the motion at the start of the last
+    optimisation of that fit. If a model has a very large lack of fit, the optimum may be far from this start. The noise
+    of a candidate is linearised about the fit without the candidate, with strengths of zero.
     """
     if stored.code != fingerprint():
         return None
@@ -540,7 +541,7 @@ def restored_fit(stored: StoredFit, model: Model, data: Sequence[CaseData]) -> F
 
 def stored_diagnosis(found: Diagnosis, extra: Sequence[Effect] = ()) -> StoredDiagnosis:
     """Return the state from which a diagnosis is restored, given its fit; `extra` are the user's effects."""
-    # a candidate that was fitted with free moments of inertia has a different model
+    # the fit of a candidate with free moments of inertia is not stored, because its model contains other parameters
     base = found.fit.model
     candidates, left = [], _FITS
     for c in found.candidates:

@@ -45,8 +45,8 @@ def extract(
     output : str or Path, optional
         HDF5 file to write; without it nothing is written, and `resume` and `force` have no effect.
     capture_fps : float, optional
-        Capture rate of the camera [1/s]; by default the first of three rates that is known: in the profile, in the tag
-        of the camera, in the container.
+        Capture rate of the camera [1/s]; by default the first known rate of these three: in the profile, in the tag of
+        the camera, in the container.
     profile : Profile, str or Path, optional
         Markers and their colours, or a TOML file that defines them; by default the markers of the paper.
     body : {"casing", "rotor", "both"}, optional
@@ -55,8 +55,8 @@ def extract(
         "frames" counts frames at the capture rate, "stamps" uses the timestamps of the film, and "auto" uses the
         timestamps if the frame rate varied.
     workers : int or None
-        Number of processes that track parts of the film; None: one per core. A script that starts several needs the
-        guard ``if __name__ == "__main__":``.
+        Number of processes that track parts of the film; None: one per core. A script that starts several processes
+        needs the guard ``if __name__ == "__main__":``.
     resume : bool
         Continue an interrupted run of the same film and settings; if the output is complete, read and return it.
     force : bool

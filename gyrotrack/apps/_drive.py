@@ -2,7 +2,8 @@
 
 Friction never makes a body faster. A body counts as driven if its mean speed over whole turns rises significantly and
 by more than a share of the largest speed. The mean is needed because an unbalance makes the speed rise and fall within
-one turn. A friction law fitted to the record of a driven body would describe the drive. The record shows the response
+one turn. A friction law fitted to the record of a driven body would describe the drive. Instead of a friction law, the
+record of a driven body shows the response
 
     tau d(omega)/dt = gain u(t - delay) + offset - omega
 
@@ -27,9 +28,9 @@ from gyrotrack.io.readers._pulses import varies_both_ways
 
 _LEAST_RISE = 0.05  # smallest rise of the speed of a driven body [share of the largest speed]
 _SIGNIFICANT = 6.0  # smallest change of the speed that is significant [standard uncertainties]
-_FEWEST_TURNS = 8  # in fewer turns, an unbalance may cause the rise
+_FEWEST_TURNS = 8  # smallest number of turns; in fewer turns, an unbalance may cause the rise
 _BLOCKS = 100  # largest number of intervals in which mean speeds are compared
-# smallest median of an input that drives the body [share of the largest value of the input]
+# an input drives the body if its median is at least this value [share of the largest value of the input]
 _LEAST_LEVEL = 0.05
 _EXPLAINED = 0.9  # smallest share of the variance of the speed that a first-order response explains
 _REST = 0.02  # largest speed at rest before a constant drive [share of the range of the speed]
@@ -56,11 +57,11 @@ class Response:
 class Drive:
     """Evidence that a body is driven, and its response to the drive."""
 
-    reason: str  # the evidence for a drive, as the end of a sentence
-    # mean speed over the "first" and the "last" turn, and their standard uncertainties [rad/s]; None for few turns
+    reason: str  # the evidence for a drive, as a clause that ends a sentence
+    # mean speeds over the "first" and the "last" turn, and their standard uncertainties [rad/s]; None for few turns
     omega: dict[str, float] | None
     omega_u: dict[str, float] | None
-    response: Response | None  # None if no first-order response explains the motion
+    response: Response | None  # response to the drive; None if no first-order response explains the motion
 
 
 def drive_of(
@@ -236,7 +237,7 @@ def _integrated(time: Floats, speed: Floats) -> Floats:
 def _inflation(rest: Floats) -> float:
     """Return the factor by which correlated residuals increase a variance: 1 + 2 times the sum of correlations.
 
-    The sum ends before the first correlation that is not positive (initial positive sequence, after C. Geyer, 1992).
+    The sum ends before the first correlation that is not positive (the initial positive sequence of C. Geyer, 1992).
     """
     size = float(rest @ rest)
     if not size:

@@ -1,8 +1,8 @@
 """Rendered films that imitate the films of a case: they show the scene of the case with the motion of a fit.
 
-Image size, frame rates, start times, centre and tilt are taken from the recordings. The markers have the radii,
-widths, mount angles and colours that `extract` measured. The exposure follows from the motion blur of the rotor's
-markers, which widens a marker by half of speed times exposure on each side. The image noise is chosen so that the
+Image size, frame rates, start times, centre and tilt are taken from the recordings. The markers have the radii, widths,
+mount angles and colours that `extract` measured. The exposure follows from the motion blur of the rotor's markers: on
+each side, the blur widens a marker by half the product of speed and exposure. The image noise is chosen so that the
 tracked angles scatter as in the recordings. Metal, table, lamps and lens are the defaults of the package's renderer,
 because they are not measured.
 """
@@ -23,14 +23,15 @@ from gyrotrack.io._records import Case, Recording
 from gyrotrack.synthetic._film import render_clip
 from gyrotrack.synthetic._scene import PAPERS, WHITE, Camera, Colour, Light, Marker, Motion, Scene
 
-# chroma below which a marker counts as colourless; assumed luma of a coloured marker, because recordings do not contain
+# chroma below which a marker counts as colourless; luma of a coloured marker, assumed because recordings do not contain
 # it [grey levels]
 _COLOURLESS, _LUMA = 5.0, 110.0
 # exposure if the motion blur does not determine it, and limits of the exposure [frame period]
 _USUAL_EXPOSURE, _EXPOSURES = 0.4, (0.02, 0.95)
-# trial film that determines the image noise: its number of frames, its noise, limits of the result [grey levels]
+# trial film that determines the image noise: number of frames, noise of the trial, limits of the result [grey levels]
 _TRIAL, _TRIAL_NOISE, _NOISES = 1200, 2.0, (0.3, 12.0)
-_OUTER = max(p.near + p.length for p in PAPERS if p.body == "casing")  # mm
+# outer radius of the paper's casing markers [mm]
+_OUTER = max(p.near + p.length for p in PAPERS if p.body == "casing")
 
 Command = Callable[[Sequence[str]], Mapping[str, Any]]
 
@@ -187,8 +188,9 @@ def _colour(cb: float, cr: float) -> Colour:
 def _exposure(casing: Recording, rotor: Sequence[Recording]) -> float:
     """Return the exposure of the casing's film from the smear of the rotor's markers [s].
 
-    The width of the markers was measured in the sharpest frames, in which the rotor is slowest. In the film with the
-    higher frame rate the smear is smaller by the ratio of the frame periods.
+    The width of the markers was measured in the sharpest frames, in which the rotor is slowest. The smear is
+    proportional to the exposure, so in the film with the higher frame rate it is smaller by the ratio of the frame
+    periods.
     """
     period = 1 / casing.capture_fps
     slow, fast = (film.extra.get("papers") or {} for film in (casing, rotor[0]))

@@ -25,37 +25,41 @@ TURN = 2 * math.pi
 # prior standard deviations of the first three harmonics of the angle [rad]: a hub displaced by 2 % of the radius, a
 # camera tilt of 0.28 rad, and the perspective of this tilt
 VIEW = (0.02, 0.02, 0.005)
-_FEWEST_SAMPLES = 10  # samples of a motion: the fit of a quadratic in time has seven degrees of freedom
+# smallest number of samples of a motion: the fit of a quadratic in time then has seven degrees of freedom
+_FEWEST_SAMPLES = 10
 _MIN_SAMPLES = 12  # smallest number of samples in a window
 _ROUNDING = 1e-6  # smallest range of a harmonic of the angle that exceeds rounding errors
 _ORDERS = range(2, 17)
 _SPEED_ORDERS = range(1, 16)
-# highest degree for the speed in a record of few turns: a polynomial of degree n resembles n / 2 periods, and errors
-# that repeat with the angle have one or more periods per turn
+# Highest degree for the speed in a record of few turns. A polynomial of degree n resembles n / 2 periods, but errors
+# that repeat with the angle have one or more periods per turn.
 _FEWEST_DEGREES = 5.0
 # candidate degrees of the polynomials in time for phase and logarithm of the amplitude of an oscillation
 _WAVE_ORDERS = ((1, 1), (3, 2), (5, 3), (8, 4))
-# two degrees are not separated by the data up to this difference of their criteria (R. Kass, A. Raftery, 1995)
+# the data do not separate two degrees if their criteria differ by less than this value (R. Kass, A. Raftery, 1995)
 _INSEPARABLE = 10.0
-# degrees for the fit in growing windows; polynomials of higher degree extrapolate badly
+# degrees of the polynomials in the fit in growing windows; polynomials of higher degree extrapolate badly
 _TRACKED_ORDERS = _WAVE_ORDERS[2]
 # highest degree of the polynomials for times and durations of passages through a light gate
 _PASSAGE_ORDER = 4
-_END = 0.05  # part of a record that determines the angular velocity at an end [share of the duration]
-# limits for a fluctuating speed: smallest number of turns, smallest rise as a share of the largest speed, smallest rise
-# in standard errors, and smallest number of rises
+# length of the part that determines the angular velocity at an end of the record [share of the duration]
+_END = 0.05
+# limits for a fluctuating speed: smallest number of turns; smallest rise, as a share of the largest speed and in
+# standard errors; smallest number of rises
 _FLUCTUATING_TURNS, _RISE, _RISE_SIGMA, _FEWEST_RISES = 2.0, 0.05, 6.0, 2
-_ALIKE = 4  # neighbouring deviations from a mean speed that are counted as one, because they are correlated
+# number of neighbouring deviations from a mean speed that count as a single one, because they are correlated
+_ALIKE = 4
 _MIN_WINDOWS, _MAX_WINDOWS = 12, 100  # numbers of windows of whole periods for the demodulation of residuals
 _FIRST_PERIODS = 1.5  # half length of the first window [periods]
 _MAX_LOG_AMPLITUDE = 50.0
-# a motion that is not a damped oscillation reverses repeatedly if it often passes the middle of its range upwards:
-# smallest number of passages, hysteresis [share of the range], smallest range [standard uncertainties of an angle]
+# A motion that is not a damped oscillation reverses repeatedly if it often passes the middle of its range upwards. The
+# limits are the smallest number of passages, the hysteresis [share of the range], and the smallest range [standard
+# uncertainties of an angle].
 _PASSAGES, _HYSTERESIS, _LEAST_RANGE = 3, 0.2, 40.0
-# largest share of the variance of an angle that a fitted damped oscillation may leave in the residuals, without noise:
-# limit for few periods, number of periods that count as several, limit for several periods. The harmonics of a pendulum
-# with an amplitude of 176 degrees have 0.023. Over few periods, the first links of two double pendulums have 0.06 and
-# 0.11; an oscillation that was disturbed within eight periods has 0.07
+# Largest share of the variance of an angle, without noise, that may remain in the residuals of a fitted damped
+# oscillation. The numbers are the limit for few periods, the number of periods that count as several, and the limit for
+# several periods. The harmonics of a pendulum with an amplitude of 176 degrees have 0.023. Over few periods, the first
+# links of two double pendulums have 0.06 and 0.11; an oscillation that was disturbed within eight periods has 0.07
 _UNEXPLAINED, _SEVERAL_PERIODS, _UNEXPLAINED_OF_SEVERAL = 0.04, 4.0, 0.2
 
 
@@ -64,7 +68,7 @@ class Value:
     """A quantity and its standard uncertainty."""
 
     value: float  #: Value [unit of the quantity].
-    stderr: float  #: Its standard uncertainty [unit of the quantity].
+    stderr: float  #: Standard uncertainty of the value [unit of the quantity].
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class BodyMotion:
     omega_mean: Value  #: Mean angular velocity [rad s-1].
     alpha: Value  #: Angular acceleration at the middle of the record [rad s-2].
     period: Value | None = None  #: Period of an oscillation [s].
-    #: Amplitude of an oscillation at the middle of the record: deflection of the turning points [rad].
+    #: Amplitude of an oscillation, the deflection of its turning points, at the middle of the record [rad].
     amplitude: Value | None = None
     decay: Value | None = None  #: Decay rate of an oscillation [s-1].
     #: Standard uncertainty of `omega`; unknown for an oscillation [rad s-1].
@@ -102,12 +106,12 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
     widths `VIEW`. Over less than two turns they are nearly collinear with the polynomial, and the priors limit their
     contribution to the uncertainty. A rotation is steady if the angular acceleration is consistent with zero (three
     standard errors). An oscillation with amplitude A, decay rate d and period P is A exp(-d t) cos(2 pi t / P + phi)
-    about a mean that may drift. Phase and logarithm of the amplitude are polynomials in time of a higher degree if the
-    criterion selects this degree. Period, amplitude and decay rate are given for the middle of the record. A motion
-    that passes the middle of its range repeatedly, but is not such an oscillation (beats, a drive), has no period,
-    amplitude or decay rate. A motion that turns back, but is recorded over too few periods for these decisions, is
-    "reversing". A rotation is "fluctuating" if its speed rises and falls repeatedly, and neither friction nor the view
-    of the camera explains this. The speeds at its ends are then local slopes, and the mean speed is the angle of
+    about a mean that may drift. If the criterion selects a higher degree, phase and logarithm of the amplitude are
+    polynomials in time of this degree. Period, amplitude and decay rate are given for the middle of the record. A
+    motion that passes the middle of its range repeatedly, but is not such an oscillation (beats, a drive), has no
+    period, amplitude or decay rate. A motion that turns back, but is recorded over too few periods for these decisions,
+    is "reversing". A rotation is "fluctuating" if its speed rises and falls repeatedly, and neither friction nor the
+    view of the camera explains this. The speeds at its ends are then local slopes, and the mean speed is the angle of
     rotation divided by the time.
     """
     if len(time) < _FEWEST_SAMPLES:
@@ -135,7 +139,7 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         return BodyMotion(
             "fluctuating", turns, omega, _mean_speed(time, angle, sigma), alpha, omega_u=omega_u
         )
-    windows = _speeds(time, angle, sigma, fewest=2)  # two windows show a reversal
+    windows = _speeds(time, angle, sigma, fewest=2)  # two windows are sufficient to show a reversal
     reversing = windows is not None and (
         _turns_back(*windows[1:]) or _turns_back_by_a_turn(angle, *windows[1:])
     )
@@ -192,7 +196,7 @@ def _slope_at(t: Floats, angle: Floats, place: int) -> Value:
     near = slice(0, count) if place == 0 else slice(len(t) - count, len(t))
     (slope, _), covariance = np.polyfit(t[near], angle[near], 1, cov="unscaled")
     rest = angle[near] - np.polyval(np.polyfit(t[near], angle[near], 1), t[near])
-    # neighbouring deviations from a constant speed are correlated
+    # the variance is increased, because neighbouring deviations from a constant speed are correlated
     variance = float(rest @ rest) / max(count - 2, 1) * min(count, _ALIKE)
     return Value(float(slope), math.sqrt(float(covariance[0, 0]) * variance))
 
@@ -230,7 +234,7 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
     )
 
     def averaged(row: Floats) -> Value:
-        """Average a combination of coefficients; the row has one more degree than the models."""
+        """Average a combination of coefficients over the models; `row` also has an entry for the next higher degree."""
         value = _averaged(fits, [row[: order + 1] for order in orders])
         return Value(value.value, math.hypot(value.stderr, missing * row[most + 1]))
 
@@ -246,11 +250,11 @@ def motion_of_speeds(time: Floats, omega: Floats, sigma: Floats, angle: Floats) 
 def motion_of_passages(passages: Passages) -> BodyMotion:
     """Return the period and the decay rate of a pendulum from its passages through light gates.
 
-    Pairs of neighbouring passages in opposite directions are averaged, because a distance of the gates from the
-    equilibrium delays one passage and advances the other. The durations of the passages are inversely proportional to
-    the amplitude. The times of the pairs, and the logarithms of the durations, are fitted by polynomials in the number
-    of the passage. Period and decay rate are given for the middle of the record. A DatasetError is raised if too few
-    passages are consecutive.
+    Pairs of neighbouring passages in opposite directions are averaged. If the gates are at a distance from the
+    equilibrium, one passage of a pair is too late and the other passage is too early. The durations of the passages are
+    inversely proportional to the amplitude. The times of the pairs, and the logarithms of the durations, are fitted by
+    polynomials in the number of the passage. Period and decay rate are given for the middle of the record. A
+    DatasetError is raised if too few passages are consecutive.
     """
     t, duration = passages.time, passages.duration
     half = 0.5 * float(np.median(t[2:] - t[:-2]))
@@ -318,7 +322,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
     )
 
     def averaged(row: Floats) -> Value:
-        """Average a combination of coefficients; the row has one more degree than the models."""
+        """Average a combination of coefficients over the models; `row` also has an entry for the next higher degree."""
         value = _averaged(fits, [np.concatenate([np.zeros(view), row[: degree + 1]]) for degree in degrees])
         return Value(value.value, math.hypot(value.stderr, missing * row[most + 1]))
 
@@ -333,7 +337,8 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
         local = _speed_at(t, smoothed, sigma, place)
         # a polynomial through the whole record may oscillate at its ends
         if abs(local.value - ends[i].value) > 3 * local.stderr:
-            # the local speed may be wrong too, because it includes the harmonics of the angle: add both uncertainties
+            # the local speed may also be wrong, because it includes the harmonics of the angle; therefore both
+            # uncertainties are added
             ends[i] = Value(local.value, math.hypot(local.stderr, ends[i].stderr))
     mean = averaged((legvander(x[-1:], most + 1)[0] - legvander(x[:1], most + 1)[0]) / (t[-1] - t[0]))
     alpha = averaged(_derivatives(most + 1, 2, 0.0) / half**2)
@@ -341,7 +346,7 @@ def _rotation(t: Floats, angle: Floats, sigma: Floats) -> tuple[Value, Value, Va
 
 
 def _free_degrees(turns: float) -> float:
-    """Return the highest degree at which a polynomial for the speed varies more slowly than the harmonics."""
+    """Return the highest degree at which a polynomial in time varies more slowly than the harmonics of the angle."""
     return max(_FEWEST_DEGREES, turns)
 
 
@@ -355,11 +360,11 @@ def _derivatives(most: int, order: int, place: float) -> Floats:
 
 
 def _next_coefficient(fits: Sequence[Estimate]) -> float:
-    """Return the plausible size of the first coefficient beyond the polynomial of highest degree; 0 if none is needed.
+    """Return the plausible size of the next coefficient after the polynomial of highest degree; 0 if it is not needed.
 
     The coefficients c of a smooth motion decrease geometrically. With the highest degree n, the next coefficient is
-    therefore c_n^2 / c_(n-1), and at most c_n. It is needed if the polynomial of degree n is the best one, because
-    further degrees may then be significant.
+    therefore c_n^2 / c_(n-1), and at most c_n. It is needed if the polynomial of degree n is the best, because further
+    degrees may then be significant.
     """
     if len(fits) < 2 or fits[-1].hannan_quinn > min(fit.hannan_quinn for fit in fits):
         return 0.0
@@ -449,7 +454,7 @@ class _Wave:
     def third_harmonic(self, c: Floats, t: Floats, rest: Floats) -> Value:
         """Return the third harmonic of the residuals at a turning point in the middle of the record, if significant.
 
-        It is proportional to the cube of the amplitude, as for a pendulum, whose turning points it moves inwards.
+        It is proportional to the cube of the amplitude. In a pendulum, it moves the turning points inwards.
         """
         size, cos, sin = self._parts(c, t)
         wave = (c[2] + 1j * c[3]) / max(float(np.hypot(c[2], c[3])), 1e-300)
@@ -480,7 +485,7 @@ class _Wave:
         count = min(int(abs(phase[-1] - phase[0]) / TURN), _MAX_WINDOWS)
         free = np.full(self.size, np.inf)
         edges = (phase[-1] - phase[0]) * np.arange(count) / max(count, 1)
-        # the phase of a model that does not describe the motion may decrease: then there are few windows
+        # if a model does not describe the motion, its phase may decrease, and there are few windows
         first = np.unique(np.searchsorted(np.maximum.accumulate(phase - phase[0]), edges))
         if len(first) < _MIN_WINDOWS:
             models = [list(range(self.size))]
@@ -585,8 +590,8 @@ def _oscillation(
 def _with_rivals(value: Value, rivals: Sequence[Value]) -> Value:
     """Return a value with its uncertainty increased by the differences from models that the data do not separate.
 
-    Only the part of a difference beyond two standard uncertainties of the other model is added, since the values of a
-    model with more parameters scatter more.
+    Only the part of a difference that exceeds two standard uncertainties of the other model is added, because the
+    values of a model with more parameters scatter more.
     """
     beyond = max(max(abs(r.value - value.value) - 2 * r.stderr, 0.0) for r in rivals)
     return replace(value, stderr=math.hypot(value.stderr, beyond))
@@ -637,7 +642,7 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
 
     The speeds of a rotation are means over 1/50 of the record, at least 5 samples. The rotation is driven up to the
     maximum of its speed under three conditions: the maximum is in the first half of the record; it exceeds the initial
-    speed by more than 5 % and 5 standard errors; and no rise of half that size follows. A later rise would indicate a
+    speed by more than 5 % and 5 standard errors; and no later rise is half as large. A later rise would indicate a
     motor. The end of the drive is then located to the sample. The free part of an oscillation is determined by
     `start_of_oscillation`.
     """
@@ -655,7 +660,7 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
         return 0
     if rises(size[top:], max(_AGAIN * float(size[top] - size[0]), 5 * error)):
         return 0
-    # the window before the maximum may be partly free, and the window of the maximum partly driven
+    # both the window before the maximum and the window of the maximum may be partly driven and partly free
     width = int(edges[1] - edges[0])
     first, last = int(edges[top - 1]), min(int(edges[top]) + (_FREE + 1) * width, len(time))
     start = last - _joins(time[first:last][::-1], angle[first:last][::-1], _FREE * width)
@@ -697,11 +702,11 @@ _AGAIN = 0.5
 
 
 def _joins(time: Floats, angle: Floats, known: int) -> int:
-    """Return the number of samples that continue the motion of the first `known` samples; 0 if these are too few.
+    """Return the number of samples that continue the motion of the first `known` samples; 0 if `known` is too small.
 
-    The motion is a cubic, and the result includes the first `known` samples. The motion ends before the first sample
-    that deviates by more than 6 standard uncertainties of the extrapolation, either from the first `known` samples or
-    from all samples before it.
+    The motion is extrapolated by a cubic, and the result includes the first `known` samples. The motion ends before the
+    first sample that deviates by more than 6 standard uncertainties of the extrapolation, either from the first `known`
+    samples or from all samples before it.
     """
     if known < _MIN_SAMPLES or known > len(time):
         return 0
@@ -738,7 +743,7 @@ def _speeds(
         return None
     speed = np.array([np.polyfit(time[i : i + width], angle[i : i + width], 1)[0] for i in edges])
     duration = float(np.median(np.diff(time))) * width
-    # an error common to all angles, for example that of the hub, cancels in differences
+    # an error common to all angles, for example due to an error of the hub, cancels in differences
     noise = np.fmin(float(np.median(sigma)), white_noise(angle, time))
     return edges, speed, float(noise) * math.sqrt(12 / width) / duration
 
@@ -750,7 +755,7 @@ def _turns_back(speed: Floats, error: float) -> bool:
 
 
 def _turns_back_by_a_turn(angle: Floats, speed: Floats, error: float) -> bool:
-    """Return whether a body turns back by more than a turn, with a speed that is significant compared with the largest.
+    """Return whether a body turns back by more than a turn, at a speed that is not negligible.
 
     No error of the hub or of the view makes a body seem to turn back by a turn; therefore a slow return is sufficient.
     """

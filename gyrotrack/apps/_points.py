@@ -22,7 +22,8 @@ from gyrotrack.tracking._point_tracker import PointPath
 Floats = npt.NDArray[np.float64]
 
 _STEEPEST = (
-    75.0  # largest tilt that can be corrected [degrees]: there a circle appears four times as long as wide
+    # largest tilt that can be corrected [degrees]; at this tilt, a circle appears four times as long as wide
+    75.0
 )
 _PATH, _HUB, _PATCH = (0, 200, 255), (0, 0, 255), (0, 255, 0)
 
@@ -67,8 +68,8 @@ def with_pivot_errors(
     """Add the error of the pivot, which is common to all angles, to the uncertainties of a motion.
 
     The motion is recomputed about pivots that are displaced by one standard deviation along each principal axis of the
-    covariance of the pivot. The changes of a quantity are its uncertainties caused by the pivot. An error of the tilt
-    of the camera scales all angles.
+    covariance of the pivot. The changes of a quantity are the contributions of the pivot to its uncertainty. An error
+    of the tilt of the camera scales all angles.
     """
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))
     others = [motion_of(series.time, recording.sense * a[taken], series.sigma) for a in point.displaced()]
@@ -76,7 +77,7 @@ def with_pivot_errors(
 
 
 def with_differences(motion: BodyMotion, others: list[BodyMotion], view: float = 0.0) -> BodyMotion:
-    """Add to the uncertainties of a motion its differences from those with one erroneous quantity each.
+    """Add to the uncertainties of a motion its differences from `others`, motions with one erroneous quantity each.
 
     `view` is the relative uncertainty of all angles that the tilt of the camera causes.
     """

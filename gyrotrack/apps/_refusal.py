@@ -18,7 +18,7 @@ _HUB = (0, 0, 255)
 
 @contextmanager
 def pictured_refusal(target: Path) -> Iterator[None]:
-    """Write a picture next to `target` if the film is refused in this context, and name it in the hint of the error.
+    """If the film is refused in this context, write a picture next to `target`, and name it in the hint of the error.
 
     TARGET.refused.png shows frames of the film and the best hub. An earlier picture is replaced.
     """
@@ -31,7 +31,7 @@ def pictured_refusal(target: Path) -> Iterator[None]:
 
 
 def write_refusal(path: Path, error: RefusedFilmError) -> None:
-    """Write a PNG of the frames that show why a film is refused, with a cross at the best hub, and name it in the hint.
+    """Write a PNG of frames that show why a film is refused, with a cross at the best hub; the hint names the PNG.
 
     An `error` without pictures is not changed.
     """

@@ -1,8 +1,8 @@
 """Simulated runs as case files and films, and sealed challenges: runs with a hidden effect.
 
-The commitment to an answer is the SHA-256 of a random salt and the text of the answer; it is stored in the case file
-and in the seal, so that a later change of either file is detected. The seal contains the answer, XORed with a stream
-derived from the salt; this prevents accidental reading, but not deliberate reading.
+The commitment to an answer is the SHA-256 of a random salt and the text of the answer. It is stored in the case file
+and in the seal, the file that contains the answer, so that a later change of either file is detected. In the seal, the
+answer is XORed with a stream derived from the salt; this prevents accidental reading, but not deliberate reading.
 """
 
 from __future__ import annotations
@@ -241,7 +241,7 @@ class _Clip:
 
     @property
     def frames(self) -> int:
-        # the first frame is one period after the start; the exposure of the last frame must end within the length
+        # the first frame is one frame period after the start; the exposure of the last frame must end within `length`
         return int(self.length * self.fps) - 2
 
     @property
@@ -266,8 +266,8 @@ def _motion(model: Model, values: Mapping[str, float], experiment: Experiment) -
 
 
 FORMAT = "gyrotrack seal"
-# laws that are not in the library: an answer with the law itself is graded "right", an answer without an effect "right
-# class"
+# laws that are not in the library: an answer with the law itself is graded "right"; an answer without any effect is
+# graded "right class"
 OUTSIDE = (
     "casing: -k*omega_c**3",
     "casing: -k*exp(-((omega_c - 110)/12)**2)",
@@ -365,7 +365,7 @@ def unseal(path: Path) -> Seal:
     return Seal(effect, parameters, commitment)
 
 
-# earlier versions wrote the second word
+# earlier versions wrote the second of these words
 _WITHOUT_MISFIT = ("no_lack_of_fit", "adequate")
 
 

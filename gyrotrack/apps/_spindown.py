@@ -85,9 +85,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int | None], None]
 
-# kinds of refused films that no other method tracks; if a film shows two bodies, the user must select one
+# kinds of refused films that no other method can track; if a film shows two bodies, the user must select one body
 _NO_OTHER_WAY = ("cut", "no motion", "two bodies", "two links")
-_MIN_TRACKED = 0.8  # smallest share of frames in which the paper's markers must be found to be used
+_MIN_TRACKED = 0.8  # the paper's markers are used only if they are found in at least this share of the frames
 
 
 @dataclass(frozen=True)
@@ -101,17 +101,18 @@ class SpindownOptions:
     scale: float | None = None
     tilt: Tilt | None = None  # angle between the axis of rotation and the line of sight
     capture_fps: float | None = None  # frames per second of the camera
-    # moment of inertia [kg m2], for example "5.5e-5 +- 0.1e-5"; without it torques are per unit of inertia [rad/s2]
+    # moment of inertia [kg m2], for example "5.5e-5 +- 0.1e-5"; without a value, torques are per unit of inertia
+    # [rad/s2]
     inertia: str | None = None
-    # number of pulses per turn; the table is one column of times of pulses
+    # number of pulses per turn, for a table with one column of times of pulses
     pulses_per_turn: float | None = None
-    # times to include and to exclude, and whether to keep drive and rest at the ends of the record
+    # times to include and to exclude; whether to keep drive and rest at the ends of the record
     limits: Limits = field(default_factory=Limits)
     label: str = ""  # name of the case
     body_name: str = ""  # name of the body, for example wheel
-    # markers and colours of a film; without a profile, the texture of the body is tracked, or else the paper's markers
+    # markers and colours of a film; without a profile, the texture of the body or the paper's markers are tracked
     profile: Path | None = None
-    body: str | None = None  # body to analyse, "casing" or "rotor", in a film or recording of both
+    body: str | None = None  # body to analyse, "casing" or "rotor", in a film or recording of both bodies
     columns: tuple[str, ...] = ()  # meaning of columns of a table, for example "t=1" and "angle=2"
     # point to follow and centre of rotation, in a table or project of points
     marker: str | None = None
@@ -128,7 +129,7 @@ class Source:
     film: tuple[Film, Tracked | TrackedPoint] | None = (
         None  # the film of a body tracked by its texture or by a point
     )
-    table: MotionTable | None = None  # the part of a table that is used
+    table: MotionTable | None = None  # the samples of a table that are used
 
 
 def read_source(source: Path, options: SpindownOptions, progress: Progress | None = None) -> Source:
@@ -263,7 +264,7 @@ def _film(
 
     If one of the bodies of the paper's markers is selected, the markers come first. A point is followed in four cases:
     a point is selected, no rotating body is found, the hub is outside the picture, or only one compact body moves on an
-    arc. In the last case, the path of a ball on a thread is measured better than its rotation.
+    arc. An example of the last case is a ball on a thread, whose path is measured better than its rotation.
     """
     if options.profile is not None:
         return extract(
@@ -280,7 +281,7 @@ def _film(
         return recording, (film, point)
     film = Film(source) if options.tilt is None else Film(source, tilt=options.tilt)
     _limit(film, options)
-    # in a film of the paper's gyroscope, the texture of either body may be tracked
+    # in a film of the paper's gyroscope, the tracked texture may belong to either body
     if options.body is not None and (found := _papers_markers(source, film, options, progress)) is not None:
         return found, None
     look = first_look(film)
@@ -302,7 +303,8 @@ def _film(
             recording, point = point_recording(
                 film, options, progress, None if film.stabilised else look.seen
             )
-        except TrackingError as other:  # one of several compact bodies may move across the picture
+        # the body may be one of several compact bodies that move across the picture
+        except TrackingError as other:
             several = other if isinstance(other, RefusedFilmError) else None
         else:
             return recording, (film, point)
@@ -344,13 +346,13 @@ def _papers_markers(
     if options.hub is not None or options.tilt is not None:
         return None
     fps, _, warnings = _rate(film, options.capture_fps)
-    # the angle of a drawn body at rest is constant, so its prediction is singular
+    # the angle of a body at rest in a rendered film is exactly constant, so its prediction is singular
     with suppress(GyrotrackError, np.linalg.LinAlgError):
         if not is_coloured(source):
             return None
         found = extract(source, capture_fps=fps, body=options.body, progress=progress)
         tracks = [b for b in found.bodies.values() if len(b.time) > _MIN_TRACKED * len(film)]
-        # coloured objects at rest or in a hand, and coloured patches without corners, are not markers
+        # coloured objects at rest or in a hand are not markers, nor are coloured patches without corners
         turns = any(float(np.ptp(b.angle)) >= LEAST_TURN for b in tracks)
         if turns and has_corners(found.markers.values()):
             note = "The paper's coloured markers are tracked; give --profile or --hub X,Y for another body."
@@ -375,7 +377,9 @@ def _rate(film: Film, requested: float | None) -> tuple[float, str, list[str]]:
     fps = film.info.container_fps
     if not math.isfinite(fps):
         raise VideoError(f"{film.path} does not state its capture rate.", "Give --capture-fps.")
-    slow = f"The capture rate is that of the container, {fps:g} fps; a slow-motion film needs --capture-fps."
+    slow = (
+        f"The capture rate is taken from the container: {fps:g} fps. A slow-motion film needs --capture-fps."
+    )
     return fps, "container", [slow] if fps < SLOWEST_PLAIN_RATE else []
 
 
@@ -426,7 +430,8 @@ def points_recording(
 ) -> Recording:
     """Follow several points of a film, each about its own pivot, and make one recording.
 
-    The body of the recording turns with the first point that has a pivot; without a pivot, it contains only paths.
+    The body of the recording turns with the first point that has a pivot. If no point has a pivot, the recording
+    contains only paths.
     """
     hub = _levelled(film, options.hub)
     found = [follow_path(film, _levelled(film, start), hub, progress) for start in starts]
@@ -457,8 +462,8 @@ def links_recording(
 ) -> Recording:
     """Follow the joint of two links and a point of the second link, and make a recording of both bodies.
 
-    The casing is the first link, the rotor the second one. Both angles are relative to the ground, counter-clockwise
-    from the right of the picture; their difference is the angle between the links.
+    The casing is the first link, the rotor is the second link. Both angles are relative to the ground,
+    counter-clockwise from the right of the picture; their difference is the angle between the links.
     """
     if len(starts) != 2:
         what = f"--links needs two points, but {len(starts)} are given."
@@ -479,8 +484,8 @@ def links_recording(
     }
     beside = OFF_AXIS / float(np.median(np.hypot(*(joint.place - joint.hub).T)))
     text = (
-        "The casing is the first link, about the pivot; the rotor is the second one, about the joint. Their angles are "
-        "relative to the ground; the angle between the links is rotor minus casing. The points may be "
+        "The casing is the first link, about the pivot; the rotor is the second link, about the joint. Their angles "
+        "are relative to the ground; the angle between the links is rotor minus casing. The points may be "
         f"{1e3 * beside:.2g} mrad off the axes of the links, which "
         "causes an error of the zero of the first angle."
     )
@@ -504,7 +509,7 @@ def _recording_of(
         if isinstance(tracked, TrackedPoint):
             body = replace(body, harmonic_sigma=tracked.error_by_place(film.info.width))
         bodies["casing"] = body
-        # frames before a body enters the picture, or after it leaves, are not lost frames
+        # frames before a body enters the picture, or after it leaves the picture, do not count as lost
         shown = fresh_frames(film)
         count = int(np.count_nonzero((shown >= tracked.frame[0]) & (shown <= tracked.frame[-1])))
         unsure = track_doubts("body", body, count, "the picture of the body (.png)")
@@ -580,7 +585,7 @@ def _body_of(time: Floats, angle: Floats, sigma: Floats) -> BodyTrack:
 
 
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
-    """Make a case of one body of a recording, by default the body with most samples, as the casing."""
+    """Make a case of one body of a recording, stored as the casing; by default the body with most samples."""
     if name is not None and name not in recording.bodies:
         what = f"{recording.source} does not contain the {name}."
         raise DatasetError(what, f"It contains: {', '.join(recording.bodies)}.")
@@ -594,7 +599,7 @@ def _recording_case(recording: Recording, inertia: float, name: str | None = Non
         other = next(key for key in recording.bodies if key != name)
         text = (
             f"The {name} is one of {len(recording.bodies)} bodies and is analysed; "
-            f"--body {other} selects the other one."
+            f"--body {other} selects the other body."
         )
         recording = replace(recording, warnings=(*recording.warnings, text))
     body = recording.bodies[name]
@@ -627,7 +632,7 @@ class BodyResponse(TypedDict):
     body: str  #: Name of the body.
     time_constant: StoredEstimate  #: Moment of inertia divided by the coefficient of linear drag.
     gains: dict[str, StoredEstimate]  #: Change of the final speed per unit of an input, by input.
-    delays: dict[str, StoredEstimate]  #: Dead time of an input, by input for which one is fitted.
+    delays: dict[str, StoredEstimate]  #: Dead time of each input whose dead time is fitted, by input.
 
 
 class SpindownDocument(TypedDict):
@@ -670,7 +675,7 @@ def spindown(
         return cast(SpindownDocument, found)
 
 
-_LEAST_RANGE = 10  # smallest range of the angle of a rotation, in standard uncertainties
+_LEAST_RANGE = 10  # smallest range of the angle for which a rotation is found, in standard uncertainties
 
 
 def _analysed(
@@ -726,7 +731,7 @@ def _analysed(
     elif read.table is not None and read.table.changes is not None:
         moved = [motion_of(series.time, series.angle + c, series.sigma) for c in read.table.changes.T]
         motion = with_differences(motion, moved)
-    # an uncertainty that all angles share (for example, that of the distance of the hub) also scales the range
+    # an uncertainty that all angles share, for example due to the distance of the hub, also scales the range
     usual = min(float(np.median(series.sigma)), white_noise(series.angle, series.time))
     if motion.turns * TURN < _LEAST_RANGE * usual:
         what = f"No rotation was found in {source}: the angle ranges over {motion.turns * TURN:.2g} rad"
@@ -734,7 +739,7 @@ def _analysed(
         if body is not None:
             hint = "give the hub of a film with --hub X,Y." if options.hub is None else "check the hub."
         raise TrackingError(
-            f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that it is the right file; {hint}"
+            f"{what}, and its uncertainty is {usual:.2g} rad.", f"Check that this is the right file; {hint}"
         )
     settings = {
         "source": source,
@@ -758,7 +763,7 @@ def _analysed(
             write_point_picture(picture, body[0], body[1], force=force)
         else:
             write_body_picture(picture, body[0], body[1], force=force)
-        body = None  # releases its pictures
+        body = None  # releases the pictures of the film
     recorder: Recorder | None = None
     laws: OscillatorLaws | None = None
     strengths: tuple[LawOfBody, ...] = ()
@@ -788,8 +793,8 @@ def _analysed(
         study = open_study([target], None)
         laws = oscillator_laws(study.data[0]) if motion.period is not None else None
         with WorkerPool() as workers:
-            # a new history, independent of earlier fits of this case; an oscillation has no solution without a
-            # restoring torque, and other laws would imitate a missing restoring torque
+            # A new history, independent of earlier fits of this case. An oscillation needs a restoring torque from the
+            # start, because other laws would imitate a missing restoring torque.
             if drives:
                 base = _first_order_fit(study.data, [i.name for i in drives])
             elif laws is None:
@@ -890,7 +895,7 @@ def _first_order_fit(data: Sequence[CaseData], drives: Sequence[str]) -> Fit:
 
 
 def _supported(base: Fit, history: Sequence[Step], verdict: str) -> Fit:
-    """Return the fit whose laws the answer states: the last fit, or the first if no effect is established."""
+    """Return the fit whose laws the answer states: the last fit, or the first fit if no effect is established."""
     return base if verdict in {"undecided", "unexplained"} else history[-1].fit
 
 
@@ -910,7 +915,7 @@ def _drive(read: Source) -> Drive | None:
 
 
 def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
-    """Raise an error for a rotation without acceleration, or an oscillation without a restoring torque."""
+    """Raise an error for a rotation without significant acceleration, or an oscillation without a restoring torque."""
     from fitting._errors import FittingError
     from fitting._numbers import rounded
 
@@ -940,7 +945,7 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
 
 
 def _refuse(reason: str) -> None:
-    """Raise an error if there is a reason why a fit does not describe the motion."""
+    """Raise an error if `reason` states why a fit does not describe the motion."""
     from fitting._errors import FittingError
 
     if reason:
@@ -951,7 +956,7 @@ def _refuse(reason: str) -> None:
 _TURNS_WITH_HARMONICS = 2.0
 
 
-# smallest number of turns in which the error due to a tilt differs from a multiple of the angle
+# smallest number of turns in which the error due to a tilt is distinguishable from a multiple of the angle
 _FEWEST_TURNS_OF_TILT = 0.5
 _STRETCH_U = 0.03
 """Largest standard uncertainty of the stretch s of a fitted ellipse [1]. Derived: (1 - cos phi) / (1 + cos phi) for 20
@@ -959,13 +964,13 @@ degrees, the smallest tilt that a result states."""
 
 
 def _tilt_mode(tracked: Tracked) -> tuple[ErrorMode, ...]:
-    """Return the error of the angles due to the tilt of a textured body that turns by half a turn to a few turns.
+    """Return the error of the angles of a textured body due to its tilt, if it turns by half a turn to a few turns.
 
     A circle that is seen as an ellipse with the axis ratio (1 - s) / (1 + s) changes the angles by s times a second
     harmonic. A small fitted s is not distinguishable from noise, so that its error is as large as s. In such a short
-    motion this error resembles the effect of a law, for example of gravity at a large amplitude. In more turns, fits
-    include the harmonics of the angle. In less than half a turn the error is nearly a multiple of the angle, which a
-    fit cannot separate from the motion.
+    motion this error resembles the effect of a law, for example of gravity at a large amplitude. For more turns the
+    error is not needed, because fits include the harmonics of the angle. For less than half a turn the error is nearly
+    a multiple of the angle, which a fit cannot separate from the motion.
     """
     u = min(math.hypot(*tracked.ring.stretch), _STRETCH_U)
     if u == 0.0 or not _FEWEST_TURNS_OF_TILT <= np.ptp(tracked.angle) / TURN < _TURNS_WITH_HARMONICS:
@@ -985,7 +990,7 @@ def _with_view_errors(
     Perspective, a displaced hub and objects fixed in the image affect the halves differently; these errors are
     systematic. A displaced hub causes an error of `hub_leverage` times the difference of the halves. In less than two
     turns this error is not distinguishable from the motion. In more turns it is a harmonic of the angle, which
-    `motion_of` fits. All values except times scale with the distance of a hub outside the picture.
+    `motion_of` fits. If the hub is outside the picture, an error of its distance scales all values except times.
     """
     leverage = max(0.5, tracked.hub_leverage) if motion.turns < _TURNS_WITH_HARMONICS else 0.5
     taken = np.isin(np.round(recording.bodies["casing"].time, 9), np.round(series.time, 9))

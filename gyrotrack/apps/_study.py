@@ -1,4 +1,4 @@
-"""Cases that are analysed together, the history of their fits, and requests for the next fit.
+"""Cases that are analysed jointly, the history of their fits, and requests for the next fit.
 
 `fitting` is imported where it is needed, so that commands start fast.
 """
@@ -106,7 +106,7 @@ class Study:
         return [Step(str(e.document.get("added", "")), e.shown(self.data), ()) for e in reversed(chain)]
 
     def _chain(self, fit_id: str | None) -> list[Entry]:
-        """Return an entry (by default the latest) and its ancestors, oldest last."""
+        """Return an entry (by default the latest) and the fits from which it was derived, oldest last."""
         entry = self.entry(fit_id)
         if entry is None:
             return []
@@ -200,7 +200,7 @@ class Study:
         return Recorder(self.ledger, [self.ledger.find(first)], fit)
 
     def base(self, fit_id: str | None) -> tuple[Fit, str]:
-        """Return a fit (by default the latest) and its name; if there is none, the reduced model is fitted.
+        """Return a fit (by default the latest) and its name; if there is no fit, the reduced model is fitted.
 
         Parameters
         ----------
@@ -262,7 +262,7 @@ def open_study(
     rotor : {"windows", "generated"}
         Fit the measured rotor data, or one generated curve through these data as in the paper.
     prior : Path, optional
-        Case or ledger of another study; the parameters of its latest fit are a prior for this one.
+        Case or ledger of another study; the parameters of its latest fit are a prior for this study.
     prior_rotor : Path, optional
         A study of the rotor as a single body.
     read : tuple of CaseData
@@ -480,14 +480,14 @@ class FitRequest:
         try:
             found = robust_fit(wanted, data, self.loss, start=start, **options)
         except FittingError:
-            # the values of the previous fit can be poor initial values for the new model: use the defaults
+            # the default initial values are used, because the values of the previous fit may be poor for the new model
             if start is None:
                 raise
             return robust_fit(wanted, data, self.loss, **options)
         if start is None or not any(e.inputs for e in wanted.effects) or not found.fails():
             return found
-        # without the right drag, the parameters of a driven body describe the drive, and a search from these values
-        # may fail
+        # if a drag of a driven body is missing, other parameters absorb its effect, and a search from these values may
+        # fail
         other = robust_fit(wanted, data, self.loss, **options)
         return other if other.deviance < found.deviance else found
 
@@ -581,7 +581,7 @@ def _starts(previous: Fit, wanted: Model) -> dict[str, float]:
 
     known = {i for e in previous.model.effects for i in e.inputs}
     if any(i not in known for e in wanted.effects for i in e.inputs):
-        # the parameters of a model without the drive of a body describe the drive
+        # in a model without the drive of a body, other parameters absorb the drive
         return {}
     new = [e for e in wanted.effects if e.name not in previous.model.names and needs_search(e)]
     found = found_starts(previous, new) if new else {}

@@ -1,6 +1,6 @@
 """Output that is safe against kills and full disks: atomic writing of files, locks, and checkpoints of long runs.
 
-`fitting._files`, which both packages use, describes how files are written and locked.
+The module `fitting._files`, which both packages use, describes how files are written and locked.
 
 Auxiliary files next to an output are opened without following links and have a header. A file without this header was
 not made by this package and is not changed.
@@ -11,9 +11,9 @@ A checkpoint is an append-only log from which a killed run resumes::
     record          length (8 bytes), CRC-32 (4 bytes), content       little endian
     content         length of the manifest (4 bytes), manifest, arrays
 
-The manifest is JSON: the metadata of the record ("facts"), and name, type and shape of its arrays, whose bytes follow
-in this order. The first record identifies the run. A truncated record has a wrong checksum; it is dropped with all
-later records. HDF5 is not used because a kill can make an HDF5 file unreadable.
+The manifest is JSON: the metadata of the record ("facts"), and name, type and shape of each array. The bytes of the
+arrays follow in the same order. The first record identifies the run. A truncated record has a wrong checksum; it is
+dropped with all later records. HDF5 is not used because a kill can make an HDF5 file unreadable.
 """
 
 from __future__ import annotations
@@ -143,7 +143,8 @@ def is_left(path: Path) -> bool:
     if held is not None and path.absolute() in held:
         return False
     if not _mark_path(path).exists():
-        if lock_file(_mark_path(path)).exists():  # a kill between the last two steps of the command
+        # the command may have been killed between its last two steps
+        if lock_file(_mark_path(path)).exists():
             with suppress(OutputError, OSError), locked(_mark_path(path), 0.0):
                 pass
         return False
@@ -212,14 +213,14 @@ def written_records(path: Path) -> list[Record]:
             if len(content) != length or zlib.crc32(content) != check:
                 break
             found.append(_unpacked(content))
-    return found[1:]  # the first one identifies the run
+    return found[1:]  # the first record identifies the run
 
 
 class CheckpointFile:
     """The checkpoint of one run, in the folder of its output, locked against a second writer while it is open.
 
-    `facts` identify the run: film, settings, version. With `resume` an existing checkpoint with equal facts is
-    continued; otherwise a new checkpoint is started, and `other` states whether the checkpoint of another run was
+    `facts` identify the run: film, settings, version. With `resume`, an existing checkpoint with equal facts is
+    continued. Otherwise a new checkpoint is started, and `other` states whether the checkpoint of another run was
     replaced. An OutputError is raised if another program writes the same output for longer than `wait` [s], or the
     write fails.
     """
@@ -302,7 +303,7 @@ class CheckpointFile:
         self._ends = [self._stream.tell()]
 
     def _restore(self) -> bool:
-        """Find the complete records of an earlier run; False if there are none, or if they are of another run."""
+        """Find the complete records of an earlier run; False if there are none, or if they belong to another run."""
         ends: list[int] = []
         first: Record | None = None
         self._stream.seek(len(_LINE))

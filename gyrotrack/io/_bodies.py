@@ -1,8 +1,8 @@
 """Bodies of a case and their file: series with their error modes, clocks and joints (layout 2).
 
 `/body/<name>/series/fused` is the fitted series. `/casing` and `/rotor` of a gyroscope or a single body contain the
-same datasets under other names, for older scripts. An error mode is an error common to several samples: the columns of
-its `basis`, (samples, amplitudes), times amplitudes with the stored covariance.
+same datasets under other names, for older scripts. An error mode is an error common to several samples: the product of
+its `basis`, (samples, amplitudes), and amplitudes with the stored covariance.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gyrotrack.io._tables import write_attributes, write_table
 
 _INTEGRAL = "integral of the measured angular velocity, with an arbitrary constant"
 _NAME = re.compile(r"[^/\\\0]{1,100}")
-# joints of a gyroscope and of a single body with their kinds and bodies
+# the joints of a gyroscope and of a single body, each with its kind and its bodies
 _JOINTS = {
     "one": (("support", "contact", "casing", "ground"),),
     "two": (("bearing", "bearing", "rotor", "casing"), ("touchpoint", "contact", "casing", "ground")),
@@ -109,7 +109,7 @@ def _write_clocks(file: Any, case: Case) -> None:
     for name, placement in case.placements.items():
         covariance = np.diag([placement.clock_offset_sigma**2, placement.clock_rate_sigma**2])
         if name in known:
-            # the correlation is taken from the synchronisation, the variances from the stated uncertainties
+            # the correlation is from the synchronisation, and the variances are from the stated uncertainties
             found = np.array(known[name], dtype=float)[:2, :2]
             scale = np.sqrt(np.diag(covariance) / np.maximum(np.diag(found), 1e-300))
             covariance = found * np.outer(scale, scale)
@@ -121,8 +121,7 @@ def _write_clocks(file: Any, case: Case) -> None:
 def series_from(stored: StoredSeries, quantity: str) -> Series:
     """Return a series from its stored datasets.
 
-    In a file that contains only bodies, angular velocities are computed from angles, or angles from angular
-    velocities.
+    If a file contains only `/body`, angular velocities are computed from angles, or angles from angular velocities.
     """
     modes = tuple(ErrorMode(**vars(mode)) for mode in stored.modes)
     if stored.columns:

@@ -1,4 +1,4 @@
-"""Marks of new outputs until the end of a command: if it is killed, the same command may replace marked outputs."""
+"""Marks of new outputs of a command. After the command was killed, the same command may replace marked outputs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def marks() -> dict[Path, Mark] | None:
 
 @contextmanager
 def marking() -> Iterator[dict[Path, Mark]]:
-    """Keep the marks of new outputs until the context ends; in nested contexts, until the outermost context ends."""
+    """Keep the marks of new outputs until the context ends, or in nested contexts, until the outermost context ends."""
     outer = _MARKS.get()
     if outer is not None:
         yield outer

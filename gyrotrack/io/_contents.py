@@ -1,6 +1,7 @@
 """Contents of a file: consistency check (`info`) and export to other programs.
 
-The export formats are CSV, Parquet, netCDF, JSON, and text and projects of OSP Tracker; `import` reads all of them.
+The export formats are CSV, Parquet, netCDF, JSON, and text and projects of OSP Tracker; `import` reads all these
+formats.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ class BodySummary(WindowsSummary):
 
 
 class InputSummary(TypedDict):
-    """A recorded input of the motion; a number is null if it is not known."""
+    """A recorded input of the motion; unknown numbers are null."""
 
     samples: int  #: Number of samples.
     t_start: float | None  #: Time of the first sample [s].
@@ -134,9 +135,9 @@ class ClipSummary(RecordingSummary):
 class CaseSummary(TypedDict):
     """Contents of a case."""
 
-    #: Moment of inertia of the casing, or of the single or first body; null if it is unknown [kg m2].
+    #: Moment of inertia of the casing, the single body, or the first body of a chain; null if it is unknown [kg m2].
     I_casing: float | None
-    casing: SeriesSummary  #: The casing, or the single or first body.
+    casing: SeriesSummary  #: The casing, the single body, or the first body of a chain.
     rotor: WindowsSummary  #: The rotor.
     further: dict[str, BodySummary]  #: Further bodies of a chain, by name.
     joints: dict[str, list[str]]  #: The two bodies of each joint of a chain.
@@ -417,7 +418,8 @@ def _cells(column: Column, rows: slice) -> list[str]:
 def plain_cell(text: str) -> str:
     """Return a text that a spreadsheet does not interpret as a formula."""
     plain = "'" + text if text.startswith(_FORMULA) else text
-    return plain.replace("\r", "\n")  # `csv` quotes no carriage return, which would begin a row
+    # the module `csv` does not quote a carriage return, which would begin a new row
+    return plain.replace("\r", "\n")
 
 
 def _parquet(made: Sequence[Column], stream: BinaryIO) -> None:

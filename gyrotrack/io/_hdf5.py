@@ -1,8 +1,8 @@
 """Writes and reads recordings and cases according to the schema.
 
-HDF5 ends the process if a write fails, or if Python raises an error during a write. Writes therefore never fail here:
-the first error of the disk is stored, later writes go to memory until the library has closed the file, and an
-interrupt by the user is deferred until the file is closed. Every file ends with a checksum line.
+HDF5 ends the process if a write fails, or if Python raises an error during a write. Writes therefore never fail here.
+The first error of the disk is stored, and later writes go to memory until the library has closed the file. An interrupt
+by the user is deferred until the file is closed. Every file ends with a checksum line.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def deferred_interrupts() -> Iterator[None]:
             before(*received[0])
 
 
-LIBVER = ("v110", "v110")  # the first version with checksums of the metadata
+LIBVER = ("v110", "v110")  # the first version of the file format with checksums of the metadata
 
 
 @contextmanager
@@ -295,7 +295,7 @@ def _load_placement(group: Any, name: str) -> Placement:
 
 
 def read_kind(path: Path) -> str:
-    """Return "recording" or "case"; a DatasetError if the file is missing, damaged, or of an unknown format."""
+    """Return "recording" or "case"; a DatasetError is raised for a missing or damaged file, or an unknown format."""
     with READER.open(path) as file:
         return str(READER.attribute(file, "kind", str))
 

@@ -1,4 +1,4 @@
-"""The outputs of one command: they are checked before the work begins, and either all or none are written."""
+"""The outputs of one command. They are checked before the work begins, and either all or none are written."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from gyrotrack.io._command_end import marking
 
 @contextmanager
 def new_outputs(*outputs: Path | None, force: bool, reads: Iterable[Path | None] = ()) -> Iterator[None]:
-    """Check the outputs of a command with `refuse_existing`; if the context ends with an error, remove new outputs."""
+    """Check the outputs of a command with `refuse_existing`.
+
+    If the context ends with an error, remove the new outputs.
+    """
     paths = [path for path in outputs if path is not None]
     sources = list(reads)
     for k, path in enumerate(paths):

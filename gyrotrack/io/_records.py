@@ -120,7 +120,7 @@ class BodyTrack:
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 if there is no
         such error.
     correlated_profile : tuple of (float, float)
-        Times [s], and the standard uncertainty [rad] of this error at each of them; empty if the uncertainty is
+        Times [s], and the standard uncertainty [rad] of this error at these times; empty if the uncertainty is
         constant.
     periodic_sigma : float
         Standard deviation of the amplitudes of an error of one and two periods per turn [rad]; 0 if there is no such
@@ -147,7 +147,7 @@ class BodyTrack:
 
 @dataclass(frozen=True)
 class PointTrack:
-    """The path of one point; frames without the point are omitted.
+    """The path of one point; frames in which the point is not found are omitted.
 
     Attributes
     ----------
@@ -266,7 +266,7 @@ class Series:
         Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the angle; 0 if there is no
         such error.
     correlated_profile : tuple of (float, float)
-        Times [s], and the standard uncertainty [rad] of this error at each of them; empty if the uncertainty is
+        Times [s], and the standard uncertainty [rad] of this error at these times; empty if the uncertainty is
         constant.
     periodic_sigma : float
         Standard deviation of the amplitudes of an error of one and two periods per turn [rad]; 0 if there is no such
@@ -352,7 +352,7 @@ def windows_of(series: Series) -> Integers:
     return series.window if series.window is not None else np.zeros(len(series.time), dtype=np.int64)
 
 
-# largest relative difference of speeds that count as equal
+# two speeds count as equal if their relative difference is below this value
 _EQUAL_SPEEDS = 0.003
 
 
@@ -364,9 +364,9 @@ def doubts_of(recording: Recording) -> tuple[str, ...]:
 def speed_warnings(casing: Series | BodyTrack, rotor: Series | BodyTrack, remedy: str) -> list[str]:
     """Return warnings about a casing that is faster than the rotor, or has the same motion, in all windows.
 
-    Friction between the bodies cannot accelerate the casing beyond the rotor, and makes both turn together only at the
-    end of a run. If the speeds contradict this, the bodies may be exchanged, or one body was measured twice. `remedy`
-    is the recommended action.
+    Friction between the bodies cannot make the casing faster than the rotor. It makes both bodies turn together only at
+    the end of a run. If the speeds contradict this, the bodies may be exchanged, or one body was measured twice.
+    `remedy` is the recommended action.
     """
     windows = windows_of(rotor) if isinstance(rotor, Series) else np.zeros(len(rotor.time), dtype=np.int64)
     speeds = []
@@ -511,7 +511,7 @@ class Case(_Tabular):
     def main_body(self) -> str:
         """Name of the body whose motion is the series `casing`.
 
-        The name is "casing" for two bodies, otherwise `body_name`, or "body" if this is empty.
+        The name is "casing" for two bodies, otherwise `body_name`, or "body" if `body_name` is empty.
         """
         return "casing" if self.bodies == "two" else self.body_name or "body"
 
@@ -657,7 +657,7 @@ def _error(body: str, time: Floats, words: tuple[str, str, str], u: Floats, unit
 
 
 def _stated_errors(series: BodyTrack | Series) -> Iterator[tuple[str, Floats]]:
-    """Yield each error that a track states by its standard uncertainty, and the resulting uncertainties [rad].
+    """Yield each error of which a track states the standard uncertainty, and the resulting uncertainties [rad].
 
     Each sample has one standard uncertainty. For an error that repeats with the turn, the amplitudes of cosine and sine
     of each order have the same variance.
@@ -723,7 +723,7 @@ _INERTIA = re.compile(
     rf"\(?\s*(?P<value>{_VALUE})\s*(?:(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*(?P<percent>%)?\s*)?\)?\s*(?P<unit>[a-zµ].*)?",
     re.IGNORECASE,
 )
-# the uncertainty after the unit: with the same unit, without a unit, or in per cent
+# an uncertainty after the unit may have the same unit, no unit, or be in per cent
 _UNIT_FIRST = re.compile(
     rf"(?P<value>{_VALUE})\s*(?P<unit>(?:kg|mg|g)[^+±]*?)\s*(?:\+-|\+/-|±)\s*(?P<u>{_VALUE})\s*(?P<percent>%)?\s*(?P<again>[a-z].*)?",
     re.IGNORECASE,
@@ -735,7 +735,7 @@ _INERTIA_EXAMPLE = (
     'Write, for example, "5.54e-5 +- 0.06e-5" (kg m2) or "554 g cm2 +- 6"; the uncertainty is optional.'
 )
 
-# limits of plausible values of a moment of inertia: 1 mg at a radius of 1 mm, 1 t at 10 m
+# limits of plausible moments of inertia: 1 mg at a radius of 1 mm, 1 t at a radius of 10 m
 SMALLEST, LARGEST = 1e-12, 1e5
 
 

@@ -47,7 +47,7 @@ MARKER = Table(
             "i1",
             {"flag_values": list(STATUS.values()), "flag_meanings": " ".join(STATUS)},
         ),
-        Field("angle_fine", _F, "rad", "better estimate of the angle, wrapped"),
+        Field("angle_fine", _F, "rad", "estimate of the angle with a smaller error than `angle`, wrapped"),
         Field("sigma_calibrated", _F, "rad", "calibrated uncertainty of angle_fine"),
     ),
     signal="angle",

@@ -34,7 +34,7 @@ def _remove_if_left(path: Path) -> None:
     own = not hasattr(os, "getuid") or found.st_uid == os.getuid()
     if not (
         own and stat.S_ISDIR(found.st_mode) and (path / _LOCK).exists()
-    ):  # a folder without a lock may be new
+    ):  # a folder without a lock may have just been made by another process
         return
     with suppress(Timeout, OSError), FileLock(path / _LOCK, timeout=0, thread_local=False):
         shutil.rmtree(path, ignore_errors=True)

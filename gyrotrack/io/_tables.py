@@ -20,7 +20,7 @@ from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack._versions import __version__, versions
 
 READER = Reader(DatasetError)
-CHUNK = 8192  # values along the first dimension: 64 kB per column
+CHUNK = 8192  # number of values of a chunk along the first dimension: 64 kB per column
 
 
 def write_table(
@@ -28,7 +28,7 @@ def write_table(
 ) -> None:
     """Write `table` from attributes of `record` and `extra`, with units, dimension scales and NXdata attributes.
 
-    `scales` are dimension scales in other groups.
+    `scales` are dimension scales that are stored in other groups.
     """
     arrays = {
         f.name: np.asarray(extra[f.name] if f.name in extra else getattr(record, f.name), dtype=f.dtype)
@@ -69,7 +69,7 @@ def create_dataset(group: Any, name: str, array: npt.NDArray[Any]) -> Any:
 def _attach_scales(
     group: Any, f: Field, datasets: Mapping[str, Any], own: dict[str, Any], scales: Mapping[str, Any]
 ) -> None:
-    """Attach dimension scales: `scales` of other groups, or scales of this group, which are added to `own`."""
+    """Attach dimension scales: `scales` from other groups, or new scales of this group, which are added to `own`."""
     dataset = datasets[f.name]
     for axis, dim in enumerate(f.dims):
         if dim in scales:

@@ -36,7 +36,7 @@ def write_project(
         stream.write(content)
         return
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        # equal contents give identical files
+        # a fixed date, so that equal contents give identical files
         archive.writestr(zipfile.ZipInfo(_MEMBER, (1980, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
 
 
@@ -44,7 +44,7 @@ def _document(bodies: Sequence[tuple[str, Floats, Floats]]) -> str:
     times = np.unique(np.concatenate([time for _, time, _ in bodies]))
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     place = (times - times[0]) / step if step > 0 else np.zeros(len(times))
-    # the mean interval of the whole record, because the intervals between neighbouring times are rounded
+    # the mean interval of the whole record is used, because the intervals between neighbouring times are rounded
     step = float(times[-1] - times[0]) / max(float(np.rint(place[-1])), 1.0) if step > 0 else 0.0
     place = (times - times[0]) / step if step > 0 else place
     if not step or np.abs(place - np.rint(place)).max() > _OFF_GRID or place[-1] > _MOST_FRAMES:

@@ -46,7 +46,8 @@ class Experiment:
     clips: tuple[Clip, ...] = ()
     data: Path | None = None  # an existing case file instead of films
     surface: str = ""  # surface on which the casing turns
-    inertia_rotor: str | None = None  # moments of inertia in the format of `gyrotrack.io._records.Inertia`
+    # moments of inertia as texts, in the format of `gyrotrack.io._records.Inertia`
+    inertia_rotor: str | None = None
     inertia_casing: str | None = None
     folder: str = ""  # unique name of the folder of results
 
@@ -57,7 +58,10 @@ class Experiment:
 
 
 def with_folders(experiments: Iterable[Experiment], where: Path) -> tuple[Experiment, ...]:
-    """Assign a unique folder name to each experiment, and check that they are complete and have different labels."""
+    """Assign a unique folder name to each experiment.
+
+    Check that the experiments are complete and have different labels.
+    """
     found, folders, labels = [], set[str](), set[str]()
     for e in experiments:
         if e.label in labels:
@@ -104,7 +108,7 @@ def unique_name(label: str, taken: set[str]) -> str:
 def with_inertias(
     experiments: Iterable[Experiment], given: Mapping[str, str | None], skip: Collection[str] = ()
 ) -> tuple[Experiment, ...]:
-    """Set missing inertias of experiments to those `given` by body; options in `skip` may be missing."""
+    """Set missing inertias of experiments to the values `given` by body; options in `skip` may be missing."""
     made = []
     for e in experiments:
         own: dict[str, Any] = {}
@@ -176,7 +180,7 @@ STATED_RATE = re.compile(r"(?<![0-9.])(\d{2,5}(?:\.\d+)?) ?fps", re.IGNORECASE)
 def read_folder(
     root: Path, *, casing_fps: float | None = None, rotor_fps: float | None = None, skip: Path | None = None
 ) -> tuple[Experiment, ...]:
-    """Find the experiments in a folder, but not in hidden folders, links and `skip`; both rates are default values."""
+    """Find the experiments in a folder, but not in hidden folders, links and `skip`. Both rates are default values."""
     if not root.is_dir():
         raise ConfigurationError(f"There is no folder {root}.", "Check the path.")
     rates = {"casing": casing_fps, "rotor": rotor_fps, "": None}
@@ -284,7 +288,10 @@ class _Row(_Facts):
 
 
 def read_manifest(path: Path) -> tuple[Experiment, ...]:
-    """Read a manifest in TOML or CSV; films are checked when opened, so an unreadable film does not stop the batch."""
+    """Read a manifest in TOML or CSV.
+
+    Films are checked only when they are opened, so an unreadable film does not stop the batch.
+    """
     if path.suffix.lower() == ".csv":
         return with_folders(_from_rows(path), path)
     manifest = read_document(path, Manifest, what="manifest")

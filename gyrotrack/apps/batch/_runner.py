@@ -46,7 +46,10 @@ class _Running:
 
 
 class Run:
-    """One execution of all steps; `report` gets (step, outcome), `progress` gets (steps ended, steps in total)."""
+    """One execution of all steps.
+
+    `report` is called with (step, outcome), `progress` with (steps ended, steps in total).
+    """
 
     def __init__(
         self,
@@ -207,7 +210,7 @@ def _error(answer: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Row:
-    """The results of one case of a batch; numbers of the fit are null without a fit."""
+    """The results of one case of a batch; without a fit, the numbers of the fit are null."""
 
     label: str  #: Name of the case.
     folder: str  #: Folder of its results.
@@ -219,7 +222,7 @@ class Row:
     rmse_casing: float | None  #: Rms residual of the smoothed angular velocity of the casing [rad s-1].
     reduced_chi2: float | None  #: Chi-square of the casing divided by the effective number of samples [1].
     misfit: float | None  #: Rms residual divided by the rms of the noise [1].
-    diagnosis: str  #: Verdict of the diagnosis; empty without one.
+    diagnosis: str  #: Verdict of the diagnosis; empty without a diagnosis.
     missing: str  #: Effects that `diagnose` or `improve` found.
     trusted: bool  #: Whether every step returned a trusted result (exit code 0).
     warnings: int  #: Number of warnings of the steps.
@@ -342,8 +345,8 @@ def run_batch(
 ) -> BatchResult:
     """Run the steps of a batch that are not complete, on this machine or on a Dask cluster.
 
-    `report` is called with (step, outcome) when a step has ended; `bar` returns a context manager whose value is called
-    with (done, total).
+    `report` is called with (step, outcome) when a step has ended. `bar` returns a context manager; its value is a
+    function that is called with (done, total).
     """
     began = perf_counter()
     with locked_folder(output):

@@ -29,10 +29,10 @@ class Request:
     """Steps to run for every case."""
 
     until: str = "report"  # the last command
-    # further options of each command, from a settings file; options of a manifest override them
+    # further options of each command, from a settings file; options in a manifest override these options
     extra: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     model: str = "reduced"  # the model to fit
-    improve: bool = False  # also add effects until the residuals are consistent with noise
+    improve: bool = False  # whether to add effects until the residuals are consistent with noise
 
     def includes(self, verb: str) -> bool:
         """Return whether a command is among the steps."""
@@ -50,8 +50,8 @@ class Step:
     words: tuple[str, ...]  # arguments of the command; ``{fit}`` is the latest fit of the case
     output: Path  # output file
     files: tuple[Path, ...] = ()  # source files that no step makes: films, profiles, data
-    # steps that must all have succeeded; steps that must have ended, at least one of them successfully (outputs of
-    # failed steps are not used)
+    # `needs`: steps that must all have succeeded; `needs_any`: steps that must have ended, at least one of them
+    # successfully (outputs of failed steps are not used)
     needs: tuple[str, ...] = ()
     needs_any: tuple[str, ...] = ()
 
@@ -176,7 +176,8 @@ class Journal:
             raise OutputError(what, "Choose another folder with -o.") from error
         lines = [_parsed(line) for line in text.splitlines()]
         self._truncated = bool(text) and not text.endswith("\n")
-        if self._truncated and len(lines) == 1 and json.dumps(HEADER).startswith(text):  # truncated header
+        # the header is truncated
+        if self._truncated and len(lines) == 1 and json.dumps(HEADER).startswith(text):
             self.path.write_bytes(b"")
             self._truncated, lines = False, []
         if lines and lines[0] != HEADER:
@@ -224,7 +225,10 @@ class Journal:
 def step_key(
     step: Step, words: list[str], results: Path, contents: Mapping[Path, str], before: list[str]
 ) -> str:
-    """Return a hash of all inputs that determine the output of a step, independent of the location of the folders."""
+    """Return a hash of all inputs that determine the output of a step.
+
+    It does not depend on the location of the folders.
+    """
     names = {str(path): digest for path, digest in contents.items()}
     top = str(results.resolve())
     stated = [names.get(word, word.replace(top, "results")) for word in words]
@@ -234,7 +238,7 @@ def step_key(
 
 def fingerprint(step: Step, document: Mapping[str, Any]) -> str:
     """Return a hash of the output of a step, or "" if there is no output."""
-    if step.verb in {"fit", "improve"}:  # use the fit alone, because its ledger contains later fits
+    if step.verb in {"fit", "improve"}:  # the fit alone is used, because its ledger may contain later fits
         return _fit_digest(step.output, str(_fit_of(document)))
     return file_digest(step.output) or ""
 

@@ -30,7 +30,7 @@ Answer = dict[str, Any]
 
 _WATCH = 0.5  # time between two checks whether a batch still runs [s]
 _GRACE = 5.0  # time for a worker to remove unfinished outputs before it is killed [s]
-_MAX_ANSWER = 2**26  # bytes
+_MAX_ANSWER = 2**26  # largest size of an answer [bytes]
 
 
 class Child:
@@ -62,7 +62,7 @@ class Child:
                 timer = threading.Timer(timeout, stop)
                 timer.daemon = True
                 timer.start()
-        except (OSError, RuntimeError) as error:  # no further process or thread
+        except (OSError, RuntimeError) as error:  # no further process or thread can be started
             self.close()
             return failure(
                 "processes",
@@ -122,7 +122,8 @@ def _end_with(sign: Path, child: Child, ended: threading.Event) -> None:
 
 def _start() -> subprocess.Popen[str]:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUTF8": "1"}
-    environment["GYROTRACK_CONFIG"] = "none"  # the settings are among the arguments
+    # the worker reads no settings file, because the settings are among the arguments
+    environment["GYROTRACK_CONFIG"] = "none"
     return subprocess.Popen(  # noqa: S603 - gyrotrack itself, without a shell
         [sys.executable, "-P", "-m", WORKER],  # -P: no module is imported from the working folder
         stdin=subprocess.PIPE,
@@ -187,7 +188,7 @@ class Workers(Protocol):
     """Runs commands in parallel."""
 
     def submit(self, words: Sequence[str], timeout: float | None) -> Future[Answer]:
-        """Begin a command; the answer is that of `Child.run`."""
+        """Begin a command; the answer has the form of the answer of `Child.run`."""
 
     def close(self) -> None:
         """Stop running commands and end."""
@@ -220,7 +221,7 @@ class LocalWorkers:
     def close(self) -> None:
         """End the processes; their outputs are complete or absent."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-        for child in self._children:  # simultaneously, because each may need time to clean up
+        for child in self._children:  # all are ended simultaneously, because each may need time to clean up
             with suppress(OSError, ProcessLookupError):
                 if child.pid is not None:
                     os.kill(child.pid, signal.SIGTERM)
@@ -291,7 +292,10 @@ _SIGN = "batch.running."
 
 
 def new_sign(results: Path) -> Path:
-    """Return a new file in a locked folder, and remove older files; removal of the new file ends steps on a cluster."""
+    """Return a new sign, a file whose removal ends the steps on a cluster.
+
+    Older signs in the locked folder are removed.
+    """
     for left in results.glob(f"{_SIGN}*"):
         left.unlink(missing_ok=True)
     sign = results.resolve() / f"{_SIGN}{secrets.token_hex(8)}"

@@ -106,7 +106,7 @@ def root(
 
 
 def main(last: list[Callable[[], None]]) -> None:
-    """Run the program on the command line's arguments and exit with its code.
+    """Run the program with the arguments of the command line, and exit with its exit code.
 
     Functions in `last` are called when the process ends, after everything else.
     """
@@ -123,7 +123,10 @@ def main(last: list[Callable[[], None]]) -> None:
     code, marks = FAULT, ExitStack()
 
     def end() -> None:
-        """End immediately, and remove the marks of unfinished outputs, which serve only if the process is killed."""
+        """End immediately.
+
+        Remove the marks of new outputs first, because they are needed only if the process is killed.
+        """
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError, AttributeError):
                 stream.flush()
@@ -142,7 +145,7 @@ _STDERR = 2
 def prepare_process() -> None:
     """Configure this process and its child processes: threads, search path, home, SIGTERM."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # many small matrices: threads do not save time
+        os.environ.setdefault(name, "1")  # the matrices are small and many, so that threads do not save time
     # no process imports modules from the working folder, whose content is not trusted
     os.environ["PYTHONSAFEPATH"] = "1"
     root = Path(__file__).parents[3]
@@ -150,7 +153,8 @@ def prepare_process() -> None:
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
     if os.path.expanduser("~").startswith("~"):  # noqa: PTH111 - Path.home() raises: no $HOME and an unknown user
         os.environ["HOME"] = (
-            "/nonexistent"  # libraries need a home folder; this is the usual name for users without a home
+            # libraries need a home folder; this is the usual name of the folder for users without a home
+            "/nonexistent"
         )
     catch_sigterm()
 
@@ -173,7 +177,8 @@ def catch_sigterm() -> None:
     with suppress(ValueError):  # signals can be handled only in the main thread
         signal.signal(signal.SIGTERM, end)
         hangup = getattr(signal, "SIGHUP", None)
-        if hangup is not None and signal.getsignal(hangup) == signal.SIG_DFL:  # `nohup` ignores it
+        # `nohup` ignores this signal, and so does the program
+        if hangup is not None and signal.getsignal(hangup) == signal.SIG_DFL:
             signal.signal(hangup, end)
 
 
@@ -280,7 +285,7 @@ def _report(error: Exception, *, as_json: bool) -> int:
 
 def _refused_file(error: Exception) -> str | None:
     """Return the reason why the system refuses a file, as a sentence; None for another error."""
-    # an error of pathlib before Python 3.13
+    # an error that pathlib raises before Python 3.13
     if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):
         return f"{str(error)[:_LONGEST_NAME].rstrip('.')}."
     if not isinstance(error, OSError) or not error.strerror:

@@ -68,14 +68,14 @@ class PlannedCase(TypedDict):
     """A case of a batch."""
 
     label: str  #: Name of the case.
-    films: list[str]  #: Its films.
+    films: list[str]  #: Films of the case.
 
 
 class PlannedStep(TypedDict):
     """A step of a batch."""
 
     name: str  #: Name of the step.
-    output: Path  #: File that it writes.
+    output: Path  #: File that the step writes.
     state: str  #: `kept` (complete) or `to do`.
 
 
@@ -92,14 +92,14 @@ _From = TypedDict("_From", {"from": Annotated[str, "Origin: `file` or `default`.
 class OptionDocument(_From):
     """An option of a command."""
 
-    value: Any  #: Its value; null without one.
+    value: Any  #: Value of the option; null without a value.
     line: NotRequired[int | None]  #: Line of the settings file, for an option from this file.
 
 
 class ConfigDocument(TypedDict):
     """The settings in use."""
 
-    file: Path | None  #: The settings file; null without one.
+    file: Path | None  #: The settings file; null without a settings file.
     settings: dict[str, dict[str, OptionDocument]]  #: Options by command and key of the settings file.
 
 
@@ -339,7 +339,7 @@ def _toml(value: Any) -> str:
     )
 
 
-_GRACE = 5.0  # time to remove unfinished outputs [s]
+_GRACE = 5.0  # time for a command to remove its unfinished outputs [s]
 
 
 def perform(words: list[str]) -> dict[str, Any]:
@@ -360,7 +360,7 @@ def perform(words: list[str]) -> dict[str, Any]:
 
 
 def work() -> None:
-    """Run the commands on stdin, one JSON array of arguments per line, and write one JSON answer per line."""
+    """Run the commands from stdin, one JSON array of arguments per line, and write one JSON answer per line."""
     from gyrotrack.apps.cli._app import catch_sigterm
 
     catch_sigterm()

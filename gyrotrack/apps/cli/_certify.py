@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from gyrotrack.apps.batch._workers import Workers
 
 _WIDTH = 79
-# time between two writes of the ledger [s], and number of recordings that a cluster worker simulates in one command
+# time between two writes of the ledger [s]; number of recordings that a cluster worker simulates in one command
 _KEPT, _PART = 20.0, 4
 _RECORDINGS, _FILMS = 200, 20
 _POINTS_PER_SECOND = 500
@@ -95,7 +95,8 @@ def certify_command(
         out.result({"outcomes": [vars(o) for o in outcomes]})
         return DONE
     for case in cases if film else ():
-        Filming.of(read_case(case))  # raises an error for a case without films, before hours of computation
+        # called now, so that a case without films raises an error before hours of computation
+        Filming.of(read_case(case))
     pool = WorkerPool() if workers is None else WorkerPool(workers - 1)
     with pool:
         with out.progress("analysing the recording") as progress:
@@ -106,7 +107,8 @@ def certify_command(
             known = earlier.outcomes if earlier is not None else ()
             empty = Certificate.of_answer(found, (), n, seed, film=film)
             keep = _Keeper(out, progress, study.ledger, fit_id, empty, known)
-            progress(0, len(planned(found, n)))  # show progress before the first recording, which takes long
+            # progress is shown at once, because the first recording takes long
+            progress(0, len(planned(found, n)))
             if cluster.scheduler is None and not film:
                 done = certify(found, n, seed=seed, extra=own, known=known, workers=pool, keep=keep)
             else:
@@ -188,7 +190,10 @@ class _Keeper:
             self._stored = now
 
     def store(self, done: Certificate) -> None:
-        """Store a complete or partial test with its fit; further outcomes of an earlier, longer test are kept."""
+        """Store a complete or partial test with its fit.
+
+        If an earlier test was longer, its further outcomes are kept.
+        """
         made = {(o.kind, o.effect, o.number) for o in done.outcomes}
         longer = [o for o in self._known if (o.kind, o.effect, o.number) not in made]
         n = max([done.n, *(o.number + 1 for o in longer if o.kind == "null")])

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fitting.comparison._comparison import Comparison
     from fitting.comparison._population import Population
 
-# largest number of runs whose values are listed; number of runs that a worker of a cluster fits in one command
+# largest number of runs whose values are listed; number of runs that a cluster worker fits in one command
 _LISTED, _PART = 12, 8
 _SECONDS_PER_DAY = 86400.0
 _TIME = re.compile(r"time(?:\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])])?", re.IGNORECASE)

@@ -270,7 +270,7 @@ def _proposed_name(column: str) -> str:
     return next((w for w in words if w not in {"command", "commanded", "measured", "motor"}), "u")
 
 
-_MOST_PLOTTED = 200  # points of the plot of a body
+_MOST_PLOTTED = 200  # number of points of the plot of a body
 
 
 def _reading_table(reading: Mapping[str, Any]) -> Any:

@@ -96,7 +96,7 @@ def laws_command(
 
 
 def check_picture(picture: Path | None, *, force: bool, reads: Sequence[Path | None]) -> None:
-    """Raise an error for a picture of an unknown format, or a picture that would replace a file."""
+    """Raise an error if the format of a picture is unknown, or if the picture would replace a file."""
     from gyrotrack.io._atomic import refuse_existing
 
     if picture is None:

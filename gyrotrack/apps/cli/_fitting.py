@@ -153,7 +153,7 @@ def _intervals(found: Fit, wanted: Sequence[str]) -> dict[str, Interval]:
         if word == "weak":
             names += weakly_determined(found)
             continue
-        # a symbol, or a key without its case, selects all parameters that match
+        # a symbol, or a key without its case, selects all matching parameters
         keys = [k for k in found.problem.layout.names if word in {k, k.partition("@")[0], _symbol(k)}]
         names += keys or [word]
     return {name: profile(found, name) for name in dict.fromkeys(names)}
@@ -257,8 +257,8 @@ def _budget_table(fit: Fit, found: Mapping[str, ParameterBudget], fit_id: str) -
 class ScanSettings(TypedDict):
     """The fitted data, and the written files."""
 
-    data: str  #: What is fitted: `angle` or `velocity`.
-    rotor: str  #: `windows` (measured) or `generated` (a curve).
+    data: str  #: Fitted quantity: `angle` or `velocity`.
+    rotor: str  #: Rotor data: `windows` (measured) or `generated` (a curve).
     outputs: list[Path]  #: Files of `--csv` and `--latex`.
 
 
@@ -306,7 +306,7 @@ def scan_command(
     return DONE if found.converged else NOT_TRUSTED
 
 
-_CERTIFIED = 200  # default of `certify -n`
+_CERTIFIED = 200  # default number of recordings of `certify`
 
 
 def diagnose_command(
@@ -335,7 +335,8 @@ def diagnose_command(
     study = open_study(cases, ledger, prior=prior, prior_rotor=prior_rotor)
     with WorkerPool() as workers, out.progress("scoring effects") as progress:
         progress(0, None)
-        began = process_time()  # CPU time, because a test uses its workers as this search does
+        # CPU time is measured, because a test uses workers in the same way as this search
+        began = process_time()
         fit, fit_id = study.base(start)
         own = shared.own_effects(effects, study.mechanism, friction=friction)
         found = diagnose(fit, own, workers=workers)
@@ -386,11 +387,11 @@ def improve_command(
         own = shared.own_effects(effects, study.mechanism)
         kept = study.recorder(parent, base)
         history = improve(base, own, progress=progress, workers=workers, keep=kept)
-        # the report needs the diagnosis, and most of the work is done
+        # the diagnosis is made here, because the report needs it and most of the work is already done
         found = diagnose(base, own, candidates=history[0].candidates, workers=workers)
         study.keep_diagnosis(parent, found, own)
     steps = [entry.document["rung"] for entry in kept.entries]
-    # adding an effect does not establish an effect that the diagnosis leaves undecided
+    # if the diagnosis is undecided, the addition of an effect does not establish this effect
     verdict = found.verdict if len(history) == 1 or found.verdict == "undecided" else history_verdict(history)
     said = _FAULT if len(history) == 1 and verdict == "missing_effect" else _VERDICTS[verdict]
     if history.stopped:
@@ -466,9 +467,9 @@ class EffectParameter(TypedDict):
 
     symbol: str  #: Symbol.
     unit: str  #: SI unit.
-    role: str  #: `amplitude`, `shape`, `phase` or `fixed`.
-    lower: float  #: Lower bound; null if it has none [`unit`].
-    upper: float  #: Upper bound; null if it has none [`unit`].
+    role: str  #: Role in the law: `amplitude`, `shape`, `phase` or `fixed`.
+    lower: float  #: Lower bound; null if there is none [`unit`].
+    upper: float  #: Upper bound; null if there is none [`unit`].
     meaning: str  #: Meaning in words.
 
 
@@ -479,13 +480,13 @@ class EffectDocument(TypedDict):
     words: str  #: Name in words.
     symbol: str  #: Symbol of the strength.
     kind: str  #: `physical` or `measurement`.
-    joint: str  #: Body, joint or camera on which it acts.
+    joint: str  #: Body, joint or camera on which the effect acts.
     law: str  #: Formula.
     latex: str  #: Formula in LaTeX.
-    parameters: list[EffectParameter]  #: Its parameters.
+    parameters: list[EffectParameter]  #: Parameters of the law.
     signature: str  #: Signature in the data.
     confused_with: list[str]  #: Names of similar effects.
-    source: str  #: Publication.
+    source: str  #: Publication in which the law is described.
 
 
 class EffectsDocument(TypedDict):

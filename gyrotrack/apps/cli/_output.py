@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from fitting.paper._scan import Predicted
     from fitting.study._preparation import CurveBias
 
-# C0 and C1 controls except line feed and tab; characters that reorder or hide text; line separators
+# control characters (C0 and C1) except line feed and tab; characters that reorder or hide text; line separators
 _COMMANDS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff]"
 )
@@ -173,11 +173,11 @@ def _json_lines(label: str) -> Progress:
     return update
 
 
-_INTERVAL = 0.2  # s
+_INTERVAL = 0.2  # shortest time between two progress lines [s]
 
 
 def write_angles(body: str, part: int, frames: NDArray[np.int64], angles: NDArray[np.float64]) -> None:
-    """Write angles of frames to stderr as one JSON line, short enough for a pipe to write without splitting.
+    """Write angles of frames to stderr as one JSON line. The line is so short that a pipe does not split it.
 
     Several processes write to the same pipe; see `gyrotrack.tracking._live_angles.Sink`.
     """
@@ -309,7 +309,7 @@ def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
 
 
 def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
-    """Return the cross-validation errors of each case as text: in units of the noise, and of the casing rate."""
+    """Return the cross-validation errors of each case as text, in units of the noise; and of the casing's rate."""
     from fitting._numbers import speed, speed_unit
 
     if not predicted:
@@ -453,7 +453,7 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
         lines += [f"        {r['added']}"] if words != r["added"] else []
         if comment := ": ".join(filter(None, (r.get("name"), r.get("note")))):
             lines += [f"      {line}" for line in _wrapped(comment)]
-    # the last fit shown by a command may have parameters that are not justified
+    # the fit of lowest BIC is the reference, because the last fit may have parameters that the data do not justify
     best = min(steps, key=lambda r: r["bic"] if math.isfinite(r.get("bic") or math.nan) else math.inf)
     counted = bool(best.get("samples"))
     noise = best.get("rmse_noise")
@@ -466,7 +466,11 @@ def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
         "",
         f"rmse of the angular rate of the {record.body} [{speed_unit()}]; misfit and prediction",
         "(cross-validation) error in units of the noise" + (";" if counted else ""),
-        *([f"{best['samples']} samples, {best['n_eff']:.0f} equivalent independent ones"] if counted else []),
+        *(
+            [f"{best['samples']} samples, {best['n_eff']:.0f} equivalent independent samples"]
+            if counted
+            else []
+        ),
     ]
     return ["\n".join(lines)]
 
@@ -486,7 +490,10 @@ _BLOCKS, _ASCII = "▁▂▃▄▅▆▇█", "_.,-~=+#"
 
 
 def sparkline(value: NDArray[np.float64], *, width: int = WIDTH) -> str:
-    """Return a curve as one line: each character shows the value farthest from zero in its interval (space: none)."""
+    """Return a curve as one line. Each character shows the value farthest from zero in an interval.
+
+    A space shows no value.
+    """
     levels = _levels()
     n, parts = len(value), min(width, len(value))
     edges = [n * k // parts for k in range(parts + 1)] if parts else []

@@ -14,7 +14,7 @@ _WIDTH = 79
 
 
 def parameter_lines(fit: Fit, intervals: Mapping[str, Interval] | None = None) -> list[str]:
-    """Return the lines of all parameters, undetermined parameters, degenerate parameters, and profile intervals."""
+    """Return lines with all parameters, then undetermined parameters, degenerate parameters, and profile intervals."""
     from fitting.inference._result import GENERATED, estimate_text, not_determined
     from fitting.study._serialisation import not_determined_together
 
@@ -63,7 +63,7 @@ def _key(fit: Fit, name: str) -> str:
 
 
 def _aligned(text: str, key: str) -> list[str]:
-    """Return a text with a key right-aligned on the same line, or on a second line if there is no room."""
+    """Return a text with a key at the right end of the same line, or on a second line if there is no room."""
     room = _WIDTH - len(text) - len(key)
     return [f"{text}{' ' * room}{key}"] if room > 1 else [text, f"{key:>{_WIDTH}}"]
 

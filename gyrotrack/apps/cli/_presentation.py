@@ -37,8 +37,8 @@ class ReportDocument(ReportFiles):
 class FiguresDocument(TypedDict):
     """New figures and tables."""
 
-    output: Path  #: Their folder.
-    files: Sequence[Path]  #: Their files.
+    output: Path  #: Folder of the figures and tables.
+    files: Sequence[Path]  #: Files of the figures and tables.
     figures: int  #: Number of figures.
 
 
@@ -215,7 +215,7 @@ def view_command(
     Without a case the page starts with films: choose them, mark hub and markers, track, synchronise, fit. Entries and
     results are stored in the work folder; the same command resumes the work there. The page is served on the loopback
     interface, and access needs the secret in the printed address. Ctrl-C or the button Quit ends the program. Each
-    folder and each case has one server: a second command opens the page of the first.
+    folder and each case has one server: a second command opens the page of the first command.
 
     Example: gyrotrack view case1.h5
     """

@@ -52,7 +52,7 @@ NAME = "gyrotrack.toml"
 VARIABLE = "GYROTRACK_CONFIG"
 NONE = "none"  # file name that disables settings
 
-# options that a file found in the working folder may set: they affect computation and display only
+# options that a file found in the working folder may set, because they affect only computation and display
 _COMPUTE = (
     "add all appendix beyond_library body body_name bound capture_fps casing casing_fps centre centre_offset "
     "clock_rate colour column cut data drop dry_run duration fitting fix format friction from hide hold_out "
@@ -67,7 +67,7 @@ _PATHS = (
     "prior_rotor report run_times"
 )
 FOUND = frozenset(f"{_COMPUTE} {_PATHS}".split())
-# options that only the user may set: they replace or delete results, contain file names within longer values, or set
+# options that only the user may set: they replace or delete results, have values that contain file names, or set
 # addresses, certificates, ports or the number of processes
 REFUSED = frozenset(
     "answer browser delete force input name note part port save_law scheduler tls_ca tls_cert tls_key workers".split()  # noqa: SIM905
@@ -110,7 +110,8 @@ def user_file() -> Path | None:
         path = user_config_path("gyrotrack", appauthor=False, roaming=True) / NAME
     except (RuntimeError, KeyError):
         return None
-    return path if path.is_absolute() else None  # an unexpanded "~" would be relative to the working folder
+    # an unexpanded "~" would be a path relative to the working folder
+    return path if path.is_absolute() else None
 
 
 def read(path: Path | None, entries: tuple[Entry, ...], *, trusted: bool = True) -> Settings:
@@ -220,7 +221,7 @@ def _plain(value: Any, folder: Path) -> Any:
 
 @dataclass(frozen=True)
 class Entry:
-    """One command: name, module in this folder with `<name>_command`, section and line in the help."""
+    """One command: its name, the module with `<name>_command`, and its section and line in the help."""
 
     name: str
     module: str
@@ -236,7 +237,10 @@ def function_of(entry: Entry) -> Callable[..., Any]:
 
 @dataclass(frozen=True)
 class Group:
-    """Options of several commands that form one argument of their functions: a dataclass with a field per option."""
+    """Options that several commands have in common.
+
+    They form one argument of a function: a dataclass with a field per option.
+    """
 
     options: Mapping[str, Any]  # annotations by field
 
@@ -297,7 +301,8 @@ def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
 
         def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:
             """Import and return the command to run."""
-            self.commands = {name: self.get_command(ctx, name) for name in table}  # for "did you mean"
+            # all names are needed for the question "did you mean"
+            self.commands = {name: self.get_command(ctx, name) for name in table}
             name, _, rest = super().resolve_command(ctx, args)
             return name, load(table[name]) if name in table else None, rest
 
@@ -312,7 +317,7 @@ def lazy_group(entries: tuple[Entry, ...]) -> type[TyperGroup]:
 
 
 def option(words: str, text: str, **settings: Any) -> Any:
-    """Return an option from its names and placeholder, as in ``-o --output FILE``, and its line in the help."""
+    """Return an option, given its names and placeholder, as in ``-o --output FILE``, and its help text."""
     names = [w for w in words.split() if w.startswith("-")]
     return typer.Option(*names, metavar=words.partition(names[-1])[2].strip() or None, help=text, **settings)
 
@@ -344,7 +349,7 @@ InertiaRotor = Annotated[
 InertiaCasing = Annotated[
     str | None, option("--inertia-casing I", "Moment of inertia of the casing, in the same form.")
 ]
-Label = Annotated[str | None, option("--label L", "Name of the case; by default that of the file.")]
+Label = Annotated[str | None, option("--label L", "Name of the case; by default the name of the file.")]
 BodyName = Annotated[
     str, option("--body-name NAME", "Name of the single body, for example wheel, in all sentences and keys.")
 ]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from fitting.study._serialisation import DiagnosisDocument
 
 
-_PAPER_ROTOR, _PAPER_CASING = 5.54e-5, 2.06e-5  # kg m2
+_PAPER_ROTOR, _PAPER_CASING = 5.54e-5, 2.06e-5  # default moments of inertia [kg m2]
 _WINDOWS = (0.025, 0.35, 0.75)  # default starts of the rotor windows [share of the duration]
 
 
@@ -43,8 +43,8 @@ class SimulationDocument(TypedDict):
     model: NotRequired[list[str]]  #: Names of the effects; not with `--hide`.
     parameters: NotRequired[dict[str, float]]  #: Simulated parameters by key; not with `--hide` [SI units].
     seal: NotRequired[Path]  #: The sealed file, with `--hide`.
-    #: With `--hide`: SHA-256 of the hidden effect, its parameters and a random salt; it shows later that they were not
-    #: changed.
+    #: With `--hide`: SHA-256 of the hidden effect, its parameters and a random salt; it later proves that these were
+    #: not changed.
     commitment: NotRequired[str]
     films: list[Path]  #: Rendered films, with `--film`.
 
@@ -56,7 +56,7 @@ class RevealDocument(TypedDict):
     parameters: dict[str, float]  #: Simulated parameters by key [SI units].
     answer: list[str]  #: Effects of the answer.
     grade: str  #: `right`, `right class` or `wrong`.
-    #: Difference of a fitted parameter from the simulated one, by key [standard errors].
+    #: Difference between the fitted and the simulated value of each parameter, by key [standard errors].
     pulls: dict[str, float]
     commitment: str  #: SHA-256 of the hidden effect, its parameters and a random salt, from the sealed file.
 
@@ -207,7 +207,7 @@ def reveal_command(
     ledger: shared.LedgerFile = None,
     out: shared.Out,
 ) -> None:
-    """Open a sealed challenge and score an answer: that of --answer, or the latest fit of the case.
+    """Open a sealed challenge and score an answer: the answer of --answer, or the latest fit of the case.
 
     Example: gyrotrack reveal case.seal.json case.h5
     """

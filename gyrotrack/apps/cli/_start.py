@@ -6,11 +6,11 @@ import atexit
 import sys
 from collections.abc import Callable
 
-LEAST_MEMORY = 192  # MiB of address space (`ulimit -v`)
+LEAST_MEMORY = 192  # smallest address space (`ulimit -v`) [MiB]
 
 
 def main() -> None:
-    """Run the program on the command line's arguments and exit with its code."""
+    """Run the program with the arguments of the command line, and exit with its exit code."""
     if _address_space() < LEAST_MEMORY * 2**20:
         message = f"There is not enough memory: gyrotrack needs {LEAST_MEMORY} MiB."
         hint = "Raise the memory limit (`ulimit -v`)."
@@ -31,7 +31,7 @@ def _address_space() -> float:
     """Return the limit of the address space [bytes]."""
     try:
         import resource
-    except ImportError:  # Windows
+    except ImportError:  # Windows has no such limit
         return float("inf")
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     return float("inf") if limit == resource.RLIM_INFINITY else float(limit)

@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 class BodyReading(TypedDict):
     """A rotating body whose texture can be tracked without markers."""
 
-    kind: str  #: `picture of a body`.
+    kind: str  #: Kind of the reading: `picture of a body`.
     hub_px: list[float]  #: Centre of rotation, x and y [px].
-    hub_from: str  #: How the centre was found; `outline` for a body that moves across the picture.
+    #: Method by which the centre was found; `outline` for a body that moves across the picture.
+    hub_from: str
     ring_px: list[float]  #: Inner and outer radius of the texture [px].
     explained: float  #: Share of the change of brightness that the rotation explains, 0 to 1 [1].
 
@@ -59,8 +60,8 @@ class FoundMarker(TypedDict):
     outer_px: float  #: Outer radius of its orbit [px].
     half_width_rad: float  #: Half of its angular width [rad].
     contrast: float  #: Contrast of its colour with its surroundings [levels of brightness].
-    seen: float  #: Share of the frames in which it is seen, 0 to 1 [1].
-    step_rad: float  #: Rotation per frame [rad].
+    seen: float  #: Share of the frames in which the marker is seen, 0 to 1 [1].
+    step_rad: float  #: Rotation of the marker per frame [rad].
 
 
 class ProfileDocument(TypedDict):
@@ -70,8 +71,8 @@ class ProfileDocument(TypedDict):
     centre: CentreDocument  #: Centre of rotation.
     circle_colour: str | None  #: Colour of the disc at the centre; null without a disc.
     markers: list[FoundMarker]  #: Markers.
-    notes: Sequence[str]  #: Doubts.
-    verdict: str  #: `clear`, `in_doubt` or `not_confirmed`.
+    notes: Sequence[str]  #: Doubts about the markers, as sentences.
+    verdict: str  #: Verdict: `clear`, `in_doubt` or `not_confirmed`.
     profile: Profile  #: Contents of the profile.
     picture: NotRequired[Path]  #: The drawing, with `--picture`.
     #: Alternative interpretation, if the markers show one body only.
@@ -83,8 +84,8 @@ class NoMarkersDocument(TypedDict):
 
     output: None  #: No profile is written.
     picture: Path | None  #: The drawing, with `--picture`.
-    verdict: str  #: `no_markers`.
-    readings: list[BodyReading]  #: The body.
+    verdict: str  #: Verdict: `no_markers`.
+    readings: list[BodyReading]  #: The rotating body.
 
 
 def profile_command(
@@ -147,7 +148,8 @@ def profile_command(
             body = read_excerpt(video, place, progress)
     comment = "".join(f"# {note}\n" for note in (f"found in {video.name} by gyrotrack profile", *found.notes))
     with new_outputs(target, picture, force=force, reads=reads):
-        if picture is not None:  # write the larger file first: if this fails, an old profile is preserved
+        # the larger file is written first: if this fails, an old profile is preserved
+        if picture is not None:
             write_picture(picture, found, body=body, force=force)
         with new_file(target, force=force) as stream:
             stream.write((comment + to_toml(found.profile)).encode("utf-8", "replace"))
@@ -533,12 +535,12 @@ class ClipDocument(TypedDict):
     angle_offset: float  #: Angle added to the angles of the clip [rad].
     angle_offset_sigma: float  #: Standard uncertainty of `angle_offset` [rad].
     covariance: Floats  #: Covariance matrix of start, rate and angle [products of s, 1 and rad].
-    ambiguous: bool  #: Whether the data also allow another start.
+    ambiguous: bool  #: Whether the data also allow another start of the clip.
     rivals: tuple[Rival, ...]  #: Alternative starts.
     misfit_rad: float  #: Rms difference of the angles of the two cameras [rad].
     outliers: int  #: Number of samples that are not used.
-    common_rate: bool  #: Whether one clock rate was fitted to all clips.
-    common_direction: bool  #: Whether one direction of the zero of the angle was fitted to all clips.
+    common_rate: bool  #: Whether a common clock rate was fitted to all clips.
+    common_direction: bool  #: Whether a common direction of the zero of the angle was fitted to all clips.
 
 
 class SyncDocument(TypedDict):
@@ -651,7 +653,7 @@ def spindown_command(
         Path | None, option("--profile P", "Markers and colours of the film; by default detected.")
     ] = None,
     body: Annotated[
-        SingleBody | None, option("--body", "Body to analyse, if the film or recording contains two.")
+        SingleBody | None, option("--body", "Body to analyse, if the film or recording contains two bodies.")
     ] = None,
     capture_fps: Annotated[
         float | None,
@@ -677,7 +679,7 @@ def spindown_command(
             "Keep the whole record, including a driven start, rest at the end, and outliers.",
         ),
     ] = False,
-    label: Annotated[str, option("--label L", "Name of the case; by default that of the file.")] = "",
+    label: Annotated[str, option("--label L", "Name of the case; by default the name of the file.")] = "",
     body_name: shared.BodyName = "",
     force: shared.Force = False,
     out: shared.Out,
@@ -870,7 +872,7 @@ def _lines(document: Mapping[str, Any]) -> list[str]:
             ("mean", motion.omega_mean, "rad/s", "omega"),
             ("alpha", motion.alpha, "rad/s2", "alpha"),
         ]
-        # the polynomial of a free motion does not describe a driven motion
+        # values from the polynomial are not shown, because it describes a free motion, not a driven one
         quantities = {"driven": [], "fluctuating": quantities[:1]}.get(motion.kind, quantities)
     for name, q, unit, kind in quantities:
         if q is not None:

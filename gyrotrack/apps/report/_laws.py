@@ -19,7 +19,7 @@ class LawOfBody:
     words: str  #: The parameter in words.
     value: float  #: Value [`unit`].
     stderr: float  #: Standard error [`unit`].
-    unit: str  #: Unit of both.
+    unit: str  #: Unit of value and standard error.
     meaning: str  #: Meaning, with the effect on the motion.
 
 
@@ -37,7 +37,7 @@ _IN_MOTION: dict[str, Callable[[float], str]] = {
 
 
 def laws_of_body(fit: Fit) -> tuple[LawOfBody, ...]:
-    """Return the law parameters of a body without joints to other bodies, on which no other torque acts."""
+    """Return the law parameters of a single body without joints; without other bodies, each law has a clear effect."""
     from fitting.effects._words import of_body
 
     record = fit.problem.data[0].record

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 _SMALL_P = 0.01
 # largest number of animated pictures of a case
 _MAX_GHOSTS = 4
-# sizes of the overview figures [inch]: each of two stacked figures, and a figure with the height of both
+# sizes of the overview figures [inch]: of each of two stacked figures, and of a figure as high as both together
 _WIDE, _TALL = (6.6, 2.45), (4.6, 5.1)
 _VERDICTS = {
     "adequate": ("good", "✓", "Consistent with noise"),
@@ -206,7 +206,7 @@ def _section(
 def _torque_of_the_angle(view: StudyView, v: CaseView) -> list[Chart]:
     """Return the charts of the unmodelled torque of a case against the angle.
 
-    The list is empty unless the torque repeats in each turn.
+    The list is empty if the torque does not repeat in each turn.
     """
     if not any(f.kind == "ripple" for f in v.failures):
         return []
@@ -240,7 +240,7 @@ def _details(v: CaseView, index: int, steps: Sequence[str], tracks: Tracks | Non
 
 
 def _headline(view: StudyView) -> tuple[str, str, str]:
-    """Return the class of the verdict, its symbol, and the verdict with the missing effects."""
+    """Return the style class of the verdict, its symbol, and the verdict in words with the missing effects."""
     kind, sign, words = _VERDICTS[view.verdict]
     if view.differs is not None and view.verdict != "missing_effect":
         different = ", ".join(view.name(n).words for n in view.differs.names)
@@ -291,7 +291,7 @@ def _facts(view: StudyView) -> list[tuple[str, str]]:
 
 
 def _where(view: StudyView) -> list[tuple[str, str]]:
-    """Return the shaded intervals: each unmodelled torque, and other intervals of the speed.
+    """Return the shaded intervals: intervals of each unmodelled torque, and other intervals of the speed.
 
     In the other intervals, the residual of the speed is outside its confidence band.
     """
@@ -322,7 +322,7 @@ def _owner_facts(view: StudyView, recordings: Sequence[Case]) -> list[tuple[str,
         (
             view.name(
                 law.parameter
-            ).words,  # a symbol at the beginning keeps its case, because k and K differ
+            ).words,  # a symbol at the beginning is not capitalised, because k and K differ
             typeset(f"{rounded(law.value, law.stderr, law.unit)}: {law.meaning}"),
         )
         for law in laws_of_body(view.final)
@@ -477,7 +477,7 @@ def pdf(parts: Mapping[str, Any], *, appendix: bool = False) -> bytes:
 
 
 class _Images:
-    """Writes pictures to files, and replaces them in the document by the names of the files."""
+    """Writes pictures to files, and replaces the pictures in the document by the names of these files."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -614,7 +614,7 @@ def write_overlay(
 
 
 _GENERATOR = b'<meta name="generator" content="gyrotrack">'
-_HEAD = 200  # bytes
+_HEAD = 200  # number of bytes that are read to recognise a report [bytes]
 
 
 def is_report(path: Path) -> bool:
@@ -639,7 +639,8 @@ def html(parts: Mapping[str, Any]) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=lambda value: nonbreaking(value) if type(value) is str else value,  # Markup is not changed
+        # markup is returned unchanged
+        finalize=lambda value: nonbreaking(value) if type(value) is str else value,
     )
     environment.filters["themed"] = themed
     # a long key breaks at its dots

@@ -66,7 +66,7 @@ class PaperCase:
 
 
 def paper_cases(scan: Scan, data: Sequence[CaseData], cases: Sequence[Case]) -> list[PaperCase]:
-    """Return the cases of a study with their fits from a scan."""
+    """Return the cases of a study, each with its fits from a scan."""
     known = {c.label: c for c in cases}
     short = {"reduced": "RM", "general": "GM"}
     found = []
@@ -294,7 +294,8 @@ _TABLE = re.compile(r"\\begin\{table\}.*?\\label\{tab:([^}]*)\}.*?\\end\{table\}
 _PRINT = {"pdf.fonttype": 42, "svg.fonttype": "path"}
 
 
-MAIN = "tables.tex"  # first in the list of outputs; if it exists, the folder contains an output
+# the first file in the list of outputs; if this file exists, the folder contains an output
+MAIN = "tables.tex"
 
 
 def write_figures(
@@ -309,9 +310,9 @@ def write_figures(
 ) -> list[Path]:
     """Write the figures and tables of the paper for a study.
 
-    `data` and `cases` are the scanned cases. `films` are folders that may contain the films, for the figure of the
-    gyroscope. The result lists the files: figures (pdf, svg, png), ``figures.tex`` with their captions, one file per
-    table, and ``tables.tex`` with all tables.
+    `data` and `cases` are the scanned cases, compressed and as stored. `films` are folders that may contain the films,
+    for the figure of the gyroscope. The result lists the files: figures (pdf, svg, png), ``figures.tex`` with their
+    captions, one file per table, and ``tables.tex`` with all tables.
     """
     documents: dict[str, bytes] = {}
     shown = paper_cases(scan, data, cases)
@@ -328,7 +329,7 @@ def write_figures(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         what = f"Cannot create the folder {folder}: {error.strerror}."
-        raise OutputError(what, "Choose another with -o.") from None
+        raise OutputError(what, "Choose another folder with -o.") from None
     with new_outputs(*(folder / name for name in documents), force=force):
         for name, document in documents.items():
             with new_file(folder / name, force=force) as stream:

@@ -50,7 +50,7 @@ JOINTS = {
 _LARGE_CHANGE = 3.0
 
 
-Row = dict[str, Any]  # cells by the names that the templates of the report use
+Row = dict[str, Any]  # the cells of a row, by the names that the templates of the report use
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def _offset(p: Placement) -> str:
 
 _POINTS = 800
 _NEGLIGIBLE = 1e-3
-_SIGNIFICANT = 2.0  # standard uncertainties
+_SIGNIFICANT = 2.0  # smallest energy that is distinguished from zero [standard uncertainties]
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ class Plausibility:
     effect: str
     key: str
     case: str
-    torques: tuple[str, ...]  # in the order of `StudyView.bodies`
+    torques: tuple[str, ...]  # torques in the order of `StudyView.bodies`
     energy: str
     share: str
     judgement: str
@@ -357,7 +357,7 @@ def _judgement(energy: float, sigma: float, total: float, *, may_supply: bool) -
     return "supplies energy" if may_supply else UNPHYSICAL
 
 
-# largest number of contributions shown per parameter, and smallest shown share of the variance
+# largest number of contributions that are shown per parameter, and smallest share of the variance that is shown
 _MOST_PARTS, _LEAST_SHARE = 3, 0.005
 
 

@@ -1,4 +1,4 @@
-"""One server per folder: a second `gyrotrack view` opens the page of the first.
+"""One server per folder: a second `gyrotrack view` opens the page of the first command.
 
 A running server stores its address in ``.NAME.address`` beside the lock of the folder or case. Only its user can read
 this file, because the address contains the secret. An address is used only if its server answers.
@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from urllib.request import ProxyHandler, Request, build_opener
 
 _WAIT = 2.0  # longest wait for the answer of a server [s]
-_MAX_SIZE = 2000  # bytes
+_MAX_SIZE = 2000  # largest size of an address file [bytes]
 
 
 class Address:
@@ -28,7 +28,8 @@ class Address:
     def publish(self, url: str) -> None:
         """Store the address of this server."""
         self.clear()
-        with suppress(OSError):  # without the file, a second program reports that the folder is in use
+        # if the file cannot be written, a second program only reports that the folder is in use
+        with suppress(OSError):
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
             with os.fdopen(os.open(self._file, flags, 0o600), "w", encoding="utf-8") as stream:
                 json.dump({"url": url, "host": socket.gethostname(), "pid": os.getpid()}, stream)

@@ -24,8 +24,9 @@ from gyrotrack.io._schema import STATUS
 CLICK_SIGMA = 1.5  # standard uncertainty of a clicked position [px]
 # deviation from the neighbouring frames above which a click needs confirmation [standard uncertainties]
 JUMP = 5.0
-_SAME = 1e-9  # largest difference of equal times [s]
-_MIN_RADIUS = 5.0  # smallest distance of a clicked position from the centre [px]
+_SAME = 1e-9  # times that differ by less than this value count as equal [s]
+# smallest distance of a clicked position from the centre at which its angle is defined [px]
+_MIN_RADIUS = 5.0
 _TURN = 2 * np.pi
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
 _MEASURED = (
@@ -92,7 +93,7 @@ def without_correction(recording: Recording, marker: str, frame: int) -> Recordi
         others = [
             c for c in rest if c["frame"] == frame and recording.markers[c["marker"]].body == track.body
         ]
-        if others:  # the latest other correction of the same body and frame determines the angle
+        if others:  # if the body has other corrections in this frame, the latest of them determines the angle
             last = others[-1]
             mount = recording.markers[last["marker"]].mount_angle
             angle, sigma = (np.nan if last[k] is None else last[k] for k in ("angle_rad", "sigma_rad"))
@@ -111,7 +112,7 @@ def corrections(recording: Recording) -> list[dict[str, Any]]:
 
 
 def jump(recording: Recording, marker: str, frame: int, place: Sequence[float]) -> float | None:
-    """Return the deviation of a clicked position from the neighbouring frames [rad]; None if not significant.
+    """Return the deviation of a clicked position from the neighbouring frames [rad]; None if it is not significant.
 
     The expected angle is interpolated between the neighbouring frames. The deviation is compared with the uncertainty
     of the click and the typical deviation of all frames from their neighbours.
@@ -146,7 +147,7 @@ def _clicked(recording: Recording, frame: int, place: Sequence[float]) -> tuple[
     """Return the angle of a clicked position, and its standard uncertainty [rad]."""
     x, y = np.asarray(place, dtype=np.float64) - recording.centre[frame]
     radius = float(np.hypot(x, y))
-    if not radius > _MIN_RADIUS:  # also true for an unknown centre (NaN)
+    if not radius > _MIN_RADIUS:  # this condition is also true for an unknown centre (NaN)
         what = "No angle can be determined from this position: the centre is unknown or too close."
         raise UsageError(what, "Click on the marker itself.")
     # counter-clockwise in the image; y points down

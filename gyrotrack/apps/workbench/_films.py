@@ -180,7 +180,7 @@ def profile_text(wanted: Any) -> str:
     return to_toml(parse(allowed, "profile"))
 
 
-FRAMES = 500  # number of frames: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps
+FRAMES = 500  # number of frames of a preview: 0.5 s at 1000 fps, 2 s at 250 fps, 8 s at 60 fps
 
 
 def copy_excerpt(film: Path, target: Path, frames: int) -> None:
@@ -266,7 +266,7 @@ def _of_whole_body(
     return recording, _rotated_points(recording, tracked, points)
 
 
-# how the start of a film is tracked, by the kind of file that tracking of the whole film makes
+# function that tracks the start of a film, by the kind of file that is made from the whole film
 _STARTS = {"recording": _of_markers, "case": _of_whole_body}
 
 # radius of the middle of a marker if the outer edge is not found [radius of the inner corners]
@@ -323,7 +323,7 @@ def _outer_edge(picture: Picture, centre: NDArray[np.float64], angle: float, rad
 def marker_positions(
     recording: Recording, frames: slice = slice(None), middles: Mapping[str, float] | None = None
 ) -> list[dict[str, Any]]:
-    """Return the markers in given frames: name, body, middle [px] or None, completeness, status, inner corners."""
+    """Return the markers in given frames: name, body, middle [px] or None, completeness, status and inner corners."""
     found = []
     for m in recording.markers.values():
         known = np.isfinite(m.rho)
@@ -355,7 +355,7 @@ def _rotated_points(
 ) -> list[dict[str, Any]]:
     """Rotate points of the first frame about the hub by the measured angle."""
     hub = complex(*tracked.ring.hub)
-    if not points:  # by default, one point on the ring is shown
+    if not points:  # by default, a single point on the ring is shown
         points = [(hub.real + 0.5 * (tracked.ring.inner + tracked.ring.outer), hub.imag)]
     found = []
     for n, point in enumerate(points, 1):

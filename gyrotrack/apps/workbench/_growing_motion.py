@@ -1,4 +1,4 @@
-"""Growing series of angles of a film during tracking, in bounded memory, and their motion for the charts.
+"""The angles of a film during tracking, stored in bounded memory, and their motion for the charts.
 
 A film is tracked in parts, several parts at a time. The angles of each part are unwrapped separately, then joined in
 the same way as in the recording. The parts come from the running command, or from the checkpoint of an interrupted
@@ -19,11 +19,11 @@ from gyrotrack.tracking._association import find_rotation_sense, net_turn
 from gyrotrack.tracking._film_parts import turns_between
 
 Array = NDArray[np.float64]
-Part = dict[str, tuple[Array, Array]]  # frames and angles as seen [rad] by body
+Part = dict[str, tuple[Array, Array]]  # frames, and angles as seen by the camera [rad], by body
 Piece = tuple[Array, Array, Array]  # time [s], angle [rad], speed [rad/s]
 
-MOST = 4000  # largest number of samples kept per film
-_WIDTH = 9  # samples of the running median of a speed
+MOST = 4000  # largest number of samples that are kept per film
+_WIDTH = 9  # number of samples of the running median of a speed
 
 
 class GrowingMotion:
@@ -89,7 +89,7 @@ def stored_parts(records: Iterable[Record]) -> list[Part]:
     return found
 
 
-# the angle of a single body is used as seen, with its sign
+# the angle of a single body keeps the sign that the camera sees
 _SENSES = {"single": 1}
 
 

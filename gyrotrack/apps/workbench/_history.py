@@ -1,4 +1,4 @@
-"""Undo and redo of the start page: changes of the stored state, field by field, and of recordings.
+"""Undo and redo of the start page, for changes of the stored state (field by field) and of recordings.
 
 A change of the state is stored as a list of changed fields. Undoing the change therefore keeps later changes of other
 fields, for example by the end of a running step.
@@ -27,7 +27,7 @@ class Change(NamedTuple):
     key: str
     name: str
     values: tuple[Any, Any]
-    place: int = 0  # position in the list
+    place: int = 0  # position of the source in its list
 
 
 def difference(before: dict[str, Any], after: dict[str, Any]) -> list[Change]:

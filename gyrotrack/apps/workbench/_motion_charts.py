@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from gyrotrack.apps.workbench._state import Source
 
 Array = NDArray[np.float64]
-Curve = tuple[str, str, str, list[Piece]]  # film, body, colour, pieces
+Curve = tuple[str, str, str, list[Piece]]  # film, body, colour, and pieces of the motion of a curve
 
 _DRAWN = 900  # largest number of drawn points of a curve
 _CASING, _FILMED_WITH, _ROTORS = BLUE, SKY, (VERMILLION, GREEN, ORANGE, PURPLE)
@@ -56,7 +56,9 @@ def motion_board(project: Project) -> dict[str, Any]:
                 colour = _ROTORS[rotors % len(_ROTORS)]
                 rotors += 1
             elif x.body == "rotor":
-                continue  # the casing in the films of the rotor is used for synchronisation only
+                # the motion of the casing in the films of the rotor is not drawn, because it is used for
+                # synchronisation only
+                continue
             else:
                 colour = _FILMED_WITH if body == "rotor" else _CASING
             offset = offsets.get(Path(x.file).name, 0.0)

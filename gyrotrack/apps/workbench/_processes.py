@@ -53,14 +53,15 @@ def in_background(process: int) -> None:
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 
 _GRACE = 5.0  # time for a process to save its checkpoint and remove unfinished outputs [s]
-_MAX_ANSWER = 2**26  # bytes
+_MAX_ANSWER = 2**26  # largest size of a document [bytes]
 
 
 @dataclass
 class Job:
     """One command."""
 
-    words: tuple[str, ...]  # the arguments of ``python -m module``; the default module is `gyrotrack`
+    # `words` are the arguments of ``python -m module``; the default module is `gyrotrack`
+    words: tuple[str, ...]
     module: str = "gyrotrack"
     state: State = "waiting"  # state of the job
     # progress of the command
@@ -227,7 +228,7 @@ class Jobs:
 
 
 def _listen(job: Job, stream: Any) -> None:
-    with suppress(ValueError, OSError):  # the stream is closed
+    with suppress(ValueError, OSError):  # the stream is closed already
         for line in stream:
             with suppress(ValueError, KeyError, TypeError):
                 if line.startswith('{"angles"'):
@@ -349,7 +350,7 @@ def _answer(line: str, case: Path) -> dict[str, Any]:
     return {"diagnosis": document, "predicted": predicted, "base_misfit": prediction.misfit}
 
 
-# smallest relative excess of the mean square residual over the noise that is divided into shares of candidates
+# shares of candidates are computed if the mean square residual exceeds the noise by at least this relative amount
 _RESOLVED = 0.05
 
 
@@ -387,7 +388,7 @@ def main() -> None:
         sys.stdout.flush()
 
 
-# half range [standard errors]; without a standard error, [sigma of the change of the residual]
+# half range of a slider [standard errors]; if there is no standard error, [sigma of the change of the residual]
 _SLIDER_RANGE = 5.0
 _DRAWN = 200  # number of points of a torque curve
 
@@ -415,7 +416,7 @@ class Prediction:
         rows, places = [], []
         for k, name in enumerate(layout.names):
             value, estimate = float(fit.theta[k]), fit.estimates.get(name)
-            if estimate is None:  # a parameter of the rotor, in a recording of one body
+            if estimate is None:  # the model may contain a parameter of the rotor in a recording of one body
                 continue
             known = np.isfinite(estimate.stderr) and estimate.stderr > 0
             size = max(float(np.sqrt(np.mean(slope[0][:, k] ** 2))), 1e-300)

@@ -59,7 +59,7 @@ class Project:
         self.folder = folder.resolve()
         if not self.folder.is_dir():
             what = f"There is no folder {folder}."
-            raise ConfigurationError(what, "Create it, or give another one with --folder.")
+            raise ConfigurationError(what, "Create it, or give another folder with --folder.")
         self._lock = RLock()
         self._infos: dict[str, dict[str, Any]] = {}
         self._read: tuple[tuple[str, int], Recording] | None = None
@@ -594,7 +594,8 @@ class Project:
                 if tracking_of(x).resumes and (self.folder / f"{x.output}.unfinished").exists():
                     words.append("--resume")
                 if x.result or (self.folder / x.output).exists():
-                    words.append("--force")  # safe, because the name was unused when the film was added
+                    # an existing output may be replaced, because its name was unused when the film was added
+                    words.append("--force")
                 self._start(f"track:{x.key}", words, partial(self._tracked, x.key, self.track_words(x)))
 
     def is_tracked(self, x: Source) -> bool:

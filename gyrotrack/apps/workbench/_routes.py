@@ -48,7 +48,7 @@ class Tracking:
 
 @dataclass(frozen=True)
 class Registration(Tracking):
-    """Registration of the whole body, which makes a case."""
+    """Tracking of the whole body by registration of its image, which makes a case."""
 
     resumes: bool = False
     makes: str = "case"
@@ -61,7 +61,7 @@ class Registration(Tracking):
         return [*words, *hub, *_entries(state)]
 
     def profile(self, _x: Source, _unused: str) -> str:
-        """Return "": the clicks are points to follow, not markers."""
+        """Return "", because the clicks are points to follow, not markers."""
         return ""
 
     def is_marked(self, x: Source) -> bool:
@@ -100,7 +100,10 @@ class Route:
     optional: tuple[str, ...] = ()
 
     def missing(self, _state: State, _untracked: Sequence[str]) -> list[str]:
-        """Return a message that names the missing entries; `untracked` are the names of films that are not tracked."""
+        """Return a message that names the missing entries, or "".
+
+        `untracked` are the names of films that are not tracked.
+        """
         return ["Films and tables cannot be combined in one case."]
 
     def makes_case(self, _state: State) -> bool:

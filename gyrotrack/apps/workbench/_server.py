@@ -1,7 +1,7 @@
 """The server of the workbench, on this machine only.
 
-The server listens on the loopback interface and rejects requests from other sites. The Host header shows requests to
-other host names (DNS rebinding), and the Origin or Sec-Fetch-Site header shows requests from forms and scripts of other
+The server listens on the loopback interface and rejects requests from other sites. The Host header reveals requests to
+other host names (DNS rebinding). The Origin or Sec-Fetch-Site header reveals requests from forms and scripts of other
 sites. Each request also needs the token, which is new at each start. The first visit has the token in the address, and
 exchanges the token for a cookie.
 """
@@ -114,7 +114,7 @@ class Guard:
             o.removeprefix(b"http://") not in self._hosts or not o.startswith(b"http://") for o in origins
         ):
             return _FORBIDDEN
-        # the browser also sends the cookie with requests from pages on other ports
+        # the cookie alone is not sufficient, because the browser also sends it with requests from pages on other ports
         if any(k == b"sec-fetch-site" and v not in {b"same-origin", b"none"} for k, v in headers):
             return _FORBIDDEN
         if scope["path"] == "/" and scope["method"] == "GET" and b"token=" in scope["query_string"]:
@@ -256,7 +256,7 @@ class Opened:
         """Read a case and estimate its noise."""
         stamp, tracked = _modified(case), read_case(case)
         (data,) = read_cases([case])
-        for name in ("nuisance", "process_noise"):  # `data` caches these estimates
+        for name in ("nuisance", "process_noise"):  # evaluated now, because `data` caches these estimates
             getattr(data, name)
         return cls(case, stamp, tracked, data)
 
@@ -298,7 +298,7 @@ class Laboratory:
     written: dict[str, bytes] = field(default_factory=dict)
     key: str = field(
         default_factory=lambda: secrets.token_hex(4)
-    )  # identifies this opening of the case for the pages
+    )  # a number by which the pages recognise that the case was opened again
 
     @classmethod
     def open(
@@ -319,7 +319,7 @@ class Laboratory:
         entry = study.entry(start)
         base, fit_id = study.base(None) if entry is None else (entry.shown(study.data), entry.fit_id)
         session = Session(study.data[0], base, fit_id, study.ledger, tracked)
-        # prepare the answer to the first request of the page
+        # evaluated now, to prepare the answer to the first request of the page
         Thread(target=session.state, kwargs={"whole": True}, daemon=True).start()
         jobs = Jobs(case.resolve().parent, 1)
         clips = films.Clips(tracked, list(folders))
@@ -382,7 +382,7 @@ class Laboratory:
     def outcome(self, key: str) -> dict[str, Any]:
         """Return state, progress and document of the certificate, or of the plan of the next run."""
         job = self.jobs.get(key)
-        # a finished test is stored with its fit, which may not be the shown fit
+        # a finished test is stored with its fit, and the shown fit may be a different fit
         if key == "certificate" and (job is None or job.state == "done"):
             return {"state": "none", "document": self.session.certificate()}
         if job is None:
@@ -418,7 +418,7 @@ class Workbench:
         self._reading: Future[Opened] | None = None  # data of the case that is being fitted
         self._opened: tuple[str, str, int] | None = None  # file, fit and modification time of the open case
         if project is not None:
-            # the laboratory is then ready for the first request of the page
+            # the case is opened now, so that the laboratory is ready for the first request of the page
             project.when_fitted = lambda: self._open(project)
             project.when_matched = lambda: self._read_ahead(project.folder / project.state.case)
             project.when_started = lambda: Thread(target=import_for_laboratory, daemon=True).start()
@@ -798,14 +798,14 @@ def serve(bench: Workbench, port: int, announce: Callable[[str], None], *, windo
     """Serve on the loopback interface (port 0: any free port) until interrupted, or ended from page or `window`."""
     import uvicorn
 
-    # with an explicit protocol asyncio sets TCP_NODELAY, which avoids delays
+    # asyncio sets TCP_NODELAY, which avoids delays, only if the protocol is explicit
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((_ADDRESS, port))
         except (OSError, OverflowError):
-            raise UsageError(f"The port {port} is not free.", "Omit --port to use any free one.") from None
+            raise UsageError(f"The port {port} is not free.", "Omit --port to use any free port.") from None
         port = listener.getsockname()[1]
         token = secrets.token_urlsafe(24)
         config = uvicorn.Config(

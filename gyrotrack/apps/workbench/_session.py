@@ -37,7 +37,10 @@ _MAX_NAME = 60
 
 @dataclass
 class Step:
-    """One fit of the tree: change, parent, name in the ledger, name and note by the user; restored on first use."""
+    """One fit of the tree: change, parent, name in the ledger, name and note by the user.
+
+    The fit is restored on first use.
+    """
 
     change: str
     parent: int
@@ -72,7 +75,7 @@ class _Fitting:
 
 
 class Session:
-    """The fits of one case as a tree with a current fit; indices never change, and `undo` restores a deleted fit."""
+    """The fits of one case as a tree with a current fit. Indices never change, and `undo` restores a deleted fit."""
 
     def __init__(
         self, data: CaseData, base: Fit, fit_id: str, ledger: Ledger, case: Case | None = None
@@ -82,7 +85,7 @@ class Session:
         self.steps = _steps_of(data, ledger) or [Step("base", -1, base, fit_id)]
         self.current = next(i for i, s in enumerate(self.steps) if s.fit_id == fit_id)
         self.steps[self.current].found = base
-        # index of the step to compare with the current step; if negative, its parent
+        # index of the step to compare with the current step; if negative, the parent of the current step
         self.reference = -1
         # changes of the tree and of the view: name, undo, redo
         self._undo: list[tuple[str, Callable[[], None], Callable[[], None]]] = []
@@ -110,7 +113,7 @@ class Session:
     def change(
         self, *, add: str = "", drop: str = "", values: dict[str, float] | None = None
     ) -> dict[str, Any]:
-        """Add or remove an effect (name or ``body: law``) or set initial values, then fit; an error changes nothing.
+        """Add or remove an effect (name or ``body: law``), or set initial values; then fit. An error changes nothing.
 
         The fit runs without the lock, so that other requests are answered; `cancel` discards its result.
         """
@@ -163,7 +166,8 @@ class Session:
 
         try:
             return fit(model, [self._data], start=start, noise=old.noise, quick=True)
-        except FittingError:  # the values of the previous fit can be poor initial values
+        # the values of the previous fit are not used, because they can be poor initial values
+        except FittingError:
             return fit(model, [self._data], noise=old.noise, quick=True)
 
     def cancel(self) -> dict[str, Any]:
@@ -559,7 +563,7 @@ class Session:
         return found
 
     def _compared(self, step: Step) -> int:
-        """Return the index of the step to compare with; negative without one."""
+        """Return the index of the step to compare with; negative if there is no such step."""
         other = self.reference >= 0 and self.steps[self.reference] is not step
         return self.reference if other else step.parent
 
@@ -590,7 +594,7 @@ class Session:
         charts[3:3] = torque_angle_charts(harmonics, names, body, step.fit.torque_unit)
         charts[2:2] = difference_chart(view, names)
         board = dashboard_document(replace(dashboard, charts=tuple(charts)))
-        # only the intervals that the sentence names
+        # only the intervals that the sentence names are listed
         board["intervals"] = []
         for f in find_failures(step.fit, list(self._torques(step))):
             factor, prefix = scaled(abs(f.residual_torque_Nm))

@@ -24,7 +24,7 @@ class Pick(BaseModel):
 _Key = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}$")]
 # text that becomes an argument of a command
 _Text = Annotated[str, Field(max_length=120, pattern=r"^[^\x00-\x1f\x7f]*$")]
-# output files: names without folder, so that a manipulated state file cannot lead out of the work folder
+# output files: names without folder, so that a manipulated state file cannot name files outside of the work folder
 _OwnFile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.h5)?$")]
 _OwnProfile = Annotated[str, Field(pattern=r"^([^-./\\\x00][^/\\\x00]{0,200}\.toml)?$")]
 

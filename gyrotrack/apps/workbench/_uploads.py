@@ -1,9 +1,9 @@
 """Uploads to the work folder that can be resumed after an interruption.
 
-The bytes that have arrived are kept in ``.upload-KEY.part``, and name and size of the file in ``.upload-KEY.json``.
-KEY is derived from name, size and date of the file, so that the part is found when any page sends the same file again,
-also after a restart. Before the page resumes, it compares the SHA-256 of the last bytes in the part with the SHA-256
-of the same bytes in its file.
+The bytes that have arrived are kept in ``.upload-KEY.part``, and name and size of the file in ``.upload-KEY.json``. KEY
+is derived from name, size and date of the file. The part is therefore found when any page sends the same file again,
+also after a restart. Before the page resumes, it compares the SHA-256 of the last bytes in the part with the SHA-256 of
+the same bytes in its file.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gyrotrack.io._atomic import new_file, open_side_file
 
 _TAIL = 64 * 1024  # number of bytes whose checksum is compared before an upload is resumed
 _KEY_LENGTH = 16
-_MAX_ENTRY = 4096  # bytes
+_MAX_ENTRY = 4096  # largest size of a record of an upload [bytes]
 
 
 class Sent(NamedTuple):
@@ -62,7 +62,7 @@ class Uploads:
         return {"received": received, "tail": len(tail), "sha256": hashlib.sha256(tail).hexdigest()}
 
     def unfinished(self) -> list[dict[str, Any]]:
-        """Return the files that have arrived in part and are not being sent now."""
+        """Return the files of which only a part has arrived, and which are not being sent now."""
         found = []
         for entry in sorted(self._folder.glob(".upload-*.json")):
             with suppress(OSError, ValueError, KeyError, TypeError, OutputError):

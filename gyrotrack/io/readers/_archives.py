@@ -15,7 +15,7 @@ from gyrotrack.io.readers._raw_table import MAX_BYTES, RawTable, factor, header_
 from gyrotrack.io.readers._spreadsheets import read_workbook
 from gyrotrack.io.readers._text_table import content_lines, read_text
 
-# zipfile raises a ValueError for a position before the beginning of the file
+# errors of a damaged archive; zipfile raises a ValueError for a position before the beginning of the file
 _DAMAGED = (
     zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, ValueError, zlib.error,
 )  # fmt: skip
@@ -26,8 +26,8 @@ _START = 2**14  # number of bytes at the start of a table that are read to find 
 def read_zip(path: Path, content: bytes, options: ReadOptions) -> RawTable | Points:
     """Return the table of an Excel workbook, the project of Tracker, or the table of text in an archive.
 
-    If an archive has several tables (phyphox writes one per sensor, and ``meta/``), the only table with a motion is
-    read. The option `marker` selects another table by its name.
+    An archive may contain several tables: phyphox writes a table per sensor, and tables in ``meta/``. In this case the
+    only table with a motion is read. The option `marker` selects another table by its name.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:

@@ -19,15 +19,15 @@ from gyrotrack.io._records import Floats, Integers
 MIN_SAMPLES = 8
 _TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros`, `millis`)
 _DAY = 86400.0
-# largest relative deviation of equal intervals, and smallest share of equal intervals of a sampler
+# largest relative deviation with which intervals count as equal; smallest share of equal intervals of a sampler
 _EQUAL, _SAMPLER = 0.02, 0.9
-# smallest interval between sorted rows of a sampler [usual interval]; a smaller one shows interleaved records
+# smallest interval between sorted rows of a sampler [usual interval]; a smaller interval indicates interleaved records
 _HALF = 0.5
 _FAR = 20.0  # smallest step back of a restart [usual intervals]; a smaller step back is a clock that was set
-# largest share of displaced rows that are sorted without equal intervals (one row is always sorted)
+# largest share of displaced rows that are sorted although intervals are not equal (one row is always sorted)
 _FEW_DISPLACED = 0.01
 _BESIDE = 15  # number of rows on each side of a step; their values are extrapolated across the step
-# smallest contradictory difference between the two estimates of a step [standard errors]
+# two estimates of a step contradict each other if they differ by more than this value [standard errors]
 _CONTRADICTION = 4.0
 _SLOWEST = 0.4  # smallest interval of samples for which times without a unit may be milliseconds [s]
 _MOST_STEPS = 5  # largest number of gaps that are tested for a clock that was set ahead
@@ -103,7 +103,7 @@ def _continued(
     value: Floats | None,
     notes: list[str],
 ) -> Floats:
-    """Return times without steps of the clock: after each step, the later times continue at the usual interval."""
+    """Return times without steps of the clock: each step is replaced by the usual interval."""
     made = time.copy()
     for k in steps.tolist():
         offset = made[k] + usual - made[k + 1]
@@ -155,7 +155,7 @@ def _delay(time: Floats, value: Floats | None, k: int) -> tuple[float, float] | 
 def _without_forward_steps(
     path: Path, time: Floats, line: Integers, value: Floats | None, notes: list[str]
 ) -> Floats:
-    """Return times without forward steps of the clock, across which the values change as in one interval."""
+    """Return times without forward steps of the clock. At such a step, the values change as in a single interval."""
     step = np.diff(time)
     usual = float(np.median(step)) if len(step) else 0.0
     equal = np.abs(step - usual) < _EQUAL * usual
@@ -184,7 +184,7 @@ def _without_forward_steps(
 
 
 def refuse_slow_clock(where: str, column: str, time: Floats) -> None:
-    """Raise an error that requests the unit of the time, if none is stated and the steps are too long for seconds.
+    """Raise an error that requests the unit of the time, if no unit is stated and the steps are too long for seconds.
 
     `where` is the file and line of the header, `column` the name or number of the column.
     """

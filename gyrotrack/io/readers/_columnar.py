@@ -20,7 +20,7 @@ from gyrotrack.io.readers._spreadsheets import too_many_cells
 _MAX_JSON = 2**25  # largest size of a JSON text [bytes]; its parsed objects need thirty times as much memory
 _MOST_NUMBERS = 30_000_000  # largest number of numbers in a Parquet file
 _NESTED = ("list", "struct", "map", "large_list", "fixed_size_list")
-# columns of time, voltage, position and velocity in a test of a drive train
+# indices of the columns of time, voltage, position and velocity in a test of a drive train, for each side
 _SIDES = {"left": (0, 1, 3, 5), "right": (0, 2, 4, 6)}
 _ROTATIONS = {"rotations": "turns", "radians": "rad", "degrees": "deg"}
 
@@ -48,7 +48,7 @@ def read_parquet(path: Path, content: bytes, _options: object) -> RawTable:
     if rows * len(plain) > _MOST_NUMBERS:
         raise too_many_cells(path, _MOST_NUMBERS)
     try:
-        # store repeated texts once
+        # repeated texts are stored once
         table = pq.read_table(io.BytesIO(content), columns=plain, read_dictionary=words)
     except Exception as error:
         raise _damaged(path, error) from error

@@ -26,7 +26,7 @@ SUFFIXES = {
 }
 ALL = tuple(SUFFIXES)
 
-# suffixes of films; the decoder recognises films by content, except for a header of a Photron camera
+# suffixes of films; the decoder recognises films by content, except for the header file of a Photron camera
 FILMS = {
     "MP4": (".mp4", ".m4v", ".3gp"),
     "MOV": (".mov",),

@@ -43,7 +43,7 @@ from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, limited, reverses, run_of
 
 _SMOOTHING = 31
-_MIN_SAMPLES = 3  # smallest number of samples between two gaps; shorter pieces are excluded
+_MIN_SAMPLES = 3  # smallest number of samples of a piece between two gaps; shorter pieces are excluded
 
 
 def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
@@ -68,12 +68,13 @@ def unwrap(time: Floats, angle: Floats) -> tuple[Floats, list[float]]:
 
 # smallest jump of the angle, as a multiple of the neighbouring changes and of the usual change
 _JUMP = 20.0
-# limits for a change that does not continue the motion: multiple of other changes, multiple of the noise
+# a change does not continue the motion if it exceeds both of these limits: a multiple of other changes, and a multiple
+# of the noise
 _CLEAR_JUMP, _UNSTEADY = 3.0, 40.0
-# change of a wrapped angle whose sense is in doubt [rad], and largest share of such changes in either sense
+# smallest change of a wrapped angle whose sense is in doubt [rad], and largest share of such changes in either sense
 _HALF_TURN, _MOST_HALF_TURNS = 0.8 * np.pi, 0.01
 _MOST_SLIPPED = 3.5  # largest slip [turns]; a step of more turns is an overflow
-_SLIP = 0.05  # deviation of a step from a whole number of turns that counts as a slip [turns]
+_SLIP = 0.05  # largest deviation from a whole number of turns with which a step counts as a slip [turns]
 # times above this limit [s] (three years) count as seconds since 1970, not since the start of a record
 _DATES = 1e8
 
@@ -108,8 +109,8 @@ def _refuse_half_turns(table: MotionTable) -> None:
 def _refuse_jumps(table: MotionTable) -> None:
     """Refuse an angle that changes between two samples by far more than its neighbouring and its usual changes.
 
-    A jump is `_JUMP` times as large as other changes. A smaller change is also a jump if it is clearly larger than
-    other changes and, beyond noise, does not continue the motion.
+    A jump is at least `_JUMP` times as large as other changes. A smaller change is also a jump under two conditions: it
+    is clearly larger than other changes, and its deviation from the continued motion exceeds the noise.
     """
     if wraps_at_no_turn(table.value):
         raise DatasetError(
@@ -187,7 +188,8 @@ def pieces_of(table: MotionTable, value: Floats, notes: list[str]) -> list[Piece
 def _continued(parts: list[Piece]) -> list[Piece]:
     """Return pieces of measured speeds with angles that continue through the gaps, at the mean of the adjacent speeds.
 
-    The uncertainty of the angle in a gap is that of a speed between both, with a uniform distribution.
+    The uncertainty of the angle after a gap follows from a uniform distribution of the speed between the two adjacent
+    speeds.
     """
     made = parts[:1]
     for piece in parts[1:]:
@@ -199,16 +201,16 @@ def _continued(parts: list[Piece]) -> list[Piece]:
 
 
 class ImportedSeries(SeriesSummary):
-    """The motion of the casing, or of the single or first body."""
+    """The motion of the casing, the single body, or the first body of a chain."""
 
-    quantity: str  #: What was measured: `angle` or `omega`.
+    quantity: str  #: Measured quantity: `angle` or `omega`.
 
 
 class ImportedWindows(TypedDict):
     """The windows of the rotor, or of a further body."""
 
     windows: list[WindowSummary]  #: The windows.
-    quantity: str  #: What was measured: `angle` or `omega`.
+    quantity: str  #: Measured quantity: `angle` or `omega`.
     sigma_source: str  #: Origin of the standard uncertainty.
 
 
@@ -216,8 +218,8 @@ class ImportSummary(TypedDict):
     """Contents of an imported case."""
 
     label: str  #: Name of the case.
-    casing: ImportedSeries  #: The casing, or the single or first body.
-    rotor: ImportedWindows  #: The rotor; without windows if there is none.
+    casing: ImportedSeries  #: The casing, the single body, or the first body of a chain.
+    rotor: ImportedWindows  #: The rotor; without windows if there is no rotor.
     further: dict[str, ImportedWindows]  #: Further bodies of a chain, by name.
     sense: int  #: Factor applied to the angles so that the motion is positive: 1 or -1.
     warnings: list[str]  #: Repairs and doubts.
@@ -270,7 +272,7 @@ def import_case(
     I_rotor, I_casing : float
         Moments of inertia [kg m2].
     options : sequence of ReadOptions, optional
-        Options for reading the file of the casing, then those of the rotor.
+        Options for reading the file of the casing, then the options for the files of the rotor.
     limits : Limits, optional
         Times to include and to exclude.
 
@@ -290,7 +292,7 @@ def import_case(
     if not (I_rotor > 0 and I_casing > 0):
         raise UsageError("A moment of inertia must be positive.", "Give it in kg m2, for example 5.54e-5.")
     if not rotors:
-        raise UsageError("There is no table of the rotor.", "Give one with --rotor.")
+        raise UsageError("There is no table of the rotor.", "Give a table with --rotor.")
     paths = (casing, *rotors)
     given = [
         replace(o, body=o.body or ("rotor" if k else "casing"))
@@ -377,7 +379,7 @@ def case_of_body(
     limits = limits or Limits()
     driven = any(i.unit != "K" for i in table.inputs)
     if driven:
-        # an input describes drive and brake, so nothing is excluded; a temperature does not describe them
+        # an input describes drive and brake, so nothing is excluded; a temperature is not such an input
         limits = replace(limits, keep_all=True)
     read = limited(_from_origin([table])[0], limits)
     notes: list[str] = []
@@ -386,7 +388,7 @@ def case_of_body(
     notes = [*read.notes, *notes]
     parts = pieces_of(read, value, notes)
     sense = 1
-    # with an input no sign is reversed, because the signs of input and motion belong together
+    # with an input no sign is reversed, because the signs of input and motion are related
     if not driven and not reverses(read, value) and sum(p.angle[-1] - p.angle[0] for p in parts) < 0:
         sense = -1
         notes.append("the body rotates in the negative sense: all signs were reversed (sense -1)")
@@ -412,7 +414,7 @@ def case_of_body(
 def read_together(
     paths: Sequence[Path], options: Sequence[ReadOptions], limits: Limits
 ) -> tuple[list[tuple[MotionTable, Floats]], list[str]]:
-    """Return tables on one clock with their unwrapped values, without outliers, and notes about them."""
+    """Return tables on one clock with their unwrapped values, without outliers, and notes about the changes."""
     tables = _from_origin([read_motion(p, o) for p, o in zip(paths, options, strict=True)])
     tables = [limited(table, limits) for table in tables]
     _refuse_different_quantities(tables)

@@ -41,10 +41,10 @@ def import_chain(
     Parameters
     ----------
     bodies : mapping of str to sequence of Path
-        Tables of each body by its name, as for `import_case`. The body that may come to rest and reverse is the first
-        one. A table may contain several bodies, if the headers of its columns contain their names.
+        Tables of each body by its name, as for `import_case`. Only the first body may come to rest and reverse. A table
+        may contain several bodies, if the headers of its columns contain their names.
     joints : mapping of str to (str, str)
-        The two bodies of each joint. The torque of a joint drives its second body and brakes its first one.
+        The two bodies of each joint. The torque of a joint drives its second body and brakes its first body.
     inertias : mapping of str to float or Inertia
         Moment of inertia of each body [kg m2].
     label, surface : str

@@ -31,12 +31,12 @@ _TAKEN = {
     "t", "omega_r", "omega_c", "psi_r", "psi_c", "deflection", "delta", "pi",
     "abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tanh", "atan", "heaviside",
 }  # fmt: skip
-# a column with at least this share of equal neighbours counts as a command, whose last value holds
+# a column with at least this share of equal neighbours counts as a command; each value holds until the next
 _HELD = 0.5
 
 
 class Unit(NamedTuple):
-    """A unit of an input in a file: the SI unit in CF notation, and value in SI = factor * value + offset."""
+    """A unit of an input in a file: SI unit in CF notation, factor and offset (SI value = factor * value + offset)."""
 
     si: str
     factor: float = 1.0
@@ -60,10 +60,10 @@ class InputOption:
     """An option that defines an input."""
 
     name: str
-    column: str  # header or number
+    column: str  # header or number of the column
     unit: str | None = None  # unit in the file; None: the unit in the header
     u: float = math.nan  # standard uncertainty, in the unit of the file; NaN if not given
-    interpolation: str = ""  # "" if the values decide
+    interpolation: str = ""  # interpolation; "" if the values determine it
     delay: float = 0.0  # dead time [s]
     file: Path | None = None  # separate table with this input, on the same clock
 
@@ -116,7 +116,7 @@ def read_input_options(given: Sequence[str]) -> tuple[InputOption, ...]:
                 what, "Use letters, digits and underscores; t, omega_c, psi_c ... have a meaning."
             )
         if any(option.name == name for option in found):
-            raise UsageError(f"The input {name} is given twice.", "Give each input its own name.")
+            raise UsageError(f"The input {name} is given twice.", "Give each input a different name.")
         u = float(parsed["u"]) if parsed["u"] else math.nan
         option = InputOption(name, parsed["column"], parsed["unit"], u)
         for word in more:

@@ -25,7 +25,7 @@ _ARRAYS_OF_ITEMS = {
     2,
     3,
 }  # classes of arrays with items (cell, struct, object); each item has a tag of 8 bytes
-_MAX_DIMENSIONS = 128  # largest number of bytes of the sizes of an array
+_MAX_DIMENSIONS = 128  # largest number of bytes that state the sizes of an array
 
 
 def read_matlab(path: Path, content: bytes, _options: object) -> RawTable:
@@ -112,7 +112,7 @@ def table_of_arrays(
 
 
 def _describe_a_motion(names: Iterable[str]) -> bool:
-    """Return whether the names of vectors are those of times and of angles or speeds."""
+    """Return whether the names of the vectors include a time, and an angle or a speed."""
     roles = {role_of(header_of(name)[0]) for name in names}
     return "t" in roles and bool(roles & {"angle", "omega"})
 

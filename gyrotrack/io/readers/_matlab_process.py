@@ -1,7 +1,7 @@
 """The arrays of a MATLAB file, read in a separate process, because a damaged file may crash SciPy's compiled reader.
 
-The process receives the content on stdin. Its answer is a line when it is ready, a line of JSON, and the numbers, each
-array in the format of a file ``.npy``. No part of the answer is executed.
+The process receives the content on stdin. Its answer consists of a line when it is ready, a line of JSON, and the
+arrays, each in the format of a file ``.npy``. No part of the answer is executed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ _MOST_CPU_S, _MOST_S = (
     10,
     30,
 )  # limits of CPU time and elapsed time [s]; a valid file of the largest size takes 1 s
-_MOST_MEMORY = 2**30  # memory limit beyond the libraries [bytes]: four times the largest file
+# limit of the memory in addition to the memory of the libraries [bytes]: four times the largest file
+_MOST_MEMORY = 2**30
 
 
 class Damaged(Exception):  # noqa: N818

@@ -1,8 +1,8 @@
 """Samples of one motion from the columns of a table.
 
 Times are sorted, repeated times averaged, and rows without a value excluded; every repair is reported with its line. A
-clock that restarts, or a cell that is not a number, is an error with its line. A record is split at its gaps. If the
-table contains no uncertainty, the uncertainty of the samples is estimated from their scatter.
+clock that restarts, or a cell that is not a number, raises an error that names the line. A record is split at its gaps.
+If the table contains no uncertainty, the uncertainty of the samples is estimated from their scatter.
 """
 
 from __future__ import annotations
@@ -43,29 +43,31 @@ from gyrotrack.io.readers._raw_table import (
 from gyrotrack.io.readers._reading import Reading, Taken
 
 _GAP = 20.0
-_BLOCK = 15  # samples of a local polynomial; degree 9 then leaves five degrees of freedom
-_DEGREES = (3, 5, 7, 9)  # the last degree only shows whether the previous degree is sufficient
-# a degree is not sufficient if its residual variance exceeds that of the next degree by this factor: a random walk has
-# 1.36, white noise 1
+_BLOCK = 15  # number of samples of a local polynomial; with degree 9, five degrees of freedom remain
+# degrees of a local polynomial; the last degree is only used to test whether the previous degree is sufficient
+_DEGREES = (3, 5, 7, 9)
+# a degree is not sufficient if the ratio of its residual variance to the variance of the next degree exceeds this
+# value; the ratio is 1.36 for a random walk and 1 for white noise
 _INSUFFICIENT = 1.6
-_NEIGHBOURS = 41  # blocks of a running median, whose standard error is 8 %
-# smallest share of the variance, without a linear trend, at frequencies near the largest peak of the spectrum for which
-# the motion is an oscillation: more than all other motion together
+_NEIGHBOURS = 41  # number of blocks of a running median; its standard error is 8 %
+# The motion is an oscillation if frequencies near the largest peak of the spectrum have at least this share of the
+# variance (without a linear trend), which is more than all other motion together.
 _OSCILLATES = 0.5
-# frequencies of a block [that of the largest peak of the record]: the frequency of a pendulum falls by 7 % for an
-# amplitude of 60 degrees
+# trial frequencies of a block, divided by the frequency of the largest peak of the record; the frequency of a pendulum
+# is 7 % lower at an amplitude of 60 degrees
 _NEARBY = np.linspace(0.9, 1.1, 9)
 _FLOOR = 1e-6
-_MOST_REPEATED = 0.7  # largest share of rows with the time of the previous row
-_SPIKE = 20.0  # smallest change to and from an erroneous sample [largest usual change]
-# largest share and largest number of unusual changes between neighbours; the greater limit applies
+_MOST_REPEATED = 0.7  # largest share of rows that have the same time as the previous row
+# smallest change at an erroneous sample, before and after this sample [largest usual change]
+_SPIKE = 20.0
+# largest share and largest number of unusual changes between neighbours; the larger of the two limits applies
 _RARE = (0.01, 4.0)
-# symbols of quantities, which imply SI units
+# symbols of quantities that imply SI units
 _SYMBOLS = {"t", "omega", "w", "ω", "angle", "psi", "phi", "theta", "ψ", "φ", "θ"}
 # units that are proposed for a quantity without a unit
 _CHOICES = {"t": ("s", "ms"), "angle": ("rad", "deg"), "omega": ("rad/s", "rpm")}
 
-# quantity and unit ("" if the header states the unit) by column (header or number, case-folded)
+# by column (header or number, case-folded): quantity, and unit ("" if the header states the unit)
 Names = Mapping[str, tuple[str, str]]
 
 
@@ -117,8 +119,8 @@ class MotionTable:
     inputs: tuple[Input, ...] = ()  # inputs that the user records, with their own times
     reading: Reading | None = None  # the meaning of each column
     modes: tuple[ErrorMode, ...] = ()  # errors that samples share, in the unit of `value`
-    # shape (n, m); changes of the values for each of m independent errors of one standard deviation, which parameters
-    # of the motion contain, but fits do not: an error of the centre is nearly a scale of all angles
+    # shape (n, m); changes of the values due to m independent errors of one standard deviation. The uncertainties of
+    # motion parameters contain these errors, but fits do not: an error of the centre is nearly a factor of all angles.
     changes: Floats | None = None
 
     def only(self, keep: npt.NDArray[np.bool_] | Integers, *notes: str) -> MotionTable:
@@ -153,7 +155,8 @@ def only_one(path: Path, names: Sequence[str], what: str, options: ReadOptions) 
 
 COORDINATES = ("x", "y")
 _TURNS = {"rev", "revs", "turn", "turns", "revolution", "revolutions", "cycles"}
-_STEADY = 100.0  # smallest ratio of squared mean to variance for a constant speed
+# a speed counts as constant if the ratio of its squared mean to its variance is at least this value
+_STEADY = 100.0
 
 _LAST_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
@@ -161,7 +164,7 @@ _LAST_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 def read_names(
     given: Iterable[str], body: str = "casing", bodies: Iterable[str] = ("casing", "rotor")
 ) -> Names:
-    """Parse options like ``t=Zeit``, ``angle=phi [deg]``, ``x=2``, ``t=1 [us]``, ``casing.x=2`` for one body."""
+    """Parse options like ``t=Zeit``, ``angle=phi [deg]``, ``x=2``, ``t=1 [us]``, or for one body ``casing.x=2``."""
     names: dict[str, tuple[str, str]] = {}
     for option in given:
         role_name, equals, column = (part.strip() for part in option.partition("="))
@@ -175,7 +178,8 @@ def read_names(
         if role_name == quantity and prefix != body:
             continue
         names[column.casefold()] = (role_name, "")
-        last = _LAST_UNIT.fullmatch(column)  # for a header with a unit after its name
+        # the name may be given without the unit that follows it in the header
+        last = _LAST_UNIT.fullmatch(column)
         base, unit = last.groups() if last else (column, "")
         if unit:
             names.setdefault(base.casefold(), (role_name, clean(unit)))
@@ -327,7 +331,7 @@ def _one_of(raw: RawTable, role: str, places: list[int], options: ReadOptions) -
     first, *copies = (raw.numeric(i) for i in places) if len(set(names)) == 1 else (None,)
     if first is not None and all(c is not None and np.array_equal(c, first, equal_nan=True) for c in copies):
         return places[0]
-    # the magnitude does not contain the sense of rotation, which the axes of a sensor do
+    # the axes of a sensor are preferred to the magnitude, which does not contain the sense of rotation
     axes = [
         i for i in places if not set(_words(raw.names[i])) & {"absolute", "abs", "magnitude", "norm", "total"}
     ]
@@ -366,7 +370,7 @@ def _along_rotation(values: Floats) -> tuple[Floats, Floats]:
 def times_of(
     raw: RawTable, columns: Mapping[str, int], units: Mapping[str, str], options: ReadOptions
 ) -> Floats:
-    """Return the times of a table [s]: the time column, or the numbers of frames or rows divided by the rate."""
+    """Return the times of a table [s]: the time column, or the numbers of the frames or rows, divided by the rate."""
     if "t" in columns:
         time = raw.numbers(columns["t"], "t", times=True)
         return time * scale_of(raw, "t", units["t"]) + options.start
@@ -486,7 +490,7 @@ def interpret(raw: RawTable, options: ReadOptions, *, counts: bool = False) -> M
         used |= set(columns.axes)
         why["omega"] = f"{why['omega']}, with the other axes"
         notes.append(
-            f"{raw.path.name}: the speed is that along the direction ({text}) of the {len(parts)} axes of "
+            f"{raw.path.name}: the speed is the component in the direction ({text}) of the {len(parts)} axes of "
             f"'{_stem_without_axis(raw.names[place[quantity]])}', in which it varies most; the scale factor of the "
             "sensor is not determined"
         )
@@ -547,7 +551,8 @@ def _refuse_unusual(raw: RawTable, columns: Columns, made: MotionTable) -> None:
     """Raise a DatasetError for an unstated unit if the motion would be unusual in s and rad."""
     asked = [r for r in columns.place if not columns.unit[r] and columns.why[r] != "by --column"]
     names = {r: raw.names[columns.place[r]] or str(columns.place[r] + 1) for r in asked}
-    if "t" in asked and raw.numeric(columns.place["t"]) is not None:  # not for a time of day
+    # a time of day is text, and its unit is known
+    if "t" in asked and raw.numeric(columns.place["t"]) is not None:
         refuse_slow_clock(raw.header_place, names["t"], made.time)
     if "angle" in asked and (doubt := doubt_of_rad(made.value)):
         stated = (f"--column 'angle={names['angle']} [{unit}]'" for unit in _CHOICES["angle"])
@@ -602,7 +607,7 @@ def _compare(raw: RawTable, columns: Columns, time: Floats, angle: Floats) -> No
     names = [column_name(raw, columns.place[role]) for role in ("angle", "omega")]
     raise DatasetError(
         f"{raw.header_place}: the slope of {names[0]} is {abs(ratio):.4g} times {names[1]}: {cause}.",
-        f"State the unit of the one to use: --column 'angle={raw.names[columns.place['angle']]} [deg]'.",
+        f"State the unit of the column to use: --column 'angle={raw.names[columns.place['angle']]} [deg]'.",
     )
 
 
@@ -623,7 +628,7 @@ def _ask_for_units(raw: RawTable, columns: Columns, quantity: str, options: Read
         symbol = set(re.split(r"[\s_.,\-:]+", name.casefold())) & _SYMBOLS
         if symbol or (
             role == "t" and (values % 1 != 0).any()
-        ):  # so long in seconds that milliseconds are unlikely
+        ):  # times that are not whole numbers are hardly in milliseconds
             continue
         first, second = (f"--column '{role}={name} [{unit}]'" for unit in _CHOICES[role])
         what = f"{raw.header_place}: the unit of {column_name(raw, column)} is not stated."
@@ -738,7 +743,10 @@ def is_wrapped(angle: Floats) -> bool:
 
 
 def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
-    """Order a table by time and average repeated times, with `notes`; an uncertain order raises a DatasetError."""
+    """Order a table by time, average the values at repeated times, and add to `notes`.
+
+    An uncertain order raises a DatasetError.
+    """
     name, value = table.path.name, table.value
     if table.quantity == "angle" and len(value) and is_wrapped(value):
         value = np.unwrap(value)
@@ -769,7 +777,10 @@ def in_order(table: MotionTable, notes: list[str]) -> MotionTable:
 
 
 def pieces(time: Floats) -> list[slice]:
-    """Return the pieces between gaps: intervals over 20 times the median of eleven neighbours (a body slows down)."""
+    """Return the pieces between gaps.
+
+    A gap is an interval longer than 20 times the median of eleven neighbouring intervals.
+    """
     step = np.diff(time)
     if not len(step):
         return [slice(0, len(time))]
@@ -783,11 +794,11 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
 
     Polynomials are fitted to blocks of 15 samples. The variance is the running median of the residual variances over 41
     blocks, divided by the median of chi2 / dof; it is robust against outliers and follows slow changes. The degree is
-    the lowest of 3, 5 and 7 whose variance is less than 1.6 times the variance of the next degree. Degree 3 is thus
-    used for white and correlated noise. For an oscillation with few samples per period, cubics would leave a part of
-    the motion in the residuals. If an oscillation with a period of at most a block has most of the variance, a sinusoid
-    is added to the cubics. Errors that vary more slowly than a block (centre offset, tilt) are not included. `floor` is
-    a lower bound, in the unit of `value`.
+    the lowest of 3, 5 and 7 whose variance is less than 1.6 times the variance of the next degree. Degree 3 is
+    therefore used for white and correlated noise. For an oscillation with few samples per period, cubics would leave a
+    part of the motion in the residuals. If an oscillation with a period of at most a block has most of the variance, a
+    sinusoid is added to the cubics. Errors that vary more slowly than a block (centre offset, tilt) are not included.
+    `floor` is a lower bound, in the unit of `value`.
     """
     size = min(_BLOCK, len(time))
     count = len(time) // size
@@ -820,7 +831,7 @@ def scatter(time: Floats, value: Floats, floor: float = _FLOOR) -> Floats:
 
 
 def _running_variance(squares: Floats, free: int) -> Floats:
-    """Return the running median over blocks of the variance with `free` degrees of freedom in each block."""
+    """Return the running median, over blocks, of the variance; each block has `free` degrees of freedom."""
     half = _NEIGHBOURS // 2
     middle = np.array([np.median(squares[max(0, k - half) : k + half + 1]) for k in range(len(squares))])
     # the median of chi2 / dof (E. B. Wilson and M. M. Hilferty, PNAS 17, 1931)
@@ -828,7 +839,7 @@ def _running_variance(squares: Floats, free: int) -> Floats:
 
 
 def _fast_oscillation(time: Floats, value: Floats) -> float:
-    """Return the frequency of an oscillation with most of the variance and at least one period in a block, else 0."""
+    """Return the frequency of an oscillation with most of the variance and at least one period per block, else 0."""
     count = len(time)
     if count < 3 * _BLOCK:
         return 0.0

@@ -17,7 +17,8 @@ from gyrotrack.io._records import Case, Floats, Series
 # the same limits as in `fitting.inference._record`, so that every written case can be fitted
 LARGEST = 1e20  # largest angle [rad], rate [rad/s], time [s] and uncertainty: products of several values remain finite
 SMALLEST = 1e-20  # smallest maximum of the angle or rate of a moving body [rad, rad/s]
-PRECISION = 1e18  # largest ratio of a value to its uncertainty; floating-point numbers have 1e16
+# largest ratio of a value to its uncertainty; the relative precision of floating-point numbers is only 1e-16
+PRECISION = 1e18
 SHORTEST = 1e-12  # shortest sampling step [s]
 _HINT = "Check the units and the columns."
 
@@ -39,7 +40,7 @@ def within_number_range(read: Callable[_Arguments, Case]) -> Callable[_Arguments
 
     @wraps(read)
     def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> Case:
-        # the name of a file, or files by the names of their bodies
+        # the first argument is the name of a file, or files by the names of their bodies
         with usable_numbers(", ".join(args[0]) if isinstance(args[0], Mapping) else args[0]):
             case = read(*args, **kwargs)
         check_numbers(case)

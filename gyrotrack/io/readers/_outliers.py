@@ -13,9 +13,9 @@ import numpy as np
 from gyrotrack.io._records import Floats, Integers
 from gyrotrack.io.readers._motion_table import MotionTable, scatter
 
-# smallest deviation of an outlier from either prediction [standard errors of the prediction; one is 4.5 standard
-# uncertainties of a sample]. The largest of a million normal deviates is five, and the noise of real records has longer
-# tails
+# smallest deviation of an outlier from either prediction [standard errors of the prediction]; one standard error is 4.5
+# standard uncertainties of a sample. The largest of a million normal deviates is five, and the noise of real records
+# has longer tails
 _FAR = 10.0
 _ALIKE = 0.5  # largest difference between the two deviations [share of the smaller deviation]
 _RARE = 0.02  # largest share of outliers; a larger share counts as noise of the record
@@ -53,7 +53,7 @@ def outliers(time: Floats, value: Floats, sigma: Floats) -> Integers:
     for side, step in enumerate((-1, 1)):
         near = middle[:, None] + step * np.arange(1, 4)
         apart = time[near] - time[middle, None]
-        # Lagrange's weights of three points, extrapolated to the sample
+        # Lagrange's weights of three points, for extrapolation to the sample
         weights = np.stack(
             [
                 np.prod([-apart[:, k] / (apart[:, j] - apart[:, k]) for k in range(3) if k != j], axis=0)
@@ -65,5 +65,5 @@ def outliers(time: Floats, value: Floats, sigma: Floats) -> Integers:
         error[side] = np.sqrt(sigma[middle] ** 2 + np.einsum("ij,ij->i", weights**2, sigma[near] ** 2))
     size = np.abs(off)
     far = (size > _FAR * error).all(axis=0)
-    alike = np.abs(off[0] - off[1]) < _ALIKE * size.min(axis=0)  # implies equal signs
+    alike = np.abs(off[0] - off[1]) < _ALIKE * size.min(axis=0)  # this condition implies equal signs
     return np.asarray(middle[far & alike])

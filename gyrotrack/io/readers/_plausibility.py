@@ -15,9 +15,10 @@ from gyrotrack.io._records import Floats
 from gyrotrack.io.readers._raw_table import TURN, RawTable
 
 _FEWEST = 8  # smallest number of values for a rule
-_BACKWARD = 0.05  # smallest share of backward steps for which a column is not a clock
+_BACKWARD = 0.05  # a column is not a clock if at least this share of its steps is backward
 _PARTS = 30  # number of parts of a record for which the growth of intervals is compared
-_LEAST_CHANGE = 0.3  # smallest change of the logarithm of intervals that determines their law
+# smallest change of the logarithm of intervals from which their law of growth can be determined
+_LEAST_CHANGE = 0.3
 # range of plausible exponents: intervals grow by steps proportional to a power of the interval (viscous friction 2,
 # dry friction 3)
 _POWERS = (1.5, 3.5)
@@ -45,8 +46,8 @@ _RATIOS = (
 # smallest number of passages of an oscillating body through the middle of its range, and hysteresis [share of the
 # range]
 _PASSAGES, _CLEAR = 4, 0.1
-# an angle that wraps at a value other than a whole turn: smallest jump [share of the range], number of jumps, largest
-# other step [share of the range]
+# limits for an angle that wraps at a value other than a whole turn: smallest jump [share of the range], smallest number
+# of jumps, largest other step [share of the range]
 _WHOLE_RANGE, _JUMPS, _SMALL_STEP = 0.8, 3, 0.25
 _LEAST_RATIO_R2 = 0.9  # smallest share of the variance of a speed that the slopes of the angle must explain
 
@@ -85,7 +86,8 @@ def may_be_intervals(values: Floats) -> bool:
     if len(known) < 2 * _FEWEST or not (known > 0).all():
         return False
     part = max(len(known) // _PARTS, 1)
-    rough = known[::part]  # the steps between neighbours may be smaller than the noise
+    # parts of the record are compared, because the steps between neighbours may be smaller than the noise
+    rough = known[::part]
     step = np.diff(rough)
     if not (step > 0).all() or len(step) < _FEWEST:
         return False
@@ -98,7 +100,7 @@ def may_be_intervals(values: Floats) -> bool:
 
 
 def are_exchanged(time: Floats, angle: Floats, turn: float) -> bool:
-    """Return whether the column of the angle grows in equal steps, like the times of a sampler, and the time does not.
+    """Return whether the angle increases in equal steps, like the times of a sampler, and the time does not.
 
     Angles of pulses also grow in equal steps, but in integer fractions of a `turn`.
     """
@@ -128,7 +130,7 @@ def wrapping_unit(angle: Floats) -> str:
     turns = step[jumps]
     sense = np.sign(np.median(turns))
     others = np.delete(step, jumps)
-    # between the jumps the angle changes in the opposite sense
+    # between the jumps, the angle changes in the sense opposite to the jumps
     if (np.sign(turns) != sense).any() or float(others.sum()) * sense >= 0:
         return ""
     beside = np.clip(np.concatenate([jumps - 1, jumps + 1]), 0, len(step) - 1)

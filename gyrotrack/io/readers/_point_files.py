@@ -131,7 +131,7 @@ def _case_body(path: Path, body: str) -> RawTable:
     """Return a body of a case from `sync` or `import`: the series that a fit uses."""
     with READER.open(path, CASE) as file:
         stored = read_stored_case(file, READER)
-    # the first body has the key "casing", and also its own name if it has one
+    # the first body has the key "casing", and also its name if it has a name
     bodies = {"casing": stored.casing, **{s.name: s for s in (stored.casing, *stored.others)}}
     series = bodies.get(body or "casing")
     if series is None:
@@ -253,14 +253,14 @@ def _points(path: Path, names: list[tuple[str, ...]], columns: Any, index: Any) 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "in": 0.0254, "ft": 0.3048}
 
 
-_MAX_PROJECT = 2**26  # bytes
+_MAX_PROJECT = 2**26  # largest size of the XML [bytes]
 _MAX_MARKUP = (
-    3_000_000  # largest number of elements and attributes of the XML, which need 250 bytes of memory each
+    3_000_000  # largest number of elements and attributes of the XML; each needs 250 bytes of memory
 )
 
 
 def read_project(path: Path, content: bytes, _options: object) -> Points:
-    """Return the point masses of a Tracker project in its coordinates (m, y upwards), and the origin."""
+    """Return the point masses of a Tracker project in the coordinates of the project (m, y upwards), and the origin."""
     if re.search(rb"<!(DOCTYPE|ENTITY)", content[:100_000], re.IGNORECASE):
         what = f"{path} declares XML entities."
         raise DatasetError(what, "A Tracker project contains none; export it again.")

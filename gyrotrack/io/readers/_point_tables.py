@@ -103,7 +103,7 @@ def _axis(name: str) -> tuple[str, str]:
     unit = header_of(name)[1]
     if (
         "/" in unit or factor("", unit) is not None
-    ):  # such a name denotes the axis of a sensor, not a coordinate
+    ):  # a name with such a unit denotes the axis of a sensor, not a coordinate
         return "", ""
     bare = re.sub(r"_(px|m|cm|mm)$", "", bare)
     found = re.fullmatch(r"([xyXY])(?:[_ ]\{?(.+?)\}?)?|(.+?)[_. ]([xyXY])", bare)
@@ -114,12 +114,12 @@ def _axis(name: str) -> tuple[str, str]:
     return ("", "") if sensor else (axis, track)
 
 
-# vectors from sensors of a phone or an inertial unit, except the angular velocity
+# names of vectors from sensors of a phone or an inertial unit, except the angular velocity
 _SENSOR = re.compile(r"(lin(ear)?[_ ]?)?(acc|accel\w*|mag|magnet\w*|gravity|grav)$", re.IGNORECASE)
 
 
 def _tracks(heads: list[str], titles: list[str], path: Path) -> dict[str, tuple[int, int]]:
-    """Return the columns of x and y of each track; a name above a group of columns applies until the next name."""
+    """Return the columns of x and y of each track. A name above a group of columns applies until the next name."""
     seen: dict[str, dict[str, int]] = {}
     title = ""
     for i, head in enumerate(heads):

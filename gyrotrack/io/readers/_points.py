@@ -19,11 +19,11 @@ ORBIT = "orbit"
 # largest rms deviation of a path from a circle about its fitted centre, relative to the radius; a circle seen at 45
 # degrees has 0.12
 _LARGEST_DEVIATION = 0.15
-# smallest distance between given and fitted centre that causes a warning: in standard uncertainties, and in radii
+# smallest distance between given and fitted centre that causes a warning, in standard uncertainties and in radii
 _SIGNIFICANT, _LEAST_OFFSET = 3.0, 0.05
 _UNCERTAIN = 0.01  # smallest uncertainty of the centre of an arc that triggers a warning [radius]
-_MOST_STEPS = 50  # of a fit, which converges in 10 if the path is an arc
-_CONVERGED = 1e-9  # last step of a fit [radius]
+_MOST_STEPS = 50  # largest number of steps of a fit; a fit to an arc converges in 10 steps
+_CONVERGED = 1e-9  # a fit ends with a step below this value [radius]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Points:
 
     path: Path  # the file
     time: Floats  # shape (n,); times [s], or frame numbers if `counted`
-    # shape (n, 2); x and y of each point; NaN in frames without it
+    # shape (n, 2); x and y of each point; NaN in frames without the point
     places: Mapping[str, Floats]
     # shape (n,); likelihood from the other program, 0 to 1; empty if not available
     likelihood: Mapping[str, Floats]
@@ -53,7 +53,7 @@ class PointAngle:
     angle: Floats
     notes: tuple[str, ...]
     taken: tuple[Taken, ...]
-    used: frozenset[str]  # names of the points that were used
+    used: frozenset[str]  # names of the points that were used, in words
     sigma: Floats | None = None  # standard uncertainty of the angle, if the uncertainty of the point is known
     doubts: tuple[str, ...] = ()
     # mean distance of the point from the centre, and covariance of the centre, if it was fitted to the path
@@ -119,7 +119,7 @@ def angle_of(points: Points, options: ReadOptions) -> PointAngle:
 
 
 def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str, ...]:
-    """Return a warning if the path is a circle about another centre than the given one.
+    """Return a warning if the path is a circle about a centre other than the given centre.
 
     The path of a point of a rigid body is a circle about the centre of rotation.
     """
@@ -136,13 +136,13 @@ def _doubt_of_centre(file: str, name: str, where: str, arm: Floats) -> tuple[str
     doubt = (
         f"{file}: the distance of '{name}' from {where} varies from {length.min():.3g} to {length.max():.3g}; its path "
         f"is a circle about a centre that is {offset:.2g} +- {u:.2g} away. The angle ranges over {given:.3g} rad about "
-        f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the latter."
+        f"{where} and {fitted:.3g} rad about the centre of the path; --centre orbit uses the centre of the path."
     )
     return (doubt,)
 
 
 def _uncertain_centre(file: str, angle: Floats, length: Floats, covariance: Floats) -> tuple[str, ...]:
-    """Return a warning if the arc of a point leaves the distance of its centre uncertain."""
+    """Return a warning if the arc of a point does not determine the distance of its centre well."""
     share = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]) / np.nanmean(length))
     if share < _UNCERTAIN or np.ptp(np.unwrap(angle)) > np.pi:
         return ()
@@ -156,7 +156,7 @@ def _uncertain_centre(file: str, angle: Floats, length: Floats, covariance: Floa
 def _centre_covariance(arm: Floats) -> Floats:
     """Return the covariance (2, 2) of the centre of a circle fitted to points (n, 2), given relative to this centre.
 
-    It is that of the least-squares fit, increased for the correlation of the residuals.
+    It is the covariance of the least-squares fit, increased to include the correlation of the residuals.
     """
     radius = np.hypot(*arm.T)
     rest = radius - radius.mean()
@@ -232,7 +232,7 @@ def circle_centre(place: Floats) -> Floats:
     """Return the centre of the circle from which points (n, 2) have the least rms distance.
 
     The start is the linear fit x^2 + y^2 = 2 a x + 2 b y + c (I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976)). Over
-    whole turns its bias is of the order noise^2 / radius, but a short arc is fitted with a radius that is too small:
+    whole turns the bias of this fit is of the order noise^2 / radius. For a short arc the fitted radius is too small:
     by 17 % if the noise is 6 % of the height of the arc. Gauss-Newton steps remove this bias.
     """
     known = place[np.isfinite(place).all(axis=1)]

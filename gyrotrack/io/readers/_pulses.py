@@ -2,8 +2,9 @@
 
 A pulse comes from a mark on the body, for example a hole or a stripe. The angle of pulse k is 2 pi k / N for N marks,
 corrected for the position errors of the marks. Its uncertainty is omega times the uncertainty of the time. The
-uncertainty of the time is the larger of the scatter of the times about local polynomials in k (cubics for white noise)
-and of q / sqrt(12), where q is the resolution of the clock. The correction for the marks is stored as an error mode.
+uncertainty of the time is the larger of two values: the scatter of the times about local polynomials in k (cubics for
+white noise), and q / sqrt(12), where q is the resolution of the clock. The correction for the marks is stored as an
+error mode.
 
 If counts were sampled so often that rows repeat the previous count, only the changes of the count are used
 (`from_changes`), because equal counts share one error and have no independent noise.
@@ -13,9 +14,9 @@ part of the image. A pulse is a rise of the signal from the lower third to the u
 Schmitt trigger, so noise near the middle causes no pulses. The time of a pulse is the time at which the signal passes
 the middle of the range, interpolated linearly.
 
-A pendulum also passes a light gate repeatedly, but its passages are not pulses of a rotation. Two properties show a
-pendulum: it passes two gates in the order A, B, B, A; or the passages become longer relative to the time between them,
-because the duration of a passage is inversely proportional to the amplitude.
+A pendulum also passes a light gate repeatedly, but its passages are not pulses of a rotation. Either of two properties
+shows a pendulum. It passes two gates in the order A, B, B, A. Or its passages become longer relative to the time
+between them, because the duration of a passage is inversely proportional to the amplitude.
 """
 
 from __future__ import annotations
@@ -47,9 +48,10 @@ from gyrotrack.io.readers._plausibility import are_intervals, counts_rows, may_b
 from gyrotrack.io.readers._raw_table import TURN, RawTable
 from gyrotrack.io.readers._reading import Reading, Taken
 
-# a clocked sampler: 90 % of its intervals deviate from their median by less than this share
+# times are from a clocked sampler if 90 % of their intervals deviate from the median by less than this share
 _CLOCKED = 0.01
-_REGULAR_EDGES = 0.3  # largest relative change (median) between intervals of pulses; edges of noise give 0.7
+# largest median of the relative change between neighbouring intervals of regular pulses; edges of noise give 0.7
+_REGULAR_EDGES = 0.3
 _LEVELS = 8  # smallest number of distinct values of a signal; states of a light gate have two
 _MOSTLY = 0.8  # no drift is searched for if regular pulses fill at least this share of the record
 _MORE = 1.25  # a drift is removed if its removal multiplies the number of pulses by at least this factor
@@ -58,7 +60,7 @@ _PULSES_PER_PART = 6
 _EXTREMES = (2.0, 98.0)  # percentiles of the low and the high level
 # smallest amplitude of a signal from a rotating body [typical amplitude]; below it the body is at rest or absent
 _PRESENT = 0.25
-# smallest number of samples per pulse (in three of four neighbouring intervals); with fewer, pulses are missed
+# smallest number of samples per pulse (in three of four neighbouring intervals); with fewer, pulses are lost
 _LEAST_SAMPLES = 4.0
 _NEIGHBOURS = 9
 _LEAST_PART = 16
@@ -72,12 +74,12 @@ _MOST_RISES = 1  # a motor at the start of a record may cause one rise of the sp
 _SHORT_PERIODS, _LONGER, _MOST_LOST = 0.1, 1.25, 0.3
 # speeds before and after a time without pulses count as equal up to this logarithm of their ratio
 _SAME_SPEED = 0.3
-_LEAST_SINGLE = 0.5  # smallest share of different times among the times of pulses
-_END = 3  # number of intervals at each end that have too few neighbours on one side
-_LINE = 4  # number of intervals whose speed is continued to the ends
+_LEAST_SINGLE = 0.5  # at least this share of the times of pulses must be different from each other
+_END = 3  # number of intervals at each end of the record that have too few neighbours on one side
+_LINE = 4  # number of intervals from which the speed is extrapolated to the ends of the record
 _NORMAL = 0.6745  # median of the absolute value of a standard normal variable
-# up to this relative scatter of the intervals, a single interval shows a missed or double pulse (it changes the
-# interval by at least about five times the scatter)
+# up to this relative scatter of the intervals, a single interval shows a missed or double pulse: such a pulse changes
+# the interval by at least about five times the scatter
 _REGULAR = 0.13
 _SIGNIFICANT_STEP = 3.5  # smallest significant step of the count [standard errors]
 _STRETCH = 60  # number of pulses between the knots of the spline through the counts
@@ -90,12 +92,13 @@ _MOST_HARMONICS = 32  # largest number of periods per turn in the error mode of 
 # only the changes of the count are used if more than this share of the equally spaced rows, while the body turns,
 # repeats the previous count
 _IDLE = 0.05
-# the body is at rest on one side of a change if the speed on the other side is this multiple of the mean speed
+# the body is at rest on one side of a change if the speed on the other side is at least this multiple of the mean speed
 _ONE_SIDED = 1.6
-# where the body reverses, and at both ends of the record, the two ends of an interval without counts become samples if
-# the interval is longer than the neighbouring one by this factor
+# Where the body reverses, and at both ends of the record, the ends of an interval without counts become samples. The
+# condition is that the interval is longer than the neighbouring interval by this factor.
 _TURNING = 3.0
-# number of rows whose speed is continued over the next interval; largest unambiguous rotation in this interval [turns]
+# number of rows from which the speed is extrapolated over the next interval; largest unambiguous rotation in this
+# interval [turns]
 _ROWS_BEFORE, _PART_OF_TURN = 20, 0.4
 # the scatter of the angles determines their uncertainty if it exceeds the quantisation error by this factor
 _BEYOND_QUANTISATION = 1.3
@@ -105,7 +108,7 @@ _ALTERNATING = 0.9
 # the body is a pendulum if ln (duration / time between passages) rises by more than this value from the first to the
 # last quarter of the passages
 _DURATION_CHANGE = 0.1
-_SIGNIFICANT_CHANGE = 5.0  # the same limit in standard errors
+_SIGNIFICANT_CHANGE = 5.0  # limit of the same rise in standard errors
 _FLICKER = 0.1  # largest duration of a flicker of a light gate [median duration of a passage]
 _LARGEST_TICKS = 5e6  # largest step of whole numbers that count as microseconds
 # from the first to the second step, whole numbers may be ms of a slow body (samples 0.4 s or more apart) or us of a
@@ -115,7 +118,7 @@ _TICK_UNITS = {1e-6: "us", 1e-3: "ms"}
 
 
 def is_sampled(time: Floats) -> bool:
-    """Return whether times are those of a clocked sampler and not of events."""
+    """Return whether times are from a clocked sampler and not from events."""
     step = np.diff(np.sort(time))
     usual = float(np.median(step)) if len(step) else 0.0
     return usual > 0 and float(np.mean(np.abs(step - usual) < _CLOCKED * usual)) > 0.9
@@ -132,7 +135,7 @@ def signal_columns(raw: RawTable, time_column: int) -> list[int]:
 
 
 def is_regular(edges: Floats) -> bool:
-    """Return whether pulses are as regular as those of a rotation."""
+    """Return whether pulses are as regular as the pulses of a rotation."""
     step = np.diff(edges)
     return len(step) > 2 and float(np.median(np.abs(np.diff(np.log(step))))) < _REGULAR_EDGES
 
@@ -205,7 +208,7 @@ def _regular_pulses(edges: Floats, after: Integers) -> tuple[int, float]:
 def _local_edges(time: Floats, signal: Floats) -> tuple[Floats, Integers]:
     """Return the rising edges.
 
-    The range of the signal is determined in parts of the record; each part lasts about six long periods.
+    The range of the signal is determined separately in parts of the record that last about six long periods each.
     """
     part = len(signal)
     while True:
@@ -356,7 +359,7 @@ def _pulses_of_signal(
     Raises
     ------
     UsageError, DatasetError
-        Several signals have regular edges, or every signal with regular edges has too few samples per pulse.
+        Several signals have regular edges, or all signals with regular edges have too few samples per pulse.
     """
     found, fault = {}, None
     for column in columns:
@@ -463,7 +466,7 @@ def _refuse_lost_passages(raw: RawTable, time: Floats) -> None:
 
 
 def refuse_passages(raw: RawTable, options: ReadOptions) -> None:
-    """Raise a UsageError for a table of a pendulum that passes light gates: passages have no angles."""
+    """Raise a UsageError for a table of a pendulum that passes light gates, because passages contain no angles."""
     if passages_of(raw, options) is not None:
         raise UsageError(
             f"{raw.path}: a pendulum passes the light gates (back and forth); its passages contain no angles.",
@@ -567,7 +570,7 @@ def varies_both_ways(time: Floats) -> bool:
 def _with_missed_pulses(
     raw: RawTable, time: Floats, count: Floats, line: Integers, notes: list[str]
 ) -> Floats:
-    """Add missed pulses to counts, where an interval is a multiple of the neighbouring ones."""
+    """Add missed pulses to counts where an interval is a multiple of the neighbouring intervals."""
     step = np.diff(time) / np.diff(count)
     ratio = step / _typical_interval(step)
     ratio[-_END:] = _ratios_at_end(step)[-_END:]
@@ -605,9 +608,10 @@ def _refuse_gap(raw: RawTable, step: Floats, ratio: Floats, counted: Floats, lin
 def _steps_of_jittering_counts(time: Floats) -> Integers | None:
     """Return the number of pulses missed before each pulse, -1 for a double pulse; None if single intervals suffice.
 
-    If the times scatter by a large share of an interval, one interval does not show whether a pulse is missed. But if a
-    pulse is missed, all later counts are too small by one. The counts are described by a cubic spline in time. Whole
-    steps are added or removed at irregular intervals, one at a time, until no remaining step is larger than a half.
+    If the times scatter by a large share of an interval, a single interval does not show whether a pulse is missed.
+    However, after a missed pulse all later counts are too small by one. The counts are described by a cubic spline in
+    time, plus steps of whole numbers at irregular intervals. Steps are added or removed one at a time, until no further
+    step larger than a half remains.
     """
     interval = np.diff(time)
     if len(interval) < _STRETCH:
@@ -656,7 +660,7 @@ def _steps_of_part(time: Floats, ratio: Floats, spread: float) -> Integers:
 
 
 def _typical_interval(step: Floats) -> Floats:
-    """Return the local typical interval: the geometric mean of the medians of three before and of three after."""
+    """Return the local typical interval: geometric mean of two medians, of three earlier and three later intervals."""
     if len(step) < 3:
         return np.full(len(step), np.median(step) if len(step) else np.nan)
     logs = np.log(np.maximum(step, 1e-300))
@@ -673,8 +677,8 @@ def _ratios_at_end(step: Floats) -> Floats:
 
     At the end of a motion the next intervals are unknown: an interval of twice the length shows a missed pulse, or a
     body that comes to rest. A straight line in time is fitted to the speeds of the previous intervals: at the time s
-    after the middle of the last of them, the speed is v - a s. The middle of the next interval T is (T0 + T) / 2 later,
-    where T0 is the last interval. T is therefore the solution of T (v - a (T0 + T) / 2) = 1.
+    after the middle of the last interval T0, the speed is v - a s. The middle of the next interval T is at s = (T0 + T)
+    / 2. T is therefore the solution of T (v - a (T0 + T) / 2) = 1.
     """
     regular, ratio = step.copy(), np.ones(len(step))
     for k in range(max(len(step) - _END, _LINE), len(step)):
@@ -692,7 +696,9 @@ def _ratios_at_end(step: Floats) -> Floats:
 
 
 def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return a mask of the pulses to keep: of two pulses closer than 0.35 typical intervals, the more regular one.
+    """Return a mask of the pulses to keep.
+
+    Of two pulses closer than 0.35 typical intervals, the more regular pulse is kept.
 
     The other pulse is removed, and its two intervals are merged. The merged interval is one typical interval if the
     pulse was double. It is two typical intervals if the pulse was displaced by more than half an interval; the pulse
@@ -708,7 +714,9 @@ def _not_double(time: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
             before = step[k - 1] if k else np.inf
             after = step[k + 1] if k + 1 < len(step) else np.inf
             if k <= last + 2 or min(before, after) + step[k] > 1.6 * usual[k]:
-                continue  # the pulse is next to an excluded pulse, or only its time jitters
+                # no pulse is excluded here: a neighbouring pulse was excluded already, or only the time of the pulse
+                # jitters
+                continue
             later = _irregularity((after + step[k]) / usual[k]) < _irregularity((before + step[k]) / usual[k])
             keep[index[k + 1 if later else k]] = False
             last, dropped = k, True
@@ -748,8 +756,8 @@ def mark_errors(
 
     A cubic spline connects the times of mark 0. The error of a mark is the median of its deviation from this spline
     over all turns, after subtraction of the mean deviation of each turn. The errors are subtracted if the marks differ
-    significantly. An unbalance or another torque that depends on the angle displaces the pulses in the same way, so the
-    subtracted amount remains an uncertainty.
+    significantly. An unbalance or another torque that depends on the angle displaces the pulses in the same way. The
+    size of the subtracted errors is therefore kept as an uncertainty.
     """
     marks = round(per_turn)
     none: tuple[Floats, tuple[ErrorMode, ...]] = np.zeros(len(time)), ()
@@ -763,7 +771,7 @@ def mark_errors(
     off = count[inside] - CubicSpline(time[zero], count[zero])(time[inside])
     number = np.bincount(kind[inside], minlength=marks)
     of_mark = np.split(np.argsort(kind[inside], kind="stable"), np.cumsum(number)[:-1])
-    # the position of mark 0 at both ends of a turn displaces all marks of the turn by the same amount
+    # an error of the times of mark 0 displaces all marks of a turn by about the same amount, so the mean is subtracted
     apart = off.copy()
     for pulses in of_mark:
         apart[pulses] -= np.median(off[pulses])
@@ -771,7 +779,8 @@ def mark_errors(
     off -= (np.bincount(turn, apart) / np.bincount(turn))[turn]
     errors = np.array([np.median(off[pulses]) for pulses in of_mark])
     errors -= errors.mean()
-    # the median of n normal values has pi / 2n times their variance; 1 / mean of Student's t^2 is (n - 3) / (n - 1)
+    # the variance of the median of n normal values is pi / 2n times the variance of a value; the mean of Student's t^2
+    # is (n - 1) / (n - 3)
     u2 = np.pi / 2 / number * np.array([np.var(off[pulses], ddof=1) for pulses in of_mark])
     t2 = errors**2 / np.maximum(u2, 1e-24) * (number - 3) / (number - 1)
     # errors of marks with mean zero have (number of marks - 1) degrees of freedom, and the cube root of chi2 / dof is
@@ -829,7 +838,8 @@ def read_counter(
 ) -> MotionTable:
     """Return the angle of a body from a counter of its revolutions (or pulses), at the times of its steps.
 
-    Some loggers write the count one row late: the interpretation with the more regular intervals is used.
+    Some loggers write the count one row late. Of the two interpretations, the one with the more regular intervals is
+    used.
     """
     notes = list(raw.notes)
     ticks = raw.numbers(time_column, "t", times=True)
@@ -905,7 +915,7 @@ def _reading_of_counter(
 
 
 def counts_coarsely(time: Floats, count: Floats) -> bool:
-    """Return whether a counter was sampled at equal intervals and some of these intervals have no new count.
+    """Return whether a counter was sampled at equal intervals, some of which have no new count.
 
     Rows before the first change, after the last change, and in other long intervals without counts are ignored, because
     the body may be at rest there.
@@ -922,10 +932,10 @@ def from_changes(
 ) -> MotionTable:
     """Return the angle of a body at the changes of its counts, which were sampled at equal intervals.
 
-    Rows with the same count share one error of up to a step of the angle, so only the first of them contains
-    information. Let r be the number of steps between two rows. If r < 1, the body passes the boundary between two
-    counts midway between the rows, with an uncertainty of r / sqrt(12) steps. If r > 1, or if the body passes several
-    boundaries (for example, where rows are missing), the angle in each row is the middle of its count, with an
+    Rows with the same count share one error of up to a step of the angle, so only the first of these rows contains
+    information. Let r be the number of steps between two rows. If r < 1, the boundary between two counts is assumed to
+    be passed midway between the rows, with an uncertainty of r / sqrt(12) steps. If r > 1, or if the body passes
+    several boundaries (for example, where rows are missing), the angle in each row is the middle of its count, with an
     uncertainty of 1 / sqrt(12) steps. If the body reverses or rests, the angle at both ends of the interval without
     counts is the middle of the count.
     """
@@ -969,7 +979,7 @@ def from_changes(
 def _turned_within(time: Floats, count: Floats, at: Integers) -> Floats:
     """Return the number of counts by which a body turns between the rows before and after each change, (changes,).
 
-    The speed is the mean speed from two changes before to two changes after; next to a rest, only the moving side
+    The speed is the mean speed from two changes before to two changes after. Next to a rest, only the side in motion
     counts.
     """
     turned = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(count)))])[at]
@@ -1029,7 +1039,7 @@ _UNITS_OF_COUNTS = {"", "1", "count", "counts", "cnt", "tick", "ticks", "pulse",
 def with_counts(raw: RawTable, options: ReadOptions) -> ReadOptions:
     """Return options in which a column of counts that the user names as the angle is a counter.
 
-    `--pulses-per-turn` is the factor from counts to the angle, so whole numbers without a unit of angle are counts.
+    With `--pulses-per-turn`, whole numbers without a unit of angle are counts.
     """
     columns = find_columns(raw, options)
     place = columns.place.get("angle")
@@ -1115,8 +1125,9 @@ def read_sampled_counts(raw: RawTable, columns: Columns, counts: int, options: R
 def _of_changes(angles: RawTable, options: ReadOptions) -> MotionTable | None:
     """Return the angles at the changes of sampled counts.
 
-    The result is None in three cases: at most 5 % of the rows repeat the previous count while the body turns; the times
-    do not increase; or the count restarts at each turn and does not determine the number of turns between two rows.
+    The result is None in three cases. At most 5 % of the rows repeat the previous count while the body turns; or the
+    times do not increase; or the count restarts at each turn and does not determine the number of turns between two
+    rows.
     """
     time = angles.numbers(0, "t") * scale_of(angles, "t", angles.units[0])
     per_turn = options.pulses_per_turn or 1.0
@@ -1179,7 +1190,7 @@ def _continued_count(count: Floats) -> tuple[Floats, int]:
 def counters_of(raw: RawTable) -> list[int]:
     """Return the counters among the columns of a table without header: integers that increase in steps of 1.
 
-    A column that counts in every row contains row numbers, unless the rows are at the irregular times of pulses.
+    A column that increases in every row contains row numbers, unless the rows are at the irregular times of pulses.
     """
     found = []
     time = raw.numeric(0)

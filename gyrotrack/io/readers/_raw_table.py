@@ -29,7 +29,7 @@ MAX_COLUMNS = 5_000
 MAX_CELLS = 10_000_000  # largest number of cells of text; numbers need a tenth of their memory
 _LONGEST_NAME = 500  # largest number of characters of a header
 _LONGEST_UNIT = 30  # largest number of characters of a unit that is not in the tables below
-# errors of spreadsheets
+# texts with which spreadsheets mark errors
 CELL_ERRORS = ("#n/a", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!")
 _MISSING = {"", "nan", "na", "n/a", "-", "none", "null", *CELL_ERRORS}
 
@@ -65,7 +65,7 @@ class RawTable:
         return f"{self.path}, line {self.header_line}" if self.header_line else str(self.path)
 
     def numbers(self, index: int, name: str = "", *, times: bool = False, infinite: bool = False) -> Floats:
-        """Return a column as numbers; NaN for empty cells, and a DatasetError for cells of text.
+        """Return a column as numbers, with NaN for empty cells; cells of text raise a DatasetError.
 
         Loggers write inf after a division by zero; it becomes NaN unless `infinite` is set.
         """
@@ -113,7 +113,10 @@ def refuse_long_names(path: Path, names: Sequence[str]) -> None:
 
 
 def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) -> float | None:
-    """Return the number in a cell, with `times` also of clock and ISO 8601 times; NaN if empty, None if text."""
+    """Return the number in a cell; NaN if it is empty, None for text.
+
+    With `times`, clock times and ISO 8601 times are read.
+    """
     text = cell.replace(",", ".") if decimal_comma else cell
     if text.casefold() in _MISSING:
         return math.nan
@@ -192,7 +195,8 @@ _HEADER_WORDS = {
     "revolutions": {"revolutions", "revs", "counts", "count", "counter", "pulses", "revolution"},
 }  # fmt: skip
 
-# units that may replace the name in a header; shorter units may also be symbols of other quantities
+# units that may replace the name in a header; shorter units are not listed, because they may be symbols of other
+# quantities
 _NAMED_BY_UNIT = {
     unit for role in ("angle", "omega") for unit in UNITS[role] if len(unit) > 2
 } | {"ms", "us", "sec", "seconds", "milliseconds", "microseconds"}  # fmt: skip
@@ -202,7 +206,7 @@ _TICKS = {
     "micros": "us",
 }  # functions of microcontrollers that return times, and the units of these times
 
-_AMBIGUOUS = {"grad", "grade", "grads"}  # degrees in German, gon elsewhere
+_AMBIGUOUS = {"grad", "grade", "grads"}  # this unit means degrees in German, and gon elsewhere
 
 ROLES = tuple(_HEADER_WORDS)
 
@@ -213,7 +217,7 @@ def clean(unit: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a word is a unit, of the supported quantities or others."""
+    """Return whether a word is a unit, of a supported quantity or of any other quantity."""
     return factor("", text) is not None or clean(text).casefold() in {
         "state",
         "px",
@@ -226,7 +230,10 @@ def is_unit(text: str) -> bool:
 
 
 def factor(role: str, unit: str) -> float | None:
-    """Return the factor of a unit to SI for a quantity (any if ""), from `pint` if installed; None if unknown."""
+    """Return the factor of a unit to SI for a quantity ("": any quantity), from `pint` if it is installed.
+
+    The result is None for an unknown unit.
+    """
     bare = clean(unit)
     if bare.casefold() in _AMBIGUOUS:
         return None
@@ -240,7 +247,8 @@ def factor(role: str, unit: str) -> float | None:
 
 def _by_pint(role: str, unit: str) -> float | None:
     powers = unit.count("**") + unit.count("^")
-    if len(unit) > _LONGEST_UNIT or powers > 1 or re.search(r"\d{4}", unit):  # pint computes 9**9**9
+    # long texts are refused, because pint would compute 9**9**9
+    if len(unit) > _LONGEST_UNIT or powers > 1 or re.search(r"\d{4}", unit):
         return None
     try:
         target = {"t": "s", "angle": "rad", "omega": "rad/s"}[role]
@@ -261,7 +269,7 @@ def header_of(name: str) -> tuple[str, str]:
     """Split ``t [s]``, ``t (s)``, ``t / s`` or ``t_ms`` into name and unit ("" without one); ``rpm`` is both."""
     if clean(name).casefold() in _NAMED_BY_UNIT:
         return name.strip(), clean(name).casefold()
-    if name.startswith("/"):  # a column of a ROS topic
+    if name.startswith("/"):  # the name of a column of a ROS topic
         topic, _, unit = name.strip().rstrip("])").partition("[" if "[" in name else "(")
         return topic.strip(), unit.strip()
     match = re.fullmatch(r"([^\[\](){}/]+?)\s*(?:[\[({]\s*(.*?)\s*[\])}]|/\s*(.*))?", name.strip())

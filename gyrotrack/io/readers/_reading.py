@@ -8,7 +8,7 @@ from typing import Any, TypedDict
 
 from gyrotrack.io.readers._raw_table import factor
 
-_SAME_UNIT = 1e-9  # largest relative difference of equal units
+_SAME_UNIT = 1e-9  # two units count as equal if their relative difference is below this value
 _MOST_NAMES = 12  # largest number of unused columns that are named
 
 
@@ -19,14 +19,14 @@ class Taken:
     column: str  #: Name of the column or point, in quotes, or its number.
     quantity: str  #: Quantity that it contains, for example `time`, `angle`, `omega` or `input`.
     unit: str  #: Unit in the file; empty if not stated.
-    why: str  #: Reason.
+    why: str  #: Reason for this interpretation.
 
 
 class ReadingDocument(TypedDict):
     """The interpretation of one file."""
 
     file: str  #: Name of the file.
-    format: str  #: Format.
+    format: str  #: Format of the file.
     rows: int  #: Number of rows.
     columns: list[Taken]  #: Columns that are used.
     left_out: list[str]  #: Columns or points that are not used.
@@ -67,7 +67,7 @@ class Reading:
 
 
 def units_of_file(document: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
-    """Return the units of angles and speeds in a file, with their factors to SI, if they are not SI units.
+    """Return the units of angles and speeds in a file that are not SI units, with their factors to SI.
 
     `document` is the document of a `Reading`. If the angle is in degrees, the speed is in degrees per second; a speed
     in turns per minute does not determine a unit of the angle.

@@ -102,7 +102,7 @@ FORMATS: tuple[Format, ...] = (
 
 
 def read_motion(path: Path, options: ReadOptions | None = None) -> MotionTable:
-    """Read the motion of one body from any supported file; errors name the file and line, or the missing option."""
+    """Read the motion of one body from any supported file. Errors name the file and line, or the missing option."""
     options = options or ReadOptions()
     name, found = _content(Path(path), options)
     made = _from_points(found, options) if isinstance(found, Points) else _from_table(found, options)

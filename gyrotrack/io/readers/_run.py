@@ -3,16 +3,17 @@
 Speeds are estimated in blocks of samples. The end of a drive (by motor or hand) is a changepoint of the deceleration:
 before this point the speed is constant or increases, afterwards the body slows down. A brake is a deceleration of at
 least three times the previous deceleration, until the end of the motion. Rest is a speed that is consistent with zero.
-A disturbance is a speed that increases again. If the body never slows down, no part of its motion is excluded. The
-motion of a motor whose speed rises and falls repeatedly is not cut either.
+A disturbance is a speed that increases again. If the body never slows down, no part of its motion is excluded. If the
+speed rises and falls repeatedly, as with a motor, no part is excluded either.
 
 The start of an oscillation is excluded while a hand holds or moves the body. In this part, periods and amplitudes do
 not follow the smooth curves of the later part.
 
-Rest at the end of an oscillation is excluded. If the steps of the file are coarser than the noise, the excluded part
-begins after the last deflection of more than two steps; otherwise it begins where the body is at rest within the noise.
-The error of a quantised value is white while the value passes through several steps. At rest, this error is a constant
-of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise, 2008).
+Rest at the end of an oscillation is excluded. If the resolution of the file is coarser than the noise, the excluded
+part begins after the last deflection of more than two steps of the resolution. Otherwise it begins where the body is at
+rest within the noise. The error of a quantised value is white while the value passes through several steps. At rest,
+this error is a constant of up to half a step, which averages do not reduce (B. Widrow, I. Kollar, Quantization Noise,
+2008).
 """
 
 from __future__ import annotations
@@ -33,24 +34,25 @@ from gyrotrack.io.readers._plausibility import rises
 _BLOCKS = 400
 _MIN_BLOCK = 4
 _BRAKE_RATIO = 3.0  # smallest ratio of the decelerations during and before a brake
-# smallest significant deviation [standard errors]: of the slopes before and after the end of a drive, of a block from a
-# parabola, of a period or amplitude from a smooth curve
+# smallest significant deviation [standard errors], for three comparisons: the slopes before and after the end of a
+# drive, a block and a parabola, a period or amplitude and a smooth curve
 _SIGNIFICANT = 6.0
 _MIN_CROSSINGS = 12  # smallest number of zero crossings for the detection of irregular periods
 _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregular period and amplitude
 # smallest number of zero crossings for the detection of a body that is held at the start
 _FEWEST_CROSSINGS = 5
-# smallest deviation of the start of a record from the next period if the body is held there: a multiple of the same
-# deviation of later periods, and a share of the peak-to-peak amplitude. A hold of a ninth of a period at a turning
-# point causes this share.
+# The body is held at the start of a record if the start deviates from the next period by at least this multiple of the
+# same deviation in later periods, and by at least this share of the peak-to-peak amplitude. A hold of a ninth of a
+# period at a turning point causes this share.
 _HELD_RATIO, _HELD_SHARE = 3.0, 0.03
 # largest range of the means at rest: the larger of `_STILL_SIGMA` standard errors and `_STILL_SHARE` of the range of
-# the record; 200 normal deviates have a range of 5.5
+# the record; 200 values of normal noise have a range of 5.5 standard errors
 _STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
 # A record counts as the motion of a motor, and is not cut, if two conditions hold. The speed rises at least
 # `_FEWEST_RISES` times by `_VARIES` of the largest speed. The part that seems to be free is shorter than `_SHORT` of
 # the record. A hand may also push a body several times, but then the speed hardly falls between the pushes. If a record
-# contains several free runs, the part that seems to be free is one of them and is longer than `_SHORT` of the record.
+# contains several free runs, the part that seems to be free is one of these runs and is longer than `_SHORT` of the
+# record.
 _VARIES, _FEWEST_RISES, _SHORT = 0.25, 3, 0.2
 _MIN_STEPS = 2  # smallest deflection at which quantisation errors are independent [steps of the resolution]
 
@@ -112,7 +114,7 @@ def limited(table: MotionTable, limits: Limits) -> MotionTable:
 
 
 def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTable, Floats]:
-    """Return the samples of the free motion and the unwrapped values [rad] or [rad/s], without drive, brake, rest."""
+    """Return the samples of the free motion, without drive, brake and rest; and the values, unwrapped, in SI units."""
     if limits.keep_all or len(table.time) < 8 * _MIN_BLOCK:
         return table, value
     time, speed, error = speeds(table, value)
@@ -193,7 +195,8 @@ def start_of_oscillation(time: Floats, value: Floats) -> int:
     design = np.polynomial.chebyshev.chebvander(x, min(5, len(x) // 4))
     early = np.arange(len(x)) < len(x) // 4
     free = np.ones(len(x), dtype=bool)
-    weight = (size / size.max())[:, None]  # small oscillations count less, because noise affects them more
+    # small oscillations have less weight, because noise affects them more
+    weight = (size / size.max())[:, None]
     for _ in range(len(x) // 4):
         fitted = np.linalg.lstsq((weight * design)[free], (weight * curves)[free], rcond=None)[0]
         rest = np.abs(curves - design @ fitted)
@@ -213,8 +216,8 @@ def _is_held(time: Floats, value: Floats, at: Floats, size: Floats) -> bool:
 
     `at` are the times of the upward zero crossings [s], `size` the peak-to-peak amplitudes between them. The values
     before the first crossing are compared with the values one period later, which are multiplied by the ratio of
-    neighbouring amplitudes. The same comparison for the later crossings shows how far noise and changes of the free
-    motion contribute.
+    neighbouring amplitudes. The same comparison for the later crossings shows the contribution of noise and of changes
+    of the free motion.
     """
     period = np.diff(at)
     before = float(at[0] - time[0])
@@ -242,7 +245,7 @@ def upward_crossings(value: Floats, share: float = 0.02) -> np.ndarray[tuple[int
 
 
 def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Floats]:
-    """Return an oscillation until it is smaller than the resolution of the file, or the body is at rest."""
+    """Return an oscillation up to the time at which the file does not resolve it any more, or the body is at rest."""
     last = _end_of_resolution(table, value)
     what = f"the deflection is at most {_MIN_STEPS} steps of the resolution"
     if last == len(value):
@@ -261,7 +264,7 @@ def _without_rest(table: MotionTable, value: Floats) -> tuple[MotionTable, Float
 def _end_of_resolution(table: MotionTable, value: Floats) -> int:
     """Return the sample after the last deflection of more than `_MIN_STEPS` steps of the resolution.
 
-    If the resolution is not coarser than the noise, or no rest follows, return the number of samples.
+    The result is the number of samples if the resolution is not coarser than the noise, or if no rest follows.
     """
     step = table.least_sigma * np.sqrt(12)
     deflection = value - np.median(value[-max(len(value) // 50, 1) :])
@@ -279,10 +282,10 @@ def _end_of_resolution(table: MotionTable, value: Floats) -> int:
 def end_of_oscillation(time: Floats, value: Floats, sigma: Floats) -> int:
     """Return the first sample of the rest at the end of an oscillation.
 
-    If the body does not come to rest, return the number of samples. At rest the means over eighths of a period vary by
-    less than 8 standard errors, or by less than 0.2 % of the range of the record. Dry friction then holds the body at a
-    position that depends on the last reversal and contains no information about the laws. A rest of less than a period
-    counts as motion. `value` is the angle or the angular velocity.
+    If the body does not come to rest, the result is the number of samples. At rest, the means over eighths of a period
+    vary by less than 8 standard errors, or by less than 0.2 % of the range of the record. Dry friction then holds the
+    body at a position that depends on the last reversal and contains no information about the laws. A rest of less than
+    a period counts as motion. `value` is the angle or the angular velocity.
     """
     crossings = upward_crossings(value - 0.5 * (value.min() + value.max()))
     if len(crossings) < 2:
@@ -344,9 +347,9 @@ def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
     if best is None:
         return 0, False
     _, k, b, a, u = best
-    if b > 0.4 * a and a < 0 and b - a > _SIGNIFICANT * u:  # constant speed before
+    if b > 0.4 * a and a < 0 and b - a > _SIGNIFICANT * u:  # the speed is constant before the changepoint
         return _first_free(time, speed, k + 1, reach), True
-    if speed[0] < 0.9 * top and last_high > 2:  # increasing speed before
+    if speed[0] < 0.9 * top and last_high > 2:  # the speed increases before this block
         return _first_free(time, speed, last_high + 1, reach), True
     return 0, False
 
@@ -357,8 +360,8 @@ def _first_free(time: Floats, speed: Floats, begin: int, reach: int) -> int:
     A parabola is fitted to the blocks after a block, up to `reach`. In the free motion, a block and all later blocks
     agree with their parabolas.
 
-    This correction is needed because the line before the changepoint describes only a constant drive. The last blocks
-    of a varying drive may agree better with the line of the free motion.
+    This correction is needed because the line before the changepoint describes only a constant drive. If the drive
+    varies, its last blocks may agree better with the line of the free motion.
     """
     for first in range((begin + reach) // 2, begin - 1, -1):
         x, y = time[first + 1 : reach + 1] - time[first], speed[first + 1 : reach + 1]

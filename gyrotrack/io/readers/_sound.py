@@ -17,7 +17,7 @@ def read_wav(path: Path, content: bytes, _options: object) -> RawTable:
     """Return the times and the channels of a WAV file."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", wavfile.WavFileWarning)  # unknown chunks
+            warnings.simplefilter("ignore", wavfile.WavFileWarning)  # SciPy warns about unknown chunks
             rate, signal = wavfile.read(io.BytesIO(content))
     except Exception as error:
         what = f"{path} is not a readable WAV file: {str(error)[:100]}."

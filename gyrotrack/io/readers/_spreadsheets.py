@@ -13,7 +13,7 @@ import numpy as np
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.io.readers._raw_table import MAX_CELLS, RawTable
 
-_MOST_CELLS = 2_000_000  # largest number of cells of a workbook, whose XML is slow to read
+_MOST_CELLS = 2_000_000  # largest number of cells of a workbook, because its XML is slow to read
 
 
 def read_workbook(path: Path, content: bytes) -> RawTable:
@@ -30,7 +30,8 @@ def read_workbook(path: Path, content: bytes) -> RawTable:
             sheet.reset_dimensions()  # the stated size may be much larger than the range of cells with values
             rows: list[list[Any]] = []
             for row in sheet.iter_rows(values_only=True):
-                cells += max(len(row), 1)  # a row far below the others is preceded by empty rows
+                # a row far below the other rows would be preceded by many empty rows
+                cells += max(len(row), 1)
                 if cells > _MOST_CELLS:
                     break
                 rows.append(list(row))

@@ -29,7 +29,7 @@ from gyrotrack.io.readers._raw_table import (
 
 _QUOTED = re.compile(r'"[^"]*"')
 _NO_CELL_ERROR = f"#(?!{'|'.join(re.escape(e[1:]) for e in CELL_ERRORS)})"
-# a comment after the last number of a line, and a comment that fills the line
+# patterns of a comment after the last number of a line, and of a comment that fills the line
 _COMMENT = re.compile(rf"(?<=[\d.])[\s,;]+{_NO_CELL_ERROR}.*$", re.IGNORECASE)
 _COMMENT_LINE = re.compile(rf"\s*{_NO_CELL_ERROR}", re.IGNORECASE)
 
@@ -37,7 +37,7 @@ _COMMENT_LINE = re.compile(rf"\s*{_NO_CELL_ERROR}", re.IGNORECASE)
 _LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"
 
 Lines = Sequence[tuple[int, str]]
-_LONGEST_LINE = 2**24  # characters
+_LONGEST_LINE = 2**24  # largest length of a line [characters]
 _SAMPLE = 50  # number of lines that determine the separator
 _MOST_SETTINGS = 10  # largest number of lines of settings between header and samples
 # largest number of rows of a transposed table; a table is transposed if it has no names, at most this number of rows,
@@ -76,7 +76,7 @@ def content_lines(path: Path, content: bytes) -> tuple[list[tuple[int, str]], tu
             for number, line in lines
             if not ("#" in line and _COMMENT_LINE.match(line))
         ]
-    del text, rows  # free the memory of the text, which is as large as the file; the lines are copies
+    del text, rows  # frees the memory of the text, which is as large as the file; the lines are copies
     notes = []
     first = next((i for i, (_, line) in enumerate(lines) if _holds_samples(line)), len(lines))
     for _, line in lines[:first]:
@@ -111,7 +111,7 @@ def delimiter_of(line: str) -> str | None:
 
 
 def _is_data(cells: Sequence[str], *, comma: bool) -> bool:
-    """Return whether a line contains samples: its first non-empty cell, or most cells, are numbers or clock times."""
+    """Return whether a line contains samples: the first non-empty cell, or most cells, are numbers or clock times."""
     filled = [c for c in cells if c]
     known = [number_of(c, decimal_comma=comma, times=True) is not None for c in filled]
     return bool(filled) and (known[0] or sum(known) > len(known) / 2)
@@ -122,7 +122,8 @@ def _delimiter_of_body(lines: Lines) -> str | None:
     body = [_QUOTED.sub("", text) for _, text in lines[len(lines) // 2 :][:_SAMPLE]]
     found = next((d for d in (";", "\t", ",") if sum(d in text for text in body) > len(body) / 2), None)
     mixed = found in {"\t", ","} and all(any(map(_is_list, split(text, found))) for text in body)
-    # mixed: blanks separate the cells; the tabs are among the blanks, or the commas are decimal commas
+    # `mixed`: blanks occur between numbers, together with tabs or commas; then blanks are the separators, and commas
+    # are decimal
     return None if mixed else found
 
 
@@ -256,7 +257,7 @@ def _checked_rows(
     keep = np.ones(len(rows), dtype=bool)
     for i, row in enumerate(rows):
         if delimiter is not None and len(row) == width + 1 and not row[-1]:
-            row.pop()  # a delimiter at the end of the line
+            row.pop()  # each line may end with a delimiter
         if len(row) == width:
             continue
         if i == len(rows) - 1 and len(row) < width and i:

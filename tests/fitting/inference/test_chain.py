@@ -253,7 +253,7 @@ class TestRefusals:
             ({"drum": BODY, "motor": BODY}, {"bearing": ("motor", "drum")}, "'bearing' cannot be the name"),
             ({"casing": BODY, "motor": BODY}, {"belt": ("motor", "casing")}, "'casing' cannot be the name"),
             ({"drum": BODY, "motor": BODY}, {"belt": "motor"}, "joints is not a mapping"),
-            ({"drum": BODY}, {"belt": ("motor", "drum")}, "drum is the only one"),
+            ({"drum": BODY}, {"belt": ("motor", "drum")}, "drum is the only body"),
             (
                 {"drum": BODY, "motor": BODY, "wheel": BODY},
                 {"belt": ("motor", "drum")},

@@ -106,7 +106,7 @@ def refusal(path):
         ({"kind": None}, "lacks the attribute 'kind'"),
         ({"format": "nexus"}, "was not written by gyrotrack"),
         ({"format": None}, "was not written by gyrotrack"),
-        ({"format_version": "3.0"}, "has the layout 3.0; the newest supported one is 2.0"),
+        ({"format_version": "3.0"}, "has the layout 3.0; the newest supported layout is 2.0"),
         ({"format_version": "new"}, "no valid format version ('new')"),
         ({"I_rotor": -1.0}, "not positive"),
         ({"I_rotor": np.nan}, "the attribute 'I_rotor' is missing"),
