@@ -98,7 +98,7 @@ def test_a_recorded_drive_and_oscillations_are_not_examined(monkeypatch, options
     assert unrecorded_drive(fit_of(monkeypatch, ramp(8.0), SLOWED, **options)) == ""
 
 
-def test_a_variation_within_each_turn_is_no_drive(monkeypatch):
+def test_variations_of_the_speed_within_a_turn_do_not_count(monkeypatch):
     # an unbalanced wheel near rest: 3 rad/s, by 1 rad/s faster and slower once per turn
     speed = 3.0 + np.cos(3.0 * TIME)
     assert unrecorded_drive(fit_of(monkeypatch, speed, np.full(len(TIME), 3.0))) == ""

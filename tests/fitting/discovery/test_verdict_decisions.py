@@ -121,7 +121,7 @@ class Answer:
             "contradiction": None, "significant_peak": None, "grade": Grade(None, None, None),
             "inertia_within_uncertainty": "", "with_random_torque": None, "describes": False,
             "is_established": True, "smooth_test": SmoothTest("casing", 0.5), "nonparametric_rivals": (),
-            "nuisance_parameters": [], "largest_hidden": HiddenEffects(), "find_failures": [],
+            "nuisance_parameters": [], "unrecorded_drive": "", "largest_hidden": HiddenEffects(), "find_failures": [],
             "separating_run": "next run", "whiteness": [], "residual_torques": [], "angle_harmonics": [],
             "combined_uncertainties": {},
             "reselected": None,
