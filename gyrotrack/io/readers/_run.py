@@ -34,8 +34,8 @@ from gyrotrack.io.readers._plausibility import rises
 _BLOCKS = 400
 _MIN_BLOCK = 4
 _BRAKE_RATIO = 3.0  # smallest ratio of the decelerations during and before a brake
-# smallest significant deviation [standard errors], for three comparisons: the slopes before and after the end of a
-# drive, a block and a parabola, a period or amplitude and a smooth curve
+# smallest significant deviation [standard errors], for four comparisons: the slopes before and after the end of a
+# drive, a block and a parabola, a period or amplitude and a smooth curve, the last speed after a drive and the first
 _SIGNIFICANT = 6.0
 _MIN_CROSSINGS = 12  # smallest number of zero crossings for the detection of irregular periods
 _IRREGULAR = np.array([0.01, 0.05])  # smallest relative deviations of an irregular period and amplitude
@@ -122,11 +122,14 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
         return table, value
     if _oscillates(speed):
         return _without_rest(*_without_hand(table, value))
+    scatter_of_speeds = _scatter_of_blocks(speed)
     speed = np.abs(median_filter(speed, 5, mode="nearest"))
     begin, driven = _end_of_drive(time, speed)
     end, stopped = _end_of_motion(time, speed, error, begin)
     if not _coasts(speed[begin : end + 1]):
         return table, value
+    if driven and speed[begin] - speed[end] < _SIGNIFICANT * scatter_of_speeds:
+        return table, value  # the last blocks of a drive may also fall by chance
     first = time[begin] if driven else -np.inf
     last = time[end] if stopped else np.inf
     keep = (table.time >= first) & (table.time <= last)
@@ -319,6 +322,18 @@ def speeds(table: MotionTable, value: Floats) -> tuple[Floats, Floats, Floats]:
         residual = v - v.mean() - speed[k] * x
         error[k] = np.sqrt(max(float(residual @ residual) / max(size - 2, 1), 0.0) / spread)
     return time, speed, error
+
+
+def _scatter_of_blocks(speed: Floats) -> float:
+    """Return the scatter of the speeds of a fast body about its motion, from their second differences [rad/s].
+
+    Speeds below half of the largest speed are omitted, because a body at rest has a smaller scatter.
+    """
+    size = np.abs(speed)
+    fast = np.minimum(np.minimum(size[:-2], size[1:-1]), size[2:]) > 0.5 * float(size.max())
+    bends = np.abs(np.diff(speed, 2))[fast]
+    # sqrt(6): standard deviation of a second difference of independent speeds
+    return 1.483 * float(np.median(bends)) / np.sqrt(6.0) if len(bends) else 0.0
 
 
 def _coasts(speed: Floats) -> bool:

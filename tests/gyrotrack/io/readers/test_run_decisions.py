@@ -398,3 +398,15 @@ def test_speeds_are_compared_over_a_twentieth_of_the_record(period, coasts):
     """A ripple cancels if the twentieth, 20 of 400 blocks, is its period."""
     k = np.arange(400)
     assert _run._coasts(900.0 - k + 12.0 * np.sin(2 * np.pi * k / period)) is coasts
+
+
+@pytest.mark.parametrize(("fall", "kept"), [(0.0, 10000), (30.0, 1100)])
+def test_speeds_that_fall_by_chance_after_a_drive_are_not_a_coast(fall, kept):
+    """A motor starts from rest and turns at a constant speed; with this noise, the last speeds fall."""
+    time = 0.002 * np.arange(10000)
+    block = np.arange(10000) // 25
+    noise = np.random.default_rng(101).normal(size=400)[block]
+    value = np.where(block < 150, 0.0, 60.0 + noise) - np.maximum(block - 355, 0) * fall / 44
+    table = run_of(table_of(time, value, "omega"), value, Limits())[0]
+    assert len(table.time) == pytest.approx(kept, abs=150)
+    assert bool(table.notes) is (fall > 0)
