@@ -1127,9 +1127,10 @@ def _refuse_counter(raw: RawTable, options: ReadOptions) -> None:
             continue
         time = raw.names[columns.place["t"]] if "t" in columns.place else "1"
         raise DatasetError(
-            f"{raw.header_place}: {column_name(raw, i)} contains whole numbers that never reverse, which may be counts. "
-            "Then the rows are samples and not pulses.",
-            f"For counts, give --column 'revolutions={raw.names[i]}'. If each row is a pulse, give --column 't={time}'.",
+            f"{raw.header_place}: {column_name(raw, i)} contains whole numbers that never reverse, which may be "
+            "counts. Then the rows are samples and not pulses.",
+            f"For counts, give --column 'revolutions={raw.names[i]}'. If each row is a pulse, give --column "
+            f"'t={time}'.",
         )
 
 
