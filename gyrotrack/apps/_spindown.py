@@ -87,6 +87,8 @@ Progress = Callable[[int, int | None], None]
 
 # kinds of refused films that no other method can track; if a film shows two bodies, the user must select one body
 _NO_OTHER_WAY = ("cut", "no motion", "two bodies", "two links")
+# smallest share of the change of brightness that one rotation explains if its parts, for example blades, are not bodies
+_ONE_ROTATION = 0.85
 _MIN_TRACKED = 0.8  # the paper's markers are used only if they are found in at least this share of the frames
 
 
@@ -311,7 +313,7 @@ def _film(
         with suppress(TrackingError):
             recording, tracked = film_recording(film, options, progress, free=True)
             return recording, (film, tracked)
-        if several is not None:
+        if several is not None and not _is_loose_rotation(error):
             raise several from error
         raise
     x, y = tracked.ring.hub
@@ -320,6 +322,12 @@ def _film(
             recording, point = point_recording(film, options, progress)
             return recording, (film, point)
     return recording, (film, tracked)
+
+
+def _is_loose_rotation(error: TrackingError) -> bool:
+    """Return whether one rotation explains a refused film, although its hub moves: a body before a moving camera."""
+    known = error.evidence if isinstance(error, RefusedFilmError) else {}
+    return "hub_moves_px" in known and float(known.get("explained", 0.0)) >= _ONE_ROTATION
 
 
 def _by_silhouette(

@@ -583,7 +583,7 @@ def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float
         f"No body in {name} turns about a fixed axis: the hub of the best candidate, at "
         f"({best.ring.hub[0]:.0f}, {best.ring.hub[1]:.0f}) px, moves by {moved:.1f} px; at most {allowed:.1f} px "
         "are usual.",
-        f"The body also translates, or several bodies move. {_GIVE_HUB}",
+        f"The body or the camera also translates, or several bodies move. {_GIVE_HUB}",
         kind="no rotation",
         evidence={"explained": best.score, "hub_moves_px": moved},
         frames=tuple(frames[k] for k in np.linspace(0, len(frames) - 1, 4).astype(int)),

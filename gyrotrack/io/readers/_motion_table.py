@@ -37,6 +37,7 @@ from gyrotrack.io.readers._raw_table import (
     clean,
     factor,
     header_of,
+    is_acceleration,
     is_input,
     role_of,
 )
@@ -242,7 +243,7 @@ def find_columns(raw: RawTable, options: ReadOptions) -> Columns:
             what = f"{raw.header_place}: the unit of '{name}' is '{below}' in the next line."
             raise DatasetError(what, "Correct one of them.")
         units[index] = below or clean(unit)
-        role = role_of(base) if name and not options.names else None
+        role = role_of(base) if name and not options.names and not is_acceleration(name) else None
         if options.names:
             for text in (name.casefold(), base.casefold(), str(index + 1), _stem_without_axis(base)):
                 if text and text in given_names:

@@ -21,6 +21,7 @@ between them, because the duration of a passage is inversely proportional to the
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -45,7 +46,7 @@ from gyrotrack.io.readers._motion_table import (
     times_of,
 )
 from gyrotrack.io.readers._plausibility import are_intervals, counts_rows, may_be_intervals, rises
-from gyrotrack.io.readers._raw_table import TURN, RawTable
+from gyrotrack.io.readers._raw_table import TURN, RawTable, header_of, role_of
 from gyrotrack.io.readers._reading import Reading, Taken
 
 # times are from a clocked sampler if 90 % of their intervals deviate from the median by less than this share
@@ -74,6 +75,11 @@ _MOST_RISES = 1  # a motor at the start of a record may cause one rise of the sp
 _SHORT_PERIODS, _LONGER, _MOST_LOST = 0.1, 1.25, 0.3
 # speeds before and after a time without pulses count as equal up to this logarithm of their ratio
 _SAME_SPEED = 0.3
+# words in the name of a counter, beside those of `role_of`
+_NAMES_OF_COUNTS = re.compile(r"encoder|ticks?\b|counts?\b|(?<![a-z])(?:enc|pos|position)(?![a-z])")
+_MEASURED = {"angle", "omega", "interval", "revolutions"}  # quantities beside which no counter is looked for
+# largest sum of the steps of counts, divided by their range; the sum of a signal is twice its range in each period
+_LONGEST_PATH = 4.0
 _LEAST_SINGLE = 0.5  # at least this share of the times of pulses must be different from each other
 _END = 3  # number of intervals at each end of the record that have too few neighbours on one side
 _LINE = 4  # number of intervals from which the speed is extrapolated to the ends of the record
@@ -314,6 +320,8 @@ def read_pulses(raw: RawTable, options: ReadOptions) -> MotionTable:
             time, line, event = pulses
     if event == "each row":
         _refuse_unused(raw, options)
+        if not intervals:
+            _refuse_counter(raw, options)
     pulse = "states of a light gate" if gate is not None else "signal" if event != "each row" else "row"
     taken.append(Taken(event, "pulses", "", f"{per_turn:g} per turn; {pulse}"))
     made = from_events(raw, time, line, per_turn, notes)
@@ -1064,6 +1072,76 @@ def _refuse_unused(raw: RawTable, options: ReadOptions) -> None:
                 f"{raw.path}: {name} is given as {role}, but with --pulses-per-turn each row would be a pulse.",
                 "Omit --pulses-per-turn, or give a counter by --column revolutions=N.",
             )
+
+
+def with_named_counter(raw: RawTable, columns: Columns, options: ReadOptions) -> Columns:
+    """Return columns with the counter of an encoder that is found by words in its name, if the option counts pulses.
+
+    An angle, a speed, intervals or counts that are already found, and a column given by the user, exclude it. A
+    DatasetError is raised for two such counters.
+    """
+    per_turn = options.pulses_per_turn or 0.0
+    if not per_turn > 0 or not raw.headed or set(columns.place) & _MEASURED:
+        return columns
+    found = [
+        i
+        for i in _accumulating(raw, columns, per_turn)
+        if _NAMES_OF_COUNTS.search(header_of(raw.names[i])[0].casefold())
+    ]
+    if len(found) > 1:
+        wanted = (options.marker or options.body or "").casefold()
+        found = [i for i in found if wanted in raw.names[i].casefold()] or found
+    if len(found) > 1:
+        names = ", ".join(column_name(raw, i) for i in found)
+        what = f"{raw.header_place}: {len(found)} columns contain counts: {names}."
+        raise DatasetError(what, f"Choose one, for example --column 'revolutions={raw.names[found[0]]}'.")
+    if not found:
+        return columns
+    return replace(
+        columns,
+        place=columns.place | {"revolutions": found[0]},
+        unit=columns.unit | {"revolutions": ""},
+        why=columns.why | {"revolutions": "by its name"},
+    )
+
+
+def _accumulating(raw: RawTable, columns: Columns, per_turn: float) -> list[int]:
+    """Return the columns of whole numbers that accumulate like counts, with at most a few reversals.
+
+    A sampled signal of a sensor passes through its whole range in each period, and therefore does not accumulate.
+    """
+    found = []
+    taken = {*columns.place.values(), *columns.drivers}
+    for i in range(len(raw.names)):
+        values = raw.numeric(i) if i not in taken and header_of(raw.names[i])[1] == "" else None
+        values = np.zeros(0) if values is None else values[np.isfinite(values)]
+        if len(values) < MIN_SAMPLES or (values != np.round(values)).any() or counts_rows(values):
+            continue
+        if np.ptp(values) < per_turn:  # the count may restart at each turn
+            values = np.unwrap(values, period=per_turn)
+        path, extent = float(np.abs(np.diff(values)).sum()), float(np.ptp(values))
+        if extent >= MIN_SAMPLES and path <= _LONGEST_PATH * extent:
+            found.append(i)
+    return found
+
+
+def _refuse_counter(raw: RawTable, options: ReadOptions) -> None:
+    """Raise a DatasetError if each row would be a pulse, but another column contains whole numbers that only grow."""
+    columns = find_columns(raw, options)
+    if not raw.headed or columns.why.get("t") == "by --column":
+        return
+    for i in _accumulating(raw, columns, options.pulses_per_turn or 1.0):
+        values = raw.numeric(i)
+        step = np.diff(np.zeros(0) if values is None else values[np.isfinite(values)])
+        if max(float((step >= 0).mean()), float((step <= 0).mean())) < 1.0 or role_of(raw.names[i]) == "t":
+            continue
+        time = raw.names[columns.place["t"]] if "t" in columns.place else "1"
+        raise DatasetError(
+            f"{raw.header_place}: {column_name(raw, i)} contains whole numbers that never reverse, which may be "
+            "counts. Then the rows are samples and not pulses.",
+            f"For counts, give --column 'revolutions={raw.names[i]}'. If each row is a pulse, give --column "
+            f"'t={time}'.",
+        )
 
 
 def sampled_counts(raw: RawTable, columns: dict[str, int]) -> int | None:

@@ -304,6 +304,15 @@ def is_input(name: str) -> bool:
     return bool(_INPUTS & set(re.split(r"[\s_.,\-:#]+", name.casefold())))
 
 
+# a unit of angular acceleration in a header, for example rad/s2, rad_s2, deg/s^2, rad s-2
+_ACCELERATION = re.compile(r"(?:rad|deg|°|rev|turns?)[\s_/·*]+s(?:ec)?(?:\^|\*\*)?-?[2²](?![a-z0-9])")
+
+
+def is_acceleration(name: str) -> bool:
+    """Return whether a header contains a unit of angular acceleration."""
+    return _ACCELERATION.search(name.casefold()) is not None
+
+
 def role_of(name: str) -> str | None:
     """Return the quantity of a column by its name without unit; None if it is unknown."""
     text = name.casefold()

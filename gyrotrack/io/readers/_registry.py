@@ -45,6 +45,7 @@ from gyrotrack.io.readers._pulses import (
     refuse_passages,
     sampled_counts,
     with_counts,
+    with_named_counter,
 )
 from gyrotrack.io.readers._raw_table import RawTable, read_bytes
 from gyrotrack.io.readers._reading import Reading, Taken
@@ -184,12 +185,12 @@ def _from_table(raw: RawTable, options: ReadOptions) -> MotionTable:
     raw = _rows_of_body(raw, options)
     if options.pulses_per_turn:
         options = with_counts(raw, options)
-        columns = find_columns(raw, options)
+        columns = with_named_counter(raw, find_columns(raw, options), options)
         counts = sampled_counts(raw, columns.place)
         if counts is not None and not set(columns.place) & {"angle", "omega"}:
             return read_sampled_counts(raw, columns, counts, options)
     if raw.headed or options.names:
-        columns = find_columns(raw, options)
+        columns = with_named_counter(raw, find_columns(raw, options), options)
         if set(COORDINATES) <= set(columns.place):
             place = np.stack([raw.numbers(columns.place[axis], axis) for axis in COORDINATES], axis=1)
             time = times_of(raw, columns.place, columns.unit, replace(options, start=0.0))

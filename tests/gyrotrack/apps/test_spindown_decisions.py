@@ -1080,3 +1080,19 @@ def test_the_error_due_to_a_tilt_is_the_fitted_stretch_up_to_three_per_cent(stre
     )
     (mode,) = _spindown._tilt_mode(tracked)
     assert mode.covariance == pytest.approx(u**2 * np.eye(2))
+
+
+@pytest.mark.parametrize(
+    ("evidence", "named"),
+    [
+        ({"explained": 0.86, "hub_moves_px": 7.3}, "one rotation"),
+        ({"explained": 0.84, "hub_moves_px": 7.3}, "several bodies"),
+        ({"explained": 0.86}, "several bodies"),
+    ],
+)
+def test_the_blades_of_a_rotation_whose_hub_moves_are_not_several_bodies(trackers, evidence, named):
+    trackers["film"] = RefusedFilmError("one rotation", "", kind="no rotation", evidence=evidence)
+    trackers["point"] = RefusedFilmError("several bodies", "", kind="two bodies", evidence={})
+    trackers["free"] = TrackingError("no free body", "")
+    with pytest.raises(RefusedFilmError, match=named):
+        run()

@@ -1241,3 +1241,59 @@ class TestPassages:
                 module._refuse_lost_passages(table(time), time)
         else:
             module._refuse_lost_passages(table(time), time)
+
+
+def counted(name, *, count=None, others=(), jitter=0.0, **options):
+    """A motor that slows down, sampled at equal intervals by an encoder of 700 counts per turn."""
+    time = 0.01 * np.arange(1200) + jitter * np.sin(7.0 * np.arange(1200))
+    if count is None:
+        count = np.floor(700 / TURN * 60 * (1 - np.exp(-time / 4)))
+    names = ("Time", name, *(n for n, _ in others))
+    return _from_table(
+        table(time, count, *(c for _, c in others), names=names), ReadOptions(pulses_per_turn=700, **options)
+    )
+
+
+class TestNamedCounter:
+    @pytest.mark.parametrize("jitter", [0.0, 2e-3])
+    @pytest.mark.parametrize("name", ["EncoderPosition", "Encoder Ticks", "left_enc", "pos", "motorCount"])
+    def test_the_name_of_a_counter_shows_that_rows_are_samples(self, name, jitter):
+        found = counted(name, jitter=jitter)
+        assert np.ptp(found.value) == pytest.approx(60 * (1 - math.exp(-3)), abs=0.05)
+        assert found.reading.taken[1].column == f"'{name}'"
+
+    def test_the_rows_are_samples_even_if_only_the_unit_of_the_time_is_given(self):
+        assert np.ptp(counted("encoder", names=read_names(["t=Time [s]"])).value) > 50
+
+    def test_a_counter_that_restarts_at_each_turn_accumulates(self):
+        count = np.floor(700 / TURN * 0.2 * np.arange(1200)) % 700
+        assert np.ptp(np.unwrap(counted("encoder", count=count).value)) == pytest.approx(0.2 * 1199, abs=0.05)
+
+    def test_whole_numbers_that_never_reverse_are_not_ignored(self):
+        with pytest.raises(DatasetError, match="'foo' contains whole numbers that never reverse") as error:
+            counted("foo")
+        assert "--column 'revolutions=foo'" in error.value.hint
+        assert np.ptp(counted("foo", names=read_names(["t=Time"])).value) == pytest.approx(TURN * 1199 / 700)
+
+    def test_two_counters_need_a_choice(self):
+        other = ("encoder right", np.arange(1200) * 5 // 2)
+        with pytest.raises(DatasetError, match="2 columns contain counts"):
+            counted("encoder left", others=[other])
+        assert np.ptp(counted("encoder left", others=[other], marker="right").value) == pytest.approx(
+            TURN * (1199 * 5 // 2) / 700, abs=0.02
+        )
+
+    @pytest.mark.parametrize(
+        ("name", "values"),
+        [
+            ("millis", 10 * np.arange(1200)),  # a second clock
+            ("row", np.arange(1200)),
+            ("light", np.round(500 + 400 * np.sin(np.arange(1200) ** 1.1))),  # a signal reverses
+            ("level", np.linspace(0, 5, 1200)),
+        ],
+    )
+    def test_other_columns_beside_pulses_are_not_counters(self, name, values):
+        time = np.cumsum(0.01 * 1.001 ** np.arange(1200))
+        raw = table(time, values, names=("Time", name))
+        found = _from_table(raw, ReadOptions(pulses_per_turn=700))
+        assert np.ptp(found.value) == pytest.approx(TURN * 1199 / 700, rel=0.01)

@@ -22,6 +22,7 @@ from gyrotrack.io.readers._raw_table import (
     RawTable,
     factor,
     header_of,
+    is_acceleration,
     is_input,
     is_unit,
     number_of,
@@ -93,6 +94,17 @@ def test_headers_are_split_in_name_and_unit(text, expected):
 )  # fmt: skip
 def test_roles_of_names(name, role):
     assert role_of(name) == role
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("alpha_m_rad_s2", True), ("alpha [rad/s^2]", True), ("phi (deg/s²)", True), ("alpha / rad s-2", True),
+        ("alpha", False), ("omega_rad_s", False), ("omega [rad/s] 2", False), ("angle_rad_2", False),
+    ],
+)  # fmt: skip
+def test_units_of_angular_acceleration(name, expected):
+    assert is_acceleration(name) is expected
 
 
 def test_inputs_and_units_are_recognised():

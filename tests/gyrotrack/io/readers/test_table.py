@@ -311,3 +311,11 @@ def test_cells_of_text_are_limited(monkeypatch):
     with pytest.raises(DatasetError, match="cells"):
         read(text + "8,x\n9,90\n")
     read(text + "8,80\n9,90\n")
+
+
+def test_an_angular_acceleration_is_not_an_angle(tmp_path):
+    rows = [(0.1 * k, 5.0, 0.5 * k, 0.025 * k**2) for k in range(12)]
+    path = table(tmp_path, text("time_s,alpha_m_rad_s2,omega_m_rad_s,theta_m_rad", rows=rows))
+    found = read_motion(path)
+    assert found.quantity == "angle"
+    assert np.ptp(found.value) == pytest.approx(0.025 * 11**2, rel=1e-4)
