@@ -21,6 +21,7 @@ from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._initial_values import start_values
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem
 from fitting.inference._record import Samples
 
@@ -521,3 +522,42 @@ class TestLawsOfAnAngle:
 
     def test_the_error_of_a_mean_is_that_of_weights(self):
         assert _case_model._unit_error(Samples(T[:2], T[:2], np.array([0.3, 0.4]))) == pytest.approx(0.24)
+
+
+class TestPrior:
+    """A strength that two runs share, and its prior."""
+
+    PRIOR = Prior(("touchpoint.constant.b1",), (2e-6,), ((4e-14,),))
+
+    def of(self, *, share, prior=PRIOR):
+        records = [replace(data(seed=0).record, label=x) for x in ("first", "second")]
+        layout = ParameterLayout.of(
+            Model.of(["touchpoint.constant"]),
+            records,
+            **({"share": ["touchpoint.constant.b1"]} if share else {"per_case": ["touchpoint.constant.b1"]}),
+        )
+        cases = [SimpleNamespace(record=r, prior=prior) for r in records]
+        return [CaseModel(c, layout, i)._prior for i, c in enumerate(cases)]
+
+    def test_a_shared_parameter_has_it_in_the_first_case_only(self):
+        first, second = self.of(share=True)
+        assert (first[0], second[0]) == (("touchpoint.constant.b1",), ())
+        assert first[1].tolist() == [2e-6]
+        assert first[2] == pytest.approx(np.array([[1 / 2e-7]]))
+
+    def test_a_parameter_with_a_value_for_each_case_has_it_in_each(self):
+        assert [p[0] for p in self.of(share=False)] == [
+            (f"touchpoint.constant.b1@{x}",) for x in ("first", "second")
+        ]
+
+    def test_without_a_prior_there_is_none(self):
+        assert self.of(share=True, prior=None) == [None, None]
+
+
+def test_variables_of_the_motion_come_first():
+    """The derivatives by the parameters of the motion are integrated; those of the camera are added to the rows."""
+    model, layout, _ = model_of("camera.tilt")
+    names = [layout.names[k] for k in model.places]
+    assert names[model._moving :] == ["camera.tilt.eps", "camera.tilt.phi"]
+    assert set(names) == set(layout.names)
+    assert [model._own[k] for k in model.places] == list(range(len(names)))

@@ -500,6 +500,20 @@ def test_paths_of_points_in_tables(tmp_path):
     assert any("1 frames without" in note for note in found.notes)
 
 
+@pytest.mark.parametrize("start", [0.0, 2.5])
+def test_points_of_a_table_begin_at_the_stated_time(tmp_path, start):
+    angle = 0.2 * np.arange(80)
+    rows = np.c_[0.02 * np.arange(80), 3 + 2 * np.cos(angle), 1 + 2 * np.sin(angle)]
+    np.savetxt(tmp_path / "p.csv", rows, delimiter=",", header="t [s],x,y", comments="", fmt="%.9f")
+    found = read_motion(tmp_path / "p.csv", ReadOptions(start=start))
+    assert found.time[[0, -1]] == pytest.approx([start, start + 1.58])
+    np.savetxt(
+        tmp_path / "a.csv", np.c_[rows[:, 0], angle], delimiter=",", header="t [s],angle [rad]", comments=""
+    )
+    found = read_motion(tmp_path / "a.csv", ReadOptions(start=start))
+    assert found.time[[0, -1]] == pytest.approx([start, start + 1.58])
+
+
 class TestCases:
     def piece(self, first, last, turned=1.0):
         return SimpleNamespace(time=np.array([first, last]), angle=np.array([0.0, turned]))
