@@ -139,8 +139,8 @@ class TestHistory:
             "rms error, platter [mrad/s]", "misfit [noise]", "cross-validation error [noise]",
             "unmodelled torque, rms [µN m]", "energy balance error [$10^{-3}$]", "change of BIC",
         ]  # fmt: skip
-        assert [c[0].tolist() for c in calls] == pytest.approx(
-            [[20.0, 4.0], [3.0, 1.0], [2.0, 1.0], [3.0, 0.0], [10.0, 10.0], [0.0, 0.0]]
+        assert np.array([c[0] for c in calls]) == pytest.approx(
+            np.array([[20.0, 4.0], [3.0, 1.0], [2.0, 1.0], [3.0, 0.0], [10.0, 10.0], [0.0, 0.0]])
         )
         assert [c[1] for c in calls] == [pytest.approx(3.0), 1.0, 1.0, None, None, None]
         assert calls[3][2] == ["", "not resolved"]
