@@ -22,7 +22,7 @@ from gyrotrack.io.readers._import_case import (
     window_warnings,
 )
 from gyrotrack.io.readers._inputs import UNITS, InputOption, read_input_options
-from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
+from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, read_names
 from gyrotrack.io.readers._number_range import check_motion, usable_numbers
 from gyrotrack.io.readers._raw_table import RawTable, table_of
 from gyrotrack.io.readers._registry import read_motion
@@ -505,8 +505,11 @@ def test_points_of_a_table_begin_at_the_stated_time(tmp_path, start):
     angle = 0.2 * np.arange(80)
     rows = np.c_[0.02 * np.arange(80), 3 + 2 * np.cos(angle), 1 + 2 * np.sin(angle)]
     np.savetxt(tmp_path / "p.csv", rows, delimiter=",", header="t [s],x,y", comments="", fmt="%.9f")
-    found = read_motion(tmp_path / "p.csv", ReadOptions(start=start))
-    assert found.time[[0, -1]] == pytest.approx([start, start + 1.58])
+    # a table of points, and the same table whose columns are named
+    for names in (None, read_names(["x=2", "y=3", "t=1"])):
+        found = read_motion(tmp_path / "p.csv", ReadOptions(start=start, names=names))
+        assert found.time[[0, -1]] == pytest.approx([start, start + 1.58])
+        np.testing.assert_allclose(wrap(found.value - angle), 0, atol=1e-6)
     np.savetxt(
         tmp_path / "a.csv", np.c_[rows[:, 0], angle], delimiter=",", header="t [s],angle [rad]", comments=""
     )
