@@ -300,8 +300,8 @@ class TestHead:
                     (
                         "Significance",
                         (
-                            "1 candidate effects tested, none accepted; most significant: <drag>, false-alarm probability "
-                            "= 0.0010"
+                            "1 candidate effects tested, none accepted; most significant: <drag>, false-alarm "
+                            "probability = 0.0010"
                         ),
                     )
                 ],
