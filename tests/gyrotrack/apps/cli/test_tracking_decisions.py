@@ -234,7 +234,7 @@ class TestExtract:
         assert (calls["run"]["resume"], calls["run"]["force"]) == (True, False)
         assert "earlier" not in calls
 
-    def test_force_begins_anew_unless_resume_is_asked_for(self, monkeypatch, tmp_path):
+    def test_force_ignores_a_complete_output_but_resume_uses_the_checkpoint(self, monkeypatch, tmp_path):
         _, _, calls = self.run(monkeypatch, tmp_path, force=True)
         assert (calls["run"]["resume"], calls["run"]["force"]) == (False, True)
         _, _, calls = self.run(monkeypatch, tmp_path, force=True, resume=True)

@@ -255,7 +255,7 @@ class TestFiles:
             self.write(monkeypatch, tmp_path)
         self.write(monkeypatch, tmp_path, force=True)
 
-    def test_a_file_is_no_folder(self, monkeypatch, tmp_path):
+    def test_a_folder_with_the_name_of_a_file_cannot_be_created(self, monkeypatch, tmp_path):
         (tmp_path / "a").touch()
         with pytest.raises(OutputError, match="Cannot create the folder"):
             self.write(monkeypatch, tmp_path / "a")
