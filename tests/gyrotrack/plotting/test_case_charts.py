@@ -285,6 +285,7 @@ class TestEnergy:
         assert [t.value[0] for t in chart.traces] == pytest.approx([10.0, 5.0, 1.0])
         assert [t.label for t in chart.traces] == ["start", "+ a", "+ b"]
         assert len({t.colour for t in chart.traces}) == 3
+        assert (chart.traces[0].colour, chart.traces[-1].colour) == (module.BEFORE, module.AFTER)
         assert chart.finding == "Largest relative drift of the energy balance: 0.0200 → 0.00400."
 
     def test_one_step_has_one_drift(self):

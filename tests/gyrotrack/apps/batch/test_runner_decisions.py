@@ -193,7 +193,8 @@ class TestCommand:
 
     @pytest.mark.parametrize(
         ("value", "text"),
-        [(None, '""'), (True, "true"), (1.5, "1.5"), (3, "3"), ("a", '"a"'), ('b"\\', '"b\\"\\\\"'), ([1, "a"], '[1, "a"]'),
+        [(None, '""'), (True, "true"), (1.5, "1.5"), (3, "3"), ("a", '"a"'),
+         ('b"\\', '"b\\"\\\\"'), ([1, "a"], '[1, "a"]'),
          (Path("x"), '"x"')],
     )  # fmt: skip
     def test_settings_are_toml(self, value, text):
@@ -209,7 +210,9 @@ class TestCommand:
             command.config_command(**({"name": None} | more), tracking=tracking, fitting=fitting, out=Out())
 
     @pytest.mark.parametrize(("tracking", "fitting"), [(True, False), (False, True), (True, True)])
-    def test_numbers_of_the_program_are_shown_on_request(self, tracking, fitting):
+    def test_numbers_of_the_program_are_shown_on_request(self, monkeypatch, tracking, fitting):
+        for name in ("fitting._settings.fitting_settings", "gyrotrack._tracking_settings.tracking_settings"):
+            monkeypatch.setattr(name, lambda name=name: SimpleNamespace(to_json=lambda: name))
         out = Out()
         command.config_command(None, tracking=tracking, fitting=fitting, out=out)
         assert list(out.results[0]) == ["tracking"] * tracking + ["fitting"] * fitting
