@@ -226,6 +226,8 @@ class TestTorqueAgainstSpeed:
         v = view(model(), added=added(), alternatives=(added("a", 3e-6), added("b", 0.0, 1e-6)))
         chart = torque_speed_chart(v, alternatives=alternatives)
         assert [t.label for t in chart.traces[1:]] == names
+        assert [t.value[0] for t in chart.traces[1:]] == pytest.approx([1.0, 3.0][: len(names)])  # in µN m
+        assert [t.width for t in chart.traces[1:]] == [1.8, 1.2][: len(names)]
 
     @pytest.mark.parametrize(
         ("speed", "branches"),

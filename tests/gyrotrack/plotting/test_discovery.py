@@ -284,6 +284,15 @@ class TestCorrelations:
             f"Strongest correlation {text}, between <{names[1]}> and <{names[2]}>; {count} pairs exceed 0.95."
         )
 
+    @pytest.mark.parametrize(("count", "numbered"), [(14, True), (15, False)])
+    def test_matrices_of_up_to_fourteen_parameters_have_numbers(self, monkeypatch, count, numbered):
+        texts = []
+        monkeypatch.setattr(module, "markup", lambda figure, *_: texts.extend(figure.axes[0].texts) or "")
+        matrix = np.full((count, count), 0.25) + 0.75 * np.eye(count)
+        correlation_picture(self.view([f"a.k{i}" for i in range(count)], matrix))
+        assert len(texts) == (count * (count - 1) if numbered else 0)
+        assert {t.get_text() for t in texts} <= {"0.25"}
+
     def test_one_parameter_has_no_picture(self):
         assert correlation_picture(self.view("a", [[1.0]])) is None
 

@@ -346,3 +346,90 @@ class TestHead:
         assert ("correlated residuals" in text) is explained
         assert text.endswith(". The angles have noise")
         assert text.startswith("c0 p " if len(p) > 1 else "p ")
+
+
+class TestSection:
+    def section(
+        self, monkeypatch, *, case=True, films=True, static=False, bodies=("casing", "rotor"), angle=False
+    ):
+        def named(name):
+            return SimpleNamespace(name=name)
+
+        drawn = []
+        monkeypatch.setattr(page.charts, "speed_chart", lambda v, body: named("speed"))
+        monkeypatch.setattr(page.charts, "normalised_chart", lambda v: named("normalised"))
+        monkeypatch.setattr(
+            page.charts, "torque_law_chart", lambda v, *, alternatives: named(f"law {alternatives}")
+        )
+        monkeypatch.setattr(page.charts, "windows_picture", lambda v, name: name)
+        monkeypatch.setattr(
+            page.charts, "case_dashboard",
+            lambda v, tracks, steps: page.Dashboard("d", tuple("abcde"), tuple(steps)),
+        )  # fmt: skip
+        monkeypatch.setattr(page, "_torque_of_the_angle", lambda view, v: [named("angle")] if angle else [])
+        monkeypatch.setattr(page, "_details", lambda *_: ("details",))
+        monkeypatch.setattr(page, "tracks_of", lambda case: "tracks")
+        monkeypatch.setattr(page, "sync_picture", lambda tracks, name: name)
+        monkeypatch.setattr(page, "contact_sheets", lambda case, films, spans: spans)
+        monkeypatch.setattr(page, "ghost_stretches", lambda *_: [1, 2, 3])
+        monkeypatch.setattr(page, "animated", lambda s: None if s == 2 else s)
+        monkeypatch.setattr(
+            page,
+            "chart_picture",
+            lambda c, intervals, *, name, size: drawn.append((c.name, name, len(intervals))),
+        )
+        v = SimpleNamespace(
+            label="run", main="casing", surface="PVC", bodies=dict.fromkeys(bodies), intervals=[
+                SimpleNamespace(body="casing"), SimpleNamespace(body="rotor"), SimpleNamespace(body="casing"),
+            ], failures=[SimpleNamespace(t_start=1.0, t_stop=2.0)],
+        )  # fmt: skip
+        shown = view(cases=(v,), steps=[SimpleNamespace(words="start")], improved=False)
+        found = page._section(shown, 0, "case" if case else None, ["folder"] if films else [], static=static)
+        return found, drawn
+
+    def test_intervals_of_the_main_body_are_shaded_but_not_on_speeds(self, monkeypatch):
+        found, drawn = self.section(monkeypatch)
+        assert drawn == [
+            ("speed", "speed0", 0),
+            ("normalised", "normalised0", 2),
+            ("law True", "law True0", 2),
+        ]
+        assert (found.heading, found.surface, found.windows, found.sync) == ("", "PVC", "windows0", "sync0")
+        assert (found.sheets, found.ghosts, found.details) == (((1.0, 2.0),), (1, 3), ())
+        assert found.dashboard.charts == tuple("abcde")
+
+    def test_without_a_case_or_films_there_are_no_frames(self, monkeypatch):
+        found, _ = self.section(monkeypatch, case=False)
+        assert (found.sheets, found.ghosts, found.sync) == ((), (), None)
+        found, _ = self.section(monkeypatch, films=False, bodies=("casing",), static=True)
+        assert (found.sheets, found.ghosts, found.windows, found.details) == ((), (1, 3), None, ("details",))
+
+    def test_a_torque_of_the_angle_replaces_the_law(self, monkeypatch):
+        found, drawn = self.section(monkeypatch, angle=True)
+        assert drawn[-1] == ("angle", "angle0", 2)
+        assert [getattr(c, "name", c) for c in found.dashboard.charts] == ["a", "b", "c", "angle", "d", "e"]
+
+
+class TestGhosts:
+    @pytest.mark.parametrize(
+        ("improved", "added", "names"),
+        [(False, (), ["base model"]), (True, ("a", "b"), ["base model", "with <a> and <b>"]),
+         (True, (), ["base model", "final model"])],
+    )  # fmt: skip
+    def test_models_and_intervals_are_those_of_the_history(self, monkeypatch, improved, added, names):
+        asked = []
+        monkeypatch.setattr(page, "stretches", lambda *args: asked.append(args) or list(range(9)))
+        failures = [
+            SimpleNamespace(kind=k, body="casing", t_start=i, t_stop=i + 1)
+            for i, k in enumerate(("torque", "ripple"))
+        ]
+        shown = view(
+            base="base",
+            final="final",
+            improved=improved,
+            added=added,
+            cases=(SimpleNamespace(failures=failures),),
+        )
+        assert page.ghost_stretches(shown, 0, "case", ["f"]) == [0, 1, 2, 3]
+        fits = ["base", "final"] if improved else ["base"]
+        assert asked == [("case", fits, names, [("casing", 0, 1)], ["f"], 0)]
