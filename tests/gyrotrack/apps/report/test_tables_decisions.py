@@ -404,7 +404,7 @@ class TestSection:
         found, _ = self.section(monkeypatch, films=False, bodies=("casing",), static=True)
         assert (found.sheets, found.ghosts, found.windows, found.details) == ((), (1, 3), None, ("details",))
 
-    def test_a_torque_of_the_angle_replaces_the_law(self, monkeypatch):
+    def test_a_chart_against_the_angle_replaces_that_of_the_law(self, monkeypatch):
         found, drawn = self.section(monkeypatch, angle=True)
         assert drawn[-1] == ("angle", "angle0", 2)
         assert [getattr(c, "name", c) for c in found.dashboard.charts] == ["a", "b", "c", "angle", "d", "e"]
