@@ -433,3 +433,20 @@ class TestGhosts:
         assert page.ghost_stretches(shown, 0, "case", ["f"]) == [0, 1, 2, 3]
         fits = ["base", "final"] if improved else ["base"]
         assert asked == [("case", fits, names, [("casing", 0, 1)], ["f"], 0)]
+
+
+@pytest.mark.parametrize("tracked", [True, False])
+def test_details_are_the_torque_on_each_body_and_the_energy(monkeypatch, tracked):
+    drawn = []
+    monkeypatch.setattr(page.charts, "torque_chart", lambda v, body: SimpleNamespace(name=f"torque-{body}"))
+    monkeypatch.setattr(page.charts, "energy_chart", lambda v, steps: SimpleNamespace(name=f"energy {steps}"))
+    monkeypatch.setattr(page.charts, "tracking_charts", lambda tracks: [SimpleNamespace(name=tracks)])
+    monkeypatch.setattr(
+        page, "chart_picture", lambda c, shaded, *, name, size: drawn.append((c.name, len(shaded))) or name
+    )
+    intervals = [SimpleNamespace(body="casing"), SimpleNamespace(body="rotor")]
+    v = SimpleNamespace(bodies={"casing": "", "rotor": ""}, intervals=intervals, main="casing")
+    found = page._details(v, 2, "steps", "sigma" if tracked else None)
+    names = ["torque-casing", "torque-rotor", "energy steps", *(["sigma"] if tracked else [])]
+    assert drawn == [(n, 1) for n in names]
+    assert found == tuple(f"{n}2" for n in names)
