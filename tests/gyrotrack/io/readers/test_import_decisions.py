@@ -590,3 +590,28 @@ class TestCases:
         assert [n for n in notes if "too short" in n] == [
             "a.csv: the piece at 30.000 s is too short for a smoothed speed (5 samples)"
         ]
+
+
+@pytest.mark.parametrize(
+    ("counts", "kept", "lost"),
+    [
+        ((50, 2, 60, 1), (50, 60), 3),
+        ((50, 3, 60), (50, 3, 60), 0),
+        ((50, 60), (50, 60), 0),
+        ((50,), (50,), 0),
+    ],
+)
+def test_isolated_samples_between_gaps_are_counted_and_left_out(counts, kept, lost):
+    """Each run begins 10 s after the end of the run before it; the longest gap is that after 50 samples."""
+    runs, begin = [], 0.0
+    for n in counts:
+        runs.append(begin + 0.01 * np.arange(n))
+        begin = runs[-1][-1] + 10.0
+    time = np.concatenate(runs)
+    value = 20.0 * np.exp(-0.01 * time)
+    notes = []
+    parts = pieces_of(motion_table(time, value, "omega", sigma=np.full(len(time), 0.01)), value, notes)
+    assert tuple(len(p.time) for p in parts) == kept
+    assert any(f"{lost} isolated samples" in n for n in notes) is (lost > 0)
+    gaps = f"{len(kept) - 1} gaps; the longest"
+    assert any(gaps in n and "is after 0.49 s" in n for n in notes) is (len(kept) > 1)
