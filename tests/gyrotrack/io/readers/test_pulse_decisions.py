@@ -851,7 +851,7 @@ class TestReading:
         start = read_pulses(table(t, state, names=("t", "gate")), self.options(start=100.0))
         assert start.time == pytest.approx(100.0 + t[1::2])
 
-    def test_rows_without_a_time_or_a_state_are_no_events(self):
+    def test_rows_without_a_time_or_a_state_are_left_out(self):
         """An unknown state (20), or a state at an unknown time (51), is left out; its neighbours are alike."""
         t = np.arange(120) * 0.37 + 0.01 * np.arange(120) ** 2 / 120
         state = np.arange(120) % 2 + 0.0
