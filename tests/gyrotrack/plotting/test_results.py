@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fitting import LIBRARY, Estimate
+from gyrotrack import OutputError
 from gyrotrack.plotting import _results as module
 from gyrotrack.plotting._charts import BLUE, GREEN, PALE, SKY, VERMILLION, canvas
 
@@ -291,3 +292,20 @@ class TestComparison:
         assert axes[0].get_title(loc="left") == "p14"
         assert axes[0].containers[0].lines[0].get_ydata().tolist() == [14.0, 14.0]
         assert axes[-1].get_xlabel() == "run"
+
+
+@pytest.mark.parametrize("force", [True, False])
+@pytest.mark.parametrize("kind", ["Laws", "Plan", "Comparison"])
+def test_the_figure_of_each_result_is_written(monkeypatch, tmp_path, kind, force):
+    found = type(kind, (), {})()
+    monkeypatch.setattr(module, f"_{kind.lower()}_figure", lambda result: ("figure", result))
+    monkeypatch.setattr(module, "picture_file", lambda figure, suffix: f"{figure[0]} {suffix}".encode())
+    path = tmp_path / "a.PNG"
+    path.write_bytes(b"old")
+    if force:
+        module.write_picture(found, path, force=True)
+        assert path.read_bytes() == b"figure png"
+        return
+    with pytest.raises(OutputError):
+        module.write_picture(found, path)
+    assert path.read_bytes() == b"old"
