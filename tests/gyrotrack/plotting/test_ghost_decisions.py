@@ -1,9 +1,11 @@
 """Parts, clips and stretches of ghosts, from residual angles of known size."""
 
+import io
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gyrotrack.plotting import _ghost as module
 from gyrotrack.plotting._ghost import Ghost, Stretch, animated, ghosts, stretches
@@ -208,3 +210,28 @@ class TestStretches:
     def test_a_film_has_a_panel_for_each_model(self):
         assert module._film_size(1) == (480, 544)
         assert module._film_size(3) == (1440, 544)
+
+
+@pytest.mark.parametrize("worst", [-9e-3, 9e-3])
+def test_the_still_picture_is_that_of_the_largest_difference(monkeypatch, worst):
+    d = np.linspace(0.0, 4e-3, 10)
+    d[6] = worst
+    monkeypatch.setattr(
+        module,
+        "_panels",
+        lambda shown, i, picture, factor: Image.new("RGB", (16, 16), (20 * i, 100, 250 - 20 * i)),
+    )
+    found = module.animation(
+        ghost(10, d), SimpleNamespace(picture=lambda number, *, overlay: number), 0.0, 0.9
+    )
+    still = np.asarray(Image.open(io.BytesIO(found.jpeg)))
+    assert still[8, 8] == pytest.approx([120, 100, 130], abs=6)
+    moving = Image.open(io.BytesIO(found.webp))
+    assert (moving.n_frames, found.width, found.height) == (10, 16, 16)
+    # a frame is shown for 0.16 s, the last one for six times as long
+    times = []
+    for k in range(10):
+        moving.seek(k)
+        moving.load()
+        times.append(moving.info["duration"])
+    assert times == [160] * 9 + [960]
