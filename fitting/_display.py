@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 
 _ANSWERS = ("#0072B2", "#BBBBBB", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BLUE, VERMILLION, GREY, YELLOW = "#0072B2", "#D55E00", "#BBBBBB", "#F0E442"
+_BODIES = (VERMILLION, BLUE, *_ANSWERS[3:])
 _VERDICTS = {
     "adequate": ("✓", "consistent with noise"),
     "no_lack_of_fit": ("✓", "no significant lack of fit"),
@@ -126,7 +128,7 @@ def draw_torque(
     `curves` are (body, time [s], torque, sigma [unit]). Where sigma exceeds three times its minimum, nothing is drawn.
     `intervals` are (start, stop) [s].
     """
-    for (body, time, torque, sigma), colour in zip(curves, (VERMILLION, BLUE), strict=False):
+    for (body, time, torque, sigma), colour in zip(curves, cycle(_BODIES), strict=False):
         known = np.where(sigma <= 3 * sigma.min(), torque, np.nan)
         edges: dict[str, Any] = {"color": colour, "alpha": 0.25, "linewidth": 0}
         ax.fill_between(time, known - 2 * sigma, known + 2 * sigma, **edges)
@@ -194,7 +196,7 @@ def draw_history(
     ax.barh(range(len(values)), values, color=[VERMILLION, *[BLUE] * (len(values) - 1)])
     for i, v in enumerate(values):
         ax.annotate(f"{v:.3g}", (v, i), xytext=(3, 0), textcoords="offset points", va="center")
-    ax.set_xlim(0, 1.25 * max(values))
+    ax.set_xlim(0, 1.25 * max(*values, limit or 0.0))
     ax.set_ylim(len(values) - 0.5, -0.5)
     ax.set_xlabel(label)
     ax.set_yticks(range(len(values)), [printable(c) for c in changes])

@@ -100,13 +100,17 @@ class Files:
                     if monotonic() > end or not os.access(own.parent, os.W_OK):
                         raise
                     sleep(_POLL)
-        except (Timeout, RuntimeError) as error:
+        except Timeout as error:  # an OSError
             raise self.busy(path, timeout) from error
         except (OSError, NotImplementedError) as error:
             if isinstance(error, OSError) and error.errno not in _NO_LOCKS:
                 raise self.refusal(path, error) from error
             what = f"{path} cannot be locked: the file system has no locks."
             raise self.fail(what, self.elsewhere) from error
+        except (
+            RuntimeError
+        ) as error:  # this thread holds the lock already; NotImplementedError is a RuntimeError
+            raise self.busy(path, timeout) from error
         try:
             with suppress(OSError):
                 for part in remains:

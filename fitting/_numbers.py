@@ -110,6 +110,7 @@ def short(value: float, digits: int = 3) -> str:
         text = f"{mantissa} × 10{superscript(int(exponent))}"
     else:
         text = f"{value:#.{digits}g}".rstrip(".") if 0 < abs(value) < 10.0**digits else f"{value:.0f}"
+        text = f"{value:.0f}" if "e" in text else text  # rounded up to a power of ten
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 

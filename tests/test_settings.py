@@ -4,6 +4,7 @@ import ast
 import importlib
 import importlib.util
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, fields, is_dataclass
 from functools import cache
@@ -197,3 +198,24 @@ def test_a_number_without_a_description_is_named(tmp_path, below):
         settings_of(module_of(tmp_path, f"SIZE = 3\n{below}"))
     with pytest.raises(LookupError, match=r"\.SIZE lacks"):
         settings_of(module_of(tmp_path, f"SIZE, B = 3, 4\n{below}"))
+
+
+def stated(page):
+    """Return the value of each number on a page, by module and name."""
+    found, module = {}, ""
+    for line in page.read_text(encoding="utf-8").splitlines():
+        if line.startswith("## "):
+            module = line.removeprefix("## ")
+        elif line.startswith("| `"):
+            name, value = (c.strip().replace("\\|", "|") for c in re.split(r"(?<!\\)\|", line)[1:3])
+            found[module, name.strip("`")] = value
+    return found
+
+
+def test_each_number_has_the_value_of_its_page(kind, settings):
+    """A changed number alters results: it is changed on purpose, with its page (`python docs/make_settings.py`)."""
+    page = stated(ROOT / "docs" / "reference" / f"{kind}_settings.md")
+    made = {(module, s.name): s.value_text for module, own in settings.by_module().items() for s in own}
+    changed = {k: (page.get(k), made.get(k)) for k in {*page, *made} if page.get(k) != made.get(k)}
+    assert not changed
+    assert len(page) > 500

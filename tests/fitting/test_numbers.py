@@ -65,6 +65,10 @@ def test_short_numbers(value, text):
 
 def test_large_numbers_keep_all_digits():
     assert short(199.4, 2) == "199"
+    assert short(99.9, 2) == "100"
+    assert short(-999.7) == "−1000"
+    assert short(999.4) == "999"
+    assert short(0.9996) == "1.00"
     assert short(2000.0) == "2000"
 
 

@@ -248,6 +248,124 @@ def test_bands_are_those_of_numpy(both, across):
         beyond.rows(mixing[:, :12])
 
 
+@ways
+@pytest.mark.parametrize(("which", "inside"), [((0, 3), True), ((-1, 3), False), ((0, 4), False), ((), True)])
+def test_bands_are_those_of_four_windows(use, way, which, inside):
+    use(way)
+    windows = np.arange(24, dtype=np.float32).reshape(4, 2, 3)
+    chosen, ones = np.array(which, dtype=np.int64), np.ones(len(which))
+    light = np.ones((len(which), 3))
+
+    def made(across):
+        mixing = np.full((1, 3 if across else 2), 1 / 3 if across else 0.5, dtype=np.float32)
+        return kernels.bands(windows, chosen, light, 2.0 * ones, 10.0 * ones, mixing, across=across)
+
+    if not inside:
+        with pytest.raises(ValueError, match="outside the windows"):
+            made(across=False)
+        return
+    for across in (False, True):
+        expected = [10.0 * (windows[k].mean(axis=int(across)) - 2.0) for k in which]
+        assert made(across) == pytest.approx(np.reshape(expected, (len(which), 1, 2 if across else 3)))
+
+
+@ways
+@pytest.mark.parametrize(
+    ("pad", "limit", "length", "fits"), [(4, 2.0, 18, True), (4, 2.01, 18, False), (4, 2.0, 19, False)]
+)
+def test_a_template_is_extended_by_its_limit_and_two_samples(use, way, pad, limit, length, fits):
+    use(way)
+    curve = np.exp(-0.5 * ((np.arange(length) - 8.5) / 2.0) ** 2)
+    profile = curve[None, 4:14].copy()
+
+    def run():
+        return kernels.match(
+            profile, curve, np.gradient(curve), np.zeros(1), np.ones((1, 10), bool), pad, limit, 0.5, 5, 16.0
+        )
+
+    if fits:
+        assert run()[0, :3] == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
+    else:
+        with pytest.raises(ValueError, match="extended by at least limit"):
+            run()
+
+
+@ways
+@pytest.mark.parametrize(
+    ("first", "step", "refused"),
+    [(0, 1, False), (4, -1, False), (-1, 1, True), (5, -1, True), (2, 0, True), (2, 2, True)],
+)
+def test_a_search_of_a_crossing_begins_within_the_curve(use, way, first, step, refused):
+    use(way)
+    curves = np.array([[[1.0, 0.9, 0.7, 0.2, 0.0]]])[..., :: step if step in (1, -1) else 1]
+    if refused:
+        with pytest.raises(ValueError, match="begins outside"):
+            kernels.crossings(curves, first, step, 0.45, 1e-3)
+    else:
+        assert kernels.crossings(curves, first, step, 0.45, 1e-3) == pytest.approx(2.5)
+
+
+@ways
+@pytest.mark.parametrize(
+    ("half", "degree", "hole", "length", "fits"),
+    [
+        (2, 1, -1, 14, True),
+        (2, 1, 1, 14, True),
+        (2, 1, 2, 14, False),
+        (2, 1, -2, 14, False),
+        (2, 4, -1, 14, False),
+        (2, -1, -1, 14, False),
+        (0, 1, -1, 10, False),
+        (2, 1, -1, 13, False),
+    ],
+)
+def test_windows_of_a_polynomial_match_the_series(use, way, half, degree, hole, length, fits):
+    use(way)
+    value, smooth, leverage = 0.5 * np.arange(float(length)), np.zeros(10), np.zeros(10)
+    if not fits:
+        with pytest.raises(ValueError, match="window, degree or hole"):
+            kernels.local_polynomials(value, np.ones(length), half, degree, hole, smooth, leverage)
+        return
+    kernels.local_polynomials(value, np.ones(length), half, degree, hole, smooth, leverage)
+    assert smooth == pytest.approx(value[2:-2])
+
+
+@ways
+@pytest.mark.parametrize(("squares", "shares"), [(1, 1), (0, 1), (1, 0)])
+def test_a_likelihood_needs_a_residual_and_a_share(use, way, squares, shares):
+    use(way)
+    given = np.ones(squares), np.ones(squares), np.zeros(shares)
+    if squares and shares:
+        assert kernels.likelihood(*given, 9.0).shape == (1,)
+    else:
+        with pytest.raises(ValueError, match="at least one residual"):
+            kernels.likelihood(*given, 9.0)
+
+
+@ways
+@pytest.mark.parametrize(
+    ("rows", "half", "reach", "columns", "fits"),
+    [
+        ((0, 4, 1), 3, 2, 12, True),
+        ((0, 4, 1), 3, 2, 11, False),
+        ((0, 5, 1), 3, 2, 12, False),
+        ((-1, 4, 1), 3, 2, 12, False),
+        ((2, 2, 1), 3, 2, 12, False),
+        ((0, 4, 0), 3, 2, 12, False),
+        ((0, 4, 1), -1, 2, 12, False),
+        ((0, 4, 1), 3, 0, 12, False),
+    ],
+)
+def test_rows_marker_and_search_match_the_windows(use, way, rows, half, reach, columns, fits):
+    use(way)
+    windows = np.zeros((1, 4, columns), dtype=np.float32)
+    if fits:
+        assert kernels.locate(windows, np.zeros(1), rows, half, reach).shape == (1, 2)
+    else:
+        with pytest.raises(ValueError, match="do not match the windows"):
+            kernels.locate(windows, np.zeros(1), rows, half, reach)
+
+
 @pytest.mark.parametrize("step", [1, -1])
 def test_edges_are_those_of_numpy_and_where_they_are(both, step):
     rng = np.random.default_rng(7)

@@ -121,9 +121,7 @@ def _files(runs: Sequence[Path]) -> list[Path]:
         if not run.is_dir():
             files.append(run)
             continue
-        cases = sorted(
-            run.glob("*.h5"), key=lambda p: [int(x) if x.isdigit() else x for x in re.split(r"(\d+)", p.name)]
-        )
+        cases = sorted(run.glob("*.h5"), key=_by_numbers)
         if not cases:
             raise DatasetError(f"The folder {run} has no case (.h5).", "Make cases with `gyrotrack import`.")
         files += cases
@@ -140,7 +138,7 @@ def _single_body(files: Sequence[Path]) -> str:
 
 def _by_numbers(path: Path) -> list[tuple[int, str]]:
     """Return a key that sorts run9 before run10."""
-    return [(int(x), "") if x.isdigit() else (-1, x) for x in re.split(r"(\d+)", path.name)]
+    return [(int(x), "") if x.isdecimal() else (-1, x) for x in re.split(r"(\d+)", path.name)]
 
 
 def _model_names(case: Path, request: FitRequest) -> tuple[str, ...]:
@@ -195,12 +193,13 @@ def _read_times(path: Path) -> tuple[dict[str, float], str]:
     """Read times of runs, and their unit, from a table with the columns run and time."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = [[c.strip() for c in row] for row in csv.reader(file) if any(row)]
+            reader = csv.reader(file)
+            rows = [(reader.line_num, [c.strip() for c in row]) for row in reader if any(row)]
     except (OSError, UnicodeDecodeError, csv.Error) as fault:
         raise DatasetError(
             f"{path} cannot be read: {getattr(fault, 'strerror', None) or fault}.", ""
         ) from None
-    head = rows[0] if rows else []
+    head = rows[0][1] if rows else []
     names = [h.lower() for h in head]
     column = next((i for i, h in enumerate(head) if _TIME.fullmatch(h)), None)
     if "run" not in names or column is None:
@@ -209,7 +208,7 @@ def _read_times(path: Path) -> tuple[dict[str, float], str]:
         )
     place, found = names.index("run"), {}
     dates = False
-    for line, row in enumerate(rows[1:], 2):
+    for line, row in rows[1:]:
         if len(row) <= max(place, column):
             raise DatasetError(f"{path}, line {line}: a value is missing.", "")
         text = row[column]
@@ -250,7 +249,7 @@ def comparison_table(found: Comparison) -> str:
         size = f", {p.difference_sigma:+.1f} sigma" if p.difference_sigma is not None else ""
         heading = f"{found.called(p.name)}: p {probability(p.p_value)}{size}"
         lines += textwrap.wrap(heading, 79, subsequent_indent="  ")
-        width = max(len(r.run) for r in p.repeats)
+        width = max(len(name) for name in ("mean", *(r.run for r in p.repeats)))
         for r in p.repeats:
             total = f" (with the spread +- {p.total(r):.2g})" if p.spread > 0 else ""
             lines.append(f"  {r.run:<{width}}  {rounded(r.value, r.stderr, p.unit)}{total}")

@@ -752,9 +752,11 @@ def _position(text: str | None) -> tuple[float, float] | None:
         return None
     try:
         x, y = (float(part) for part in text.split(","))
-    except ValueError as error:
+    except ValueError:
+        x = y = math.nan
+    if not (math.isfinite(x) and math.isfinite(y)):
         what = f"--hub {text[:40]!r} is not a position."
-        raise UsageError(what, "Give two numbers in px, for example 320,240.") from error
+        raise UsageError(what, "Give two numbers in px, for example 320,240.")
     return x, y
 
 

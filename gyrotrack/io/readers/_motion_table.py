@@ -785,7 +785,7 @@ def pieces(time: Floats) -> list[slice]:
     step = np.diff(time)
     if not len(step):
         return [slice(0, len(time))]
-    usual = median_filter(step, 11, mode="nearest")
+    usual = median_filter(step, 11, mode="reflect")  # "nearest" would count a gap at an end six times
     cuts = np.flatnonzero(step > _GAP * usual) + 1
     return [slice(int(a), int(b)) for a, b in zip([0, *cuts], [*cuts, len(time)], strict=True)]
 

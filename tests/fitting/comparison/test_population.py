@@ -529,6 +529,52 @@ class TestPopulation:
         assert (c.kind, c.before, c.after, c.time) == ("step", "r10", "r12", 11.0)
         assert got.parameters[0].runs == 23
 
+    @pytest.mark.parametrize(
+        ("p_values", "adjusted", "changed"),
+        [
+            # Holm: the smallest of four is multiplied by 4, the next one by 3, and so on
+            ([(0.001, 0.9), (0.9, 0.01)], (0.004, 0.03), (True, True)),
+            ([(0.9, 0.002), (0.9, 0.03)], (0.008, 0.09), (True, False)),
+            ([(0.9, 0.9), (0.013, 0.9)], (1.0, 0.052), (False, False)),
+            ([(0.9, 0.9), (0.012, 0.9)], (1.0, 0.048), (False, True)),
+        ],
+    )
+    def test_the_more_significant_test_of_a_parameter_counts(self, monkeypatch, p_values, adjusted, changed):
+        given = iter(p_values)
+
+        def tests(y, u2, times, used, rng):
+            drift, step = next(given)
+            return _population._Tests(drift, step, "step", "step", 10, 0.1, 0.2, 0.3, 0.4, 5.0)
+
+        monkeypatch.setattr(_population, "_tests", tests)
+        y = np.random.default_rng(3).standard_normal((20, 2))
+        got = self.found(y, np.tile(0.1 * np.eye(2), (20, 1, 1)), level=0.05)
+        scale = y.std(axis=0)
+        assert [p.p_adjusted for p in got.parameters] == pytest.approx(adjusted)
+        assert [(p.p_drift, p.p_step) for p in got.parameters] == p_values
+        assert [p.change is not None for p in got.parameters] == list(changed)
+        assert got.changed == tuple(p for p, c in zip(got.parameters, changed, strict=True) if c)
+        for p, s in zip(got.parameters, scale, strict=True):
+            if p.change is not None:
+                c = p.change
+                assert (c.slope, c.slope_u, c.size, c.size_u) == pytest.approx(
+                    (0.1 * s, 0.2 * s, 0.3 * s, 0.4 * s)
+                )
+                assert (c.time, c.before, c.after, c.delta_bic) == (9.5, "r9", "r10", 5.0)
+
+    def test_runs_are_in_the_order_of_their_times(self, monkeypatch):
+        monkeypatch.setattr(_population, "_SETS", 200)
+        y = np.random.default_rng(5).standard_normal((9, 1))
+        times = np.array([3.0, 1, 2, 9, 8, 7, 4, 5, 6])
+        c = 0.1 + 0.01 * np.arange(9.0)[:, None, None]
+        got = population(["p"], ["s"], [f"r{i}" for i in range(9)], times, y, c, time_unit="h")
+        order = np.argsort(times)
+        assert got.runs == tuple(f"r{i}" for i in order)
+        assert got.times.tolist() == sorted(times)
+        assert got.values[:, 0] == pytest.approx(y[order, 0])
+        assert got.stderr[:, 0] == pytest.approx(np.sqrt(c[order, 0, 0]))
+        assert got.time_unit == "h"
+
     def test_without_parameters_there_is_only_the_list_of_runs(self):
         got = self.found(np.full((9, 1), np.nan), np.ones((9, 1, 1)))
         assert (got.parameters, got.untested, len(got.runs)) == ((), {"p0": 9}, 9)

@@ -1281,6 +1281,28 @@ class TestImprove:
         assert [s.change for s in found] == ["", "+a.k, b.k per recording"]
         assert found[1].fit is separate.fit
 
+    def test_candidates_of_the_first_step_are_ranked_with_its_fit(self, monkeypatch):
+        separate = SimpleNamespace(parameter=SimpleNamespace(names=("a.k",)), fit=Found(50.0))
+        ranked, asked, base = [], [], Found()
+
+        def rank(fit, extra, *, criteria, workers):
+            ranked.append((fit, extra, criteria, workers))
+            return [candidate(significant=False, bic=-len(ranked))]
+
+        def separated(fit, known, extra, criteria):
+            asked.append((fit, [c.delta_bic for c in known], extra, criteria))
+            return separate
+
+        monkeypatch.setattr(module, "rank", rank)
+        monkeypatch.setattr(module, "separate_values", separated)
+        found = improve(base, (STEP,), workers="workers")
+        assert ranked == [(f, (STEP,), DEFAULT, "workers") for f in (base, separate.fit)]
+        assert asked == [(base, [-1], (STEP,), DEFAULT)]
+        assert [s.candidates[0].delta_bic for s in found] == [-1, -2]
+        found = improve(base, (STEP,), workers="workers", first=[candidate(significant=False, bic=-9)])
+        assert [fit for fit, *_ in ranked[2:]] == [separate.fit]
+        assert [s.candidates[0].delta_bic for s in found] == [-9, -3]
+
 
 class TestSteps:
     def steps(self, monkeypatch, *, refined=None, refit=50.0, base=100.0, general=None, ranking=None):

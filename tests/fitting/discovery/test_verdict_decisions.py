@@ -768,6 +768,34 @@ class TestShown(Answer):
         replace(found, torques=()).plot()
         assert drawn["scores"] == [50.0]
 
+    @pytest.mark.parametrize("case", [0, 1])
+    def test_on_given_axes_one_case_is_drawn(self, monkeypatch, case):
+        curves = [SimpleNamespace(label=x) for x in ("run", "run", "other")]
+        drawn = []
+        monkeypatch.setattr(
+            module.Diagnosis, "_draw_torque", lambda own, ax, label: drawn.append((ax, label))
+        )
+        ax = SimpleNamespace(figure="figure")
+        monkeypatch.setattr(module, "figure_of", lambda a: a.figure)
+        found = replace(self.answer(), torques=tuple(curves))
+        assert found.plot(ax, case=case) == "figure"
+        assert drawn == [(ax, ("run", "other")[case])]
+
+    @pytest.mark.parametrize(("scores", "shown"), [((50.0, 0.0, -1.0), 1), ((), 0), ((9.0,) * 40, None)])
+    def test_a_new_figure_has_all_cases_and_the_candidates(self, monkeypatch, scores, shown):
+        curves = [SimpleNamespace(label=x) for x in ("run", "run", "other")]
+        drawn, named = [], []
+        monkeypatch.setattr(module.Diagnosis, "_draw_torque", lambda own, ax, label: drawn.append(label))
+        monkeypatch.setattr(module, "draw_candidates", lambda ax, names, values, **marks: named.append(marks))
+        candidates = tuple(candidate(score=s) for s in scores)
+        found = replace(self.answer(), fit=Found(), torques=tuple(curves), candidates=candidates)
+        figure = found.plot()
+        assert drawn == ["run", "other"]
+        shown = module._MOST_CANDIDATES if shown is None else shown
+        assert len(figure.axes) == 2 + bool(shown)
+        assert [len(m["significant"]) for m in named] == ([shown] if shown else [])
+        assert figure.get_size_inches().tolist() == pytest.approx([9.0, 6.4 + 0.35 * shown])
+
     def test_a_long_sentence_is_cut_after_eight_lines(self):
         line = "word " * 19 + "word"
         words = [" ".join([line] * count) for count in (8, 9)]

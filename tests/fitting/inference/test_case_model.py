@@ -14,13 +14,14 @@ import twobody
 from cases import data, fitted
 
 from fitting import LIBRARY, REDUCED, Model, SimulationError, make_record
-from fitting.dynamics._collocation import Sampler
+from fitting.dynamics._collocation import Mesh, Sampler
 from fitting.effects._library import find
 from fitting.inference import _case_model
 from fitting.inference._case_data import CaseData
 from fitting.inference._case_model import CaseModel
 from fitting.inference._initial_values import start_values
 from fitting.inference._parameters import ParameterLayout
+from fitting.inference._prior import Prior
 from fitting.inference._problem import Problem
 from fitting.inference._record import Samples
 
@@ -521,3 +522,95 @@ class TestLawsOfAnAngle:
 
     def test_the_error_of_a_mean_is_that_of_weights(self):
         assert _case_model._unit_error(Samples(T[:2], T[:2], np.array([0.3, 0.4]))) == pytest.approx(0.24)
+
+
+class TestPrior:
+    """A strength that two runs share, and its prior."""
+
+    PRIOR = Prior(("touchpoint.constant.b1",), (2e-6,), ((4e-14,),))
+
+    def of(self, *, share, prior=PRIOR):
+        records = [replace(data(seed=0).record, label=x) for x in ("first", "second")]
+        layout = ParameterLayout.of(
+            Model.of(["touchpoint.constant"]),
+            records,
+            **({"share": ["touchpoint.constant.b1"]} if share else {"per_case": ["touchpoint.constant.b1"]}),
+        )
+        cases = [SimpleNamespace(record=r, prior=prior) for r in records]
+        return [CaseModel(c, layout, i)._prior for i, c in enumerate(cases)]
+
+    def test_a_shared_parameter_has_it_in_the_first_case_only(self):
+        first, second = self.of(share=True)
+        assert (first[0], second[0]) == (("touchpoint.constant.b1",), ())
+        assert first[1].tolist() == [2e-6]
+        assert first[2] == pytest.approx(np.array([[1 / 2e-7]]))
+
+    def test_a_parameter_with_a_value_for_each_case_has_it_in_each(self):
+        assert [p[0] for p in self.of(share=False)] == [
+            (f"touchpoint.constant.b1@{x}",) for x in ("first", "second")
+        ]
+
+    def test_without_a_prior_there_is_none(self):
+        assert self.of(share=True, prior=None) == [None, None]
+
+
+def test_variables_of_the_motion_come_first():
+    """The derivatives by the parameters of the motion are integrated; those of the camera are added to the rows."""
+    model, layout, _ = model_of("camera.tilt")
+    names = [layout.names[k] for k in model.places]
+    assert names[model._moving :] == ["camera.tilt.eps", "camera.tilt.phi"]
+    assert set(names) == set(layout.names)
+    assert [model._own[k] for k in model.places] == list(range(len(names)))
+
+
+class TestReversals:
+    """An oscillation from 2 s to 26 s, measured as cos(pi t / 5): it reverses at 5, 10, 15 ... s."""
+
+    def model(self, *, deflection=True, reversals=(2.0, 5.0, 10.0, 15.0, 26.0), sign=1.0):
+        t = np.linspace(0.0, 30.0, 3001)
+        model = object.__new__(CaseModel)
+        model.dynamics = SimpleNamespace(
+            states=("omega_r", "omega_c", *(["deflection"] if deflection else [])), start=[0.0] * deflection
+        )
+        motion = SimpleNamespace(
+            reversals=np.array(reversals), time=t, deflection=sign * np.cos(0.2 * np.pi * t)
+        )
+        model.data = SimpleNamespace(
+            motion=motion, initial_speeds=(np.array([0.0, 30.0]), np.array([[9.0, 1.0], [6.0, 4.0]]))
+        )
+        model._mesh = Mesh.uniform(2.0, 26.0, 12)
+        model.layout = SimpleNamespace(start=lambda theta, case: [300.0, theta[0]])
+        model.case = 0
+        return model
+
+    @pytest.mark.parametrize(("sign", "first"), [(1.0, -1.0), (-1.0, 1.0)])
+    @pytest.mark.parametrize("speed", [0.0, 3.0, -3.0])
+    def test_the_sense_changes_at_each_reversal(self, sign, first, speed):
+        """Before 5 s the angle falls; the initial speed may have either sign."""
+        mesh, jumps, sense = self.model(sign=sign)._reversals(
+            Mesh.uniform(2.0, 26.0, 12), np.array([300.0, speed, 0.0])
+        )
+        middle = 0.5 * (mesh.edges[1:] + mesh.edges[:-1])
+        turns = (middle > 5.0).astype(int) + (middle > 10.0) + (middle > 15.0)
+        assert sense == pytest.approx(first * (-1.0) ** turns)
+        assert [mesh.edges[i] for i in jumps] == [5.0, 10.0, 15.0]  # not at the ends of the record
+        assert all((j == np.eye(3)).all() for j in jumps.values())
+
+    @pytest.mark.parametrize(("speed", "sense"), [(3.0, 1.0), (-3.0, -1.0), (0.0, 1.0)])
+    def test_a_rotation_keeps_the_sense_of_its_initial_speed(self, speed, sense):
+        mesh, jumps, found = self.model(deflection=False)._reversals(
+            Mesh.uniform(2.0, 26.0, 12), np.array([300.0, speed])
+        )
+        assert (len(mesh.edges), jumps, set(found)) == (13, {}, {sense})
+
+    @pytest.mark.parametrize("deflection", [True, False])
+    def test_the_first_solution_is_the_measured_motion(self, deflection):
+        model = self.model(deflection=deflection)
+        path = model._measured(np.array([2.0]))
+        assert path.edges[[0, -1], 0] == pytest.approx([8.8, 6.4])  # between 9 and 6 rad/s
+        assert path.edges[[0, -1], 1] == pytest.approx([1.2, 3.6])
+        assert path.y[..., 1] == pytest.approx(1.0 + 0.1 * path.mesh.times)
+        assert path.states == ("omega_r", "omega_c", "deflection")[: 2 + deflection]
+        if deflection:
+            assert path.y[..., 2] == pytest.approx(np.cos(0.2 * np.pi * path.mesh.times), abs=1e-3)
+        assert not path.exact

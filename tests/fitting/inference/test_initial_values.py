@@ -749,3 +749,50 @@ def test_the_error_of_the_equations_is_the_share_that_the_strengths_leave(monkey
     assert _initial_values.equation_error(model, data) == pytest.approx(expected)
     model.restoring = True
     assert _initial_values.equation_error(model, data) == 0.3
+
+
+@pytest.mark.parametrize(
+    ("laws", "fixed", "dead", "expected"),
+    [
+        (("linear.d", "constant.c"), (), (), ("linear.d", "constant.c")),
+        (("linear.d", "power.f", "power.g"), (), (), ("linear.d",)),  # both are nearly alike
+        (("linear.d", "power.f"), ("power.g",), (), ("linear.d", "power.f")),  # a known exponent
+        (("constant.c", "power.f", "power.g"), (), (), ("constant.c", "power.f")),
+        (("power.f", "power.g"), (), (), ("power.f",)),
+        (("constant.c", "heating.k", "heating.tau_T"), (), (), ("constant.c",)),
+        (("heating.k", "heating.tau_T"), (), (), ("heating.k",)),  # the only strength
+        (("linear.d", "constant.c"), (), ("constant.c",), ("linear.d",)),
+        (("linear.d", "power.g"), (), (), ("linear.d",)),
+    ],
+)
+def test_strengths_of_the_regression_are_not_collinear(monkeypatch, laws, fixed, dead, expected):
+    """Names of laws of a bearing; exponents and times are no strengths."""
+    roles = {f"bearing.{k}": "shape" if k in {"power.g", "heating.tau_T"} else "amplitude" for k in laws}
+    layout = SimpleNamespace(
+        model=SimpleNamespace(
+            parameters={k: SimpleNamespace(role=r) for k, r in roles.items()},
+            mechanism=SimpleNamespace(couplings=[SimpleNamespace(name="bearing")]),
+        )
+    )
+    assert not {f"bearing.{k}" for k in fixed} & set(roles)
+    monkeypatch.setattr(_initial_values, "_dead_times", lambda layout: [f"bearing.{k}" for k in dead])
+    found = _initial_values._strengths(layout, list(roles))
+    assert found == [f"bearing.{k}" for k in expected]
+
+
+def test_dead_times_are_free_parameters_of_inputs():
+    def effect(name, joint):
+        return SimpleNamespace(name=name, joint=joint, free=[SimpleNamespace(symbol="T")])
+
+    model = SimpleNamespace(effects=[effect("a", "input"), effect("b", "bearing"), effect("c", "input")])
+    assert _initial_values._dead_times(SimpleNamespace(model=model)) == ["a.T", "c.T"]
+
+
+def test_periods_begin_at_passages_upwards():
+    deflection = np.array([1.0, -1.0, 0.0, 2.0, 1.0, -1.0, 1.0, -3.0])
+    groups = _initial_values._periods(deflection)
+    assert groups.tolist() == [0, 0, 0, 1, 1, 1, 2, 2]
+    columns = np.array([[0.0, 3, 6, 1, 2, 6, 4, 8], np.arange(8.0)]).T
+    assert _initial_values._means(groups, columns) == pytest.approx(
+        np.array([[3.0] * 3 + [3.0] * 3 + [6.0] * 2, [1.0] * 3 + [4.0] * 3 + [6.5] * 2]).T
+    )

@@ -495,3 +495,28 @@ def test_a_law_of_the_wrong_shape_has_a_lack_of_fit():
     fitted = found(hidden, 1, (*REDUCED, "touchpoint.step"))
     assert fitted.lack_of_fit.p_value < 1e-3
     assert fitted.verdict == "lack_of_fit"
+
+
+@pytest.mark.parametrize(
+    ("error", "r2", "rmse"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], 1.0, 0.0),
+        ([1.0, -1.0, 1.0, -1.0], 0.8, 1.0),
+        ([3.0, 1.0, -1.0, -3.0], 0.0, math.sqrt(5.0)),  # as poor as the mean speed
+        ([6.0, 2.0, -2.0, -6.0], -3.0, math.sqrt(20.0)),
+    ],
+)
+def test_the_share_of_explained_speed_is_about_its_mean(monkeypatch, error, r2, rmse):
+    """Speeds of 97 to 103 rad/s: a sum of squares of 20 about the mean."""
+    y = np.array([103.0, 101.0, 99.0, 97.0])
+    monkeypatch.setattr(_metrics, "_smoothed_model", lambda *_: y - error)
+    case = SimpleNamespace(data=SimpleNamespace(speeds={"casing": (None, y)}))
+    found = _metrics._speed_quality(case, None, None, SimpleNamespace(part="casing"))
+    assert found == pytest.approx((r2, rmse))
+
+
+def test_a_constant_speed_has_no_share(monkeypatch):
+    y = np.full(4, 100.0)
+    monkeypatch.setattr(_metrics, "_smoothed_model", lambda *_: y - 2.0)
+    case = SimpleNamespace(data=SimpleNamespace(speeds={"casing": (None, y)}))
+    assert _metrics._speed_quality(case, None, None, SimpleNamespace(part="casing")) == (0.0, 2.0)

@@ -626,3 +626,14 @@ class TestTrace:
         assert entry.sentence(("a", "b")) == "why (same model): deviance 1.0, BIC 2.0"
         assert Refit("why", ("a",), 1.0, 2.0).sentence(("a",)).endswith("BIC 2.0, not converged")
         assert Refit("why", ("a",), failure="no").sentence(("a",)).endswith(": failed: no")
+
+
+@pytest.mark.parametrize(
+    ("value", "near"),
+    [(2.0, True), (2.0 * (1 + 0.9e-9), True), (2.0 * (1 + 1.2e-9), False), (3.0, False), (5.0 * (1 - 0.9e-9), True),
+     (5.0 * (1 - 1.2e-9), False), (1.5, True), (5.5, True)],
+)  # fmt: skip
+def test_a_variable_is_at_a_bound_within_a_billionth(value, near):
+    bounds = np.array([2.0]), np.array([5.0])
+    found = ParameterLayout.at_bound(SimpleNamespace(bounds=lambda: bounds), np.array([value]))
+    assert found.tolist() == [near]

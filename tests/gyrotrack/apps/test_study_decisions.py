@@ -14,6 +14,7 @@ from gyrotrack.apps import _simulation, _study
 from gyrotrack.apps._points import read_point, read_tilt
 from gyrotrack.apps._simulation import OUTSIDE, Seal, answer_of, draw_effect, grade, hide_effect
 from gyrotrack.apps._study import Recorder, checked_body_name, latest_fits, with_ledgers
+from gyrotrack.io._records import Series
 
 MECHANISM = Model.of(REDUCED).mechanism
 
@@ -594,3 +595,37 @@ def test_seal_holds_only_the_parameters_of_the_effect(tmp_path):
     coded = np.frombuffer(_simulation._xor_with_salt(bytes(200), "s"), np.uint8)
     assert len(coded) == 200
     assert not (coded[:32] == coded[32:64]).all()
+
+
+def test_a_diagnosis_is_kept_with_the_effects_of_the_user():
+    found = chain()
+    found.keep_diagnosis("f1", "found", ("own",))
+    found.keep_diagnosis("f2", "other")
+    assert found.ledger.kept == [("f1", "found", ("own",)), ("f2", "other", ())]
+
+
+@pytest.mark.parametrize(("starts", "stored"), [((), 0.0), ((0.001, 0.003, 0.002), 0.003)])
+def test_a_simulated_case_has_the_largest_uncertainty_of_its_starts(monkeypatch, starts, stored):
+    written = []
+    monkeypatch.setattr(
+        _simulation, "write_case", lambda path, case, **more: written.append((path, case, more)) or path
+    )
+    monkeypatch.setattr(
+        _simulation, "_series", lambda runs: Series(*[np.arange(3.0)] * 6, window=np.zeros(3))
+    )
+    monkeypatch.setattr(_simulation, "Case", SimpleNamespace)
+    record = SimpleNamespace(
+        I_rotor=1.0, I_casing=2.0, I_rotor_u=0.1, I_casing_u=0.2, label="x", casing="c", rotor="r", quantity="angle",
+        start_sigma=starts,
+    )  # fmt: skip
+    _simulation.write_record("a.h5", record, surface="PVC", command="c", settings={"a": 1}, force=True)
+    ((path, case, more),) = written
+    assert (path, more) == ("a.h5", {"command": "c", "settings": {"a": 1}, "force": True})
+    assert (case.start_u, case.I_rotor, case.I_casing, case.I_rotor_u, case.I_casing_u) == (
+        stored,
+        1.0,
+        2.0,
+        0.1,
+        0.2,
+    )
+    assert (case.casing.window, case.rotor.window is None, case.surface) == (None, False, "PVC")

@@ -830,3 +830,14 @@ def test_a_design_outside_of_the_knots_is_refused():
     fitted = CasingFit(np.array([0.0, 1.0]), None, np.zeros(0), np.zeros((0, 0)), np.zeros(0), np.zeros(0))
     with pytest.raises(np.linalg.LinAlgError):
         fitted.design(np.array([-0.1, 0.5]))
+
+
+@pytest.mark.parametrize("lost", ["angle", "time", "sigma"])
+def test_samples_without_a_number_or_an_uncertainty_are_left_out(lost):
+    time = 0.01 * np.arange(600)
+    body = SimpleNamespace(time=time.copy(), angle=3.0 * time + 0.1 * np.sin(time), sigma=np.full(600, 1e-3))
+    getattr(body, lost)[[10, 300]] = 0.0 if lost == "sigma" else np.nan
+    found = casing_curve(SimpleNamespace(bodies={"casing": body}), "clip")
+    assert len(found.time) == 598
+    assert not np.isin(time[[10, 300]], found.time).any()
+    assert np.isfinite([found.time, found.angle, found.sigma]).all()

@@ -84,6 +84,13 @@ class TestStaticLight:
         found = static_light(strips, angles)
         assert 2.0 * np.abs(np.fft.rfft(found, axis=1)[:, 1]).mean() / COLUMNS == pytest.approx(6.0, abs=0.3)
 
+    @pytest.mark.parametrize("rest", [0.0, 1.3, 4.0])
+    def test_it_is_known_at_whatever_angle_the_body_rests(self, rest):
+        angles = np.concatenate([np.full(30, rest), rest + np.linspace(0.0, TURN, 60, endpoint=False)])
+        strips = np.stack([spots(angle=a, light=6.0) for a in angles])
+        found = static_light(strips, angles)
+        assert found == pytest.approx(np.tile(6.0 * np.cos(THETA - 0.7), (len(RADIUS), 1)), abs=1.0)
+
     def test_without_it_the_pictures_are_those_of_the_body(self):
         strips = np.stack([spots(angle=a, light=6.0) for a in self.ANGLES])
         found = without_light(strips, static_light(strips, self.ANGLES), self.ANGLES)

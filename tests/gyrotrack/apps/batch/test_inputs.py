@@ -7,14 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gyrotrack import ConfigurationError
+from gyrotrack import ConfigurationError, UsageError
 from gyrotrack.apps.batch._experiments import (
     Clip,
     Experiment,
     folder_name,
     read_folder,
     read_manifest,
+    read_study,
+    unique_name,
     with_folders,
+    with_inertias,
 )
 from gyrotrack.apps.batch._steps import Request, plan
 
@@ -209,3 +212,93 @@ def test_the_steps_of_a_case(tmp_path):
     assert {"--label=-x", "--surface=-s"} <= set(sync.words)
     assert all(s.output.is_relative_to(tmp_path / "x") for s in steps)
     assert [s.verb for s in plan(case, tmp_path, Request("sync"))] == ["extract"] * 3 + ["sync"]
+
+
+def test_paths_of_a_study_are_relative_to_its_folder(write, tmp_path):
+    text = STUDY.replace('file = "c.mp4"', 'file = "c.mp4"\nprofile = "profiles/c.toml"')
+    text = text.replace('file = "r.mp4"', 'file = "/films/r.mp4"\nprofile = "/films/r.toml"')
+    found = read_study(write("study.toml", text.replace("label", 'surface = "PVC"\nlabel')))
+    assert found.clips == (
+        Clip(tmp_path / "c.mp4", "casing", 100, tmp_path / "profiles/c.toml"),
+        Clip(Path("/films/r.mp4"), "rotor", None, Path("/films/r.toml")),
+    )
+    assert (found.label, found.surface, found.inertia_rotor, found.inertia_casing) == (
+        "noted", "PVC", None, "2e-06"
+    )  # fmt: skip
+    assert [c.profile for c in read_study(write("study.toml", STUDY)).clips] == [None, None]
+
+
+def test_values_of_a_manifest_replace_those_of_a_study_and_of_the_defaults(write, tmp_path):
+    write("study.toml", STUDY)
+    text = """
+[defaults]
+casing_fps = 260
+rotor_fps = 900
+surface = "glass"
+profile = "all.toml"
+inertia_rotor = 5e-5
+
+[[case]]
+study = "study.toml"
+label = "other"
+inertia_casing = 3e-6
+
+[[case]]
+casing = "c.mp4"
+rotor = ["r.mp4"]
+casing_fps = 100
+profile = "own.toml"
+
+[[case]]
+casing = "c.mp4"
+rotor = ["r.mp4"]
+label = "usual"
+surface = "PVC"
+
+[[clip]]
+file = "wheel.mp4"
+"""
+    noted, own, usual, wheel = read_manifest(write("m.toml", text))
+    assert (noted.label, noted.surface, noted.inertia_rotor, noted.inertia_casing) == (
+        "other", "", "5e-05", "3e-06",
+    )  # fmt: skip
+    assert (own.label, own.surface) == ("case 2", "glass")
+    assert [(c.capture_fps, c.profile.name) for c in own.clips] == [(100, "own.toml"), (900, "own.toml")]
+    assert [(c.capture_fps, c.profile) for c in usual.clips] == [
+        (260, tmp_path / "all.toml"), (900, tmp_path / "all.toml"),
+    ]  # fmt: skip
+    assert usual.surface == "PVC"
+    assert wheel.clips == (Clip(tmp_path / "wheel.mp4", "", None, tmp_path / "all.toml"),)
+
+
+def test_folders_of_equal_names_are_numbered():
+    taken = set()
+    assert [unique_name(x, taken) for x in ("a b", "a_b", "A/B", "con")] == ["a_b", "a_b_2", "A_B_3", "con_"]
+    assert taken == {"a_b", "a_b_2", "a_b_3", "con_"}
+
+
+@pytest.mark.parametrize(
+    ("own", "given", "skip", "found"),
+    [
+        ("2e-5", "3e-5", (), "2e-5"),
+        (None, "3e-5", (), "3e-5"),
+        (None, None, ("--inertia-rotor",), None),
+        (None, None, ("--inertia-casing",), "refused"),
+    ],
+)
+def test_the_inertia_of_a_case_has_priority(own, given, skip, found):
+    clips = (Clip(Path("c"), "casing"), Clip(Path("r"), "rotor"))
+    case = Experiment("x", clips, inertia_rotor=own, inertia_casing="1e-6")
+    options = {"rotor": given, "casing": None}
+    if found == "refused":
+        with pytest.raises(UsageError, match="of the rotor of the case 'x' is not given"):
+            with_inertias([case], options, skip)
+    else:
+        (made,) = with_inertias([case], options, skip)
+        assert (made.inertia_rotor, made.inertia_casing) == (found, "1e-6")
+
+
+def test_a_film_alone_or_a_case_file_needs_no_inertia():
+    alone = Experiment("x", (Clip(Path("c"), ""),))
+    stored = Experiment("y", (), data=Path("y.h5"))
+    assert with_inertias([alone, stored], {"rotor": "3e-5", "casing": None}) == (alone, stored)

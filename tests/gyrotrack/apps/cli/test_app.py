@@ -215,3 +215,32 @@ class TestOutput:
         with Output().progress("work") as progress:
             progress(1, 2)
         assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("command", "defaults"),
+    [
+        ("import", {"likelihood": 0.6, "surface": "", "keep_all": False, "start_u": None}),
+        ("spindown", {"likelihood": 0.6, "keep_all": False, "label": ""}),
+        ("extract", {"times": "auto", "workers": None, "resume": False}),
+        ("fit", {"loss": "linear", "rotor": "windows", "joint": False, "hold_out": False}),
+        (
+            "simulate",
+            {"strength": 0.01, "omega_rotor": 900.0, "omega_casing": 5.0, "duration": 200.0, "window_length": 3.0,
+             "casing_fps": 260.0, "rotor_fps": 1000.0, "sigma": 1e-3, "torque_noise": 0.0, "torque_time": 1.0,
+             "centre_offset": 0.0, "seed": 0},
+        ),
+        ("batch", {"until": "report", "model": "reduced", "timeout": 7200.0, "improve": False}),
+        ("certify", {"n": None, "film": False, "seed": 0}),
+    ],
+)  # fmt: skip
+def test_defaults_of_options_are_those_of_the_manual(command, defaults):
+    """The help and the page of the command line show these values; a change alters results."""
+    import inspect
+
+    from gyrotrack.apps.cli._app import COMMANDS
+    from gyrotrack.apps.cli._settings import function_of
+
+    (entry,) = [c for c in COMMANDS if c.name == command]
+    found = inspect.signature(function_of(entry)).parameters
+    assert {k: found[k].default for k in defaults} == defaults

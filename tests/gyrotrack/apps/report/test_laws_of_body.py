@@ -57,3 +57,10 @@ def test_units_of_a_file_that_are_not_si(quantity, unit, expected):
     assert {k: v[0] for k, v in found.items()} == {k: v[0] for k, v in expected.items()}
     for key, (_, scale) in found.items():
         assert scale == pytest.approx(expected[key][1])
+
+
+def test_a_law_without_a_simple_motion_has_its_meaning_alone():
+    (strength,) = Model.of(["casing.air.laminar"]).parameters
+    (law,) = laws_of_body(fitted({strength: (0.5, 0.01)}))
+    assert (law.parameter, law.value, law.stderr) == (strength, 0.5, 0.01)
+    assert ";" not in law.meaning

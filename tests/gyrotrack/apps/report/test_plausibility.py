@@ -1,6 +1,7 @@
 """Dissipated energies: sum, sign and uncertainty."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,3 +78,70 @@ def test_a_spring_stores_energy_and_dissipates_none(quarter):
     spring, drag = plausibility_rows(found)
     assert (spring.judgement, spring.share, spring.is_unphysical) == (CONSERVATIVE, "–", False)
     assert (drag.judgement, drag.share) == ("dissipates", "100.0 %")
+
+
+class TestRows:
+    """Two laws on two bodies: rates of the motion are known, and the energies follow by hand."""
+
+    @pytest.mark.parametrize("cases", [1, 2])
+    def test_torques_and_energies_are_those_of_the_motion(self, monkeypatch, cases):
+        """Within 4 s, a torque of -2 t on the casing at 3 rad/s takes 48 J; 1 N m on the rotor at 5 rad/s give 20 J."""
+        import fitting.dynamics._collocation as collocation
+        import fitting.dynamics._model as dynamics
+
+        class Sampler:
+            def __init__(self, mesh, time):
+                self.time = time
+
+            def value(self, y):
+                return np.column_stack([5.0 + 0.0 * self.time, 3.0 + 0.0 * self.time])
+
+        def rates(names):
+            def of(time, state, numbers):
+                casing = -4.0 * time * numbers["drag.k"] * ("drag" in names)
+                rotor = 0.25 * numbers["motor.k"] * ("motor" in names) + 0.0 * time
+                return np.column_stack([rotor, casing, time])
+
+            return of
+
+        class Dynamics:
+            def __init__(self, model, inputs):
+                self.states, self.rates = ("r", "c"), rates(model)
+
+        monkeypatch.setattr(collocation, "Sampler", Sampler)
+        monkeypatch.setattr(dynamics, "Dynamics", Dynamics)
+        effects = [
+            SimpleNamespace(name=n, joint="casing", restoring=False, depends_on_angle=False, parameters=(), inputs=(),
+                            expression=None)
+            for n in ("drag", "motor")
+        ]  # fmt: skip
+        monkeypatch.setattr("fitting.effects._expression.symbols", lambda expression: set())
+        smooth = SimpleNamespace(
+            effects=effects, without=lambda name: tuple(e.name for e in effects if e.name != name)
+        )
+        layout = SimpleNamespace(
+            model=SimpleNamespace(smooth=smooth), names=["drag.k", "motor.k@run", "motor.k@other"],
+            numbers=lambda theta, index: {"drag.k": theta[0], "motor.k": theta[1]},
+        )  # fmt: skip
+        record = SimpleNamespace(
+            inertias=(4.0, 0.5), inputs=(), label="run",
+            bodies=[SimpleNamespace(state=1), SimpleNamespace(state=0)],
+        )  # fmt: skip
+        path = SimpleNamespace(mesh=SimpleNamespace(edges=np.array([0.0, 4.0])), states=("r", "c"), y=None)
+        case = SimpleNamespace(dynamics=SimpleNamespace(rates=rates(("drag", "motor"))))
+        found = SimpleNamespace(
+            problem=SimpleNamespace(cases=[case] * cases, data=[SimpleNamespace(record=record)] * cases, layout=layout),
+            predictions=[SimpleNamespace(path=path)] * cases, theta=np.array([1.0, 1.0, 9.0]),
+            covariance=np.diag([0.01, 0.04, 100.0]), name=lambda e: SimpleNamespace(words=e.name, key=e.name),
+        )  # fmt: skip
+        rows = plausibility_rows(found)
+        assert len(rows) == 2 * cases
+        drag, motor = rows[:2]
+        assert (drag.case, motor.case) == (("", "") if cases == 1 else ("run", "run"))
+        # the casing is last: largest torques 0.5 * 4 * 4 N m, and 4 * 0.25 N m on the rotor
+        assert drag.torques == ("0", "8.00")
+        assert motor.torques == ("1.00", "0")
+        assert _number(drag.energy) == pytest.approx((48.0, 4.8), rel=0.05)
+        assert _number(motor.energy) == pytest.approx((-20.0, 4.0), rel=0.02)
+        assert (drag.share, motor.share) == ("100.0 %", "−41.7 %")
+        assert (drag.judgement, motor.judgement, motor.is_unphysical) == ("dissipates", UNPHYSICAL, True)

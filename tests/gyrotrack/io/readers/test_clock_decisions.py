@@ -318,3 +318,39 @@ def test_samples_far_apart_need_the_unit_of_their_times(step, asked):
     else:
         refuse_slow_clock("a.csv", "t", time)
     refuse_slow_clock("a.csv", "t", np.zeros(1))
+
+
+class TestSeveralRecordings:
+    """Records at 100 rows per second that begin again at 3 s."""
+
+    def refused(self, *runs):
+        time = np.concatenate([begin + DT * np.arange(n) for begin, n in runs])
+        try:
+            module._refuse_restarts(PATH, time, np.arange(len(time)) + 2)
+        except DatasetError as error:
+            return error
+        return None
+
+    @pytest.mark.parametrize(
+        ("runs", "refused"),
+        [
+            ([(3.0, 60)], False),
+            ([(3.0, 60), (3.0, 60)], True),
+            ([(3.0, 60), (0.0, 60)], True),  # at another time, but few and long
+            ([(3.0, 60), (0.0, 7)], False),  # a short piece
+            ([(3.0, 60), (3.0, 7)], True),
+            ([(3.0, 60), (3.41, 60)], False),  # 18 intervals back
+            ([(3.0, 60)] * 6, True),
+            ([(3.0, 60)] * 9, True),  # all of them begin again at the first time
+            ([(3.0, 60), *[(3.2, 60)] * 8], False),  # many, none at the first time
+            ([(3.0, 60), *[(3.04, 60)] * 8], True),  # within five intervals
+            ([(3.0, 60), *[(3.06, 60)] * 8], False),
+            ([(3.0, 5)] * 2, False),  # too short for a decision
+        ],
+    )
+    def test_a_clock_that_begins_again_is_several_recordings(self, runs, refused):
+        error = self.refused(*runs)
+        assert (error is not None) is refused
+        if refused:
+            assert f"line {runs[0][1] + 2})" in error.message
+            assert f"contains {len(runs)} recordings" in error.hint

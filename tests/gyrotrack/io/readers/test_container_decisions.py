@@ -335,7 +335,7 @@ def test_case_of_a_chain(tmp_path, first, second, sense):
         part = time if name == "a" else time[:80] if name == "b1" else time[100:]
         np.savetxt(
             tmp_path / f"{name}.csv",
-            np.c_[part, speed * part + 1],
+            np.c_[part, speed * part + 100.0],  # the angle never changes its sign
             delimiter=",",
             header="t [s],angle [rad]",
             comments="",
@@ -406,3 +406,29 @@ def test_recordings_are_named_by_source_or_file(monkeypatch):
     monkeypatch.setattr(_api, "read_kind", lambda path: {"a": "case", "b": "recording"}[path.name])
     monkeypatch.setattr(_api, "read_case", lambda path: "case")
     assert (_api.read("a"), _api.read("b")) == ("case", "read b")
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_a_case_is_written_with_its_inertias(monkeypatch, tmp_path, force):
+    written, refused = [], []
+    case = _api.Case(1.0, 1.0, "", "", None, None)
+    monkeypatch.setattr(
+        _api, "synchronise", lambda casing, rotors, names, **_: SimpleNamespace(case=case, matches="m")
+    )
+    monkeypatch.setattr(_api, "read_recording", lambda path: f"read {path}")
+    monkeypatch.setattr(_api, "write_case", lambda path, case, **more: written.append((path, case, more)))
+    monkeypatch.setattr(_api, "refuse_existing", lambda path, **more: refused.append((path, more)))
+    out = tmp_path / "case.h5"
+    found = _api.sync("c.h5", "r.h5", out, inertia_rotor="2 +- 0.1", inertia_casing=3.0, force=force)
+    ((path, stored, more),) = written
+    assert (path, stored) == (out, found)
+    assert more == {
+        "command": "gyrotrack.sync",
+        "settings": {"I_rotor": 2.0, "I_casing": 3.0},
+        "force": force,
+    }
+    # the inputs must not be replaced
+    assert refused == [(out, {"force": force, "reads": [Path("c.h5"), Path("r.h5")]})]
+    assert (found.I_rotor_u, np.isnan(found.I_casing_u)) == (0.1, True)
+    _api.sync("c.h5", ["r.h5"], inertia_rotor=2.0, inertia_casing=3.0)
+    assert (len(written), len(refused)) == (1, 1)

@@ -22,7 +22,7 @@ from gyrotrack.io.readers._import_case import (
     window_warnings,
 )
 from gyrotrack.io.readers._inputs import UNITS, InputOption, read_input_options
-from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions
+from gyrotrack.io.readers._motion_table import MotionTable, ReadOptions, read_names
 from gyrotrack.io.readers._number_range import check_motion, usable_numbers
 from gyrotrack.io.readers._raw_table import RawTable, table_of
 from gyrotrack.io.readers._registry import read_motion
@@ -500,6 +500,23 @@ def test_paths_of_points_in_tables(tmp_path):
     assert any("1 frames without" in note for note in found.notes)
 
 
+@pytest.mark.parametrize("start", [0.0, 2.5])
+def test_points_of_a_table_begin_at_the_stated_time(tmp_path, start):
+    angle = 0.2 * np.arange(80)
+    rows = np.c_[0.02 * np.arange(80), 3 + 2 * np.cos(angle), 1 + 2 * np.sin(angle)]
+    np.savetxt(tmp_path / "p.csv", rows, delimiter=",", header="t [s],x,y", comments="", fmt="%.9f")
+    # a table of points, and the same table whose columns are named
+    for names in (None, read_names(["x=2", "y=3", "t=1"])):
+        found = read_motion(tmp_path / "p.csv", ReadOptions(start=start, names=names))
+        assert found.time[[0, -1]] == pytest.approx([start, start + 1.58])
+        np.testing.assert_allclose(wrap(found.value - angle), 0, atol=1e-6)
+    np.savetxt(
+        tmp_path / "a.csv", np.c_[rows[:, 0], angle], delimiter=",", header="t [s],angle [rad]", comments=""
+    )
+    found = read_motion(tmp_path / "a.csv", ReadOptions(start=start))
+    assert found.time[[0, -1]] == pytest.approx([start, start + 1.58])
+
+
 class TestCases:
     def piece(self, first, last, turned=1.0):
         return SimpleNamespace(time=np.array([first, last]), angle=np.array([0.0, turned]))
@@ -573,3 +590,28 @@ class TestCases:
         assert [n for n in notes if "too short" in n] == [
             "a.csv: the piece at 30.000 s is too short for a smoothed speed (5 samples)"
         ]
+
+
+@pytest.mark.parametrize(
+    ("counts", "kept", "lost"),
+    [
+        ((50, 2, 60, 1), (50, 60), 3),
+        ((50, 3, 60), (50, 3, 60), 0),
+        ((50, 60), (50, 60), 0),
+        ((50,), (50,), 0),
+    ],
+)
+def test_isolated_samples_between_gaps_are_counted_and_left_out(counts, kept, lost):
+    """Each run begins 10 s after the end of the run before it; the longest gap is that after 50 samples."""
+    runs, begin = [], 0.0
+    for n in counts:
+        runs.append(begin + 0.01 * np.arange(n))
+        begin = runs[-1][-1] + 10.0
+    time = np.concatenate(runs)
+    value = 20.0 * np.exp(-0.01 * time)
+    notes = []
+    parts = pieces_of(motion_table(time, value, "omega", sigma=np.full(len(time), 0.01)), value, notes)
+    assert tuple(len(p.time) for p in parts) == kept
+    assert any(f"{lost} isolated samples" in n for n in notes) is (lost > 0)
+    gaps = f"{len(kept) - 1} gaps; the longest"
+    assert any(gaps in n and "is after 0.49 s" in n for n in notes) is (len(kept) > 1)

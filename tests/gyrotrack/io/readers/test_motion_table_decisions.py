@@ -497,6 +497,14 @@ class TestScatter:
         assert found == pytest.approx(np.full(8, found[0]))
 
 
+@pytest.mark.parametrize("few", [1, 2, 5])
+def test_a_gap_near_the_end_of_a_record_is_found(few):
+    """A window of eleven intervals about a gap at the end must not consist of copies of this gap."""
+    time = np.concatenate([0.01 * np.arange(60), 10.0 + 0.01 * np.arange(few)])
+    assert module.pieces(time) == [slice(0, 60), slice(60, 60 + few)]
+    assert module.pieces(-time[::-1]) == [slice(0, few), slice(few, 60 + few)]
+
+
 def test_pieces_end_at_gaps_of_twenty_intervals():
     for gap, expected in ((19.0, [(0, 60)]), (21.0, [(0, 30), (30, 60)])):
         step = np.ones(59)

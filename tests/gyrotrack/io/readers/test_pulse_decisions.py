@@ -851,6 +851,18 @@ class TestReading:
         start = read_pulses(table(t, state, names=("t", "gate")), self.options(start=100.0))
         assert start.time == pytest.approx(100.0 + t[1::2])
 
+    def test_rows_without_a_time_or_a_state_are_left_out(self):
+        """An unknown state (20), or a state at an unknown time (51), is left out; its neighbours are alike."""
+        t = np.arange(120) * 0.37 + 0.01 * np.arange(120) ** 2 / 120
+        state = np.arange(120) % 2 + 0.0
+        known, lost = t.copy(), state.copy()
+        known[51], lost[20] = np.nan, np.nan
+        found = read_pulses(table(known, lost, names=("t", "gate")), self.options())
+        kept = np.delete(np.arange(120), [20, 51])
+        rising = [i for i, j in zip(kept[1:], kept[:-1], strict=True) if state[i] > state[j]]
+        assert found.time == pytest.approx(t[rising])
+        assert found.line.tolist() == [i + 2 for i in rising]
+
     def test_times_that_do_not_increase_are_sorted_and_the_first_is_named(self):
         t = np.arange(60) * 0.37 + 0.01 * np.arange(60) ** 2 / 60
         mixed = t.copy()

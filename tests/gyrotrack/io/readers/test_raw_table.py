@@ -467,3 +467,27 @@ def test_lines_with_two_characters_at_their_ends_count_once(tmp_path, monkeypatc
     path = tmp_path / "a.csv"
     path.write_bytes(b"t,angle\r\n" + b"".join(b"%.2f,%d\r\n" % (k / 100, 2 * k) for k in range(50)))
     assert len(read_motion(path).time) == 50
+
+
+@pytest.mark.parametrize(
+    ("unit", "computed"),
+    [("x" * 30, True), ("x" * 31, False), ("deg**2", True), ("deg**2**2", False), ("deg^2^2", False),
+     ("100 deg", True), ("1000 deg", False)],
+)  # fmt: skip
+def test_long_units_and_powers_of_powers_are_not_computed(monkeypatch, unit, computed):
+    asked = []
+
+    class Registry:
+        def Quantity(self, value, text):  # noqa: N802 - the name of pint
+            asked.append(text)
+            raise ValueError
+
+    monkeypatch.setattr(_raw_table, "_unit_registry", Registry)
+    assert _raw_table._by_pint("angle", unit) is None
+    assert asked == ([unit] if computed else [])
+
+
+def test_the_limits_of_a_table_are_those_of_the_manual():
+    """About 1 GB of memory."""
+    limits = _raw_table.MAX_BYTES, _raw_table.MAX_ROWS, _raw_table.MAX_COLUMNS, _raw_table.MAX_CELLS
+    assert limits == (256 * 2**20, 5_000_000, 5_000, 10_000_000)
