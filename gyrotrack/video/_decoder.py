@@ -8,14 +8,14 @@ other two frames.
 from __future__ import annotations
 
 import itertools
-import threading
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, Full, Queue
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import av
 import cv2
@@ -47,64 +47,35 @@ _CHUNK_BYTES = 5_000_000
 exist at a time."""
 WAITING = 2
 """Largest number of waiting chunks [1]. Chosen: a larger number takes memory, a smaller one lets the decoder wait."""
-_PATIENCE = 0.05
-"""Time after which a waiting thread checks whether it must stop [s]. Chosen: a longer time delays the end, a shorter
-one costs time."""
 
 
-class ReadAhead(Generic[T]):
-    """An iterator whose source runs in its own thread, `chunk` items ahead; exceptions are raised in the consumer."""
+def read_ahead(source: Iterator[T], chunk: int = CHUNK) -> Generator[T, None, None]:
+    """Yield the items of a source that runs in its own thread, up to `WAITING` chunks and one more ahead.
 
-    def __init__(self, source: Iterator[T], chunk: int = CHUNK) -> None:
-        self._source = source
-        self._chunk = chunk
-        self._queue: Queue[tuple[list[T], bool, BaseException | None]] = Queue(WAITING)
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="decoding", daemon=True)
-        self._thread.start()
-
-    def __iter__(self) -> Iterator[T]:
-        last = False
-        while not last:
-            try:
-                items, last, error = self._queue.get(timeout=_PATIENCE)
-            except Empty:
-                continue
+    An exception of the source is raised after the items before it.
+    """
+    pool = ThreadPoolExecutor(1, "decoding")
+    try:
+        waiting = deque(pool.submit(_next_items, source, chunk) for _ in range(WAITING + 1))
+        while True:
+            items, error = waiting.popleft().result()
             yield from items
             if error is not None:
                 raise error
+            if len(items) < chunk:
+                return
+            waiting.append(pool.submit(_next_items, source, chunk))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
-    def close(self) -> None:
-        """End the thread and discard its items."""
-        self._closed.set()
-        while self._thread.is_alive():
-            try:
-                self._queue.get(timeout=_PATIENCE)
-            except Empty:
-                continue
 
-    def _work(self) -> None:
-        items: list[T] = []
-        error: BaseException | None = None
-        try:
-            for item in self._source:
-                items.append(item)
-                if len(items) == self._chunk:
-                    self._hand_over(items, last=False)
-                    items = []
-                if self._closed.is_set():
-                    return
-        except BaseException as raised:
-            error = raised
-        self._hand_over(items, last=True, error=error)
-
-    def _hand_over(self, items: list[T], *, last: bool, error: BaseException | None = None) -> None:
-        while not self._closed.is_set():
-            try:
-                self._queue.put((items, last, error), timeout=_PATIENCE)
-            except Full:
-                continue
-            return
+def _next_items(source: Iterator[T], most: int) -> tuple[list[T], BaseException | None]:
+    items: list[T] = []
+    try:
+        items.extend(itertools.islice(source, most))
+    except BaseException as error:
+        return items, error
+    return items, None
 
 
 _STAMP_S = 2e-3
@@ -147,7 +118,7 @@ class Reader:
         self._size: tuple[int, int] | None = None
         self._open: Any = None
         self._stream: Any = None
-        self._ahead: ReadAhead[tuple[Any, int]] | None = None
+        self._ahead: Generator[tuple[Any, int], None, None] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -201,8 +172,8 @@ class Reader:
         decoded = decode_past_damage(packets or iter(()), 100 + 2 * self.info.frames_declared)
         if self._threads > 1:
             picture = max(self.info.width * self.info.height * 3 // 2, 1)
-            self._ahead = ReadAhead(decoded, int(np.clip(_CHUNK_BYTES // picture, 1, CHUNK)))
-            return iter(self._ahead)
+            self._ahead = read_ahead(decoded, int(np.clip(_CHUNK_BYTES // picture, 1, CHUNK)))
+            return self._ahead
         return decoded
 
     @property
@@ -307,7 +278,7 @@ def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int, int, int]]:
                 keys.append((int(packet.pts), count))
             count += 1
     found = []
-    for (start, first), (end, stop) in zip(keys, [*keys[1:], (1 << 63, count)], strict=True):
+    for (start, first), (end, stop) in zip(keys, [*keys[1:], (1 << 63, count)], strict=False):
         if any(start <= stamp < end for stamp in wanted):
             found.append((first, stop, start, end))
     return found
