@@ -43,7 +43,7 @@ from gyrotrack.tracking._profile import (
     nearest_colour,
 )
 from gyrotrack.tracking._scene import Disc, FrameStore, Marker, Samples, Scene, take_samples
-from gyrotrack.video._container import Frame, read_raw_stamps
+from gyrotrack.video._container import Frame, read_packets
 from gyrotrack.video._decoder import frames_at
 
 Floats = npt.NDArray[np.float64]
@@ -566,7 +566,7 @@ def propose(
 def _samples(video: Path) -> Samples:
     """Decode the first frames, and other frames equally spaced over the film."""
     first = take_samples(video)
-    stamps = read_raw_stamps(video)
+    stamps = read_packets(video).stamps
     chosen = np.linspace(first.head, len(stamps) - 1, SPREAD).astype(int) if len(stamps) > first.head else ()
     found = frames_at(video, {int(stamps[k]) for k in chosen}, FrameStore())
     spread: list[Frame] = [found[stamp] for stamp in sorted(found)]

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gyrotrack._column_store import new_columns, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack.tracking._polar import Ring, unroll
-from gyrotrack.video._container import Frame, keyframes, read_packets
+from gyrotrack.video._container import Frame, read_packets
 from gyrotrack.video._decoder import Reader, frames_at
 
 Floats = npt.NDArray[np.float64]
@@ -227,10 +227,11 @@ def _later(path: Path, head: int, pixels: int, threads: int) -> list[Frame]:
     count = len(packets.stamps)
     if count <= head or not packets.key.any():
         return []
-    if int(packets.key[head:].sum()) >= KEYS:
-        return keyframes(path, KEYS, FrameStore())
-    wanted = np.unique(np.linspace(head, count - 1, LATER).astype(np.int64))
     keys = np.flatnonzero(packets.key)
+    if int(packets.key[head:].sum()) >= KEYS:
+        wanted = keys[np.linspace(0, len(keys) - 1, KEYS).astype(np.int64)]
+    else:
+        wanted = np.unique(np.linspace(head, count - 1, LATER).astype(np.int64))
     start = keys[np.maximum(np.searchsorted(keys, wanted, side="right") - 1, 0)]
     cost = sum(int((wanted - start)[start == key].max()) for key in np.unique(start))
     share = min(DECODED * 1280 * 720 / pixels / max(cost, 1), 1.0)

@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -503,34 +503,3 @@ def read_packets(path: Path) -> Packets:
         len(stamped) == len(found),
         exact,
     )
-
-
-def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
-    """Return the sorted timestamps of a film's packets in units of the time base, without decoding."""
-    return read_packets(path).stamps
-
-
-def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.copy) -> list[Frame]:
-    """Decode up to `count` key frames spread evenly over a film, copied by `keep`; the index of these frames is -1."""
-    with opened(path) as (container, stream):
-        keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
-    wanted = {keys[int(i)] for i in np.linspace(0, len(keys) - 1, min(count, len(keys)))} if keys else set()
-    found: list[Frame] = []
-    with opened(path) as (container, stream):
-        orientation: Orientation | None = None
-        for n, packet in enumerate(packets_of(container.demux(stream))):
-            if n in wanted:
-                for raw in _decode_alone(packet, stream):
-                    orientation = orientation or orientation_of(raw, stream)
-                    found.append(keep(planes_of(raw, -1, orientation)))
-    return found
-
-
-def _decode_alone(packet: Any, stream: Any) -> list[Any]:
-    """Decode one key packet by itself; the decoder is flushed for the next packet."""
-    try:
-        frames = [*packet.decode(), *stream.codec_context.decode(None)]
-    except av.error.FFmpegError:
-        frames = []
-    stream.codec_context.flush_buffers()
-    return frames[:1]

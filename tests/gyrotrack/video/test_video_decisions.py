@@ -106,24 +106,16 @@ def test_packets_are_sorted_by_their_timestamps(monkeypatch):
     found = container.read_packets("film")
     assert (found.complete, found.exact) == (True, False)
     monkeypatch.setattr(container, "opened", Opened([], "matroska,webm"))
-    assert len(container.read_raw_stamps("film")) == 0
+    assert len(container.read_packets("film").stamps) == 0
 
 
-@pytest.mark.parametrize(("count", "stamps"), [(2, [0, 180]), (3, [0, 60, 180]), (9, [0, 60, 120, 180])])
-def test_key_frames_are_spread_evenly(count, stamps, monkeypatch):
-    monkeypatch.setattr(container, "opened", Opened(_film()))
-    found = container.keyframes("film", count)
-    assert [f.pts for f in found] == stamps
-    assert {f.index for f in found} == {-1}
-
-
-def test_damaged_key_frames_are_omitted(monkeypatch):
+def test_damaged_frames_are_omitted(monkeypatch):
     film = _film()
     film[6] = _packet(60, key=True, fails=True)
-    monkeypatch.setattr(container, "opened", Opened(film))
-    assert [f.pts for f in container.keyframes("film", 9)] == [0, 120, 180]
-    monkeypatch.setattr(container, "opened", Opened([_packet(0)]))
-    assert container.keyframes("film", 9) == []
+    monkeypatch.setattr(decoder, "opened", Opened(film))
+    assert set(decoder.frames_at("film", {0, 60, 120, 180})) == {0, 120, 180}
+    monkeypatch.setattr(decoder, "opened", Opened([_packet(0)]))
+    assert decoder.frames_at("film", {0}) == {}
 
 
 @pytest.mark.parametrize("wanted", [{0}, {50}, {10, 130, 230}, {60, 65}, {500, 230}])
