@@ -109,16 +109,8 @@ cause."""
 class RefusedFilmError(TrackingError):
     """A film that cannot be tracked, and the kind of its problem.
 
-    Attributes
-    ----------
-    kind : str
-        "cut", "moving camera", "no motion", "two bodies", "two links", "blurred" or "no rotation".
-    evidence : dict of float
-        The numbers that show the problem.
-    frames : tuple of ndarray
-        Pictures that show the problem.
-    hub : tuple of float or None
-        The best candidate for the hub (x, y) [px].
+    `kind` is "cut", "moving camera", "no motion", "two bodies", "two links", "blurred" or "no rotation". `evidence`
+    contains the numbers and `frames` the pictures that show the problem; `hub` is the best candidate (x, y) [px].
     """
 
     def __init__(

@@ -26,19 +26,14 @@ Plane = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Tilt:
-    """The direction from which a distant camera views a plane of motion.
+    """The direction from which a distant camera views a plane of motion."""
 
-    Attributes
-    ----------
-    angle : float
-        Angle between the axis of rotation and the line of sight [rad]: a circle appears as an ellipse with the axis
-        ratio cos(angle).
-    azimuth : float
-        Direction of the short axis of the ellipse in the picture, counter-clockwise from the right [rad].
-    """
-
+    # angle between the axis of rotation and the line of sight [rad]: a circle appears as an ellipse with the axis ratio
+    # cos(angle)
     angle: float
-    azimuth: float = math.pi / 2
+    azimuth: float = (
+        math.pi / 2
+    )  # direction of the short axis, counter-clockwise from the right of the picture [rad]
 
     def matrix(self, width: int, height: int) -> Floats:
         """Return the map (2, 3) of the picture onto the plane; the long axis is shortened, so that no part is lost."""

@@ -89,12 +89,8 @@ def harmonic_error(angle: Floats) -> float:
 
     Amplitudes of orders 1 and 2 may be constant (centre, tilt), proportional to the speed (rolling shutter), to its
     square (motion blur), or to its inverse square (a torque that depends on the angle, for example due to an
-    unbalance). The residuals of a fit of these four terms are the error of these orders.
-
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Unwrapped angle of each frame [rad]; NaN where it is not known.
+    unbalance). The residuals of a fit of these four terms are the error of these orders. `angle` (n,) is the unwrapped
+    angle of each frame [rad], NaN where it is not known.
     """
     found = _amplitudes(angle)
     largest = 0.0
@@ -146,15 +142,9 @@ class ChangeWithSpeed:
 def change_with_speed(angle: Floats, fps: float, fast: npt.NDArray[np.bool_]) -> ChangeWithSpeed:
     """Fit c_0 + c_1 omega + c_2 / omega^2 to the amplitudes of order 1, and return the error caused by c_1.
 
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Unwrapped angle of each frame [rad]; NaN where it is not known.
-    fps : float
-        Frames per second.
-    fast : ndarray, shape (n,)
-        Frames in which the constant error is learnt: at their mean speed, the change is 0. The change is 0 at all
-        speeds if the share of these frames is below `LEAST_FAST`.
+    `angle` (n,) is the unwrapped angle of each frame [rad], NaN where it is not known. The constant error is learnt in
+    the frames `fast` (n,): at their mean speed, the change is 0. The change is 0 at all speeds if the share of these
+    frames is below `LEAST_FAST`.
     """
     known = np.flatnonzero(np.isfinite(angle))
     rows = _amplitudes(angle)[1]

@@ -27,17 +27,10 @@ class Orbit:
     direction of the long axis in the picture (y down), the positions are h + r / (1 + s) M u, with M = [[1 + p, q], [q,
     1 - p]] and a unit vector u at the angle in the plane of the body. The ratio of the axes is (1 - s) / (1 + s) =
     cos(tilt).
-
-    Attributes
-    ----------
-    value : ndarray, shape (5,)
-        Centre x, y [px], mean radius r / (1 + s) [px], p and q.
-    covariance : ndarray, shape (5, 5)
-        Covariance of `value`, including position-dependent errors.
     """
 
-    value: Floats
-    covariance: Floats
+    value: Floats  # shape (5,); centre x, y [px], mean radius r / (1 + s) [px], p and q
+    covariance: Floats  # shape (5, 5); covariance of `value`, including position-dependent errors
 
     @property
     def tilt(self) -> tuple[float, float]:
@@ -129,31 +122,15 @@ hubs with an unbounded uncertainty, a larger one refuses short arcs."""
 
 @dataclass(frozen=True)
 class Arc:
-    """The circle of a path.
+    """The circle of a path."""
 
-    Attributes
-    ----------
-    hub : ndarray, shape (2,)
-        Centre of the circle (x, y) [px].
-    covariance : ndarray, shape (2, 2)
-        Covariance of the centre [px2].
-    radius : float
-        Radius of the circle [px].
-    curvature, curvature_u : float
-        1 / radius and its standard uncertainty [1/px].
-    noise : float
-        Standard deviation of the radial residuals [px].
-    by_place : float
-        Standard deviation of the position-dependent part of the radial residuals [px].
-    """
-
-    hub: Floats
-    covariance: Floats
-    radius: float
-    curvature: float
+    hub: Floats  # shape (2,); centre of the circle (x, y) [px]
+    covariance: Floats  # shape (2, 2); covariance of the centre [px2]
+    radius: float  # radius of the circle [px]
+    curvature: float  # 1 / radius and its standard uncertainty [1/px]
     curvature_u: float
-    noise: float
-    by_place: float
+    noise: float  # standard deviation of the radial residuals [px]
+    by_place: float  # standard deviation of the position-dependent part of the radial residuals [px]
 
     @property
     def determined(self) -> bool:

@@ -89,32 +89,19 @@ step; a larger value follows jumps."""
 
 @dataclass(frozen=True)
 class TrackedPoint:
-    """The motion of a point about a pivot.
+    """The motion of a point about a pivot."""
 
-    Attributes
-    ----------
-    frame : ndarray of int64, shape (m,)
-        Frames in which the point was measured.
-    place, place_sigma : ndarray, shape (m, 2)
-        Position (x, y) and its standard uncertainty [px].
-    angle, sigma : ndarray, shape (m,)
-        Unwrapped angle about the hub, counter-clockwise as seen, and its uncertainty from the position [rad].
-    hub : ndarray, shape (2,)
-        Pivot (x, y) [px].
-    hub_covariance : ndarray, shape (2, 2)
-        Covariance of the pivot [px2]: an error common to all angles, in addition to `sigma`.
-    view : float
-        Relative standard uncertainty of all angles due to the unknown tilt of the camera.
-    """
-
-    frame: npt.NDArray[np.int64]
+    frame: npt.NDArray[np.int64]  # shape (m,); frames in which the point was measured
+    # shape (m, 2); position (x, y) and its standard uncertainty [px]
     place: Floats
     place_sigma: Floats
+    # shape (m,); unwrapped angle about the hub, counter-clockwise as seen, and its uncertainty from the position [rad]
     angle: Floats
     sigma: Floats
-    hub: Floats
+    hub: Floats  # shape (2,); pivot (x, y) [px]
+    # shape (2, 2); covariance of the pivot [px2]: an error common to all angles, in addition to `sigma`
     hub_covariance: Floats
-    view: float
+    view: float  # relative standard uncertainty of all angles due to the unknown tilt of the camera
     way: str
     path: PointPath
     arc: Arc
@@ -170,23 +157,10 @@ def follow_point(
 ) -> TrackedPoint:
     """Follow a point of a film and measure its angle about a pivot.
 
-    Parameters
-    ----------
-    film : Film
-        The film.
-    start : tuple of float, optional
-        Position (x, y) in the first frame [px]; without it, the only compact body that moves.
-    hub : tuple of float, optional
-        The pivot (x, y) [px], also outside the picture; without it, the centre of the path.
-    progress : callable, optional
-        Called with the number of measured frames and the number of all frames.
-    seen : Foreground, optional
-        The differences from the background of the film, if already computed.
-
-    Raises
-    ------
-    TrackingError
-        The film has no point to follow, or the path does not determine the pivot.
+    `start` is the position (x, y) in the first frame [px]; without it, the only compact body that moves is followed.
+    `hub` is the pivot (x, y) [px], also outside the picture; without it, the centre of the path. `progress` is called
+    with the number of measured frames and the number of all frames. `seen` is the foreground of the film, if it is
+    known. A TrackingError is raised if the film has no point to follow, or if the path does not determine the pivot.
     """
     path = track_point(film, start, _turn_about(hub), progress, seen)
     return _of_path(film, path, start, hub)
@@ -217,27 +191,17 @@ def _white_scale(path: PointPath) -> float:
 
 @dataclass(frozen=True)
 class SecondLink:
-    """The direction of the second link of a double pendulum, from the joint to a point of the link.
+    """The direction of the second link of a double pendulum, from the joint to a point of the link."""
 
-    Attributes
-    ----------
-    frame : ndarray of int64, shape (m,)
-        Frames in which both points are measured.
-    angle, sigma : ndarray, shape (m,)
-        Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad], which
-        contains `off_axis`.
-    off_axis : ndarray, shape (n,)
-        Standard uncertainty of the direction [rad] because the points are not exactly on the axis of the joint and not
-        exactly fixed to the link.
-    path : PointPath
-        The path of the point.
-    """
-
-    frame: npt.NDArray[np.int64]
+    frame: npt.NDArray[np.int64]  # shape (m,); frames in which both points are measured
+    # shape (m,); unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty
+    # [rad], which contains `off_axis`
     angle: Floats
     sigma: Floats
+    # shape (m,); standard uncertainty of the direction [rad] because the points are not exactly on the axis of the
+    # joint and not exactly fixed to the link
     off_axis: Floats
-    path: PointPath
+    path: PointPath  # path of the point
 
 
 _FEWEST_COMMON = 7

@@ -175,36 +175,17 @@ compact [1]. Derived: sqrt(8 / pi) = 1.6 for a rectangle twice as long as wide."
 
 @dataclass(frozen=True)
 class PointPath:
-    """The path of a point.
+    """The path of a point."""
 
-    Attributes
-    ----------
-    frame : ndarray of int64, shape (m,)
-        Frames in which the point was measured.
-    place : ndarray, shape (m, 2)
-        Position (x, y) of the point [px].
-    covariance : ndarray, shape (m, 2, 2)
-        The Cramer-Rao bound of the position, enlarged where the patch does not match its picture [px2].
-    radius : float
-        Radius of the patch [px].
-    searched : int
-        Number of frames in which the point was searched for.
-    turns : bool
-        Whether the patch rotates with the line from the hub to the patch.
-    picture : ndarray
-        The learnt picture of the patch, in grey levels.
-    keeps : bool
-        Whether the picture certainly does not rotate with this line.
-    """
-
-    frame: Frames
-    place: Floats
+    frame: Frames  # shape (m,); frames in which the point was measured
+    place: Floats  # shape (m, 2); position (x, y) of the point [px]
+    # shape (m, 2, 2); the Cramer-Rao bound of the position, enlarged where the patch does not match its picture [px2]
     covariance: Floats
-    radius: float
-    searched: int
-    turns: bool
-    picture: Picture
-    keeps: bool = False
+    radius: float  # radius of the patch [px]
+    searched: int  # number of frames in which the point was searched for
+    turns: bool  # whether the patch rotates with the line from the hub to the patch
+    picture: Picture  # the learnt picture of the patch, in grey levels
+    keeps: bool = False  # whether the picture certainly does not rotate with this line
 
 
 Turn = Callable[[Frames, Floats], Floats | None]

@@ -81,12 +81,8 @@ def slope(picture: npt.NDArray[np.floating]) -> Singles:
 def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
     """Return the static part of the image in orders of at least `lowest` per turn, (rows, columns).
 
-    Parameters
-    ----------
-    strips : ndarray, shape (n, rows, columns)
-        Pictures in coordinates of the body, the columns over a turn, counter-clockwise.
-    angle : ndarray, shape (n,)
-        Angle of the body in each picture [rad], over a turn or more.
+    The `strips` (n, rows, columns) are pictures in coordinates of the body, the columns over a turn, counter-clockwise.
+    The angles of the body (n,) [rad] cover a turn or more.
     """
     count = strips.shape[2]
     columns = columns_of(angle, count)
@@ -139,18 +135,11 @@ class ViewResponse:
     def of(
         cls, picture: Singles, radial: Singles, basis: Singles, weight: Singles, radius: Floats
     ) -> ViewResponse:
-        """Compute the response of zones with templates `picture`.
+        """Compute the response of zones with mean pictures (zones, samples), in rows of equal `radius` (rows,) [px].
 
-        Parameters
-        ----------
-        picture, weight : ndarray, shape (zones, samples)
-            Mean picture, samples in rows of equal radius, and weight of a sample, 1 / variance.
-        radial : ndarray, shape (rows, columns)
-            Derivative of the picture with respect to the radius [1/px].
-        basis : ndarray, shape (zones, samples, 3)
-            Changes of the picture per rad of rotation, with an offset and with the gain.
-        radius : ndarray, shape (rows,)
-            Radii of the rows of all zones [px].
+        `radial` (rows, columns) is the derivative of the picture with respect to the radius [1/px]. `basis` (zones,
+        samples, 3) contains the changes of the picture per rad of rotation, with an offset and with the gain. The
+        `weight` of a sample (zones, samples) is 1 / variance.
         """
         zones, samples = picture.shape
         body = picture.reshape(len(radius), -1)

@@ -184,21 +184,11 @@ def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
 
 @dataclass(frozen=True)
 class CompactBody:
-    """The compact body that is seen in most of the compared frames.
+    """The compact body that is seen in most of the compared frames."""
 
-    Attributes
-    ----------
-    radius : float
-        Median radius of the body [px].
-    place : ndarray, shape (n, 2)
-        Centroids in the frames that show the body [px].
-    alone : float
-        Median share of the body in the pixels that differ from the background.
-    """
-
-    radius: float
-    place: Floats
-    alone: float
+    radius: float  # median radius of the body [px]
+    place: Floats  # shape (n, 2); centroids in the frames that show the body [px]
+    alone: float  # median share of the body in the pixels that differ from the background
 
     @property
     def pivot(self) -> Floats | None:
