@@ -36,7 +36,7 @@ from gyrotrack.tracking._diagnosis import (
     refuse_moving_camera,
     refuse_two_motions,
 )
-from gyrotrack.tracking._film import Film, Plane, reduced
+from gyrotrack.tracking._film import Film, Plane, frames_of, reduced
 from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, fallen, halves_differ, hub_doubt
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
@@ -493,9 +493,7 @@ class _Reduced:
         if factor < 2 or np.count_nonzero(motion.moving) < _SCREEN_AREA * factor**2:
             return None
         few = [reduced(f, factor) for f in sample]
-        wanted = set(usable.tolist())
-        frames = (reduced(f, factor) for i, f in enumerate(film.frames()) if i in wanted)
-        small = StoredPictures.of(len(usable), frames)
+        small = StoredPictures.of(len(usable), (reduced(f, factor) for f in frames_of(film, usable)))
         return cls(factor, small, Motion.of(few, -(-margin // factor)))
 
     def reduced(self, place: tuple[float, float]) -> tuple[float, float]:
@@ -908,9 +906,7 @@ def _measure(
     coarse = best.ring
     area = motion.area
     allowed = coarse.inside(area)
-    wanted = set(usable.tolist())
-    unwrapped = (coarse.unwrap(f) for i, f in enumerate(film.frames()) if i in wanted)
-    polars = StoredPictures.of(len(usable), unwrapped)
+    polars = StoredPictures.of(len(usable), map(coarse.unwrap, frames_of(film, usable)))
     use = np.unique(np.linspace(0, len(polars) - 1, 120).astype(int))
     mean = np.mean([polars[i] for i in use], axis=0)
     moving = np.std([polars[i] for i in use], axis=0) > 4 * motion.noise
@@ -1009,7 +1005,7 @@ def _measure(
     parts = template.halves()
     halves = np.empty((2, len(usable)))
     live = FrameAngles("single")
-    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+    for k, frame in enumerate(frames_of(film, usable)):
         polar = ring.unwrap(frame)
         poses.append(register(polar, template, angle[k]))
         halves[:, k] = [-register(polar, part, poses[-1].angle).angle for part in parts]

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from gyrotrack.video._fields import field, first_field
 
 Floats = npt.NDArray[np.float64]
 Plane = npt.NDArray[np.uint8]
+Real = TypeVar("Real", npt.NDArray[np.uint8], npt.NDArray[np.float32])
 
 
 @dataclass(frozen=True)
@@ -232,11 +234,28 @@ class Film:
         return StoredPictures.of(len(wanted), chosen)
 
 
-def reduced(frame: Plane, factor: int) -> Plane:
+class FrameSource(Protocol):
+    """A film, or a film with reduced frames."""
+
+    @property
+    def path(self) -> Path: ...
+
+    def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]: ...
+
+    def some(self, index: npt.NDArray[np.int64]) -> Sequence[Plane]: ...
+
+
+def frames_of(film: FrameSource, index: npt.NDArray[np.int64]) -> Iterator[Plane]:
+    """Yield the frames with the numbers `index`, in ascending order, in one pass through a film."""
+    wanted = set(index.tolist())
+    return (frame for i, frame in enumerate(film.frames()) if i in wanted)
+
+
+def reduced(frame: Real, factor: int) -> Real:
     """Return the means over squares of `factor` px of a frame, without the pixels beyond the last whole square."""
     height, width = (n // factor for n in frame.shape)
     whole = frame[: height * factor, : width * factor]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=frame.dtype)
 
 
 _EXAMINED = 12

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, frames_of, fresh_frames
 from gyrotrack.tracking._point_motion import TrackedPoint, about_pivot
 from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._silhouettes import (
@@ -60,8 +60,8 @@ def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
     A TrackingError is raised if the body is not seen in most frames, or if its ends are not on one ellipse.
     """
     usable = fresh_frames(film)
-    wanted = set(usable.tolist())
-    rows = [(k, f) for k, x in enumerate(film.frames()) if k in wanted and (f := body.axis(x)) is not None]
+    shown = zip(usable.tolist(), frames_of(film, usable), strict=True)
+    rows = [(k, axis) for k, frame in shown if (axis := body.axis(frame)) is not None]
     if len(rows) < max(_SHOWN * len(usable), FEWEST_FRAMES):
         raise TrackingError(
             f"The long body in {film.path.name} is seen in {len(rows)} of {len(usable)} frames only.",

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import running_quantile
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import Film, frames_of, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
 from gyrotrack.tracking._live_angles import FrameAngles
 from gyrotrack.tracking._registration import (
@@ -190,8 +190,7 @@ def track_by_features(
     the whole picture, tracks all other bodies: a body on an axle, a body that moves more than it turns, and a body
     whose hub is outside the picture, for example the ball of a pendulum.
     """
-    wanted = set(usable.tolist())
-    found = _loose_motion((f for i, f in enumerate(film.frames()) if i in wanted), motion)
+    found = _loose_motion(frames_of(film, usable), motion)
     if found is None:
         return None
     theta, path, followed, ring = found
@@ -378,12 +377,10 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     background = _uncovered(background, sample, limit)
     active: list[_Link] = []
     ended: list[_Link] = []
-    wanted = set(usable.tolist())
-    for index, frame in enumerate(film.frames()):
-        if index in wanted:
-            ended += [k for k in active if index - k.frame[-1] > _LOST and len(k.frame) >= _FEWEST]
-            active = [k for k in active if index - k.frame[-1] <= _LOST]
-            _link(active, index, _outlines(np.abs(frame - background) > limit))
+    for index, frame in zip(usable.tolist(), frames_of(film, usable), strict=True):
+        ended += [k for k in active if index - k.frame[-1] > _LOST and len(k.frame) >= _FEWEST]
+        active = [k for k in active if index - k.frame[-1] <= _LOST]
+        _link(active, index, _outlines(np.abs(frame - background) > limit))
     found = []
     for link in ended + active:
         area = np.array([o.area for o in link.outline])
@@ -432,10 +429,9 @@ def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats | None]:
 
 def _changed(film: Film, usable: Frames, limit: float) -> Floats:
     """Return the area [px2] that differs by more than a limit between each frame and an earlier frame."""
-    wanted = set(usable.tolist())
     before: deque[Plane] = deque(maxlen=_LAG)
     area = []
-    for frame in (f for i, f in enumerate(film.frames()) if i in wanted):
+    for frame in frames_of(film, usable):
         smooth = np.asarray(cv2.blur(frame, (3, 3)), dtype=np.uint8)
         area.append(float(np.count_nonzero(cv2.absdiff(smooth, before[0]) > limit)) if before else 0.0)
         before.append(smooth)
@@ -492,11 +488,10 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
         (float(hub[0]), float(hub[1])), max(1.0, 0.1 * path.radius), _WITHIN * path.radius, finest=_COARSE
     )
     shift = path.place - hub
-    where = {int(frame): k for k, frame in enumerate(path.frame)}
     size = np.ones(len(path.frame)) if path.scale is None else path.scale
-    shown = ((where[i], f) for i, f in enumerate(film.frames()) if i in where)
+    shown = enumerate(frames_of(film, path.frame))
     pictures = (ring.scaled(size[k]).unwrap(f, tuple(shift[k])) for k, f in shown)
-    polars = StoredPictures.of(len(where), pictures)
+    polars = StoredPictures.of(len(path.frame), pictures)
     # exclude frames of a body at rest: they contain no information, and a codec copies them without noise
     turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
     sliding = np.hypot(*(path.place[_LAG:] - path.place[:-_LAG]).T)
@@ -570,9 +565,8 @@ def _along_path(
     parts = template.halves()
     every: list[Pose] = []
     halves = np.empty((2, len(theta)))
-    where = {int(frame): k for k, frame in enumerate(frames)}
     live = FrameAngles("single")
-    for k, frame in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
+    for k, frame in enumerate(frames_of(film, frames)):
         polar = polar_of(frame, k)
         pose = register(polar, template, theta[k], move=True)
         if area is None and k > 1:

@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -27,7 +26,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, frames_of_one_shot
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, FrameSource, frames_of, reduced
 from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._links import move_as_links, one_rests, paths_of
 from gyrotrack.tracking._pivot import fit_arc
@@ -249,7 +248,7 @@ def _track_spot(
         small,
         usable,
         small.spot(spot),
-        small.mean(background).astype(np.float32),
+        reduced(background, factor),
         noise / factor,
         lambda frame, place: turn_of(frame, small.seen(place)),
         progress,
@@ -264,17 +263,6 @@ def _track_spot(
     )
 
 
-class _Frames(Protocol):
-    """The frames for tracking: a film, or a film with reduced frames."""
-
-    @property
-    def path(self) -> Path: ...
-
-    def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]: ...
-
-    def some(self, index: Frames) -> Sequence[Plane]: ...
-
-
 @dataclass(frozen=True)
 class _Reduced:
     """A film with the means of squares of `factor` px as pixels."""
@@ -286,17 +274,12 @@ class _Reduced:
     def path(self) -> Path:
         return self.film.path
 
-    def mean(self, picture: Plane | Picture) -> npt.NDArray[Any]:
-        height, width = (n // self.factor for n in picture.shape)
-        whole = picture[: height * self.factor, : width * self.factor]
-        return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
-
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
         for frame in self.film.frames(first, stop):
-            yield np.asarray(self.mean(frame), dtype=np.uint8)
+            yield reduced(frame, self.factor)
 
     def some(self, index: Frames) -> Sequence[Plane]:
-        return [np.asarray(self.mean(frame), dtype=np.uint8) for frame in self.film.some(index)]
+        return [reduced(frame, self.factor) for frame in self.film.some(index)]
 
     def seen(self, place: Floats) -> Floats:
         """Convert places (n, 2) of the reduced picture to places in the film [px]."""
@@ -315,7 +298,7 @@ class _Reduced:
 
 
 def _tracked(
-    film: _Frames,
+    film: FrameSource,
     usable: Frames,
     spot: Spot,
     background: Picture,
@@ -567,7 +550,9 @@ def _matched(
     return (place[0] + half, place[1] + half), max(float(square[row, column]), 0.0) / float(mask.sum())
 
 
-def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Floats, Bools]:
+def _follow(
+    film: FrameSource, usable: Frames, spot: Spot, background: Picture
+) -> tuple[Floats, Floats, Bools]:
     """Follow a patch by template matching; return positions (n, 2), rotations (n,) and a mask of found patches (n,).
 
     The patch is searched for at the position predicted by its last steps, then in a reduced picture of the whole frame.
@@ -583,9 +568,8 @@ def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> t
     anchor: Picture | None = None
     recent: Picture | None = None
     limit, change, last, steps = 0.0, 0.0, np.array(spot.place), list[npt.NDArray[np.float64]]()
-    wanted = set(usable.tolist())
     behind = cv2.copyMakeBorder(background, half, half, half, half, cv2.BORDER_REPLICATE)
-    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+    for k, frame in enumerate(frames_of(film, usable)):
         picture = cv2.copyMakeBorder(frame, half, half, half, half, cv2.BORDER_REPLICATE).astype(np.float32)
         changed = (picture - behind) ** 2
         if anchor is None or recent is None:
@@ -900,7 +884,7 @@ class _Learnt:
 
 
 def _learnt(
-    film: _Frames,
+    film: FrameSource,
     frame: Frames,
     place: Floats,
     turn: Floats | None,
@@ -985,15 +969,14 @@ def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: 
 
 
 def _measured(
-    film: _Frames, frame: Frames, learnt: _Learnt, searched: int, progress: Progress | None
+    film: FrameSource, frame: Frames, learnt: _Learnt, searched: int, progress: Progress | None
 ) -> PointPath:
     """Register every frame with the average picture."""
     layers, place, turn = learnt.layers, learnt.place, learnt.turn
-    where = {int(f): k for k, f in enumerate(frame)}
     found = place.copy()
     covariance = np.full((len(frame), 2, 2), np.nan)
     misfit = np.full(len(frame), np.inf)
-    for k, picture in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
+    for k, picture in enumerate(frames_of(film, frame)):
         angle = 0.0 if turn is None else float(turn[k])
         found[k], covariance[k], misfit[k], _ = layers.register(picture, place[k], angle)
         if progress is not None:
