@@ -16,7 +16,7 @@ is estimated by maximum likelihood.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +38,20 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
+class FrameColumns:
+    """A record whose fields are arrays with one row per frame."""
+
+    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> Self:
+        """Place the frames at `index` of `count` frames; see the function `spread_out`."""
+        return type(self)(**in_file({k: spread_out(v, index, count) for k, v in vars(self).items()}))
+
+    def picked(self, index: npt.NDArray[np.int64]) -> Self:
+        """Return the frames `index`."""
+        return type(self)(**in_file({k: v[index] for k, v in vars(self).items()}))
+
+
 @dataclass(frozen=True)
-class MarkerObservations:
+class MarkerObservations(FrameColumns):
     """Observations of one marker in consecutive frames, about the centre of the ring; NaN where the body is lost."""
 
     # shape (n,); fine angle as seen [rad], radius of the middle of the marker [px]
@@ -55,23 +67,9 @@ class MarkerObservations:
     open: Mask  # shape (n,); no part of the marker is known to be occluded
     centre: Floats  # shape (n, 2); centre of the ring in px
 
-    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> MarkerObservations:
-        """Place the frames at `index` of `count` frames; see the function `spread_out`."""
-        return MarkerObservations(
-            **in_file(
-                {f.name: spread_out(getattr(self, f.name), index, count) for f in fields(MarkerObservations)}
-            )
-        )
-
-    def picked(self, index: npt.NDArray[np.int64]) -> MarkerObservations:
-        """Return the frames `index`."""
-        return MarkerObservations(
-            **in_file({f.name: getattr(self, f.name)[index] for f in fields(MarkerObservations)})
-        )
-
     def at(self, part: slice) -> MarkerObservations:
         """Return some of the frames."""
-        return MarkerObservations(**{f.name: getattr(self, f.name)[part] for f in fields(MarkerObservations)})
+        return MarkerObservations(**{name: values[part] for name, values in vars(self).items()})
 
     def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
         """Return a mask of the frames in which a part of the marker is outside a picture of (width, height) px."""

@@ -111,8 +111,7 @@ def colour_name(red: float, green: float, blue: float) -> str:
     u, v = 0.564 * (blue - luma), 0.713 * (red - luma)
     if np.hypot(u, v) < _LEAST_CHROMA:
         return "white" if luma >= _BRIGHT else ""
-    hue = np.degrees(np.arctan2(v, u))
-    return min(_HUE_DEGREES, key=lambda name: abs((hue - _HUE_DEGREES[name] + 180.0) % 360.0 - 180.0))
+    return nearest_colour(float(np.degrees(np.arctan2(v, u))))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -34,7 +34,7 @@ from numpy.polynomial.legendre import legvander
 
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of, spread
-from gyrotrack.tracking._marker_tracker import spread_out
+from gyrotrack.tracking._marker_tracker import FrameColumns
 from gyrotrack.tracking._ring_view import (
     LEAST_ARC,
     VIEW_SIZE,
@@ -173,7 +173,7 @@ a larger one makes the zones equal."""
 
 
 @dataclass(frozen=True)
-class TextureObservations:
+class TextureObservations(FrameColumns):
     """The angle of a body from its texture in consecutive frames; NaN where the angle is not known."""
 
     angle: Floats  # shape (n,); as seen, about the zero of the first template, unwrapped [rad]
@@ -205,16 +205,6 @@ class TextureObservations:
         self.misfit[use] = np.sum(zones.share[:, None] * np.isfinite(turned) * misfit, axis=0) / total
         for found, each in ((self.first, zones.first), (self.second, zones.second)):
             found[:] = (zones.share @ each).real, (zones.share @ each).imag
-
-    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> TextureObservations:
-        """Place the frames at `index` of `count` frames; the other frames are NaN."""
-        return TextureObservations(
-            **{f.name: spread_out(getattr(self, f.name), index, count) for f in fields(self)}
-        )
-
-    def picked(self, index: npt.NDArray[np.int64]) -> TextureObservations:
-        """Return the frames `index`."""
-        return TextureObservations(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
     @property
     def template(self) -> npt.NDArray[np.int64]:

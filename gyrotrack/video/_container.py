@@ -217,7 +217,7 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
         if stream.codec_context is None:
             what = f"There is no decoder for the codec of {path}."
             raise VideoError(what, "Copy the film again, or convert it to H.264.")
-        _check_size(path, stream)
+        _check_sides(path, int(stream.codec_context.width), int(stream.codec_context.height))
         stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         stream.codec_context.thread_type = "FRAME" if threads > 1 else "NONE"
         stream.codec_context.thread_count = threads
@@ -360,10 +360,6 @@ def _check_file(path: Path) -> None:
         raise VideoError(f"{path} cannot be opened: {error.strerror}.", "Check its permissions.") from error
     if size == 0:
         raise VideoError(f"{path} is empty (0 bytes).", "Copy the film from the camera again.")
-
-
-def _check_size(path: Path, stream: Any) -> None:
-    _check_sides(path, int(stream.codec_context.width), int(stream.codec_context.height))
 
 
 def _check_sides(path: Path, width: int, height: int) -> None:

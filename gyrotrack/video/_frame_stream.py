@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 
 class FrameStream(ABC):
-    """A number of `frames` of `size` bytes as raw pixels, with the methods of a file; one frame at a time is in memory."""
+    """Frames of `size` bytes as raw pixels, with the methods of a file; only one frame at a time is in memory."""
 
     def __init__(self, frames: int, size: int) -> None:
         self._frames, self._size = frames, size
