@@ -18,8 +18,8 @@ from typing import NoReturn
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers, Picture, Plane
 from gyrotrack._column_store import StoredPictures, large_blocks_returned, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
@@ -36,7 +36,7 @@ from gyrotrack.tracking._diagnosis import (
     refuse_moving_camera,
     refuse_two_motions,
 )
-from gyrotrack.tracking._film import Film, Plane, frames_of, reduced
+from gyrotrack.tracking._film import Film, frames_of, reduced
 from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, fallen, halves_differ, hub_doubt
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
@@ -53,7 +53,6 @@ from gyrotrack.tracking._moving_hub import may_be_loose, track_by_features, trac
 from gyrotrack.tracking._registration import (
     TURN,
     Area,
-    Picture,
     Pose,
     Ring,
     Template,
@@ -69,8 +68,6 @@ from gyrotrack.tracking._silhouettes import axes_meet
 from gyrotrack.tracking._tracked import Tracked, apart_beyond_harmonics, hub_error, white_noise
 from gyrotrack.tracking._translation import translates
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 Progress = Callable[[int, int | None], None]
 
 _TRIAL = 300
@@ -247,7 +244,7 @@ def calmer(sample: Sequence[Plane], still: Sequence[Plane], margin: int) -> bool
 
 def _track_stabilised(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    usable: Integers,
     sample: Sequence[Plane],
     hub: tuple[float, float] | None,
     progress: Progress | None,
@@ -296,7 +293,7 @@ def _with_shake(found: Tracked, shake: Shake) -> Tracked:
 
 def _track(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    usable: Integers,
     sample: Sequence[Plane],
     hub: tuple[float, float] | None,
     progress: Progress | None,
@@ -483,7 +480,7 @@ class _Reduced:
     def of(
         cls,
         film: Film,
-        usable: npt.NDArray[np.int64],
+        usable: Integers,
         sample: Sequence[Plane],
         motion: Motion,
         margin: int,
@@ -589,7 +586,7 @@ def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float
     )
 
 
-def _refuse_fallen(film: Film, usable: npt.NDArray[np.int64], best: _Trial, share: float) -> NoReturn:
+def _refuse_fallen(film: Film, usable: Integers, best: _Trial, share: float) -> NoReturn:
     """Raise a RefusedFilmError for a rotation that explains only a small `share` of the whole film."""
     raise RefusedFilmError(
         f"No body in {film.path.name} turns about one fixed axis throughout: rotation about ({best.ring.hub[0]:.0f}, "
@@ -896,7 +893,7 @@ def _placed(ring: Ring, place: Floats) -> Ring:
 
 def _measure(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    usable: Integers,
     first: int,
     best: _Trial,
     motion: Motion,
@@ -1129,7 +1126,7 @@ def _at_distance_of_path(
 
 def _finish(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    usable: Integers,
     ring: Ring,
     template: Template,
     parts: tuple[Template, Template],

@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Plane
 from gyrotrack.tracking._hub_search import Motion, ring_for
 from gyrotrack.tracking._registration import every, explained, follow, learn, rolled
-
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
 
 _COARSE = 48.0
 """Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the

@@ -29,13 +29,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Complexes, Floats
 from gyrotrack._column_store import new_columns, row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._polar import Windows
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 FACTOR_R = 30.0
 """Factor of u_r in the uncertainty as defined in the paper [rad]. Source: V. Tanrıverdi and A. Erbasan,
@@ -62,7 +60,7 @@ class PaperAngle:
     sigma: Floats
 
 
-def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> PaperAngle:
+def paper_angle(corner: Floats, centre: Floats, use: Bools) -> PaperAngle:
     """Compute angle (counter-clockwise as seen, in (-pi, pi]) and uncertainty from the near corners as the paper does.
 
     `corner` (n, 2, 2): frame, corner, (x, y) [px], y downwards, the lower angle first; averages are over frames `use`.

@@ -12,18 +12,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Complexes, Integers, Plane, Singles
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._camera_motion import features_of, tracked
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film, Plane, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
 from gyrotrack.tracking._links import share_a_joint
 from gyrotrack.tracking._registration import Ring
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Frames = npt.NDArray[np.int64]
-Complexes = npt.NDArray[np.complex128]
 
 _PAIRS = 16
 """Number of pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes
@@ -180,11 +175,11 @@ class Pair:
         return RigidMotion(a, b, members)
 
 
-def _xy(z: Complexes) -> npt.NDArray[np.float32]:
+def _xy(z: Complexes) -> Singles:
     return np.stack([z.real, z.imag], axis=1).astype(np.float32)
 
 
-def pairs_of(film: Film, usable: Frames) -> list[Pair]:
+def pairs_of(film: Film, usable: Integers) -> list[Pair]:
     """Return the displacements of features in pairs of near frames from the whole film."""
     if len(usable) <= max(_LAGS):
         return []
@@ -218,7 +213,7 @@ def pair_of(first: Plane, *later: Plane) -> Pair | None:
     return pair
 
 
-def frames_of_one_shot(film: Film) -> Frames:
+def frames_of_one_shot(film: Film) -> Integers:
     """Return the frames that do not repeat the previous one; a TrackingError for few such frames, or several shots."""
     usable = fresh_frames(film)
     if len(usable) < FEWEST_FRAMES:
@@ -231,7 +226,7 @@ def frames_of_one_shot(film: Film) -> Frames:
     return usable
 
 
-def refuse_cut(film: Film, usable: Frames) -> None:
+def refuse_cut(film: Film, usable: Integers) -> None:
     """Raise a RefusedFilmError for a film of several shots."""
     if (at := cut_at(film, usable)) is not None:
         frame, change, other = at
@@ -249,7 +244,7 @@ def refuse_cut(film: Film, usable: Frames) -> None:
 
 
 def refuse_moving_camera(
-    film: Film, usable: Frames, pairs: Sequence[Pair], shape: tuple[int, ...], least: float = _NO_HUB
+    film: Film, usable: Integers, pairs: Sequence[Pair], shape: tuple[int, ...], least: float = _NO_HUB
 ) -> None:
     """Raise a RefusedFilmError if the whole picture moves, and a rotation about a hub has a residual above `least`."""
     camera = camera_motion(pairs, shape)
@@ -267,7 +262,7 @@ def refuse_moving_camera(
         )
 
 
-def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
+def cut_at(film: Film, usable: Integers) -> tuple[int, float, float] | None:
     """Return the frame at which another shot begins, its change, and the largest change around it [grey levels].
 
     After a flash of light the picture is the same as before, after a cut it is not. Shots of fewer than `_SHOT` frames

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers, Plane, Singles
 from gyrotrack._column_store import StoredPictures, new_columns, release_memory, release_pages
 from gyrotrack._smoothing import running_quantile
 from gyrotrack.tracking._camera_motion import Shake
@@ -21,9 +22,7 @@ from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import Reader
 from gyrotrack.video._fields import field, first_field
 
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
-Real = TypeVar("Real", npt.NDArray[np.uint8], npt.NDArray[np.float32])
+Real = TypeVar("Real", npt.NDArray[np.uint8], Singles)
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class Film:
         self._shake: Shake | None = None
         flicker = _Flicker()
         self._files: list[npt.NDArray[np.uint8]] = []
-        before: npt.NDArray[np.float32] | None = None
+        before: Singles | None = None
         changes = []
         kept = True
         self._first_field = _interlacing(path)
@@ -226,7 +225,7 @@ class Film:
             plane = np.asarray(even, dtype=np.uint8)
         return plane if self._shake is None else self._shake.stabilised(plane, index)
 
-    def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> StoredPictures:
+    def some(self, index: Sequence[int] | Integers) -> StoredPictures:
         """Return the frames with the numbers `index`, in ascending order."""
         wanted = {int(i) for i in index}
         first, stop = min(wanted), max(wanted) + 1
@@ -242,10 +241,10 @@ class FrameSource(Protocol):
 
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]: ...
 
-    def some(self, index: npt.NDArray[np.int64]) -> Sequence[Plane]: ...
+    def some(self, index: Integers) -> Sequence[Plane]: ...
 
 
-def frames_of(film: FrameSource, index: npt.NDArray[np.int64]) -> Iterator[Plane]:
+def frames_of(film: FrameSource, index: Integers) -> Iterator[Plane]:
     """Yield the frames with the numbers `index`, in ascending order, in one pass through a film."""
     wanted = set(index.tolist())
     return (frame for i, frame in enumerate(film.frames()) if i in wanted)
@@ -317,11 +316,11 @@ class _Flicker:
     """
 
     def __init__(self) -> None:
-        self._first: npt.NDArray[np.float32] | None = None
+        self._first: Singles | None = None
         self._gain: dict[float, list[float]] = {0.0: [], 16.0: []}
         self._sums: dict[float | None, Floats] = {}
 
-    def add(self, picture: npt.NDArray[np.float32]) -> None:
+    def add(self, picture: Singles) -> None:
         """Measure the gain of the next frame, (height, width) in grey levels."""
         if self._first is None:
             self._first = picture.copy()
@@ -360,7 +359,7 @@ _ROUNDING = 1.0 / 12.0
 the variance 1 / 12."""
 
 
-def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> float:
+def _change(before: Singles, after: Singles) -> float:
     """Return the mean absolute difference of two pictures, apart from flicker of the illumination.
 
     Without this correction, frames taken at the same flicker phase differ so little that they seem to be repeated.
@@ -388,7 +387,7 @@ FEWEST_FRAMES = 10
 parameters; a smaller number leaves few residuals, a larger one refuses short films."""
 
 
-def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
+def fresh_frames(film: Film) -> Integers:
     """Return the numbers of the selected frames that do not repeat the previous frame.
 
     The change of a frame is compared with the changes of its neighbours and of the frames in its run, because all

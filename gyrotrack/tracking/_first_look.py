@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film, frames_of, fresh_frames
 from gyrotrack.tracking._point_motion import TrackedPoint, about_pivot
@@ -17,8 +17,6 @@ from gyrotrack.tracking._silhouettes import (
     LongBody,
     long_tilted_body,
 )
-
-Floats = npt.NDArray[np.float64]
 
 _SHOWN = 0.8
 """Smallest share of the frames in which a long body is seen [1]. Chosen: a smaller value accepts other objects, a

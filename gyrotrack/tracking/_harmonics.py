@@ -13,12 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats
 from gyrotrack.tracking._film_tracker import BATCH
 from gyrotrack.tracking._fusion import LEAST_FAST
-
-Floats = npt.NDArray[np.float64]
 
 _HARMONICS = range(1, 13)
 """Orders of the harmonics of the error that are measured [periods per turn]. Chosen: higher orders average out within a
@@ -139,7 +137,7 @@ class ChangeWithSpeed:
     error: float  # largest standard uncertainty of its amplitudes [rad]
 
 
-def change_with_speed(angle: Floats, fps: float, fast: npt.NDArray[np.bool_]) -> ChangeWithSpeed:
+def change_with_speed(angle: Floats, fps: float, fast: Bools) -> ChangeWithSpeed:
     """Fit c_0 + c_1 omega + c_2 / omega^2 to the amplitudes of order 1, and return the error caused by c_1.
 
     `angle` (n,) is the unwrapped angle of each frame [rad], NaN where it is not known. The constant error is learnt in

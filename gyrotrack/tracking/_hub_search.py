@@ -16,13 +16,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from gyrotrack.tracking._registration import TURN, Picture, Ring
-
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Picture, Plane
+from gyrotrack.tracking._registration import TURN, Ring
 
 _PAIRS = 40
 """Number of pairs of frames for each lag [1]. Chosen: a smaller number gives an uncertain hub, a larger one costs
@@ -68,7 +65,7 @@ class Motion:
     mean: Picture
     deviation: Picture
     noise: float  # standard deviation where nothing moves
-    moving: npt.NDArray[np.bool_]  # shape (height, width); where the brightness changes by more than noise
+    moving: Bools  # shape (height, width); where the brightness changes by more than noise
     # the part (left, top, right, bottom) of the frame that contains the picture, without uniform bars at the sides
     area: tuple[int, int, int, int]
 
@@ -322,9 +319,9 @@ class _CommonHub:
 
     hub: complex
     # for each pair: 1 - a, displacement and centroid of the features [px]
-    left: npt.NDArray[np.complex128]
-    shift: npt.NDArray[np.complex128]
-    centroid: npt.NDArray[np.complex128]
+    left: Complexes
+    shift: Complexes
+    centroid: Complexes
     unexplained: float  # ratio of the median residual of the displacements to their median
 
     @classmethod
@@ -353,9 +350,9 @@ class _CommonHub:
 
 def distant_hub(
     start: complex,
-    left: npt.NDArray[np.complex128],
-    shift: npt.NDArray[np.complex128],
-    centroid: npt.NDArray[np.complex128],
+    left: Complexes,
+    shift: Complexes,
+    centroid: Complexes,
 ) -> tuple[float, float] | None:
     """Fit the hub h to 1 - a = d / (h - c) for all pairs of frames; None for a body around its hub."""
     middle, spread = complex(np.median(centroid.real), np.median(centroid.imag)), float(np.abs(shift).max())
@@ -408,7 +405,7 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
 
 def follow_features(
     frames: Iterable[Plane], motion: Motion, widest: float
-) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.int64]] | None:
+) -> tuple[Complexes, Complexes, Integers] | None:
     """Track the features of a body by optical flow from frame to frame.
 
     Return None if there are too few inliers, or if the range of the angles exceeds `widest` [rad].
@@ -485,7 +482,7 @@ def follow_features(
     return np.array(turn), np.array(moved), np.array(since, dtype=np.int64)
 
 
-def still_point(turn: npt.NDArray[np.complex128], moved: npt.NDArray[np.complex128]) -> tuple[float, float]:
+def still_point(turn: Complexes, moved: Complexes) -> tuple[float, float]:
     """Return the position in the first frame of the point of the body that moves least."""
     left = turn - turn.mean()
     right = -(moved - moved.mean())

@@ -15,15 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from gyrotrack._arrays import Bools, Floats, Integers, Singles
 from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking._acquisition import LONGEST_DWELL
 from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, ring_for
 from gyrotrack.tracking._scene import Marker, Samples, in_turn
 from gyrotrack.video._container import Frame
-
-Floats = npt.NDArray[np.float64]
-Singles = npt.NDArray[np.float32]
-Integers = npt.NDArray[np.int64]
 
 CHROMA_PIXEL = 2.0
 """Spacing of the samples of a coloured marker in the luma [px]. Derived: one sample of chroma in 4:2:0 is 2 px of
@@ -216,7 +213,7 @@ class MarkerWindow:
         plain = Windows.plain(self.scores)
         return replace(plain, light=lit).columns(np.ones((1, weight.shape[1])))[:, 0]
 
-    def shaped(self, use: npt.NDArray[np.bool_], gain: Floats, offset: Floats) -> Windows:
+    def shaped(self, use: Bools, gain: Floats, offset: Floats) -> Windows:
         """Return the windows of some frames, corrected for illumination, background at 0 and marker at 1."""
         light = np.ones((len(gain), self.scores.shape[2])) if self._light is None else self._light[use]
         return Windows(self.scores, np.flatnonzero(use), light, offset, 1.0 / gain)
@@ -303,13 +300,13 @@ def even_light(light: AngleMap, reach: int) -> Floats:
     return np.asarray(np.clip(filled, HIDDEN, 2.0))
 
 
-def shaded_columns(light: AngleMap) -> npt.NDArray[np.bool_]:
+def shaded_columns(light: AngleMap) -> Bools:
     """Return a mask of the angles at which an object at rest occludes the marker, or glare outshines it."""
     height = light.heights(max(light.columns // 128, 1), prior=4.0)[0]
     return np.asarray(np.nan_to_num(height, nan=1.0) < HIDDEN)
 
 
-def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
+def open_columns(cover: AngleMap, *, shadows: bool) -> Bools:
     """Return a mask of the angles at which the marker is unoccluded in all layers, or unknown.
 
     Occluded ranges are extended by one column; with `shadows`, also over adjacent columns with a height below `CLEAR`.
@@ -321,7 +318,7 @@ def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
     return np.asarray(~_grown(hidden))
 
 
-def _grown(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _grown(chosen: Bools) -> Bools:
     return np.asarray(chosen | np.roll(chosen, 1) | np.roll(chosen, -1))
 
 
@@ -340,8 +337,6 @@ def _blurred(rows: Floats, half: int) -> Floats:
     total = np.cumsum(padded, axis=1)
     return np.asarray(total[:, 2 * half + 1 :] - total[:, : -(2 * half + 1)])
 
-
-Mask = npt.NDArray[np.bool_]
 
 _COLUMNS = 360
 """Number of columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar
@@ -369,7 +364,7 @@ class Occlusion:
         for layer in range(window.layers.shape[1]):
             self.map.learn(layer, column, core, np.clip(window.layers[:, layer], -0.2, 1.5))
 
-    def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
+    def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Bools:
         """Return a mask of the unoccluded samples (n, m) without shadow; all samples if the other body is unknown."""
         everything = np.ones(window.raw.shape, dtype=np.bool_)
         if casing is None:

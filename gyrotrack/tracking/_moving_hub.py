@@ -15,8 +15,8 @@ from statistics import median
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Picture, Plane
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import running_quantile
@@ -36,11 +36,6 @@ from gyrotrack.tracking._registration import (
 from gyrotrack.tracking._silhouettes import median_picture, quantile_picture
 from gyrotrack.tracking._tracked import Tracked, white_noise
 
-Floats = npt.NDArray[np.float64]
-Frames = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
-Plane = npt.NDArray[np.uint8]
-Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
 _LEAST_RANGE = 0.01
@@ -182,7 +177,7 @@ one ignores a short displacement."""
 
 
 def track_by_features(
-    film: Film, usable: Frames, motion: Motion, progress: Progress | None = None
+    film: Film, usable: Integers, motion: Motion, progress: Progress | None = None
 ) -> Tracked | None:
     """Track a body without an axle, for example a suspended table, by its features; None for any other film.
 
@@ -238,7 +233,7 @@ def may_be_loose(frames: Iterable[Plane], motion: Motion) -> bool:
 
 def _loose_motion(
     frames: Iterable[Plane], motion: Motion, travel: float = 1.0, least: float = _LEAST_RANGE
-) -> tuple[Floats, npt.NDArray[np.complex128], Frames, Ring] | None:
+) -> tuple[Floats, Complexes, Integers, Ring] | None:
     """Return angles and hub path of a body from its features, the frames of their selection, and a ring; or None.
 
     The range of the angles must exceed `least` [rad], and the hub must move by less than `travel` times the arcs of
@@ -324,7 +319,7 @@ def track_free_body(
 class Path:
     """The path of a body."""
 
-    frame: Frames  # frames in which the outline is complete, (m,)
+    frame: Integers  # frames in which the outline is complete, (m,)
     place: Floats  # centroid of the outline (x, y) [px], (m, 2)
     radius: float  # radius of a circle of the same area [px]
     # changed area of the picture in these frames, divided by the changed area in all frames
@@ -361,7 +356,7 @@ class _Link:
         return np.asarray(last + step * (frame - self.frame[-1]))
 
 
-def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
+def find_paths(film: Film, usable: Integers, noise: float) -> list[Path]:
     """Return the paths of all bodies that move across the picture, the one with the largest area swept first.
 
     The background is the median of frames with equal changes of the picture between them, so that bodies that come to
@@ -427,7 +422,7 @@ def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats | None]:
     return similar, np.sqrt(trend)
 
 
-def _changed(film: Film, usable: Frames, limit: float) -> Floats:
+def _changed(film: Film, usable: Integers, limit: float) -> Floats:
     """Return the area [px2] that differs by more than a limit between each frame and an earlier frame."""
     before: deque[Plane] = deque(maxlen=_LAG)
     area = []
@@ -520,7 +515,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
 
 def _along_path(
     film: Film,
-    frames: Frames,
+    frames: Integers,
     ring: Ring,
     theta: Floats,
     shift: Floats,

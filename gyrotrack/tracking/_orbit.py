@@ -18,12 +18,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers
 from gyrotrack._smoothing import BORROWED_NU, median_of, spread
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,7 @@ def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbi
     if len(points) < _FEWEST:
         return None
     rng = np.random.default_rng(0)
-    best: tuple[int, npt.NDArray[np.bool_]] | None = None
+    best: tuple[int, Bools] | None = None
     for _ in range(trials):
         first = rng.integers(len(points))
         same = np.flatnonzero(group == group[first])
@@ -150,7 +147,7 @@ _LEAST_ANGLE = 0.5
 slow bodies."""
 
 
-def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np.bool_]:
+def _agreeing(points: Floats, group: Integers, centre: Floats) -> Bools:
     radius = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1])
     inlier = np.zeros(len(points), dtype=np.bool_)
     for label in range(int(group.max()) + 1):
@@ -168,7 +165,7 @@ def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np
     return inlier
 
 
-def _directions(points: Floats, group: Integers, centre: Floats, inlier: npt.NDArray[np.bool_]) -> int:
+def _directions(points: Floats, group: Integers, centre: Floats, inlier: Bools) -> int:
     """Count the 10 degree sectors with inliers over all groups."""
     sector = np.floor(_angles(points[inlier], centre) * 36.0 / (2.0 * np.pi)).astype(np.int64)
     return len(np.unique(36 * group[inlier] + sector % 36))

@@ -13,10 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 
-Floats = npt.NDArray[np.float64]
+from gyrotrack._arrays import Floats, Integers
 
 
 @dataclass(frozen=True)
@@ -235,7 +234,7 @@ def _starts(x: Floats, y: Floats) -> list[Floats]:
     return found
 
 
-def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[np.int64]:
+def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> Integers:
     """Return the part of the arc of each position."""
     if straight:
         _, _, axes = np.linalg.svd(np.stack([x, y], axis=1), full_matrices=False)
@@ -248,7 +247,7 @@ def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[n
 
 
 def _covariance(
-    jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
+    jacobian: Floats, rest: Floats, sigma: Floats, cell: Integers, floor: float
 ) -> tuple[float, float, Floats]:
     """Return the noise, the position-dependent error, and the covariance of the parameters due to both errors."""
     count = max(len(rest) - 3, 1)

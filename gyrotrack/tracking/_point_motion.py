@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._coaxial import second_rotation
 from gyrotrack.tracking._film import Film, fresh_frames
@@ -18,8 +18,6 @@ from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_p
 from gyrotrack.tracking._registration import TURN
 from gyrotrack.tracking._silhouettes import Foreground
 from gyrotrack.tracking._tracked import white_noise
-
-Floats = npt.NDArray[np.float64]
 
 HUB_U = 1.0
 """Standard uncertainty of a given hub, per axis [px]. Chosen: the accuracy of a click; a smaller value
@@ -91,7 +89,7 @@ step; a larger value follows jumps."""
 class TrackedPoint:
     """The motion of a point about a pivot."""
 
-    frame: npt.NDArray[np.int64]  # shape (m,); frames in which the point was measured
+    frame: Integers  # shape (m,); frames in which the point was measured
     # shape (m, 2); position (x, y) and its standard uncertainty [px]
     place: Floats
     place_sigma: Floats
@@ -193,7 +191,7 @@ def _white_scale(path: PointPath) -> float:
 class SecondLink:
     """The direction of the second link of a double pendulum, from the joint to a point of the link."""
 
-    frame: npt.NDArray[np.int64]  # shape (m,); frames in which both points are measured
+    frame: Integers  # shape (m,); frames in which both points are measured
     # shape (m,); unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty
     # [rad], which contains `off_axis`
     angle: Floats
@@ -235,7 +233,7 @@ def follow_links(
     """
     joint = follow_point(film, starts[0], hub, progress)
 
-    def turn_of(frame: npt.NDArray[np.int64], place: Floats) -> Floats:
+    def turn_of(frame: Integers, place: Floats) -> Floats:
         at = np.stack([np.interp(frame, joint.frame, joint.place[:, i]) for i in (0, 1)], axis=1)
         away = place - at
         turn = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
@@ -380,7 +378,7 @@ def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tup
 def _turn_about(hub: tuple[float, float] | None) -> Turn:
     """Return a function for the rotation of a patch, clockwise as seen, about a hub or the hub of its path."""
 
-    def turn_of(_: npt.NDArray[np.int64], place: Floats) -> Floats | None:
+    def turn_of(_: Integers, place: Floats) -> Floats | None:
         centre = np.array(hub) if hub is not None else None
         if centre is None:
             rough = fit_arc(place, np.full(len(place), 0.5))

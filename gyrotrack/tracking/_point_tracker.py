@@ -22,8 +22,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers, Picture, Plane
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, frames_of_one_shot
 from gyrotrack.tracking._film import FEWEST_FRAMES, Film, FrameSource, frames_of, reduced
@@ -42,11 +42,6 @@ from gyrotrack.tracking._silhouettes import (
     spots_in,
 )
 
-Floats = npt.NDArray[np.float64]
-Frames = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
-Plane = npt.NDArray[np.uint8]
-Picture = npt.NDArray[np.float32]
 Progress = Callable[[int, int | None], None]
 
 _CORE = 0.7
@@ -176,7 +171,7 @@ compact [1]. Derived: sqrt(8 / pi) = 1.6 for a rectangle twice as long as wide."
 class PointPath:
     """The path of a point."""
 
-    frame: Frames  # shape (m,); frames in which the point was measured
+    frame: Integers  # shape (m,); frames in which the point was measured
     place: Floats  # shape (m, 2); position (x, y) of the point [px]
     # shape (m, 2, 2); the Cramer-Rao bound of the position, enlarged where the patch does not match its picture [px2]
     covariance: Floats
@@ -187,7 +182,7 @@ class PointPath:
     keeps: bool = False  # whether the picture certainly does not rotate with this line
 
 
-Turn = Callable[[Frames, Floats], Floats | None]
+Turn = Callable[[Integers, Floats], Floats | None]
 """Returns the rotation (n,) [rad] of a body for frames (n,) and positions (n, 2), or None if it is undetermined."""
 
 
@@ -227,7 +222,7 @@ def track_point(
 
 def _track_spot(
     film: Film,
-    usable: Frames,
+    usable: Integers,
     spot: Spot,
     seen: Foreground,
     turn_of: Turn,
@@ -278,7 +273,7 @@ class _Reduced:
         for frame in self.film.frames(first, stop):
             yield reduced(frame, self.factor)
 
-    def some(self, index: Frames) -> Sequence[Plane]:
+    def some(self, index: Integers) -> Sequence[Plane]:
         return [reduced(frame, self.factor) for frame in self.film.some(index)]
 
     def seen(self, place: Floats) -> Floats:
@@ -299,7 +294,7 @@ class _Reduced:
 
 def _tracked(
     film: FrameSource,
-    usable: Frames,
+    usable: Integers,
     spot: Spot,
     background: Picture,
     noise: float,
@@ -417,7 +412,7 @@ def _spot_at(
     return Spot(middle, inner, (np.hypot(u, v) <= inner).astype(np.uint8))
 
 
-def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]:
+def _only_spot(film: Film, usable: Integers, seen: Foreground) -> tuple[int, Spot]:
     """Return the compact moving body, and the number of frames before the first frame that shows it.
 
     The body has the size of the largest compact body in most frames of a sample. A hand or a shadow that is visible in
@@ -442,7 +437,7 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
 
 
 def _several(
-    film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
+    film: Film, usable: Integers, seen: Foreground, frame: Plane, spots: Sequence[Spot]
 ) -> TrackingError:
     """Return the error for a film of several bodies: two links if a rod joins them and they move as links.
 
@@ -551,7 +546,7 @@ def _matched(
 
 
 def _follow(
-    film: FrameSource, usable: Frames, spot: Spot, background: Picture
+    film: FrameSource, usable: Integers, spot: Spot, background: Picture
 ) -> tuple[Floats, Floats, Bools]:
     """Follow a patch by template matching; return positions (n, 2), rotations (n,) and a mask of found patches (n,).
 
@@ -567,7 +562,7 @@ def _follow(
     turns, spin, usual = np.zeros(len(usable)), 0.0, 0.0
     anchor: Picture | None = None
     recent: Picture | None = None
-    limit, change, last, steps = 0.0, 0.0, np.array(spot.place), list[npt.NDArray[np.float64]]()
+    limit, change, last, steps = 0.0, 0.0, np.array(spot.place), list[Floats]()
     behind = cv2.copyMakeBorder(background, half, half, half, half, cv2.BORDER_REPLICATE)
     for k, frame in enumerate(frames_of(film, usable)):
         picture = cv2.copyMakeBorder(frame, half, half, half, half, cv2.BORDER_REPLICATE).astype(np.float32)
@@ -885,7 +880,7 @@ class _Learnt:
 
 def _learnt(
     film: FrameSource,
-    frame: Frames,
+    frame: Integers,
     place: Floats,
     turn: Floats | None,
     turn_sigma: float,
@@ -969,7 +964,7 @@ def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: 
 
 
 def _measured(
-    film: FrameSource, frame: Frames, learnt: _Learnt, searched: int, progress: Progress | None
+    film: FrameSource, frame: Integers, learnt: _Learnt, searched: int, progress: Progress | None
 ) -> PointPath:
     """Register every frame with the average picture."""
     layers, place, turn = learnt.layers, learnt.place, learnt.turn

@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from gyrotrack._arrays import Floats, Integers, Plane, Singles
 from gyrotrack._native import _kernels as kernels
-from gyrotrack.video._container import Frame, Plane
+from gyrotrack.video._container import Frame
 
-Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+Maps = tuple[Singles, Singles]
 
 CHROMA_SHIFT = (0.0, 0.5)
 """Position (x, y) of the first chroma sample in the luma: on the left column, between two rows [px]. Source:
@@ -38,7 +39,7 @@ class Ring:
     columns: int
 
     @property
-    def radii(self) -> npt.NDArray[np.float64]:
+    def radii(self) -> Floats:
         """Radii of the rows in luma px."""
         return np.linspace(self.inner, self.outer, self.rows)
 
@@ -84,7 +85,7 @@ def unroll(plane: Plane, maps: Maps) -> Plane:
     return np.asarray(strip, dtype=np.uint8)
 
 
-def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.float64]:
+def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> Floats:
     """Return the moving average of cyclic profiles, (n, columns), over 2 half + 1 columns."""
     width = 2 * half + 1
     padded = np.concatenate([profile[:, -half:], profile, profile[:, :half]], axis=1).astype(np.float64)
@@ -92,8 +93,6 @@ def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.f
     return np.asarray((total[:, width:] - total[:, :-width]) / width)
 
 
-Singles = npt.NDArray[np.float32]
-Integers = npt.NDArray[np.int64]
 # left, right, top and bottom edge in px of a plane; right and bottom are one px beyond the box
 Box = npt.NDArray[np.int32]
 
@@ -188,9 +187,6 @@ def _reach(place: Singles, width: int, size: int) -> npt.NDArray[np.int32]:
     begin = np.clip(np.floor(first), 0, size - 2)
     end = np.clip(np.ceil(last) + 1, begin + 2, size)
     return np.column_stack([begin, end]).astype(np.int32)
-
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

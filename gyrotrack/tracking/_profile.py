@@ -35,6 +35,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from gyrotrack._arrays import Singles
 from gyrotrack._errors import ProfileError
 from gyrotrack._toml import check, read_document
 
@@ -49,8 +50,6 @@ def single_threaded() -> Iterator[None]:
     finally:
         cv2.setNumThreads(before)
 
-
-Floats = npt.NDArray[np.float32]
 
 Hue = Literal["red", "orange", "yellow", "green", "cyan", "blue", "magenta"]
 
@@ -85,12 +84,12 @@ def nearest_colour(hue: float) -> Hue:
     return min(names, key=apart)
 
 
-def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Floats:
+def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Singles:
     """Return p - |q| for chroma differences with parts p along and q across the direction; 0 beyond 45 degrees."""
     u, v = np.asarray(du, dtype=np.float32), np.asarray(dv, dtype=np.float32)
     along = direction[0] * u + direction[1] * v
     across = direction[0] * v - direction[1] * u
-    score: Floats = np.maximum(along - np.abs(across), np.float32(0.0))
+    score: Singles = np.maximum(along - np.abs(across), np.float32(0.0))
     return score
 
 
@@ -128,7 +127,7 @@ class Blob:
     fill: float
 
 
-def find_blobs(score: npt.NDArray[np.float32], threshold: float, most: int = 4) -> list[Blob]:
+def find_blobs(score: Singles, threshold: float, most: int = 4) -> list[Blob]:
     """Find the strongest connected patches above a threshold, strongest first."""
     mask = (score > threshold).astype(np.uint8)
     count, found_labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -142,9 +141,7 @@ def find_blobs(score: npt.NDArray[np.float32], threshold: float, most: int = 4) 
     return sorted(found, key=lambda blob: -blob.weight)[:most]
 
 
-def _blob(
-    score: npt.NDArray[np.float32], labels: npt.NDArray[np.int32], box: npt.NDArray[np.int32], label: int
-) -> Blob:
+def _blob(score: Singles, labels: npt.NDArray[np.int32], box: npt.NDArray[np.int32], label: int) -> Blob:
     left, top, width, height, area = (int(v) for v in box)
     window = (slice(top, top + height), slice(left, left + width))
     weights = np.where(labels[window] == label, score[window], np.float32(0.0)).astype(np.float64)

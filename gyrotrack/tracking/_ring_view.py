@@ -31,9 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Singles = npt.NDArray[np.float32]
-Complexes = npt.NDArray[np.complex128]
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Singles
 
 TURN = 2.0 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
@@ -115,7 +113,7 @@ def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
     return found
 
 
-def columns_of(angle: Floats, count: int) -> npt.NDArray[np.int64]:
+def columns_of(angle: Floats, count: int) -> Integers:
     """Return the column, of `count` per turn, of a stationary picture below column 0 of a body at angles [rad]."""
     return np.asarray(np.rint(angle * count / TURN).astype(np.int64) % count)
 
@@ -182,7 +180,7 @@ class ViewResponse:
         turning = (view[0::2] + 1j * view[1::2])[:, None] * np.exp(-1j * np.outer(ORDERS, angle))
         return np.asarray((response @ turning).imag)
 
-    def explains(self, view: Floats, residuals: Sequence[Singles], angle: Floats) -> npt.NDArray[np.bool_]:
+    def explains(self, view: Floats, residuals: Sequence[Singles], angle: Floats) -> Bools:
         """Return a mask of the rows (rows,) in which a view explains most of the static residuals of the zones.
 
         A shadow or a window beside a circular edge resembles a displacement of the edge. The test compares the power
@@ -216,7 +214,7 @@ class View:
         residuals: Sequence[Singles],
         weight: Singles,
         angle: Floats,
-        known: npt.NDArray[np.bool_],
+        known: Bools,
         together: float,
     ) -> View:
         """Fit the view, with rotation, offset and gain, to the residuals of the zones, each (n, samples).

@@ -13,13 +13,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Integers, Singles
 from gyrotrack._column_store import new_columns, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack.tracking._polar import Ring, unroll
 from gyrotrack.video._container import Frame, read_packets
 from gyrotrack.video._decoder import Reader, frames_at
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -164,7 +163,7 @@ class Samples:
         return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
 
     @cached_property
-    def still(self) -> npt.NDArray[np.float32]:
+    def still(self) -> Singles:
         """Median of `chroma` over the frames, shape (2, height, width)."""
         return np.asarray(np.median(self.chroma, axis=1), dtype=np.float32)
 
@@ -242,7 +241,7 @@ def _later(path: Path, head: int, pixels: int, threads: int) -> list[Frame]:
         with lock:
             return store(frame)
 
-    def decode(keys: npt.NDArray[np.int64]) -> dict[int, Frame]:
+    def decode(keys: Integers) -> dict[int, Frame]:
         return frames_at(path, packets.stamps[nearer[np.isin(start, keys)]].tolist(), keep)
 
     used = np.unique(start)

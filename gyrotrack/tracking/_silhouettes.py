@@ -15,14 +15,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers, Picture, Plane
 from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._hub_search import Motion, spatial_noise
 from gyrotrack.tracking._pivot import angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._registration import TURN
-
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
-Picture = npt.NDArray[np.float32]
 
 _BACKGROUND = 60
 """Number of frames for the background, which is their median [frames]. Chosen: a larger number costs memory and time, a
@@ -238,7 +235,7 @@ class Foreground:
     noise: float  # standard deviation of single frames [grey levels]
 
     @classmethod
-    def of(cls, film: Film, usable: npt.NDArray[np.int64]) -> Foreground:
+    def of(cls, film: Film, usable: Integers) -> Foreground:
         """Compare some of the usable frames with their median."""
         sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
         noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)

@@ -29,12 +29,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack._smoothing import median_of, spread
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 FEWEST_TEMPLATES = 5
 """Smallest number of templates from which the variance of the steps between zeros can be estimated [1]. Chosen: a

@@ -32,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial.legendre import legvander
 
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Singles
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of, spread
 from gyrotrack.tracking._marker_tracker import FrameColumns
@@ -47,10 +48,6 @@ from gyrotrack.tracking._ring_view import (
     without_light,
 )
 from gyrotrack.video._container import Frame
-
-Floats = npt.NDArray[np.float64]
-Singles = npt.NDArray[np.float32]
-Complexes = npt.NDArray[np.complex128]
 
 TURN = 2.0 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
@@ -195,9 +192,7 @@ class TextureObservations(FrameColumns):
         first, second = np.zeros((2, len(centre), 2))
         return cls(angle, sigma, slow, misfit, centre.copy(), first, second, np.zeros(len(centre)))
 
-    def set(
-        self, use: npt.NDArray[np.int64], zones: _Zones, angle: Floats, turned: Floats, misfit: Floats
-    ) -> None:
+    def set(self, use: Integers, zones: _Zones, angle: Floats, turned: Floats, misfit: Floats) -> None:
         """Set the frames `use` from the rotations of the zones relative to an angle [rad], and from their misfits."""
         mean, total = zones.mean(turned)
         self.angle[use] = angle + mean
@@ -207,7 +202,7 @@ class TextureObservations(FrameColumns):
             found[:] = (zones.share @ each).real, (zones.share @ each).imag
 
     @property
-    def template(self) -> npt.NDArray[np.int64]:
+    def template(self) -> Integers:
         """Number of the template of each frame, (n,), from 0: frames of one template have the same moments."""
         known = np.flatnonzero(np.isfinite(self.angle))
         number = np.zeros(len(self.angle), dtype=np.int64)
@@ -372,7 +367,7 @@ def _fitted(
 
 
 def _mean_residual(
-    strips: Singles, zone: int, picture: Singles, basis: Singles, parts: Floats, used: npt.NDArray[np.bool_]
+    strips: Singles, zone: int, picture: Singles, basis: Singles, parts: Floats, used: Bools
 ) -> tuple[Singles, Singles]:
     """Return mean and mean square (P,) of the residuals of a fit, with changes `parts` (n, 3), in the `used` frames."""
     share = np.where(used, 1.0 / used.sum(), 0.0)[:, None]
@@ -474,7 +469,7 @@ class TextureTracker:
         self._slopes |= {place + int(k): slope for k, slope in zip(some, slopes, strict=True)}
 
     def _sampled(
-        self, frames: list[Frame], use: npt.NDArray[np.int64], centre: Floats, turn: Floats, off: float
+        self, frames: list[Frame], use: Integers, centre: Floats, turn: Floats, off: float
     ) -> npt.NDArray[np.uint8]:
         """Sample rings in the frames `use` about centres (n, 2) [px] at angles with cos and sin `turn` (n, 2).
 
@@ -532,7 +527,7 @@ class TextureTracker:
         return seen, aligned
 
     def _align(
-        self, use: npt.NDArray[np.int64], angle: Floats, learnt: _OwnView | None
+        self, use: Integers, angle: Floats, learnt: _OwnView | None
     ) -> tuple[_OwnView, Floats, Floats, Floats]:
         """Measure the frames `use` at rough angles [rad] in pictures that are turned back by the measured angles.
 
@@ -549,7 +544,7 @@ class TextureTracker:
             angle = rough + np.nan_to_num(own.zones.mean(turned)[0])
         return own, rough, turned, misfit
 
-    def _radial_slope(self, use: npt.NDArray[np.int64], ahead: Floats) -> Singles:
+    def _radial_slope(self, use: Integers, ahead: Floats) -> Singles:
         """Return the mean derivative of the pictures with respect to the radius, (rows, COLUMNS) [1/px].
 
         The derivative is measured in the frames, because edges are narrower than the distance of the rows.
@@ -560,7 +555,7 @@ class TextureTracker:
         slopes = [_columns_ahead(self._slopes[int(use[k])], ahead[k]) for k in known]
         return np.asarray(np.mean(slopes, axis=0))
 
-    def _turned(self, use: npt.NDArray[np.int64], ahead: Floats, light: Singles | None = None) -> Singles:
+    def _turned(self, use: Integers, ahead: Floats, light: Singles | None = None) -> Singles:
         """Return the samples of the frames `use`, turned by a further `ahead` columns, (n, rows, COLUMNS).
 
         Static light (rows, COLUMNS) is subtracted. The samples are floats: rounding to grey levels would lose subpixel

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack.tracking._registration import TURN, Ring, Template
-
-Floats = npt.NDArray[np.float64]
 
 _MANY_TURNS = 3.0
 """Smallest number of turns in which an error once per turn is distinguishable from a motion [turns]. Chosen: a smaller
@@ -25,7 +24,7 @@ disc."""
 class Tracked:
     """The motion of one body in a film."""
 
-    frame: npt.NDArray[np.int64]  # shape (m,); frames in which the motion was measured
+    frame: Integers  # shape (m,); frames in which the motion was measured
     # shape (m,); unwrapped angle, counter-clockwise as seen, and its standard uncertainty [rad]
     angle: Floats
     sigma: Floats
@@ -108,9 +107,7 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
     return float(np.std(rows[:, :free] @ found[:free])) * hub_leverage(parts)
 
 
-def apart_beyond_harmonics(
-    angle: Floats, halves: Floats, at: npt.NDArray[np.int64], sigma: float
-) -> float | None:
+def apart_beyond_harmonics(angle: Floats, halves: Floats, at: Integers, sigma: float) -> float | None:
     """Return the error of the angles if the halves of the ring turn differently over many turns [rad]; None if small.
 
     The halves of a rigid body differ by harmonics of the angle, a slow trend of the view, and noise. A further

@@ -21,8 +21,8 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Integers, Plane
 from gyrotrack._errors import VideoError
 from gyrotrack.io.readers._format_names import FILMS
 from gyrotrack.video._frame_stream import FrameStream
@@ -30,8 +30,6 @@ from gyrotrack.video._photron import SUFFIX as PHOTRON
 from gyrotrack.video._photron import GreyFrames, raw_file, read_header
 from gyrotrack.video._tiff import SUFFIXES as TIFF
 from gyrotrack.video._tiff import TiffFrames, TiffStack, read_stack
-
-Plane = npt.NDArray[np.uint8]
 
 _PLANAR_420 = ("yuv420p", "yuvj420p")
 
@@ -477,9 +475,9 @@ class Packets:
     """The packets of a film that have a timestamp, in the order of their timestamps."""
 
     # shape (n,); timestamps in units of the time base, and sizes in bytes
-    stamps: npt.NDArray[np.int64]
-    size: npt.NDArray[np.int64]
-    key: npt.NDArray[np.bool_]  # shape (n,); whether packets are key frames
+    stamps: Integers
+    size: Integers
+    key: Bools  # shape (n,); whether packets are key frames
     complete: bool  # whether all packets of the film have a timestamp
     # whether the container stores the timestamps of the frames; AVI and raw streams only count packets
     exact: bool = True

@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack._smoothing import running_quantile
 from gyrotrack.video._container import (
     ClipInfo,
@@ -177,11 +178,11 @@ class Reader:
         return decoded
 
     @property
-    def stamps(self) -> npt.NDArray[np.int64]:
+    def stamps(self) -> Integers:
         """Timestamps of the decoded frames in units of the time base; missing timestamps are the smallest integer."""
         return np.array(self._pts, dtype=np.int64)
 
-    def pts_seconds(self) -> npt.NDArray[np.float64]:
+    def pts_seconds(self) -> Floats:
         """Return the timestamps of the decoded frames [s]; NaN for frames without a timestamp."""
         return pts_seconds(self.stamps, float(self.info.time_base))
 
@@ -191,14 +192,12 @@ class Reader:
         return film_warnings(self.info, self.pts_seconds(), self.bad_packets, self.corrupt)
 
 
-def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.float64]:
+def pts_seconds(stamps: Integers, tick: float) -> Floats:
     """Return timestamps [s], NaN for frames without a timestamp; `tick` is the time base [s]."""
     return np.where(stamps == _NO_STAMP, np.nan, stamps * tick)
 
 
-def film_warnings(
-    info: ClipInfo, seconds: npt.NDArray[np.float64], bad_packets: int, corrupt: int
-) -> tuple[str, ...]:
+def film_warnings(info: ClipInfo, seconds: Floats, bad_packets: int, corrupt: int) -> tuple[str, ...]:
     """Return warnings about a decoded film; `seconds` (n,) is NaN without a timestamp; `corrupt` counts frames."""
     found = []
     if info.frames_declared > len(seconds):
@@ -384,7 +383,7 @@ def _rows(frame: Frame) -> Rows:
     return frame.y[height // 8 : height - height // 8 : max(height // _ROWS, 1)]
 
 
-def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
+def _uninformative(packets: Packets) -> Integers:
     """Return the numbers of packets with little information: much smaller than their neighbours, or equal in size."""
     if len(packets.size) < _AROUND:
         return np.zeros(0, dtype=np.int64)
@@ -395,7 +394,7 @@ def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
     return np.flatnonzero(~packets.key & (size < SMALL * usual))
 
 
-def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _starts(place: Integers) -> Integers:
     """Return the positions at which runs of neighbours begin."""
     return place[np.diff(place, prepend=-2) > 1]
 
@@ -405,7 +404,7 @@ REGULAR = 0.8
 finds a period by chance, a larger one fails if a repeat is not detected."""
 
 
-def _regular(start: npt.NDArray[np.int64]) -> bool:
+def _regular(start: Integers) -> bool:
     """Return whether runs are periodic up to a rounding error of one frame, as after a conversion."""
     apart = np.diff(start)
     return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > REGULAR)
