@@ -8,7 +8,7 @@ tracked through a few hundred frames, and the candidate that best explains the c
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -36,7 +36,7 @@ from gyrotrack.tracking._diagnosis import (
     refuse_moving_camera,
     refuse_two_motions,
 )
-from gyrotrack.tracking._film import Film, frames_of, reduced
+from gyrotrack.tracking._film import Film, Progress, frames_of, reduced
 from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, fallen, halves_differ, hub_doubt
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
@@ -65,10 +65,14 @@ from gyrotrack.tracking._registration import (
     without_slips,
 )
 from gyrotrack.tracking._silhouettes import axes_meet
-from gyrotrack.tracking._tracked import Tracked, apart_beyond_harmonics, hub_error, white_noise
+from gyrotrack.tracking._tracked import (
+    Tracked,
+    apart_beyond_harmonics,
+    correlated_variance,
+    hub_error,
+    white_noise,
+)
 from gyrotrack.tracking._translation import translates
-
-Progress = Callable[[int, int | None], None]
 
 _TRIAL = 300
 """Number of frames on which a candidate for the hub is evaluated [frames]. Chosen: a smaller number shows little
@@ -1075,11 +1079,8 @@ class _BodyPath:
         rows = np.stack([1.0 - np.cos(theta), np.sin(theta), np.ones_like(theta)], axis=1)
         found, *_ = np.linalg.lstsq(rows, np.abs(away), rcond=None)
         rest = np.abs(away) - rows @ found
-        # for an unsteady camera: n residuals with the correlation q of neighbours are equivalent to n (1 - q) / (1 + q)
-        # independent ones
-        alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
-        variance = float(np.var(rest)) * (1.0 + alike) / (1.0 - alike)
-        error = math.sqrt(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * variance)
+        # the residuals are correlated if the camera is unsteady
+        error = math.sqrt(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * correlated_variance(rest))
         error = math.hypot(error, _PATH_ERROR / max(float(rows[:, 0].max()), 1e-9))
         return cls(towards + middle, radius, theta, float(found[0]), error, float(found[1]))
 

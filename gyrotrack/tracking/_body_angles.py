@@ -970,10 +970,7 @@ def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, pr
 
 
 def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
-    """Shift the zero of the angle so that the markers have the mount angles of the profile.
-
-    Without mount angles in the profile, nothing changes.
-    """
+    """Shift the zero of the angle so that the markers have the mount angles of the profile, if it contains any."""
     named = {
         m.name: m.mount_angle for m in profile.marker if m.mount_angle is not None and m.name in body.markers
     }

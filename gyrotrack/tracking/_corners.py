@@ -168,7 +168,7 @@ def _side_edges(
     if len(rows) == 0:
         rows = np.array([int(np.argmin(np.abs(radii - 0.5 * (inner + outer))))])
     mixing = _bands(rows, len(radii), SIDE_BANDS)
-    part = window.rows(mixing)
+    part = window.bands(mixing)
     middle = part.shape[2] // 2
     r = mixing @ radii - inner
     right, left = _edge(part, angles, middle, 1), _edge(part, angles, middle, -1)
@@ -194,7 +194,7 @@ def _near_edge(
     if len(columns) < 3:
         columns = np.arange(len(angles) // 2 - 1, len(angles) // 2 + 2)
     mixing = _bands(columns, len(angles), NEAR_BANDS)
-    across = window.columns(mixing)
+    across = window.bands(mixing, across=True)
     top = int(np.argmax(np.median(np.ascontiguousarray(across.mean(axis=1).T), axis=1)))
     if top < 1:
         return nothing, nothing, nothing

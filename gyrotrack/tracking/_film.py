@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -231,6 +231,10 @@ class Film:
         first, stop = min(wanted), max(wanted) + 1
         chosen = (f for i, f in enumerate(self.frames(first, stop), first) if i in wanted)
         return StoredPictures.of(len(wanted), chosen)
+
+
+Progress = Callable[[int, int | None], None]
+"""Called with the number of measured frames, and the number of all frames if it is known."""
 
 
 class FrameSource(Protocol):

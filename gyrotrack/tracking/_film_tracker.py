@@ -190,15 +190,14 @@ class BodyTracker:
                 begin = self._lock(score, begin, advance, coarse)
                 if begin == count:
                     break
-            angle, _, motion = follow(score[begin:], self._motion_now(), LEAST_SCORE, advance[begin:])
+            angle, _, motion = follow(
+                score[begin:], self._motion or Motion(0.0, 0.0), LEAST_SCORE, advance[begin:]
+            )
             self._motion = motion
             coarse[begin:] = angle
             lost = np.flatnonzero(np.isnan(angle))
             begin = begin + int(lost[0]) if len(lost) else count
         return coarse
-
-    def _motion_now(self) -> Motion:
-        return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
     def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
         """Find the body again after `begin` and track it backwards; otherwise extrapolate the number of turns."""

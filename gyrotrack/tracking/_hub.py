@@ -19,12 +19,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from gyrotrack._arrays import Bools, Complexes, Floats, Integers
-from gyrotrack._column_store import new_columns, row_blocks
+from gyrotrack._column_store import WithBuffer, new_columns, row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import local_fit, spread
 from gyrotrack.tracking._polar import CHROMA_SHIFT
@@ -32,24 +31,17 @@ from gyrotrack.tracking._scene import Disc
 from gyrotrack.video._container import Frame
 
 
-class DiscWindow:
+class DiscWindow(WithBuffer):
     """A small chroma window about the disc, collected for a batch of frames."""
+
+    _buffer = "_pixels"
 
     def __init__(self, disc: Disc, capacity: int) -> None:
         self.disc = disc
         self.half = int(np.ceil((1.5 * disc.radius + 6.0) / 2.0))
         side = 2 * self.half + 1
         self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
-        self._used = False  # whether the window contains frames
         self._corner = (0, 0)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pixels": self._pixels if self._used else self._pixels.shape}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        if not self._used:
-            self._pixels = np.zeros(state["_pixels"], dtype=np.uint8)
 
     def centre_on(self, centre: tuple[float, float], frame: Frame) -> None:
         """Move the window to a centre (luma px), inside the picture."""
@@ -487,8 +479,9 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
             excess = np.clip(np.where(known[part], wanted.excess[part], 0.0), *limits)
             normal[:, part] += weight * np.stack([x * x, x * y, y * y])
             right[:, part] -= weight * excess * np.stack([x, y])
+    bell = 1.0 - (np.arange(-_REFINED_HALF, _REFINED_HALF + 1) / (_REFINED_HALF + 1)) ** 2
     for row in (*normal, *right):
-        row[:] = _windowed(row)
+        row[:] = np.convolve(np.pad(row, _REFINED_HALF), bell, mode="valid")
     better = new_columns(count, {"centre": ((2,), "f8"), "sigma": ((), "f8")})
     for part in row_blocks(count):
         (a, b, c), (u, v) = normal[:, part], right[:, part]
@@ -506,8 +499,3 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
 def _limits(excess: Floats) -> tuple[float, float]:
     reach = 4.0 * spread(excess)
     return -reach, reach
-
-
-def _windowed(row: Floats) -> Floats:
-    bell = 1.0 - (np.arange(-_REFINED_HALF, _REFINED_HALF + 1) / (_REFINED_HALF + 1)) ** 2
-    return np.asarray(np.convolve(np.pad(row, _REFINED_HALF), bell, mode="valid"))

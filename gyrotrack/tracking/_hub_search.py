@@ -379,11 +379,7 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
     points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
     if points is None or len(points) < 6:
         return None
-    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 4}
-    flow: Any = cv2.calcOpticalFlowPyrLK
-    there, status, _ = flow(first, second, points, None, **options)
-    back, again, _ = flow(second, first, there, None, **options)
-    tracked = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(points - back).max(axis=(1, 2)) < 0.5)
+    there, tracked = _there_and_back(first, second, points, levels=4, nearest=0.5)
     start, end = points[tracked, 0], there[tracked, 0]
     moves = np.hypot(*(end - start).T) > 0.3
     if moves.sum() < 6:
@@ -403,6 +399,18 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
     return a, complex(np.mean(z1) - a * np.mean(z0)), complex(np.mean(z0))
 
 
+def _there_and_back(
+    first: Plane, second: Plane, points: Any, *, levels: int, nearest: float
+) -> tuple[Any, Bools]:
+    """Track points to another frame and back by optical flow; return them, and which return within `nearest` px."""
+    flow: Any = cv2.calcOpticalFlowPyrLK
+    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": levels}
+    there, status, _ = flow(first, second, points, None, **options)
+    back, again, _ = flow(second, first, there, None, **options)
+    known = (status[:, 0] == 1) & (again[:, 0] == 1)
+    return there, known & (np.abs(points - back).max(axis=(1, 2)) < nearest)
+
+
 def follow_features(
     frames: Iterable[Plane], motion: Motion, widest: float
 ) -> tuple[Complexes, Complexes, Integers] | None:
@@ -416,8 +424,6 @@ def follow_features(
     smooth = cv2.blur(motion.deviation, (5, 5))
     strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))
     mask = cv2.dilate(strong.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(np.uint8)
-    flow: Any = cv2.calcOpticalFlowPyrLK
-    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 3}
     turn, moved, since = [], [], []
     chosen = 0
     before: Plane | None = None
@@ -437,9 +443,7 @@ def follow_features(
             moved.append(0.0 + 0.0j)
             since.append(chosen)
             continue
-        there, status, _ = flow(before, frame, now, None, **options)
-        back, again, _ = flow(frame, before, there, None, **options)
-        tracked = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(now - back).max(axis=(1, 2)) < 0.3)
+        there, tracked = _there_and_back(before, frame, now, levels=3, nearest=0.3)
         start, now = start[tracked], there[tracked]
         before = frame.copy()
         if len(start) < _FEWEST:

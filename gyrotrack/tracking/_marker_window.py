@@ -9,13 +9,13 @@ relative to the other body, h shows an occlusion.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from gyrotrack._arrays import Bools, Floats, Integers, Singles
+from gyrotrack._column_store import WithBuffer
 from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking._acquisition import LONGEST_DWELL
 from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, ring_for
@@ -35,7 +35,7 @@ def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> 
     return ring_for(centre, 0.7 * radius, radius, CHROMA_PIXEL).columns
 
 
-class MarkerStrip:
+class MarkerStrip(WithBuffer):
     """Windows about one marker, collected for a batch of frames, as scores: 0 on the background, 1 on the marker.
 
     A score is linear in the planes of the film; it is computed and unrolled only for the pixels of the windows. The
@@ -43,6 +43,8 @@ class MarkerStrip:
     `keep_out` is the smallest radius, at the edge of the disc [px]. `margin` is the largest distance of a marker from
     its expected angle [rad].
     """
+
+    _buffer = "windows"
 
     def __init__(
         self,
@@ -68,7 +70,6 @@ class MarkerStrip:
         self.width = 2 * self.half + 1
         self.windows = np.zeros((capacity, ring.rows, self.width), dtype=np.float32)
         self.starts = np.zeros(capacity, dtype=np.int64)
-        self._used = False  # whether the windows contain frames
         a, b = marker.contrast
         weights = (1.0 / a, 0.0) if self.white else (a / (a * a + b * b), b / (a * a + b * b))
         shape = samples.frames[0].y.shape if self.white else samples.frames[0].u.shape
@@ -80,14 +81,6 @@ class MarkerStrip:
         self._mixing = np.zeros(ring.rows, dtype=np.float32)
         self._mixing[self._every_second] = 1.0 / len(self._mixing[self._every_second])
         self._ground_mean = ground[self._every_second].mean(axis=0)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "windows": self.windows if self._used else self.windows.shape}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        if not self._used:
-            self.windows = np.zeros(state["windows"], dtype=np.float32)
 
     def centre_on(self, centre: tuple[float, float]) -> None:
         """Move the ring to another centre."""
@@ -188,7 +181,7 @@ class MarkerWindow:
         mixing = np.zeros((len(parts), self.scores.shape[1]))
         for line, part in zip(mixing, parts, strict=True):
             line[part] = 1.0 / len(part)
-        self.layers = Windows.plain(self.scores).rows(mixing)
+        self.layers = Windows.plain(self.scores).bands(mixing)
         self.raw: Floats = np.einsum("l,nlm->nm", self._sizes, self.layers)
         self.profile = self.raw
         self._light: Floats | None = None
@@ -211,7 +204,7 @@ class MarkerWindow:
         """Return the mean over the columns with weights (n, m) of sum 1, corrected for illumination: (n, rows)."""
         lit = weight if self._light is None else weight * self._light
         plain = Windows.plain(self.scores)
-        return replace(plain, light=lit).columns(np.ones((1, weight.shape[1])))[:, 0]
+        return replace(plain, light=lit).bands(np.ones((1, weight.shape[1])), across=True)[:, 0]
 
     def shaped(self, use: Bools, gain: Floats, offset: Floats) -> Windows:
         """Return the windows of some frames, corrected for illumination, background at 0 and marker at 1."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
 
@@ -20,7 +20,7 @@ from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Picture, Plane
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import running_quantile
-from gyrotrack.tracking._film import Film, frames_of, fresh_frames
+from gyrotrack.tracking._film import Film, Progress, frames_of, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
 from gyrotrack.tracking._live_angles import FrameAngles
 from gyrotrack.tracking._registration import (
@@ -35,8 +35,6 @@ from gyrotrack.tracking._registration import (
 )
 from gyrotrack.tracking._silhouettes import median_picture, quantile_picture
 from gyrotrack.tracking._tracked import Tracked, white_noise
-
-Progress = Callable[[int, int | None], None]
 
 _LEAST_RANGE = 0.01
 """Smallest range of the angles in which features are followed [rad]. Chosen: a smaller value follows noise, a larger

@@ -11,13 +11,14 @@ import numpy as np
 from gyrotrack._arrays import Floats, Integers
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._coaxial import second_rotation
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import Film, Progress, fresh_frames
 from gyrotrack.tracking._hub_search import FARTHEST, Motion
+from gyrotrack.tracking._orbit import covered_angle
 from gyrotrack.tracking._pivot import Arc, Orbit, angles_about, fit_arc, fit_orbit
-from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_point
+from gyrotrack.tracking._point_tracker import PointPath, Turn, track_point
 from gyrotrack.tracking._registration import TURN
 from gyrotrack.tracking._silhouettes import Foreground
-from gyrotrack.tracking._tracked import white_noise
+from gyrotrack.tracking._tracked import correlated_variance, white_noise
 
 HUB_U = 1.0
 """Standard uncertainty of a given hub, per axis [px]. Chosen: the accuracy of a click; a smaller value
@@ -352,9 +353,7 @@ def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats
         covariance = np.asarray(np.linalg.pinv(rows.T @ rows / variance + prior))
         found = covariance @ (rows.T @ value) / variance
         rest = value - rows @ found
-        # n residuals with the correlation q of neighbours are equivalent to n (1 - q) / (1 + q) independent residuals
-        alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
-        variance = (float(np.var(rest)) + 1e-12) * (1.0 + alike) / (1.0 - alike)
+        variance = correlated_variance(rest, 1e-12)
     return found, covariance, float(np.std(rest))
 
 
@@ -575,8 +574,7 @@ def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
     if not (np.isfinite(orbit.value).all() and math.hypot(*orbit.value[3:]) < _FLATTEST):
         return None
     away = orbit.plane(place)
-    direction = np.sort(np.arctan2(away[:, 1], away[:, 0]))
-    gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
+    gap = TURN - covered_angle(np.arctan2(away[:, 1], away[:, 0]))
     off = float(np.std(np.hypot(*away.T))) / orbit.value[2]
     circle = fit_arc(place, sigma, least)
     of_circle = float(np.std(np.hypot(*(place - circle.hub).T))) / circle.radius
@@ -691,8 +689,7 @@ def _check_unselected(found: TrackedPoint, name: str) -> None:
     steady = pace < _JUMP * np.median(pace[moves])
     passes = np.diff(side)[steady]
     both_ways = bool((passes > 0).any() and (passes < 0).any())
-    direction = np.sort(angle % TURN)
-    gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
+    gap = TURN - covered_angle(angle)
     turned = float(np.ptp(np.cumsum(step * steady)))
     turns = turned > _TURNS * TURN and gap < 0.5 * TURN
     retraced = turns or (both_ways and np.count_nonzero(passes) > _REVERSALS)

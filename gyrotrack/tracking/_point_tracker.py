@@ -26,7 +26,7 @@ import numpy as np
 from gyrotrack._arrays import Bools, Floats, Integers, Picture, Plane
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, frames_of_one_shot
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film, FrameSource, frames_of, reduced
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, FrameSource, Progress, frames_of, reduced
 from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._links import move_as_links, one_rests, paths_of
 from gyrotrack.tracking._pivot import fit_arc
@@ -41,8 +41,6 @@ from gyrotrack.tracking._silhouettes import (
     spot_of,
     spots_in,
 )
-
-Progress = Callable[[int, int | None], None]
 
 _CORE = 0.7
 """Distance from the edge, divided by the largest distance, above which pixels are averaged for the middle of a part

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from gyrotrack._arrays import Floats, Integers, Plane, Singles
+from gyrotrack._column_store import WithBuffer
 from gyrotrack._native import _kernels as kernels
 from gyrotrack.video._container import Frame
 
@@ -52,16 +53,6 @@ class Ring:
         """Return the same grid about another centre."""
         return Ring(centre, self.inner, self.outer, self.rows, self.columns)
 
-    @cached_property
-    def chroma_maps(self) -> Maps:
-        """Maps for `cv2.remap` of a half-resolution plane."""
-        return self.maps(chroma=True)
-
-    @cached_property
-    def luma_maps(self) -> Maps:
-        """Maps for `cv2.remap` of the full-resolution plane."""
-        return self.maps(chroma=False)
-
     def maps(self, *, chroma: bool, beyond: int = 0) -> Maps:
         """Return x and y of every point [px of a plane], with `beyond` additional columns after the full turn."""
         angle = np.arange(self.columns + beyond) * self.step
@@ -97,23 +88,18 @@ def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> Floats:
 Box = npt.NDArray[np.int32]
 
 
-class Score:
+class Score(WithBuffer):
     """Weighted sum of planes (luma if `white`, else chroma) that maximises the contrast of a marker.
 
     All frames use one buffer.
     """
 
+    _buffer = "buffer"
+
     def __init__(self, white: bool, weights: tuple[float, float], shape: tuple[int, ...]) -> None:  # noqa: FBT001
         self.white = white
         self.weights = weights
         self.buffer = np.zeros(shape, dtype=np.float32)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "buffer": self.buffer.shape}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self.buffer = np.zeros(state["buffer"], dtype=np.float32)
 
     def planes(self, frames: list[Frame]) -> tuple[list[npt.NDArray[np.uint8]], ...]:
         """Return the planes that the score uses, one list for each weight."""
@@ -208,15 +194,11 @@ class Windows:
         lit = np.ones((count, columns))
         return Windows(np.ascontiguousarray(scores, dtype=np.float32), np.arange(count), lit, nothing, one)
 
-    def rows(self, mixing: Floats) -> Floats:
-        """Return averages over rows, with weights (bands, rows) of sum 1: (n, bands, columns)."""
-        return self._mixed(mixing, across=False)
+    def bands(self, mixing: Floats, *, across: bool = False) -> Floats:
+        """Return averages over rows, with weights (bands, rows) of sum 1: (n, bands, columns).
 
-    def columns(self, mixing: Floats) -> Floats:
-        """Return averages over columns, with weights (bands, columns) of sum 1: (n, bands, rows)."""
-        return self._mixed(mixing, across=True)
-
-    def _mixed(self, mixing: Floats, *, across: bool) -> Floats:
+        `across`: averages over columns, with weights (bands, columns): (n, bands, rows).
+        """
         weights = mixing.astype(np.float32)
         given = self.scores, self.which, self.light, self.offset, self.scale, weights
         return kernels.bands(*given, across=across)

@@ -185,14 +185,15 @@ class Samples:
 
     def strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
         """Unroll the chroma of some frames, shape (2, n, rows, columns)."""
-        maps = ring.chroma_maps
+        maps = ring.maps(chroma=True)
         some = [self.frames[k] for k in frames]
         return np.stack([(unroll(f.u, maps), unroll(f.v, maps)) for f in in_turn(some)], axis=1)
 
     def luma_strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
         """Unroll the luma of some frames, shape (n, rows, columns)."""
+        maps = ring.maps(chroma=False)
         some = [self.frames[k] for k in frames]
-        return np.stack([unroll(f.y, ring.luma_maps) for f in in_turn(some)])
+        return np.stack([unroll(f.y, maps) for f in in_turn(some)])
 
 
 def take_samples(path: Path, threads: int = 1) -> Samples:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from gyrotrack._arrays import Floats, Integers, Picture, Plane
 from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._hub_search import Motion, spatial_noise
+from gyrotrack.tracking._orbit import covered_angle
 from gyrotrack.tracking._pivot import angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._registration import TURN
 
@@ -203,9 +204,7 @@ class CompactBody:
         if not arc.determined:
             return np.full(2, np.inf)
         away = place - arc.hub
-        direction = np.sort(np.arctan2(away[:, 1], away[:, 0]))
-        gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
-        return arc.hub if TURN - gap < _OPEN else None
+        return arc.hub if covered_angle(np.arctan2(away[:, 1], away[:, 0])) < _OPEN else None
 
 
 def compact_body(sample: Sequence[Plane], background: Picture, noise: float) -> CompactBody | None:
@@ -320,8 +319,7 @@ def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float)
             continue
         half = np.array([h for _, h, _ in found])
         ends = np.concatenate([half, -half])
-        direction = np.sort(angles_about(np.zeros(2), ends) % TURN)
-        if float(np.max(np.diff(np.append(direction, direction[0] + TURN)))) > _GAP:
+        if TURN - covered_angle(angles_about(np.zeros(2), ends)) > _GAP:
             continue
         try:
             orbit = fit_orbit(ends, np.full(len(ends), 0.5))

@@ -33,11 +33,13 @@ import numpy.typing as npt
 from numpy.polynomial.legendre import legvander
 
 from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Singles
+from gyrotrack._column_store import WithBuffer
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of, spread
 from gyrotrack.tracking._marker_tracker import FrameColumns
 from gyrotrack.tracking._ring_view import (
     LEAST_ARC,
+    TURN,
     VIEW_SIZE,
     WHOLE_TURN,
     View,
@@ -48,9 +50,6 @@ from gyrotrack.tracking._ring_view import (
     without_light,
 )
 from gyrotrack.video._container import Frame
-
-TURN = 2.0 * np.pi
-"""A full turn [rad]. Derived: 2 pi."""
 
 ZONES = 8
 """Number of zones in radius [1]. Chosen: with more zones, errors are separated more finely, but each zone determines
@@ -414,8 +413,10 @@ def _templates(strips: Singles, radius: Floats) -> _Zones:
     return _Zones(picture, variance, weight, basis, usual, first, second, np.zeros(ZONES))
 
 
-class TextureTracker:
+class TextureTracker(WithBuffer):
     """Samples the ring of one body in each frame, and measures its rotation batch by batch."""
+
+    _buffer = "_strips"
 
     def __init__(
         self, centre: tuple[float, float], outer: float, size: tuple[int, int], capacity: int
@@ -432,20 +433,11 @@ class TextureTracker:
         self._slopes: dict[int, Singles] = {}  # derivative with respect to the radius in some frames [1/px]
         self._angle = np.full(capacity, np.nan)
         self._centre = np.zeros((capacity, 2))
-        self._used = False
         self._zero = self._own_zero = 0.0
         self._last: _Zones | None = None
         self._own: _OwnView | None = None  # view of the last slow batch
         self._light: Singles | None = None  # static light of the last fast batch
         self._slow, self._batch = False, 0
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_strips": self._strips if self._used else self._strips.shape}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        if not self._used:
-            self._strips = np.zeros(state["_strips"], dtype=np.uint8)
 
     def take(
         self, frames: list[Frame], place: int, coarse: Floats, displacement: Floats | None = None

@@ -78,6 +78,16 @@ def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
     return min(found) if found else float("nan")
 
 
+def correlated_variance(rest: Floats, least: float = 0.0) -> float:
+    """Return the variance of independent residuals that determine a fit as well as the correlated residuals `rest`.
+
+    n residuals with the correlation q of neighbours are equivalent to n (1 - q) / (1 + q) independent residuals. The
+    variance of `rest` is increased by `least`.
+    """
+    alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
+    return (float(np.var(rest)) + least) * (1.0 + alike) / (1.0 - alike)
+
+
 _SIGNIFICANT = 3.0
 """Smallest significant error due to a displaced hub, in standard errors [1]. Chosen: a smaller value states noise as an
 error, a larger one hides a displaced hub."""

@@ -220,8 +220,10 @@ class Timing:
 
         Raise a VideoError if the source is "stamps" and timestamps are missing or do not increase.
         """
-        grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
-        usable = grows and bool((np.diff(pts) > 0.0).all())
+        step = np.diff(pts)
+        grows = len(pts) > 2 and bool(np.isfinite(pts).all())
+        grows = grows and float(np.median(step)) > 0.0 and float((step <= 0.0).mean()) <= _ODD
+        usable = grows and bool((step > 0.0).all())
         if self.source == "stamps" and not usable:
             what = "Times from timestamps were requested, but timestamps are missing or do not increase."
             raise VideoError(what, "Omit --times to count frames.")
@@ -270,10 +272,6 @@ def uneven(number: Integers, pts: Floats, tick: float) -> bool:
     """Return whether more than one in a hundred timestamps deviates from a line over the frames' numbers."""
     off = pts - np.polyval(np.polyfit(number, pts, 1), number)
     return bool((np.abs(off) > max(_ROUNDED * tick, EVEN * float(np.median(np.diff(pts))))).mean() > _ODD)
-
-
-def _growing(step: Floats) -> bool:
-    return float(np.median(step)) > 0.0 and float((step <= 0.0).mean()) <= _ODD
 
 
 def _real_tick(pts: Floats, tick: float) -> float:

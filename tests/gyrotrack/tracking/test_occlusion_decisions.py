@@ -825,5 +825,5 @@ class TestStrip:
             found.apply_light(light)
             lit = strip.windows[:2] / light[found.column(10)[:2]][:, None]
             expected = (lit - offset[:, None, None]) / gain[:, None, None]
-            shaped = found.shaped(found.known, gain, offset).rows(np.eye(9))
+            shaped = found.shaped(found.known, gain, offset).bands(np.eye(9))
             assert shaped == pytest.approx(expected, rel=1e-5)

@@ -24,7 +24,7 @@ def test_a_polar_grid_has_rows_of_radii_and_columns_of_angles():
     angle = np.arange(11) * np.pi / 4
     np.testing.assert_allclose(x[1], 30.0 + 7.0 * np.cos(angle), rtol=1e-6)
     np.testing.assert_allclose(y[1], 20.0 - 7.0 * np.sin(angle), rtol=1e-6)
-    x, y = RING.chroma_maps
+    x, y = RING.maps(chroma=True)
     np.testing.assert_allclose(x[3], (30.0 + 11.0 * np.cos(angle[:8])) / 2.0, rtol=1e-6)
     np.testing.assert_allclose(y[3], (20.0 - 11.0 * np.sin(angle[:8]) - 0.5) / 2.0, rtol=1e-6)
     moved = RING.moved((1.0, 2.0))
@@ -119,13 +119,13 @@ def test_windows_are_averaged_over_rows_and_columns_after_a_transformation():
     plain = (light[:, None, :] * scores[[3, 1]] - offset[:, None, None]) * scale[:, None, None]
     rows, columns = np.array([[0.25, 0.75, 0.0], [0.0, 0.5, 0.5]]), np.array([[0.2] * 5])
     np.testing.assert_allclose(
-        windows.rows(rows), np.einsum("br,nrc->nbc", rows, plain), rtol=1e-4, atol=1e-5
+        windows.bands(rows), np.einsum("br,nrc->nbc", rows, plain), rtol=1e-4, atol=1e-5
     )
     np.testing.assert_allclose(
-        windows.columns(columns), np.einsum("bc,nrc->nbr", columns, plain), rtol=1e-4, atol=1e-5
+        windows.bands(columns, across=True), np.einsum("bc,nrc->nbr", columns, plain), rtol=1e-4, atol=1e-5
     )
     np.testing.assert_allclose(
-        Windows.plain(scores).rows(rows), np.einsum("br,nrc->nbc", rows, scores), rtol=1e-4, atol=1e-5
+        Windows.plain(scores).bands(rows), np.einsum("br,nrc->nbc", rows, scores), rtol=1e-4, atol=1e-5
     )
 
 
