@@ -35,6 +35,7 @@ from gyrotrack.video._container import (
     packets_of,
     planes_of,
     probe,
+    read_packets,
 )
 from gyrotrack.video._time_base import stamp_warnings
 
@@ -242,66 +243,19 @@ def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> 
 def frames_at(
     path: Path, stamps: Iterable[int], keep: Callable[[Frame], Frame] = Frame.copy
 ) -> dict[int, Frame]:
-    """Decode the frames with the given timestamps (units of the time base), if they exist, with the index -1.
+    """Decode the frames with the given timestamps (units of the time base), if they exist.
 
-    Other frames are decoded only if the requested frames refer to them.
+    Frames between the same key frames are decoded together, from the first of these key frames.
     """
-    wanted = set(stamps)
-    ranges = _ranges(path, sorted(wanted))
+    packets, info = read_packets(path), probe(path)
+    keys, wanted = packets.stamps[packets.key], np.array(sorted(stamps), dtype=np.int64)
+    key = np.searchsorted(keys, wanted, side="right") - 1
     found: dict[int, Frame] = {}
-    with opened(path) as (container, stream):
-        orientation: Orientation | None = None
-        packets = enumerate(packets_of(container.demux(stream)))
-        for first, stop, start, end in ranges:
-            last = max(stamp for stamp in wanted if start <= stamp < end)
-            for raw in _decoded(packets, first, stop, stream, wanted):
-                orientation = orientation or orientation_of(raw, stream)
-                if raw.pts in wanted:
-                    found[int(raw.pts)] = keep(planes_of(raw, -1, orientation))
-                if raw.pts is not None and raw.pts >= last:
-                    break
+    for k in np.unique(key[key >= 0]):
+        some = set(wanted[key == k].tolist())
+        with Reader(path, 1, Part(0, int(keys[k]), max(some) + 1), info) as reader:
+            found |= {int(frame.pts): keep(frame) for frame in reader if frame.pts in some}
     return found
-
-
-def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int, int, int]]:
-    """Return the runs of packets, each from a key packet to the next one, that contain a timestamp in `wanted`.
-
-    Each run is (number of the first packet, number of the last packet plus 1, timestamp of the key packet, timestamp of
-    the next key packet).
-    """
-    keys: list[tuple[int, int]] = []
-    count = 0
-    with opened(path) as (container, stream):
-        for packet in packets_of(container.demux(stream)):
-            if packet.is_keyframe and packet.pts is not None:
-                keys.append((int(packet.pts), count))
-            count += 1
-    found = []
-    for (start, first), (end, stop) in zip(keys, [*keys[1:], (1 << 63, count)], strict=False):
-        if any(start <= stamp < end for stamp in wanted):
-            found.append((first, stop, start, end))
-    return found
-
-
-def _decoded(
-    packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: Any, wanted: set[int]
-) -> Iterator[Any]:
-    """Decode the packets from number `first` to `stop` - 1; the decoder is flushed at the end."""
-    stream.codec_context.flush_buffers()
-    for number, packet in packets:
-        if number >= first:
-            needed = packet.pts is None or packet.pts in wanted
-            stream.codec_context.skip_frame = "DEFAULT" if needed else "NONREF"
-            try:
-                yield from packet.decode()
-            except av.error.FFmpegError:
-                continue
-        if number == stop - 1:
-            break
-    try:
-        yield from stream.codec_context.decode(None)
-    except av.error.FFmpegError:
-        return
 
 
 SAME = 0.3
