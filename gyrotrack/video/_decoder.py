@@ -254,7 +254,7 @@ def frames_at(
     for k in np.unique(key[key >= 0]):
         some = set(wanted[key == k].tolist())
         with Reader(path, 1, Part(0, int(keys[k]), max(some) + 1), info) as reader:
-            found |= {int(frame.pts): keep(frame) for frame in reader if frame.pts in some}
+            found |= {f.pts: keep(f) for f in reader if f.pts is not None and f.pts in some}
     return found
 
 
