@@ -24,7 +24,7 @@ removed (`without_common_motion`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -765,21 +765,17 @@ class BodyAngles:
 
     def spread_out(self, index: Integers, count: int) -> BodyAngles:
         """Place the frames at `index` of `count` frames; the other frames have no angle."""
-        number = np.zeros(count, dtype=np.int64)
-        number[index] = self.count
-        angle, sigma = (spread_out(a, index, count) for a in (self.angle, self.sigma))
-        markers = {
-            name: MarkerAngles(spread_out(m.angle, index, count), spread_out(m.sigma, index, count), m.mount)
-            for name, m in self.markers.items()
-        }
-        return replace(self, angle=angle, sigma=sigma, count=number, markers=markers)
+        return self._changed(lambda values: spread_out(values, index, count))
 
     def at(self, index: Integers) -> BodyAngles:
         """Return the frames `index`."""
+        return self._changed(lambda values: values[index])
+
+    def _changed(self, change: Callable[[Any], Any]) -> BodyAngles:
         markers = {
-            name: MarkerAngles(m.angle[index], m.sigma[index], m.mount) for name, m in self.markers.items()
+            name: MarkerAngles(change(m.angle), change(m.sigma), m.mount) for name, m in self.markers.items()
         }
-        own = {key: getattr(self, key)[index] for key in ("angle", "sigma", "count")}
+        own = {key: change(getattr(self, key)) for key in ("angle", "sigma", "count")}
         return replace(self, **own, markers=markers)
 
 

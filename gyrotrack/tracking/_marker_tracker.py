@@ -92,10 +92,9 @@ class MarkerObservations(FrameColumns):
 
 
 def spread_out(values: npt.NDArray[Any], index: Integers, count: int) -> npt.NDArray[Any]:
-    """Place rows at `index` of `count` rows; the other rows are NaN or False."""
-    out = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
-    if values.dtype != np.bool_:
-        out[:] = np.nan
+    """Place rows at `index` of `count` rows; the other rows are NaN, 0 or False."""
+    nothing = np.nan if values.dtype.kind == "f" else 0
+    out = np.full((count, *values.shape[1:]), nothing, dtype=values.dtype)
     out[index] = values
     return out
 

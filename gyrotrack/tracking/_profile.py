@@ -24,6 +24,7 @@ yellow-green. The exact hue is then measured in the clip.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -250,35 +251,14 @@ def parse(data: dict[str, Any], where: str) -> Profile:
     return check(data, Profile, what="profile", where=where, error=ProfileError)
 
 
-_WORDS = {"name", "colour", "body"}
-
-
 def to_toml(profile: Profile) -> str:
     """Write a profile as TOML text, from which `load` restores the same profile."""
-    lines = [f'name = "{_escaped(profile.name)}"', f'centre = "{profile.centre}"']
-    if profile.circle_colour != "red":
-        lines.append(f'circle_colour = "{profile.circle_colour}"')
-    if profile.circle_hue is not None:
-        lines.append(f"circle_hue = {profile.circle_hue!r}")
-    if profile.hub is not None:
-        lines.append(f"hub = [{profile.hub[0]!r}, {profile.hub[1]!r}]")
-    if profile.capture_fps is not None:
-        lines.append(f"capture_fps = {profile.capture_fps!r}")
-    if profile.sense is not None:
-        lines.append(f"sense = {profile.sense}")
-    if profile.wander is not None:
-        lines.append(f"wander = {str(profile.wander).lower()}")
-    if not profile.tilt_correction:
-        lines.append("tilt_correction = false")
-    for marker in profile.marker:
-        lines += ["", "[[marker]]"]
-        lines += [f'{key} = "{value}"' for key, value in marker.model_dump(include=_WORDS).items()]
-        if marker.hue is not None:
-            lines.append(f"hue = {marker.hue!r}")
-        if marker.mount_angle is not None:
-            lines.append(f"mount_angle = {marker.mount_angle!r}")
-    return "\n".join(lines) + "\n"
+    own = {"name": profile.name, "centre": profile.centre}
+    own |= profile.model_dump(exclude={"marker"}, exclude_defaults=True)
+    tables = [marker.model_dump(exclude_none=True) for marker in profile.marker]
+    return "\n[[marker]]\n".join(map(_entries, (own, *tables)))
 
 
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"')
+def _entries(values: dict[str, Any]) -> str:
+    """Return the lines of a TOML table; strings, numbers and lists have the same form as in JSON."""
+    return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())

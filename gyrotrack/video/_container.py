@@ -188,11 +188,8 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
         form = "image2"
     else:
         _check_file(path)
-    if _is_photron(path):
+    if _is_photron(path) or _is_stack(path):
         source, own_options = _raw_frames(path)
-        form = "rawvideo"
-    elif _is_stack(path):
-        source, own_options = _stack_frames(path)
         form = "rawvideo"
     try:
         container = av.open(
@@ -312,22 +309,17 @@ def _is_stack(path: Path) -> bool:
     return path.suffix.lower() in TIFF and path.is_file()
 
 
-def _stack_frames(path: Path) -> tuple[TiffFrames, dict[str, str]]:
-    """Return the pictures of a TIFF stack, and the options for their demultiplexer."""
-    stack = read_stack(path)
-    _check_sides(path, stack.width, stack.height)
-    rate = Fraction(stack.fps or 1.0).limit_denominator(100_000)
-    pixels = "rgb24" if stack.colour else "gray"
-    options = {"video_size": f"{stack.width}x{stack.height}", "pixel_format": pixels, "framerate": str(rate)}
-    return TiffFrames(stack), options
-
-
-def _raw_frames(path: Path) -> tuple[GreyFrames, dict[str, str]]:
-    """Return the frames beside a header of a Photron camera, and the options for their demultiplexer."""
-    header = read_header(path)
+def _raw_frames(path: Path) -> tuple[FrameStream, dict[str, str]]:
+    """Return the frames of a Photron camera or of a TIFF stack, and the options for their demultiplexer."""
+    header = read_header(path) if _is_photron(path) else read_stack(path)
     _check_sides(path, header.width, header.height)
-    size, rate = f"{header.width}x{header.height}", Fraction(header.fps).limit_denominator(1000)
-    return GreyFrames(header), {"video_size": size, "pixel_format": "gray", "framerate": str(rate)}
+    frames: FrameStream
+    if isinstance(header, TiffStack):
+        frames, pixels, finest = TiffFrames(header), "rgb24" if header.colour else "gray", 100_000
+    else:
+        frames, pixels, finest = GreyFrames(header), "gray", 1000
+    size, rate = f"{header.width}x{header.height}", Fraction(header.fps or 1.0).limit_denominator(finest)
+    return frames, {"video_size": size, "pixel_format": pixels, "framerate": str(rate)}
 
 
 def file_sha256(path: Path) -> str:
