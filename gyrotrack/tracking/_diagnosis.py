@@ -455,8 +455,7 @@ def detail(ring: Ring, frames: Sequence[Plane], noise: float) -> tuple[float, fl
     times the width of a detail during an exposure, its detail along the circles is smeared.
     """
     polars = np.stack([ring.unwrap(frame) for frame in frames]).astype(np.float64)
-    inside = np.broadcast_to(np.isfinite(polars), polars.shape)
-    change = float(np.sqrt(np.mean((polars - polars.mean(axis=0))[inside] ** 2))) / noise
+    change = float(np.sqrt(np.mean((polars - polars.mean(axis=0)) ** 2))) / noise
     step = (ring.outer - ring.inner) / ring.rows
     along = np.diff(polars, axis=2) / (ring.radius[:, None] * ring.step)
     across = np.diff(polars, axis=1) / step

@@ -332,17 +332,14 @@ class _CommonHub:
             return None
         turn, moved, centroid = (np.array(column, dtype=np.complex128) for column in zip(*known, strict=True))
         left = 1.0 - turn
-        weight = np.abs(left) > np.median(np.abs(left)) * 0.5
-        hub = complex(
-            np.sum(np.conj(left) * moved * weight) / max(float(np.sum(np.abs(left) ** 2 * weight)), 1e-12)
-        )
-        for _ in range(20):
+        weight = (np.abs(left) > np.median(np.abs(left)) * 0.5).astype(np.float64)
+        robust = weight
+        for _ in range(21):
+            power = max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
+            hub = complex(np.sum(np.conj(left) * moved * robust) / power)
             miss = np.abs(moved - left * hub)
             scale = max(1.4826 * float(np.median(miss)), 1e-3)
             robust = weight / (1.0 + (miss / (2 * scale)) ** 2)
-            hub = complex(
-                np.sum(np.conj(left) * moved * robust) / max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
-            )
         shift = moved - left * centroid
         rest = float(np.median(np.abs(moved - left * hub)))
         return cls(hub, left, shift, centroid, rest / max(float(np.median(np.abs(shift))), 1e-12))

@@ -18,7 +18,7 @@ from gyrotrack._arrays import Bools, Floats, Integers, Singles
 from gyrotrack._column_store import WithBuffer
 from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking._acquisition import LONGEST_DWELL
-from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, ring_for
+from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, cyclic_sum, ring_for
 from gyrotrack.tracking._scene import Marker, Samples, in_turn
 from gyrotrack.video._container import Frame
 
@@ -249,7 +249,7 @@ class AngleMap:
         `blur` is the half width of the moving average. `prior` is the weight, in full passages, of an assumed height of
         1.
         """
-        top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
+        top, bottom = (cyclic_sum(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
         height = np.where(known, top / np.where(known, bottom, 1.0) - self._ground, np.nan)
         for row, weight, seen in zip(height, bottom, known, strict=True):
@@ -321,14 +321,6 @@ def _upper_middle(values: Floats) -> float:
     place = 0.6 * (len(ordered) - 1)
     k = int(place)
     return float(ordered[k] + (place - k) * (ordered[min(k + 1, len(ordered) - 1)] - ordered[k]))
-
-
-def _blurred(rows: Floats, half: int) -> Floats:
-    if half < 1:
-        return rows
-    padded = np.concatenate([np.zeros((len(rows), 1)), rows[:, -half:], rows, rows[:, :half]], axis=1)
-    total = np.cumsum(padded, axis=1)
-    return np.asarray(total[:, 2 * half + 1 :] - total[:, : -(2 * half + 1)])
 
 
 _COLUMNS = 360

@@ -78,10 +78,14 @@ def unroll(plane: Plane, maps: Maps) -> Plane:
 
 def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> Floats:
     """Return the moving average of cyclic profiles, (n, columns), over 2 half + 1 columns."""
-    width = 2 * half + 1
-    padded = np.concatenate([profile[:, -half:], profile, profile[:, :half]], axis=1).astype(np.float64)
+    return cyclic_sum(profile, half) / (2 * half + 1)
+
+
+def cyclic_sum(profile: npt.NDArray[np.floating[Any]], half: int) -> Floats:
+    """Return the moving sum of cyclic profiles, (n, columns), over 2 half + 1 columns."""
+    padded = np.pad(profile, ((0, 0), (half, half)), mode="wrap").astype(np.float64)
     total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
-    return np.asarray((total[:, width:] - total[:, :-width]) / width)
+    return np.asarray(total[:, 2 * half + 1 :] - total[:, : -(2 * half + 1)])
 
 
 # left, right, top and bottom edge in px of a plane; right and bottom are one px beyond the box

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from threading import Lock
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._arrays import Integers, Singles
 from gyrotrack._column_store import new_columns, release_pages
 from gyrotrack._errors import VideoError
+from gyrotrack.tracking._film import reduced
 from gyrotrack.tracking._polar import Ring, unroll
 from gyrotrack.video._container import Frame, read_packets
 from gyrotrack.video._decoder import Reader, frames_at
@@ -159,7 +159,7 @@ class Samples:
     def chroma(self) -> npt.NDArray[np.uint8]:
         """Chroma of the frames `spread`, shape (2, n, height, width), at a reduced resolution."""
         chosen = [self.frames[i] for i in self.spread]
-        kept = np.ascontiguousarray if self.scale == 2 else _halved
+        kept = np.ascontiguousarray if self.scale == 2 else partial(reduced, factor=2)
         return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
 
     @cached_property
@@ -250,14 +250,3 @@ def _later(path: Path, head: int, pixels: int, threads: int) -> list[Frame]:
     with ThreadPoolExecutor(len(parts)) as pool:
         found = {stamp: frame for part in pool.map(decode, parts) for stamp, frame in part.items()}
     return [found[stamp] for stamp in sorted(found)]
-
-
-def _halved(plane: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    height, width = plane.shape
-    return np.asarray(
-        cv2.resize(
-            plane[: height // 2 * 2, : width // 2 * 2],
-            (width // 2, height // 2),
-            interpolation=cv2.INTER_AREA,
-        )
-    )

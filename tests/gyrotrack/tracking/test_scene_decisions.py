@@ -8,6 +8,7 @@ import pytest
 from gyrotrack import VideoError
 from gyrotrack.tracking import _polar as polar
 from gyrotrack.tracking import _scene as module
+from gyrotrack.tracking._film import reduced
 from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, boxed, ring_for, unroll
 from gyrotrack.tracking._profile import chroma_direction, colour_name, find_blobs, hue_score, nearest_colour
 from gyrotrack.tracking._scene import Marker, Samples, Scene
@@ -244,7 +245,7 @@ def test_samples_have_chroma_in_small_pictures_and_half_of_it_in_large_ones():
     assert large.chroma.shape == (2, 1, 1, 200)
     assert large.to_luma(1.0, 2.0) == (5.5, 9.5)
     plane = np.array([[10, 20, 30, 40, 99], [50, 60, 70, 80, 99], [99] * 5], np.uint8)
-    assert module._halved(plane).tolist() == [[35, 55]]
+    assert reduced(plane, 2).tolist() == [[35, 55]]
 
 
 def test_samples_are_unrolled_along_a_ring():
