@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from tempfile import TemporaryFile
-from typing import Any, overload
+from typing import Any, ClassVar, overload
 from weakref import WeakSet
 
 import numpy as np
@@ -157,6 +157,22 @@ class StoredPictures(Sequence[Array]):
     def at(self, places: npt.ArrayLike) -> StoredPictures:
         """Return the pictures with the indices `places`."""
         return StoredPictures(self._pictures, self._places[np.asarray(places, dtype=np.int64)])
+
+
+class WithBuffer:
+    """A tracker with an array for a batch of frames; other processes get the array only if it contains frames."""
+
+    _buffer: ClassVar[str]  # name of the array
+    _used = False  # whether it contains frames
+
+    def __getstate__(self) -> dict[str, Any]:
+        array = getattr(self, self._buffer)
+        return {**vars(self), self._buffer: array if self._used else (array.shape, array.dtype)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if not self._used:
+            setattr(self, self._buffer, np.zeros(*state[self._buffer]))
 
 
 def _mapped(size: int) -> mmap.mmap | None:

@@ -31,7 +31,7 @@ from gyrotrack.video._container import (
     orientation_of,
     planes_of,
     probe,
-    read_raw_stamps,
+    read_packets,
 )
 from gyrotrack.video._decoder import Reader, frames_at
 
@@ -134,7 +134,9 @@ class Film:
         self.recording = recording
         self._manager = opened(path)  # single-threaded: threads delay the first frame after a seek
         self._stamps: npt.NDArray[np.floating[Any]] = (
-            float(probe(path).time_base) * read_raw_stamps(path) if recording is None else recording.pts_time
+            float(probe(path).time_base) * read_packets(path).stamps
+            if recording is None
+            else recording.pts_time
         )
 
     def __len__(self) -> int:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers, Singles
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import spread
 from gyrotrack.tracking._orbit import Orbit, common_centre, covered_angle, orbits_about
@@ -32,9 +33,6 @@ from gyrotrack.tracking._profile import (
 )
 from gyrotrack.tracking._scene import Disc, Marker, Samples, Scene
 
-Floats = npt.NDArray[np.float64]
-Strips = npt.NDArray[np.float32]
-
 REACH = 1.2
 """Half width of the region about a marker that is used [rad]. Chosen: larger than `WIDEST`; a smaller value cuts off
 blurred markers, a larger one includes their neighbours."""
@@ -44,22 +42,20 @@ blurred markers, a larger one includes their neighbours."""
 class Extent:
     """Region in which a patch exceeds half of its maximum."""
 
-    rows: npt.NDArray[np.bool_]  # rows of the ring on the marker
+    rows: Bools  # rows of the ring on the marker
     inner: float  # inner and outer radius [px]
     outer: float
     half_width: float  # half width at half maximum [rad]
     lean: int  # displacement of the middle of the region from the middle of the patch [columns]
     foot: float = 0.0  # half width at a tenth of the maximum [rad]
 
-    def core(self, columns: int, step: float) -> npt.NDArray[np.bool_]:
+    def core(self, columns: int, step: float) -> Bools:
         """Return the mask of the pixels well inside the marker, (rows, columns)."""
         x = (np.arange(columns) - columns // 2 - self.lean) * step
         return np.asarray(self.rows[:, None] & (np.abs(x) < 0.6 * self.half_width)[None, :])
 
 
-def aligned(
-    score: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_], reach: int | None = None
-) -> Floats:
+def aligned(score: Singles, column: Integers, use: Bools, reach: int | None = None) -> Floats:
     """Return the trimmed mean of the strips about a marker over the samples `use`, (rows, columns).
 
     The mean of the middle quarter of the values is used, because a hand may occlude the marker in some samples. The
@@ -136,7 +132,7 @@ class SampledMarker:
 
     marker: Marker
     angle: Floats
-    clear: npt.NDArray[np.bool_]
+    clear: Bools
 
 
 class Rings:
@@ -146,23 +142,23 @@ class Rings:
         self.strips, self.ring = strips, ring
 
     @cached_property
-    def background(self) -> Strips:
+    def background(self) -> Singles:
         """Median over the samples at every pixel, (2, rows, columns)."""
         return np.asarray(np.median(self.strips, axis=1), dtype=np.float32)
 
     @cached_property
-    def row_background(self) -> Strips:
+    def row_background(self) -> Singles:
         """Median of each sample along each row, (2, n, rows, 1)."""
         return np.asarray(np.median(self.strips, axis=3, keepdims=True), dtype=np.float32)
 
     # not cached: this array, and the array of rings without a marker, would be the largest arrays in memory
     @property
-    def foreground(self) -> Strips:
+    def foreground(self) -> Singles:
         """Difference of each sample from `background`."""
         return np.subtract(self.strips, self.background[:, None], dtype=np.float32)
 
     @property
-    def ring_difference(self) -> Strips:
+    def ring_difference(self) -> Singles:
         """Difference of each sample from the median along each row, for markers that hardly move."""
         return np.subtract(self.strips, self.row_background, dtype=np.float32)
 
@@ -186,7 +182,7 @@ _LEAST_CLEAR = 0.1
 patches, a larger one loses markers that are often occluded."""
 
 
-def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
+def _locate(difference: Singles, ring: Ring, wanted: MarkerProfile) -> SampledMarker | None:
     """Find the patch of a colour in each sample.
 
     If the background is not grey, the hue of the difference from the background is not the hue of the marker. The patch
@@ -218,9 +214,7 @@ def _locate(difference: Strips, ring: Ring, wanted: MarkerProfile) -> SampledMar
     return SampledMarker(marker, angle, clear)
 
 
-def _mean_in(
-    part: Strips, column: npt.NDArray[np.int64], use: npt.NDArray[np.bool_], extent: Extent, ring: Ring
-) -> float:
+def _mean_in(part: Singles, column: Integers, use: Bools, extent: Extent, ring: Ring) -> float:
     """Return the mean of the strips well inside the marker."""
     most = _reach(ring.columns)
     reach = min(int(np.ceil(0.6 * extent.half_width / ring.step)) + abs(extent.lean), most)
@@ -234,7 +228,7 @@ def _marker(wanted: MarkerProfile, extent: Extent, contrast: tuple[float, float]
     return Marker(**named, **sized, contrast=contrast, **place)
 
 
-def _scores(difference: Strips, direction: tuple[float, float]) -> Strips:
+def _scores(difference: Singles, direction: tuple[float, float]) -> Singles:
     return np.stack([hue_score(u, v, direction) for u, v in zip(*difference, strict=True)])
 
 
@@ -246,7 +240,7 @@ _CLEARLY = 0.5
 this value [1]. Chosen: a smaller value accepts residues of the codec, a larger one loses shaded markers."""
 
 
-def _brightest(profile: Strips, half: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+def _brightest(profile: Singles, half: int) -> tuple[Integers, Bools]:
     """Return the column with the largest score in each sample, and whether this score is typical."""
     mean = boxed(profile, half)
     column = np.argmax(mean, axis=1)
@@ -260,7 +254,7 @@ def _dwell(angle: Floats, reach: float) -> float:
     return float((apart < reach).mean(axis=0).max())
 
 
-def _refined(profile: Strips, angle: Floats, half_width: float, ring: Ring) -> Floats:
+def _refined(profile: Singles, angle: Floats, half_width: float, ring: Ring) -> Floats:
     """Replace coarse angles by the centroid of the score around them."""
     reach = int(np.ceil(1.5 * half_width / ring.step)) + 1
     start = np.rint(angle / ring.step).astype(int)
@@ -644,7 +638,7 @@ def _find_orbit(samples: Samples, profile: Profile, where: str) -> Orbit | None:
     return orbit
 
 
-def places_of(samples: Samples, found: Sequence[list[list[Blob]]]) -> tuple[Floats, npt.NDArray[np.int64]]:
+def places_of(samples: Samples, found: Sequence[list[list[Blob]]]) -> tuple[Floats, Integers]:
     """Return the positions of blobs in the luma plane, (n, 2) [px], and the index of their colour in `found`."""
     group = [k for k, frames in enumerate(found) for blobs in frames for _ in blobs]
     points = [samples.to_luma(b.x, b.y) for frames in found for blobs in frames for b in blobs]
@@ -656,9 +650,7 @@ _BEYOND = 1.1
 smaller value includes blurred markers, a larger one misses neighbouring bodies."""
 
 
-def _refuse_second_body(
-    orbit: Orbit, place: Floats, label: npt.NDArray[np.int64], count: int, where: str
-) -> None:
+def _refuse_second_body(orbit: Orbit, place: Floats, label: Integers, count: int, where: str) -> None:
     """Raise a TrackingError if blobs outside the orbits that were found turn about a second centre."""
     outer = max(orbit.radii.values())
     beyond = np.hypot(*(place - orbit.centre).T) > _BEYOND * outer
@@ -685,7 +677,7 @@ _OF_PEAK = 0.4
 their surroundings, a larger one divides blobs."""
 
 
-def _blobs_in(scores: list[npt.NDArray[np.float32]], most: int) -> list[list[Blob]]:
+def _blobs_in(scores: list[Singles], most: int) -> list[list[Blob]]:
     """Find blobs above `_OF_PEAK` of the typical peak of a colour in every sample."""
     levels = [np.percentile(score, [90.0, 99.9]) if score.size else (0.0, 0.0) for score in scores]
     noise, peaks = float(np.median([low for low, _ in levels])), [high for _, high in levels]
@@ -724,14 +716,14 @@ def find_disc(samples: Samples, direction: tuple[float, float], orbit: Orbit | N
     return Disc(samples.to_luma(blob.x, blob.y), samples.scale * float(np.sqrt(blob.area / np.pi)), mean)
 
 
-def _neutral(plane: npt.NDArray[np.float32], samples: Samples, orbit: Orbit | None) -> float:
+def _neutral(plane: Singles, samples: Samples, orbit: Orbit | None) -> float:
     if orbit is None:
         return float(np.median(plane))
     near = _near(plane.shape, samples, orbit) > 0
     return float(np.median(plane[near])) if near.any() else float(np.median(plane))
 
 
-def _near(shape: tuple[int, ...], samples: Samples, orbit: Orbit) -> npt.NDArray[np.float32]:
+def _near(shape: tuple[int, ...], samples: Samples, orbit: Orbit) -> Singles:
     """Return the mask of the pixels within 0.45 of the largest radius from the centre of the orbits."""
     y, x = np.ogrid[: shape[0], : shape[1]]
     lx, ly = samples.scale * x + (samples.scale - 1) / 2.0, samples.scale * y + (samples.scale - 1) / 2.0
@@ -740,9 +732,9 @@ def _near(shape: tuple[int, ...], samples: Samples, orbit: Orbit) -> npt.NDArray
 
 
 def _mean_chroma(
-    still: npt.NDArray[np.float32],
+    still: Singles,
     neutral: list[float],
-    score: npt.NDArray[np.float32],
+    score: Singles,
     threshold: float,
     blob: Blob,
 ) -> tuple[float, float]:

@@ -13,11 +13,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack.tracking._registration import TURN, Template, rolled
-
-Floats = npt.NDArray[np.float64]
 
 _MOST_FOLD = 48
 """Largest order of symmetry that is considered [1]. Chosen: a larger value takes fine texture for a symmetry, a smaller
@@ -64,7 +62,7 @@ alternative; a smaller value tries another rotation for an oscillation, a larger
 
 
 def unaliased(
-    angle: Floats, frame: npt.NDArray[np.int64], template: Template, explained: Callable[[Floats], float]
+    angle: Floats, frame: Integers, template: Template, explained: Callable[[Floats], float]
 ) -> Alias:
     """Select one of the rotations that are consistent with a film.
 
@@ -112,7 +110,7 @@ _FEWEST = 10
 more, short films remain aliased."""
 
 
-def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
+def slowing(angle: Floats, frame: Integers) -> Floats | None:
     """Return the rotation with one turn per frame less if it slows down while `angle` speeds up; None otherwise.
 
     This applies to markers, for which only whole turns are ambiguous.
@@ -124,15 +122,13 @@ def slowing(angle: Floats, frame: npt.NDArray[np.int64]) -> Floats | None:
     return other if _growth(angle, frame) > _STEADY and _growth(other, frame) < -_STEADY else None
 
 
-def doubtful(
-    taken: Floats, other: Floats, frame: npt.NDArray[np.int64], *, chosen: str = "named first"
-) -> str:
+def doubtful(taken: Floats, other: Floats, frame: Integers, *, chosen: str = "named first") -> str:
     """Return the warning that a film of markers is consistent with the rotation `other` as well as with `taken`."""
     remedy = "Film with a higher frame rate, or state the sense of rotation in the profile (`sense`)."
     return _warning(taken, other, frame, TURN, chosen=chosen, remedy=remedy)
 
 
-def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
+def _ends(angle: Floats, frame: Integers) -> tuple[float, float]:
     """Return the mean turn per frame in the first and in the last fifth of the angles."""
     fifth = max(2, len(angle) // 5)
     first, last = (
@@ -141,7 +137,7 @@ def _ends(angle: Floats, frame: npt.NDArray[np.int64]) -> tuple[float, float]:
     return first, last
 
 
-def _growth(angle: Floats, frame: npt.NDArray[np.int64]) -> float:
+def _growth(angle: Floats, frame: Integers) -> float:
     """Return the relative change of speed from the first to the last fifth of the angles; NaN if the sense changes."""
     first, last = _ends(angle, frame)
     return math.nan if first * last <= 0 else abs(last) / abs(first) - 1.0
@@ -153,7 +149,7 @@ _REMEDY = "Film with a higher frame rate, or mark the body on one side."
 def _warning(
     taken: Floats,
     other: Floats,
-    frame: npt.NDArray[np.int64],
+    frame: Integers,
     period: float,
     *,
     chosen: str,

@@ -8,7 +8,7 @@ tracked through a few hundred frames, and the candidate that best explains the c
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,8 +18,8 @@ from typing import NoReturn
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers, Picture, Plane
 from gyrotrack._column_store import StoredPictures, large_blocks_returned, new_columns, release_pages
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._aliasing import unaliased
@@ -36,7 +36,7 @@ from gyrotrack.tracking._diagnosis import (
     refuse_moving_camera,
     refuse_two_motions,
 )
-from gyrotrack.tracking._film import Film, Plane, reduced
+from gyrotrack.tracking._film import Film, Progress, frames_of, reduced
 from gyrotrack.tracking._fixed_hub import REFUSED, displaced, drift, fallen, halves_differ, hub_doubt
 from gyrotrack.tracking._hub_search import (
     FARTHEST,
@@ -53,7 +53,6 @@ from gyrotrack.tracking._moving_hub import may_be_loose, track_by_features, trac
 from gyrotrack.tracking._registration import (
     TURN,
     Area,
-    Picture,
     Pose,
     Ring,
     Template,
@@ -66,12 +65,14 @@ from gyrotrack.tracking._registration import (
     without_slips,
 )
 from gyrotrack.tracking._silhouettes import axes_meet
-from gyrotrack.tracking._tracked import Tracked, apart_beyond_harmonics, hub_error, white_noise
+from gyrotrack.tracking._tracked import (
+    Tracked,
+    apart_beyond_harmonics,
+    correlated_variance,
+    hub_error,
+    white_noise,
+)
 from gyrotrack.tracking._translation import translates
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Progress = Callable[[int, int | None], None]
 
 _TRIAL = 300
 """Number of frames on which a candidate for the hub is evaluated [frames]. Chosen: a smaller number shows little
@@ -247,7 +248,7 @@ def calmer(sample: Sequence[Plane], still: Sequence[Plane], margin: int) -> bool
 
 def _track_stabilised(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    usable: Integers,
     sample: Sequence[Plane],
     hub: tuple[float, float] | None,
     progress: Progress | None,
@@ -296,7 +297,7 @@ def _with_shake(found: Tracked, shake: Shake) -> Tracked:
 
 def _track(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    usable: Integers,
     sample: Sequence[Plane],
     hub: tuple[float, float] | None,
     progress: Progress | None,
@@ -483,7 +484,7 @@ class _Reduced:
     def of(
         cls,
         film: Film,
-        usable: npt.NDArray[np.int64],
+        usable: Integers,
         sample: Sequence[Plane],
         motion: Motion,
         margin: int,
@@ -493,9 +494,7 @@ class _Reduced:
         if factor < 2 or np.count_nonzero(motion.moving) < _SCREEN_AREA * factor**2:
             return None
         few = [reduced(f, factor) for f in sample]
-        wanted = set(usable.tolist())
-        frames = (reduced(f, factor) for i, f in enumerate(film.frames()) if i in wanted)
-        small = StoredPictures.of(len(usable), frames)
+        small = StoredPictures.of(len(usable), (reduced(f, factor) for f in frames_of(film, usable)))
         return cls(factor, small, Motion.of(few, -(-margin // factor)))
 
     def reduced(self, place: tuple[float, float]) -> tuple[float, float]:
@@ -591,7 +590,7 @@ def _refuse_loose(name: str, frames: Sequence[Plane], best: _Trial, moved: float
     )
 
 
-def _refuse_fallen(film: Film, usable: npt.NDArray[np.int64], best: _Trial, share: float) -> NoReturn:
+def _refuse_fallen(film: Film, usable: Integers, best: _Trial, share: float) -> NoReturn:
     """Raise a RefusedFilmError for a rotation that explains only a small `share` of the whole film."""
     raise RefusedFilmError(
         f"No body in {film.path.name} turns about one fixed axis throughout: rotation about ({best.ring.hub[0]:.0f}, "
@@ -898,7 +897,7 @@ def _placed(ring: Ring, place: Floats) -> Ring:
 
 def _measure(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    usable: Integers,
     first: int,
     best: _Trial,
     motion: Motion,
@@ -908,9 +907,7 @@ def _measure(
     coarse = best.ring
     area = motion.area
     allowed = coarse.inside(area)
-    wanted = set(usable.tolist())
-    unwrapped = (coarse.unwrap(f) for i, f in enumerate(film.frames()) if i in wanted)
-    polars = StoredPictures.of(len(usable), unwrapped)
+    polars = StoredPictures.of(len(usable), map(coarse.unwrap, frames_of(film, usable)))
     use = np.unique(np.linspace(0, len(polars) - 1, 120).astype(int))
     mean = np.mean([polars[i] for i in use], axis=0)
     moving = np.std([polars[i] for i in use], axis=0) > 4 * motion.noise
@@ -1009,7 +1006,7 @@ def _measure(
     parts = template.halves()
     halves = np.empty((2, len(usable)))
     live = FrameAngles("single")
-    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+    for k, frame in enumerate(frames_of(film, usable)):
         polar = ring.unwrap(frame)
         poses.append(register(polar, template, angle[k]))
         halves[:, k] = [-register(polar, part, poses[-1].angle).angle for part in parts]
@@ -1082,11 +1079,8 @@ class _BodyPath:
         rows = np.stack([1.0 - np.cos(theta), np.sin(theta), np.ones_like(theta)], axis=1)
         found, *_ = np.linalg.lstsq(rows, np.abs(away), rcond=None)
         rest = np.abs(away) - rows @ found
-        # for an unsteady camera: n residuals with the correlation q of neighbours are equivalent to n (1 - q) / (1 + q)
-        # independent ones
-        alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
-        variance = float(np.var(rest)) * (1.0 + alike) / (1.0 - alike)
-        error = math.sqrt(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * variance)
+        # the residuals are correlated if the camera is unsteady
+        error = math.sqrt(float(np.linalg.pinv(rows.T @ rows)[0, 0]) * correlated_variance(rest))
         error = math.hypot(error, _PATH_ERROR / max(float(rows[:, 0].max()), 1e-9))
         return cls(towards + middle, radius, theta, float(found[0]), error, float(found[1]))
 
@@ -1133,7 +1127,7 @@ def _at_distance_of_path(
 
 def _finish(
     film: Film,
-    usable: npt.NDArray[np.int64],
+    usable: Integers,
     ring: Ring,
     template: Template,
     parts: tuple[Template, Template],

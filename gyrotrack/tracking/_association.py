@@ -11,12 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats
 from gyrotrack._smoothing import median_of
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 MEMORY = 128
 """Number of recent angles in the fit [frames]. Chosen: a smaller number gives a noisy prediction, a larger one includes
@@ -53,7 +50,7 @@ class Prediction:
         self._solution: Floats = np.zeros(7)
         self._inverse: Floats = np.eye(7)
 
-    def add(self, frame: Floats, angle: Floats, seen: Mask) -> None:
+    def add(self, frame: Floats, angle: Floats, seen: Bools) -> None:
         """Add the unwrapped angles of the frames in which the body was seen."""
         self._frame = np.concatenate([self._frame, frame[seen]])[-MEMORY:]
         self._angle = np.concatenate([self._angle, angle[seen]])[-MEMORY:]
@@ -186,7 +183,7 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
 
 def follow(
     score: Floats, motion: Motion, threshold: float, advance: Floats | None = None
-) -> tuple[Floats, npt.NDArray[np.bool_], Motion]:
+) -> tuple[Floats, Bools, Motion]:
     """Track a body from a known motion, the prediction for frame 0, through frames with a `score` (n, columns).
 
     `advance` (n,) is the number of camera periods from the previous frame to each frame: more than 1 after missing

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers
 from gyrotrack._column_store import release_pages
 from gyrotrack._smoothing import BORROWED_NU, TimeBase, jitter_is_real, median_of, spread
 from gyrotrack.tracking._aliasing import doubtful, slowing
@@ -62,9 +62,6 @@ from gyrotrack.tracking._template_zeros import TemplateZeros, scatter_of_templat
 from gyrotrack.tracking._texture import CENTRE_ERROR, TextureObservations
 from gyrotrack.video._time_base import FrameTimes
 
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-
 _CORNER = 0.7
 """Half width of a marker without motion blur, relative to its blurred half width [1]. Chosen: used only to decide
 whether a marker is inside the picture; a larger value rejects frames near the border."""
@@ -76,8 +73,8 @@ class BodyView:
 
     markers: tuple[Marker, ...]
     observations: dict[str, MarkerObservations]  # by name
-    inside: dict[str, Mask]  # frames in which a marker is within the picture
-    whole: dict[str, Mask]  # those of them in which the marker is also unoccluded and plausible
+    inside: dict[str, Bools]  # frames in which a marker is within the picture
+    whole: dict[str, Bools]  # those of them in which the marker is also unoccluded and plausible
 
     @property
     def radius(self) -> float:
@@ -542,8 +539,6 @@ def _tilt_uncertainty(candidates: dict[str, Candidate], flat: Flattening) -> Flo
     return np.asarray(np.sqrt(np.mean(np.square(own), axis=0)))
 
 
-Integers = npt.NDArray[np.int64]
-
 _FAR = 0.05
 """The motion of the centre is followed if the range of its positions, relative to the radius of the orbit, is at least
 this value [1]. Chosen: a smaller value follows noise, a larger one uses the mean position of a moving hub."""
@@ -882,7 +877,7 @@ with it [1]. Chosen: the other frames have the angles of the markers; a smaller 
 one fails for a few disturbed frames."""
 
 
-def periodic_error(texture: TextureObservations, centre: Floats, flattening: float, learnt: Mask) -> float:
+def periodic_error(texture: TextureObservations, centre: Floats, flattening: float, learnt: Bools) -> float:
     """Return the standard deviation of the amplitudes of an error with one and two periods per turn [rad].
 
     The error differs between frames, and the largest value over all frames is returned. A template responds to an error
@@ -975,10 +970,7 @@ def _centre(seen: FilmObservations, views: dict[str, BodyView], scene: Scene, pr
 
 
 def _zeroed(body: BodyAngles, profile: Profile, sense: int) -> BodyAngles:
-    """Shift the zero of the angle so that the markers have the mount angles of the profile.
-
-    Without mount angles in the profile, nothing changes.
-    """
+    """Shift the zero of the angle so that the markers have the mount angles of the profile, if it contains any."""
     named = {
         m.name: m.mount_angle for m in profile.marker if m.mount_angle is not None and m.name in body.markers
     }

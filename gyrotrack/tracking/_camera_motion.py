@@ -17,12 +17,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Plane, Singles
 from gyrotrack._column_store import release_pages
-
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
 
 _MOST = 400
 """Largest number of features of a frame [features]. Chosen: a larger number costs time, a smaller one leaves few
@@ -116,13 +113,13 @@ class Shake:
         )
 
 
-def features_of(frame: Plane) -> npt.NDArray[np.float32]:
+def features_of(frame: Plane) -> Singles:
     """Return the corners of a frame that can be tracked, shape (n, 2) [px]."""
     found = cv2.goodFeaturesToTrack(frame, _MOST, 0.01, 8, blockSize=7)
     return np.zeros((0, 2), dtype=np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
 
 
-def tracked(reference: Plane, places: npt.NDArray[np.float32], frame: Plane) -> Floats:
+def tracked(reference: Plane, places: Singles, frame: Plane) -> Floats:
     """Return the displacements of features (n, 2) [px] from the reference to a frame; NaN where they are lost."""
     found, status, error = cv2.calcOpticalFlowPyrLK(
         reference,
@@ -143,9 +140,7 @@ _DISSIMILAR = 20.0
 loses features in flicker, a larger one keeps occluded features."""
 
 
-def background(
-    places: npt.NDArray[np.float32], moved: Floats, shape: tuple[int, ...]
-) -> npt.NDArray[np.bool_]:
+def background(places: Singles, moved: Floats, shape: tuple[int, ...]) -> Bools:
     """Return a mask of the features of the background, at `places` (features, 2) [px] in the reference frame.
 
     `moved` (frames, features, 2) are the displacements of the features [px], NaN where a feature is lost; `shape` is
@@ -177,7 +172,7 @@ def background(
     return best if _wide(places[best], shape) else np.zeros(len(places), dtype=np.bool_)
 
 
-def _wide(places: npt.NDArray[np.float32], shape: tuple[int, ...]) -> bool:
+def _wide(places: Singles, shape: tuple[int, ...]) -> bool:
     """Return whether features enclose enough of the picture to be its background."""
     if len(places) < _FEWEST:
         return False
@@ -220,7 +215,7 @@ _MEASURED = 0.9
 over long gaps, a larger one leaves a shake uncorrected."""
 
 
-def _rigid(places: npt.NDArray[np.float32], moved: Iterable[Floats]) -> Shake | None:
+def _rigid(places: Singles, moved: Iterable[Floats]) -> Shake | None:
     """Fit displacement and roll of the picture in each frame by least squares without outliers."""
     centre = places.mean(axis=0).astype(np.float64)
     own = places - centre

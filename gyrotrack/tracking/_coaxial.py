@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Plane
 from gyrotrack.tracking._hub_search import Motion, ring_for
 from gyrotrack.tracking._registration import every, explained, follow, learn, rolled
-
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
 
 _COARSE = 48.0
 """Resolution of the ring in the search [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
@@ -40,20 +37,11 @@ overlooks small oscillations."""
 
 @dataclass(frozen=True)
 class SecondRotation:
-    """Rotation of another part of the picture about the hub of a body.
+    """Rotation of another part of the picture about the hub of a body."""
 
-    Attributes
-    ----------
-    angle : ndarray, shape (n,)
-        Angle of this part in each frame, clockwise as seen [rad].
-    of_rest, of_all : float
-        Shares that the second rotation explains: of the change of brightness left by the first body, and of the whole
-        change.
-    """
-
-    angle: Floats
-    of_rest: float
-    of_all: float
+    angle: Floats  # shape (n,); angle of this part in each frame, clockwise as seen [rad]
+    of_rest: float  # explained share of the change of brightness left by the first body
+    of_all: float  # explained share of the whole change of brightness
 
     def warning(self, first: Floats) -> str:
         """Return the warning, which also states the range of the angles (n,) of the `first` body [rad]."""
@@ -78,20 +66,9 @@ def second_rotation(
 ) -> SecondRotation | None:
     """Return the rotation of another part of the picture about the hub of a tracked body; None if there is none.
 
-    Parameters
-    ----------
-    frames : sequence of ndarray
-        Consecutive frames.
-    motion : Motion
-        The moving part of the film.
-    hub : tuple of float
-        Hub (x, y) [px].
-    angle : ndarray, shape (n,)
-        Angle of the tracked body in each frame, clockwise as seen [rad].
-    stretch : tuple of float, optional
-        Stretch of the circles by a tilted axis (see `Ring`).
-    separate : bool, optional
-        Whether a fixed picture is part of the model of the tracked body.
+    `angle` (n,) is the angle of the tracked body in the consecutive `frames`, clockwise as seen [rad]. `stretch`
+    describes the circles about a tilted axis (see `Ring`). `separate` states whether a fixed picture is part of the
+    model of the tracked body.
     """
     ring = ring_for(hub, motion, _COARSE, stretch)
     if ring is None:

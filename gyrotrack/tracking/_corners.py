@@ -29,13 +29,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Complexes, Floats
 from gyrotrack._column_store import new_columns, row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._polar import Windows
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 FACTOR_R = 30.0
 """Factor of u_r in the uncertainty as defined in the paper [rad]. Source: V. Tanrıverdi and A. Erbasan,
@@ -62,7 +60,7 @@ class PaperAngle:
     sigma: Floats
 
 
-def paper_angle(corner: Floats, centre: Floats, use: npt.NDArray[np.bool_]) -> PaperAngle:
+def paper_angle(corner: Floats, centre: Floats, use: Bools) -> PaperAngle:
     """Compute angle (counter-clockwise as seen, in (-pi, pi]) and uncertainty from the near corners as the paper does.
 
     `corner` (n, 2, 2): frame, corner, (x, y) [px], y downwards, the lower angle first; averages are over frames `use`.
@@ -170,7 +168,7 @@ def _side_edges(
     if len(rows) == 0:
         rows = np.array([int(np.argmin(np.abs(radii - 0.5 * (inner + outer))))])
     mixing = _bands(rows, len(radii), SIDE_BANDS)
-    part = window.rows(mixing)
+    part = window.bands(mixing)
     middle = part.shape[2] // 2
     r = mixing @ radii - inner
     right, left = _edge(part, angles, middle, 1), _edge(part, angles, middle, -1)
@@ -196,7 +194,7 @@ def _near_edge(
     if len(columns) < 3:
         columns = np.arange(len(angles) // 2 - 1, len(angles) // 2 + 2)
     mixing = _bands(columns, len(angles), NEAR_BANDS)
-    across = window.columns(mixing)
+    across = window.bands(mixing, across=True)
     top = int(np.argmax(np.median(np.ascontiguousarray(across.mean(axis=1).T), axis=1)))
     if top < 1:
         return nothing, nothing, nothing

@@ -12,18 +12,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Complexes, Integers, Plane, Singles
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._camera_motion import features_of, tracked
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film, Plane, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
 from gyrotrack.tracking._links import share_a_joint
 from gyrotrack.tracking._registration import Ring
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Frames = npt.NDArray[np.int64]
-Complexes = npt.NDArray[np.complex128]
 
 _PAIRS = 16
 """Number of pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes
@@ -109,16 +104,8 @@ cause."""
 class RefusedFilmError(TrackingError):
     """A film that cannot be tracked, and the kind of its problem.
 
-    Attributes
-    ----------
-    kind : str
-        "cut", "moving camera", "no motion", "two bodies", "two links", "blurred" or "no rotation".
-    evidence : dict of float
-        The numbers that show the problem.
-    frames : tuple of ndarray
-        Pictures that show the problem.
-    hub : tuple of float or None
-        The best candidate for the hub (x, y) [px].
+    `kind` is "cut", "moving camera", "no motion", "two bodies", "two links", "blurred" or "no rotation". `evidence`
+    contains the numbers and `frames` the pictures that show the problem; `hub` is the best candidate (x, y) [px].
     """
 
     def __init__(
@@ -188,11 +175,11 @@ class Pair:
         return RigidMotion(a, b, members)
 
 
-def _xy(z: Complexes) -> npt.NDArray[np.float32]:
+def _xy(z: Complexes) -> Singles:
     return np.stack([z.real, z.imag], axis=1).astype(np.float32)
 
 
-def pairs_of(film: Film, usable: Frames) -> list[Pair]:
+def pairs_of(film: Film, usable: Integers) -> list[Pair]:
     """Return the displacements of features in pairs of near frames from the whole film."""
     if len(usable) <= max(_LAGS):
         return []
@@ -226,7 +213,7 @@ def pair_of(first: Plane, *later: Plane) -> Pair | None:
     return pair
 
 
-def frames_of_one_shot(film: Film) -> Frames:
+def frames_of_one_shot(film: Film) -> Integers:
     """Return the frames that do not repeat the previous one; a TrackingError for few such frames, or several shots."""
     usable = fresh_frames(film)
     if len(usable) < FEWEST_FRAMES:
@@ -239,7 +226,7 @@ def frames_of_one_shot(film: Film) -> Frames:
     return usable
 
 
-def refuse_cut(film: Film, usable: Frames) -> None:
+def refuse_cut(film: Film, usable: Integers) -> None:
     """Raise a RefusedFilmError for a film of several shots."""
     if (at := cut_at(film, usable)) is not None:
         frame, change, other = at
@@ -257,7 +244,7 @@ def refuse_cut(film: Film, usable: Frames) -> None:
 
 
 def refuse_moving_camera(
-    film: Film, usable: Frames, pairs: Sequence[Pair], shape: tuple[int, ...], least: float = _NO_HUB
+    film: Film, usable: Integers, pairs: Sequence[Pair], shape: tuple[int, ...], least: float = _NO_HUB
 ) -> None:
     """Raise a RefusedFilmError if the whole picture moves, and a rotation about a hub has a residual above `least`."""
     camera = camera_motion(pairs, shape)
@@ -275,7 +262,7 @@ def refuse_moving_camera(
         )
 
 
-def cut_at(film: Film, usable: Frames) -> tuple[int, float, float] | None:
+def cut_at(film: Film, usable: Integers) -> tuple[int, float, float] | None:
     """Return the frame at which another shot begins, its change, and the largest change around it [grey levels].
 
     After a flash of light the picture is the same as before, after a cut it is not. Shots of fewer than `_SHOT` frames
@@ -468,8 +455,7 @@ def detail(ring: Ring, frames: Sequence[Plane], noise: float) -> tuple[float, fl
     times the width of a detail during an exposure, its detail along the circles is smeared.
     """
     polars = np.stack([ring.unwrap(frame) for frame in frames]).astype(np.float64)
-    inside = np.broadcast_to(np.isfinite(polars), polars.shape)
-    change = float(np.sqrt(np.mean((polars - polars.mean(axis=0))[inside] ** 2))) / noise
+    change = float(np.sqrt(np.mean((polars - polars.mean(axis=0)) ** 2))) / noise
     step = (ring.outer - ring.inner) / ring.rows
     along = np.diff(polars, axis=2) / (ring.radius[:, None] * ring.step)
     across = np.diff(polars, axis=1) / step

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fitting._workers import available_cores
+from gyrotrack._arrays import Bools, Floats, Plane
 from gyrotrack._column_store import in_file, large_blocks_returned, new_columns, release_memory, row_blocks
 from gyrotrack._errors import DatasetError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import WIDTH, angular_velocity
@@ -23,7 +24,7 @@ from gyrotrack.io._records import BodyTrack, MarkerTrack, Recording, speed_warni
 from gyrotrack.io._schema import STATUS
 from gyrotrack.tracking._acquisition import acquire
 from gyrotrack.tracking._body_angles import TrackedBodies, join_bodies, trusted_times
-from gyrotrack.tracking._camera_motion import Plane, Shake, background_roll, camera_shake
+from gyrotrack.tracking._camera_motion import Shake, background_roll, camera_shake
 from gyrotrack.tracking._corners import paper_angle
 from gyrotrack.tracking._film_parts import PartWorkers, frames_done, split, track_film
 from gyrotrack.tracking._film_tracker import (
@@ -41,7 +42,6 @@ from gyrotrack.video._container import ClipInfo, file_sha256, probe, read_packet
 from gyrotrack.video._decoder import Reader
 from gyrotrack.video._time_base import CaptureRate, FrameTimes, Timing, capture_rate
 
-Floats = npt.NDArray[np.float64]
 Codes = npt.NDArray[np.int8]
 
 
@@ -84,9 +84,7 @@ def _corners(seen: MarkerObservations) -> Floats:
     return np.stack([x, y], axis=-1)
 
 
-def _status(
-    marker: Marker, seen: MarkerObservations, used: npt.NDArray[np.bool_], size: tuple[int, int]
-) -> Codes:
+def _status(marker: Marker, seen: MarkerObservations, used: Bools, size: tuple[int, int]) -> Codes:
     """Return the status of a marker in each frame.
 
     ok: unoccluded, with both corners. blurred: unoccluded, but without corners. occluded: a part is occluded.

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers, Plane, Singles
 from gyrotrack._column_store import StoredPictures, new_columns, release_memory, release_pages
 from gyrotrack._smoothing import running_quantile
 from gyrotrack.tracking._camera_motion import Shake
@@ -20,25 +22,19 @@ from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import Reader
 from gyrotrack.video._fields import field, first_field
 
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
+Real = TypeVar("Real", npt.NDArray[np.uint8], Singles)
 
 
 @dataclass(frozen=True)
 class Tilt:
-    """The direction from which a distant camera views a plane of motion.
+    """The direction from which a distant camera views a plane of motion."""
 
-    Attributes
-    ----------
-    angle : float
-        Angle between the axis of rotation and the line of sight [rad]: a circle appears as an ellipse with the axis
-        ratio cos(angle).
-    azimuth : float
-        Direction of the short axis of the ellipse in the picture, counter-clockwise from the right [rad].
-    """
-
+    # angle between the axis of rotation and the line of sight [rad]: a circle appears as an ellipse with the axis ratio
+    # cos(angle)
     angle: float
-    azimuth: float = math.pi / 2
+    azimuth: float = (
+        math.pi / 2
+    )  # direction of the short axis, counter-clockwise from the right of the picture [rad]
 
     def matrix(self, width: int, height: int) -> Floats:
         """Return the map (2, 3) of the picture onto the plane; the long axis is shortened, so that no part is lost."""
@@ -77,7 +73,7 @@ class Film:
         self._shake: Shake | None = None
         flicker = _Flicker()
         self._files: list[npt.NDArray[np.uint8]] = []
-        before: npt.NDArray[np.float32] | None = None
+        before: Singles | None = None
         changes = []
         kept = True
         self._first_field = _interlacing(path)
@@ -229,7 +225,7 @@ class Film:
             plane = np.asarray(even, dtype=np.uint8)
         return plane if self._shake is None else self._shake.stabilised(plane, index)
 
-    def some(self, index: Sequence[int] | npt.NDArray[np.int64]) -> StoredPictures:
+    def some(self, index: Sequence[int] | Integers) -> StoredPictures:
         """Return the frames with the numbers `index`, in ascending order."""
         wanted = {int(i) for i in index}
         first, stop = min(wanted), max(wanted) + 1
@@ -237,11 +233,32 @@ class Film:
         return StoredPictures.of(len(wanted), chosen)
 
 
-def reduced(frame: Plane, factor: int) -> Plane:
+Progress = Callable[[int, int | None], None]
+"""Called with the number of measured frames, and the number of all frames if it is known."""
+
+
+class FrameSource(Protocol):
+    """A film, or a film with reduced frames."""
+
+    @property
+    def path(self) -> Path: ...
+
+    def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]: ...
+
+    def some(self, index: Integers) -> Sequence[Plane]: ...
+
+
+def frames_of(film: FrameSource, index: Integers) -> Iterator[Plane]:
+    """Yield the frames with the numbers `index`, in ascending order, in one pass through a film."""
+    wanted = set(index.tolist())
+    return (frame for i, frame in enumerate(film.frames()) if i in wanted)
+
+
+def reduced(frame: Real, factor: int) -> Real:
     """Return the means over squares of `factor` px of a frame, without the pixels beyond the last whole square."""
     height, width = (n // factor for n in frame.shape)
     whole = frame[: height * factor, : width * factor]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=frame.dtype)
 
 
 _EXAMINED = 12
@@ -303,11 +320,11 @@ class _Flicker:
     """
 
     def __init__(self) -> None:
-        self._first: npt.NDArray[np.float32] | None = None
+        self._first: Singles | None = None
         self._gain: dict[float, list[float]] = {0.0: [], 16.0: []}
         self._sums: dict[float | None, Floats] = {}
 
-    def add(self, picture: npt.NDArray[np.float32]) -> None:
+    def add(self, picture: Singles) -> None:
         """Measure the gain of the next frame, (height, width) in grey levels."""
         if self._first is None:
             self._first = picture.copy()
@@ -346,7 +363,7 @@ _ROUNDING = 1.0 / 12.0
 the variance 1 / 12."""
 
 
-def _change(before: npt.NDArray[np.float32], after: npt.NDArray[np.float32]) -> float:
+def _change(before: Singles, after: Singles) -> float:
     """Return the mean absolute difference of two pictures, apart from flicker of the illumination.
 
     Without this correction, frames taken at the same flicker phase differ so little that they seem to be repeated.
@@ -374,7 +391,7 @@ FEWEST_FRAMES = 10
 parameters; a smaller number leaves few residuals, a larger one refuses short films."""
 
 
-def fresh_frames(film: Film) -> npt.NDArray[np.int64]:
+def fresh_frames(film: Film) -> Integers:
     """Return the numbers of the selected frames that do not repeat the previous frame.
 
     The change of a frame is compared with the changes of its neighbours and of the frames in its run, because all

@@ -29,9 +29,9 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from fitting._workers import WorkerPool, available_cores
+from gyrotrack._arrays import Bools, Floats, Integers
 from gyrotrack._column_store import large_blocks_returned, new_columns, release_memory, release_pages
 from gyrotrack._errors import VideoError
 from gyrotrack._smoothing import median_of
@@ -55,7 +55,6 @@ from gyrotrack.video._container import ClipInfo, Frame, Packets, probe, read_pac
 from gyrotrack.video._decoder import Part, Reader, RepeatDetector, film_warnings, pts_seconds
 from gyrotrack.video._time_base import Timing
 
-Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 PART = 2500
@@ -118,7 +117,7 @@ class PartRows:
     """Result of one part: rows and timestamps of its frames, numbers of damaged packets and of damaged frames."""
 
     rows: Rows
-    stamps: npt.NDArray[np.int64]
+    stamps: Integers
     bad_packets: int
     corrupt: int
 
@@ -129,7 +128,7 @@ class _Beginning:
 
     tracker: FilmTracker
     # timestamps of these frames, numbers of damaged packets and of damaged frames
-    stamps: npt.NDArray[np.int64]
+    stamps: Integers
     bad_packets: int = 0
     corrupt: int = 0
 
@@ -137,7 +136,7 @@ class _Beginning:
 class _Advance:
     """Time between frames in median periods, from the timestamps of the whole film."""
 
-    def __init__(self, stamps: npt.NDArray[np.int64], time_base: float, timing: Timing) -> None:
+    def __init__(self, stamps: Integers, time_base: float, timing: Timing) -> None:
         times = timing.of(np.asarray(stamps * time_base, dtype=np.float64), time_base)
         self.stamped = times.place is not None
         steps = np.diff(times.places)
@@ -511,7 +510,7 @@ class _PartResults:
             self._place[index] = len(self._journal)
             self._journal.append(facts, found.rows | {_STAMPS: found.stamps})
 
-    def _own(self, index: int, stamps: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    def _own(self, index: int, stamps: Integers) -> Bools:
         """Return a mask of the frames of a part that do not belong to the previous part."""
         stop = self._parts[index - 1].stop if index else None
         return np.ones(len(stamps), dtype=np.bool_) if stop is None else stamps >= stop
@@ -578,7 +577,7 @@ class _PartResults:
             release_pages()
         return out
 
-    def _part(self, index: int) -> tuple[Rows, npt.NDArray[np.int64]]:
+    def _part(self, index: int) -> tuple[Rows, Integers]:
         if self._journal is not None:
             if index not in self._place:
                 return {}, np.zeros(0, dtype=np.int64)

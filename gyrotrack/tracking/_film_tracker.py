@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers
 from gyrotrack.tracking._association import (
     LEAST_SCATTER,
     LONGEST_COAST,
@@ -31,9 +32,6 @@ from gyrotrack.tracking._texture import REACH, TextureObservations, TextureTrack
 from gyrotrack.video._container import Frame
 from gyrotrack.video._decoder import RepeatDetector
 from gyrotrack.video._time_base import FrameTimes
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 LEAST_SCORE = 0.4
 """Smallest score of an angle at which the body is visible; a fully visible marker has the score 1 [1]. Chosen: a
@@ -110,7 +108,7 @@ class BodyTracker:
         self.step = _usual_step(found[0])
         self._coarse[place : place + len(frames)] = found[0]
 
-    def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Mask] | None:
+    def _predicted(self, frames: list[Frame], place: int, number: Floats) -> tuple[Floats, Bools] | None:
         """Search near the prediction; None if its uncertainty is too large, or if the body is not found there."""
         prediction = self._prediction.at(number)
         if prediction is None or COVERAGE_FACTOR * prediction[1] > MARGIN:
@@ -137,7 +135,7 @@ class BodyTracker:
         for tracker in self.markers.values():
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
-    def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Mask]:
+    def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Bools]:
         """Refine coarse angles (n,) by coloured markers, with small weights if occluded; also return a mask."""
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
@@ -192,15 +190,14 @@ class BodyTracker:
                 begin = self._lock(score, begin, advance, coarse)
                 if begin == count:
                     break
-            angle, _, motion = follow(score[begin:], self._motion_now(), LEAST_SCORE, advance[begin:])
+            angle, _, motion = follow(
+                score[begin:], self._motion or Motion(0.0, 0.0), LEAST_SCORE, advance[begin:]
+            )
             self._motion = motion
             coarse[begin:] = angle
             lost = np.flatnonzero(np.isnan(angle))
             begin = begin + int(lost[0]) if len(lost) else count
         return coarse
-
-    def _motion_now(self) -> Motion:
-        return self._motion if self._motion is not None else Motion(0.0, 0.0)
 
     def _lock(self, score: Floats, begin: int, advance: Floats, coarse: Floats) -> int:
         """Find the body again after `begin` and track it backwards; otherwise extrapolate the number of turns."""
@@ -270,13 +267,13 @@ class BodyObservations:
     # of a slow body, with the oblique view that its ring determines
     aligned: TextureObservations | None = None
 
-    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyObservations:
+    def spread_out(self, index: Integers, count: int) -> BodyObservations:
         """Place the frames at `index` of `count` frames; the other frames are NaN or False."""
         markers = {name: m.spread_out(index, count) for name, m in self.markers.items()}
         rings = (ring and ring.spread_out(index, count) for ring in (self.texture, self.aligned))
         return BodyObservations(spread_out(self.coarse, index, count), markers, *rings)
 
-    def picked(self, index: npt.NDArray[np.int64]) -> BodyObservations:
+    def picked(self, index: Integers) -> BodyObservations:
         """Return the frames `index`."""
         markers = {name: m.picked(index) for name, m in self.markers.items()}
         rings = (ring and ring.picked(index) for ring in (self.texture, self.aligned))
@@ -293,7 +290,7 @@ class FilmObservations:
     times: FrameTimes  # times of the frames
     warnings: tuple[str, ...]  # warnings of the reader
     size: tuple[int, int]  # width and height of the picture in px
-    again: Mask  # shape (n,); frames that seem to repeat the previous one
+    again: Bools  # shape (n,); frames that seem to repeat the previous one
 
 
 class FilmTracker:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats
 from gyrotrack._errors import TrackingError
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film, fresh_frames
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, frames_of, fresh_frames
 from gyrotrack.tracking._point_motion import TrackedPoint, about_pivot
 from gyrotrack.tracking._point_tracker import PointPath
 from gyrotrack.tracking._silhouettes import (
@@ -17,8 +17,6 @@ from gyrotrack.tracking._silhouettes import (
     LongBody,
     long_tilted_body,
 )
-
-Floats = npt.NDArray[np.float64]
 
 _SHOWN = 0.8
 """Smallest share of the frames in which a long body is seen [1]. Chosen: a smaller value accepts other objects, a
@@ -60,8 +58,8 @@ def follow_long_body(film: Film, body: LongBody) -> TrackedPoint:
     A TrackingError is raised if the body is not seen in most frames, or if its ends are not on one ellipse.
     """
     usable = fresh_frames(film)
-    wanted = set(usable.tolist())
-    rows = [(k, f) for k, x in enumerate(film.frames()) if k in wanted and (f := body.axis(x)) is not None]
+    shown = zip(usable.tolist(), frames_of(film, usable), strict=True)
+    rows = [(k, axis) for k, frame in shown if (axis := body.axis(frame)) is not None]
     if len(rows) < max(_SHOWN * len(usable), FEWEST_FRAMES):
         raise TrackingError(
             f"The long body in {film.path.name} is seen in {len(rows)} of {len(usable)} frames only.",

@@ -10,12 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Plane
 from gyrotrack.tracking._registration import Area, Ring, Template, learn, register
-
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
 
 _FRAMES = 40
 """Number of frames in which the displacement is fitted [frames]. Chosen: a smaller number gives an uncertain quantile,

@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats
 from gyrotrack._smoothing import median_of
 from gyrotrack.tracking._association import net_turn
 from gyrotrack.tracking._film_tracker import FilmObservations
@@ -23,9 +23,6 @@ from gyrotrack.tracking._scene import Scene
 from gyrotrack.video._container import ClipInfo
 from gyrotrack.video._decoder import REGULAR
 from gyrotrack.video._time_base import LIVE, CaptureRate, FrameTimes
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 AROUND = 20
 """Number of frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number
@@ -42,7 +39,7 @@ frames [1]. Chosen: a smaller number gives a random scatter, a larger one leaves
 class Repetition:
     """The repeated frames of a film."""
 
-    again: Mask  # shape (n,); frames that repeat the previous one
+    again: Bools  # shape (n,); frames that repeat the previous one
     inserted: bool = False  # whether repeats were inserted between frames of the camera
     # period of the runs of repeated frames [frames], NaN if they are not regular
     period: float = float("nan")
@@ -88,7 +85,7 @@ def judge_repeats(seen: FilmObservations, scene: Scene) -> Repetition:
 class _Steps:
     """Steps of an angle between frames that are not repeated."""
 
-    def __init__(self, angle: Floats, again: Mask) -> None:
+    def __init__(self, angle: Floats, again: Bools) -> None:
         self.angle = angle
         self._fresh = np.flatnonzero(~again)
         self._steps = np.diff(angle[self._fresh])
@@ -132,7 +129,7 @@ def _period(runs: list[tuple[int, int]]) -> float:
     return float(np.polyfit(np.arange(len(first)), first, 1)[0]) if regular else float("nan")
 
 
-def _runs(again: Mask) -> list[tuple[int, int]]:
+def _runs(again: Bools) -> list[tuple[int, int]]:
     """Return the runs of repeated frames as (first, last + 1)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

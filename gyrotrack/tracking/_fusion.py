@@ -24,7 +24,7 @@ removed (`without_common_motion`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers
 from gyrotrack._column_store import in_file, new_columns, release_pages, row_blocks
 from gyrotrack._smoothing import (
     FAR,
@@ -54,8 +55,6 @@ from gyrotrack._smoothing import (
 from gyrotrack.tracking._marker_tracker import Candidate, spread_out, variance_inflation
 from gyrotrack.tracking._orbit import CELL
 
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Scatter = dict[str, tuple[float, float]]  # of open and of partly occluded observations by marker [rad]
 
 TURN = 2.0 * np.pi
@@ -75,7 +74,7 @@ class Weights:
 
     scatter: Scatter
     weak: dict[str, Floats]  # factor on the scatter (n,) [1]
-    use: dict[str, Mask]  # observations that are not outliers (n,)
+    use: dict[str, Bools]  # observations that are not outliers (n,)
 
 
 @dataclass(frozen=True)
@@ -118,10 +117,10 @@ class Residuals:
     time_base: TimeBase | None
     path: Floats  # smooth coarse path (n,) [rad]
     bend: Floats  # path on a uniform grid of times, minus a straight line [rad]
-    fast: Mask  # frames faster than `FAST` (n,)
+    fast: Bools  # frames faster than `FAST` (n,)
     candidates: dict[str, Candidate]
     mounts: dict[str, float]  # mount angles [rad]
-    turning: Mask  # frames within whole turns (n,), see `turning_frames`
+    turning: Bools  # frames within whole turns (n,), see `turning_frames`
     weights: Weights
     place: PlaceErrors
     neighbour: LearntErrors
@@ -176,7 +175,7 @@ class Residuals:
         """Return the estimated repeatable error of a marker in each frame, (n,) [rad]."""
         return np.asarray(self.by_place(name)[part] + self.neighbour.error[name][part])
 
-    def absorbed(self, name: str, part: slice | Mask = ALL) -> Floats:
+    def absorbed(self, name: str, part: slice | Bools = ALL) -> Floats:
         """Return the share of each residual of a marker that its curves absorb, (n,) [1]."""
         return np.asarray(self.place.leverage[name][part] + self.neighbour.leverage[name][part])
 
@@ -185,7 +184,7 @@ class Residuals:
         scatter = np.where(self.candidates[name].open[part], *self.weights.scatter[name])
         return np.asarray(scatter * self.weights.weak[name][part])
 
-    def mean(self) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
+    def mean(self) -> tuple[Floats, Floats, Integers]:
         """Return the weighted mean residual, its uncertainty [rad], and the number of markers in it, (n,) each."""
         mean, sigma = np.zeros((2, len(self.path)))
         count = np.zeros(len(self.path), dtype=np.int64)
@@ -310,7 +309,7 @@ def without_time_scatter(scatter: Scatter, from_time: Floats) -> Scatter:
     return left
 
 
-def turning_frames(state: Residuals, short: Floats, smooth: Floats, half: int) -> Mask:
+def turning_frames(state: Residuals, short: Floats, smooth: Floats, half: int) -> Bools:
     """Return the frames (n,) in which errors that repeat with the turn can be distinguished from motion.
 
     In these frames, the long window (`half` frames on each side) contains a whole turn, and its curve `smooth` agrees
@@ -393,7 +392,7 @@ def _precision(size: float) -> Floats:
     return np.asarray(second.T @ second / _BEND**2 + eye / size**2)
 
 
-def _between_knots(angle: Floats) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Floats]:
+def _between_knots(angle: Floats) -> tuple[Integers, Integers, Floats]:
     """Return the knots on both sides of angles, and the weight of the second knot."""
     place = np.mod(angle, TURN) * KNOTS / TURN
     low = np.floor(place)
@@ -504,7 +503,7 @@ def errors_by_neighbour(
     return LearntErrors(error, leverage)
 
 
-def _shown_share(curve: ClosedCurve, angle: Floats, use: Mask) -> float:
+def _shown_share(curve: ClosedCurve, angle: Floats, use: Bools) -> float:
     """Return the share of a curve's mean square at some angles that its own uncertainty does not explain, 0 to 1.
 
     Multiplied by this factor (James-Stein), a curve that is hardly significant adds less error than it removes.
@@ -591,9 +590,7 @@ def errors_of_view(state: Residuals, floor: float, arcs: dict[str, Floats]) -> V
     return ViewErrors(error, in_file({"sigma": sigma})["sigma"])
 
 
-def _view_rows(
-    state: Residuals, name: str, frames: npt.NDArray[np.int64], more: float
-) -> tuple[Floats, Floats, Floats]:
+def _view_rows(state: Residuals, name: str, frames: Integers, more: float) -> tuple[Floats, Floats, Floats]:
     """Return harmonics (k, orders), residuals and weights (k,) of a marker; `more` is added to the variances."""
     c = state.candidates[name]
     angle = np.nan_to_num(c.angle[frames])
@@ -655,7 +652,7 @@ def place_error(state: Residuals) -> float:
 
 
 def _curve(
-    state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: Mask
+    state: Residuals, name: str, over: Floats, known: Floats, smooth: Floats, use: Bools
 ) -> ClosedCurve:
     """Fit a closed curve, as a function of the angle `over`, to the residuals of a marker about the smooth motion."""
     off, weight = np.empty((2, len(over)))
@@ -753,7 +750,7 @@ class BodyAngles:
 
     angle: Floats
     sigma: Floats
-    count: npt.NDArray[np.int64]
+    count: Integers
     markers: dict[str, MarkerAngles]
     place_error: float = float("nan")
     # `slow`: standard uncertainty [rad] and correlation time [frames] of a slowly varying error. `periodic`: standard
@@ -766,23 +763,19 @@ class BodyAngles:
     harmonic: float = 0.0
     axis_off: dict[str, complex] = field(default_factory=dict)
 
-    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> BodyAngles:
+    def spread_out(self, index: Integers, count: int) -> BodyAngles:
         """Place the frames at `index` of `count` frames; the other frames have no angle."""
-        number = np.zeros(count, dtype=np.int64)
-        number[index] = self.count
-        angle, sigma = (spread_out(a, index, count) for a in (self.angle, self.sigma))
-        markers = {
-            name: MarkerAngles(spread_out(m.angle, index, count), spread_out(m.sigma, index, count), m.mount)
-            for name, m in self.markers.items()
-        }
-        return replace(self, angle=angle, sigma=sigma, count=number, markers=markers)
+        return self._changed(lambda values: spread_out(values, index, count))
 
-    def at(self, index: npt.NDArray[np.int64]) -> BodyAngles:
+    def at(self, index: Integers) -> BodyAngles:
         """Return the frames `index`."""
+        return self._changed(lambda values: values[index])
+
+    def _changed(self, change: Callable[[Any], Any]) -> BodyAngles:
         markers = {
-            name: MarkerAngles(m.angle[index], m.sigma[index], m.mount) for name, m in self.markers.items()
+            name: MarkerAngles(change(m.angle), change(m.sigma), m.mount) for name, m in self.markers.items()
         }
-        own = {key: getattr(self, key)[index] for key in ("angle", "sigma", "count")}
+        own = {key: change(getattr(self, key)) for key in ("angle", "sigma", "count")}
         return replace(self, **own, markers=markers)
 
 
@@ -842,7 +835,7 @@ frames then do not confirm its angle [1]. Chosen: a smaller value omits frames n
 matches."""
 
 
-def _mostly_hidden(sigma: Floats) -> Mask:
+def _mostly_hidden(sigma: Floats) -> Bools:
     """Return a mask of the frames whose uncertainty exceeds `WEAKEST_BODY` times the median of neighbouring frames."""
     reach = min(_NEIGHBOURS // 2, len(sigma))
     # reflected at the ends, where a hand may hide the markers
@@ -857,7 +850,7 @@ def _result(
     degree: int,
     floor: float,
     axis: float | Floats,
-    alone: Mask,
+    alone: Bools,
 ) -> BodyAngles:
     smooth, leverage = state.smooth(half, degree)
     scatter, from_time = scatter_over_turns(state, smooth, leverage), state.time_sigma()

@@ -13,12 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats
 from gyrotrack.tracking._film_tracker import BATCH
 from gyrotrack.tracking._fusion import LEAST_FAST
-
-Floats = npt.NDArray[np.float64]
 
 _HARMONICS = range(1, 13)
 """Orders of the harmonics of the error that are measured [periods per turn]. Chosen: higher orders average out within a
@@ -89,12 +87,8 @@ def harmonic_error(angle: Floats) -> float:
 
     Amplitudes of orders 1 and 2 may be constant (centre, tilt), proportional to the speed (rolling shutter), to its
     square (motion blur), or to its inverse square (a torque that depends on the angle, for example due to an
-    unbalance). The residuals of a fit of these four terms are the error of these orders.
-
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Unwrapped angle of each frame [rad]; NaN where it is not known.
+    unbalance). The residuals of a fit of these four terms are the error of these orders. `angle` (n,) is the unwrapped
+    angle of each frame [rad], NaN where it is not known.
     """
     found = _amplitudes(angle)
     largest = 0.0
@@ -143,18 +137,12 @@ class ChangeWithSpeed:
     error: float  # largest standard uncertainty of its amplitudes [rad]
 
 
-def change_with_speed(angle: Floats, fps: float, fast: npt.NDArray[np.bool_]) -> ChangeWithSpeed:
+def change_with_speed(angle: Floats, fps: float, fast: Bools) -> ChangeWithSpeed:
     """Fit c_0 + c_1 omega + c_2 / omega^2 to the amplitudes of order 1, and return the error caused by c_1.
 
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Unwrapped angle of each frame [rad]; NaN where it is not known.
-    fps : float
-        Frames per second.
-    fast : ndarray, shape (n,)
-        Frames in which the constant error is learnt: at their mean speed, the change is 0. The change is 0 at all
-        speeds if the share of these frames is below `LEAST_FAST`.
+    `angle` (n,) is the unwrapped angle of each frame [rad], NaN where it is not known. The constant error is learnt in
+    the frames `fast` (n,): at their mean speed, the change is 0. The change is 0 at all speeds if the share of these
+    frames is below `LEAST_FAST`.
     """
     known = np.flatnonzero(np.isfinite(angle))
     rows = _amplitudes(angle)[1]

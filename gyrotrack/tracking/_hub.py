@@ -19,39 +19,29 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from gyrotrack._column_store import new_columns, row_blocks
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers
+from gyrotrack._column_store import WithBuffer, new_columns, row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import local_fit, spread
 from gyrotrack.tracking._polar import CHROMA_SHIFT
 from gyrotrack.tracking._scene import Disc
 from gyrotrack.video._container import Frame
 
-Floats = npt.NDArray[np.float64]
 
-
-class DiscWindow:
+class DiscWindow(WithBuffer):
     """A small chroma window about the disc, collected for a batch of frames."""
+
+    _buffer = "_pixels"
 
     def __init__(self, disc: Disc, capacity: int) -> None:
         self.disc = disc
         self.half = int(np.ceil((1.5 * disc.radius + 6.0) / 2.0))
         side = 2 * self.half + 1
         self._pixels = np.zeros((capacity, 2, side, side), dtype=np.uint8)
-        self._used = False  # whether the window contains frames
         self._corner = (0, 0)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pixels": self._pixels if self._used else self._pixels.shape}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        if not self._used:
-            self._pixels = np.zeros(state["_pixels"], dtype=np.uint8)
 
     def centre_on(self, centre: tuple[float, float], frame: Frame) -> None:
         """Move the window to a centre (luma px), inside the picture."""
@@ -79,8 +69,6 @@ class DiscWindow:
         place = kernels.discs(self._pixels[first:count], (u / norm, v / norm), self.disc.radius / 2.0)
         return np.asarray(2.0 * (place + self._corner) + np.array(CHROMA_SHIFT))
 
-
-Complexes = npt.NDArray[np.complex128]
 
 HOLE = 8
 """Correlation length of the errors of a compressed film [frames]. Chosen: a smaller value mistakes correlated errors
@@ -193,7 +181,7 @@ def robust_rms(steps: Floats) -> float:
     return float(np.sqrt(np.median(np.sum(steps**2, axis=1)) / np.log(2.0)))
 
 
-def _bridged(path: Complexes, known: npt.NDArray[np.bool_], sigma: float, half: int) -> CentrePath:
+def _bridged(path: Complexes, known: Bools, sigma: float, half: int) -> CentrePath:
     """Return a path that is linear in the gaps and constant before the first and after the last known point.
 
     A parabola is not extrapolated, because its error would be many times the error of the points. The uncertainty in a
@@ -213,7 +201,7 @@ def _bridged(path: Complexes, known: npt.NDArray[np.bool_], sigma: float, half: 
     return CentrePath(centre, np.where(away <= half, far, np.nan), half)
 
 
-def _without_gaps(measured: Floats) -> tuple[Complexes, npt.NDArray[np.bool_]]:
+def _without_gaps(measured: Floats) -> tuple[Complexes, Bools]:
     """Return a path x + i y, linear in the gaps, and a mask of the known points."""
     known = _without_partial_views(measured, np.asarray(np.isfinite(measured).all(axis=1)))
     index = np.arange(len(measured))
@@ -223,7 +211,7 @@ def _without_gaps(measured: Floats) -> tuple[Complexes, npt.NDArray[np.bool_]]:
     return np.asarray(x + 1j * y), known
 
 
-def _without_partial_views(measured: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _without_partial_views(measured: Floats, known: Bools) -> Bools:
     """Return the known points without displaced points next to a gap, where the disc is partly covered."""
     step = np.hypot(*np.diff(measured, axis=0).T)  # from each point to the next one
     if known.all() or not np.isfinite(step).any():
@@ -241,7 +229,7 @@ def _without_partial_views(measured: Floats, known: npt.NDArray[np.bool_]) -> np
     return kept
 
 
-def _steady(z: Complexes, known: npt.NDArray[np.bool_]) -> CentrePath:
+def _steady(z: Complexes, known: Bools) -> CentrePath:
     """Return the mean as the path of a clip of a few frames."""
     mean = z[known].mean()
     scatter = float(np.sqrt(np.mean(np.abs(z[known] - mean) ** 2) / 2.0))
@@ -348,7 +336,7 @@ noise, a larger one refuses short films."""
 
 
 def wandering_centre(
-    place: Floats, weight: npt.NDArray[np.bool_], start: Floats, *, still: bool = False, rounds: int = 12
+    place: Floats, weight: Bools, start: Floats, *, still: bool = False, rounds: int = 12
 ) -> CentrePath:
     """Find the path of the centre of an orbit from the `place` (n, 2) [px] of the marker and an initial value.
 
@@ -373,7 +361,7 @@ def wandering_centre(
     return CentrePath(path, np.full(n, max(error, 1e-3)), n // max(knots - 1, 1))
 
 
-def _knots(v: Floats, use: npt.NDArray[np.bool_]) -> int:
+def _knots(v: Floats, use: Bools) -> int:
     """Return the number of knots for a spacing of about one turn; 1 if this number is less than three."""
     theta = np.unwrap(np.arctan2(-v[use, 1], v[use, 0]))
     turns = float(np.abs(np.diff(theta)).sum()) / (2.0 * np.pi)
@@ -400,7 +388,7 @@ def _between(values: Floats, ends: tuple[int, int], share: Floats) -> Floats:
     return np.asarray((1.0 - share)[:, None] * low + share[:, None] * high)
 
 
-def _robust(place: Floats, path: Floats, use: npt.NDArray[np.bool_], knots: int) -> tuple[Floats, float]:
+def _robust(place: Floats, path: Floats, use: Bools, knots: int) -> tuple[Floats, float]:
     """Fit knots (x and y alternating), rho, p and q without outliers; return them and the scatter."""
     away = np.full(len(place), np.nan)
     away[use] = np.hypot(*(place[use] - path[use]).T)
@@ -426,7 +414,7 @@ def _robust(place: Floats, path: Floats, use: npt.NDArray[np.bool_], knots: int)
 
 def _rows(
     place: Floats, path: Floats, knots: int, typical: float
-) -> Iterator[tuple[slice, npt.NDArray[np.int64], Floats]]:
+) -> Iterator[tuple[slice, Integers, Floats]]:
     """Yield the linear model of each span: its frames, its unknowns, and the rows (m, unknowns)."""
     for part, ends, share in _spans(len(place), knots):
         v = place[part] - path[part]
@@ -491,8 +479,9 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
             excess = np.clip(np.where(known[part], wanted.excess[part], 0.0), *limits)
             normal[:, part] += weight * np.stack([x * x, x * y, y * y])
             right[:, part] -= weight * excess * np.stack([x, y])
+    bell = 1.0 - (np.arange(-_REFINED_HALF, _REFINED_HALF + 1) / (_REFINED_HALF + 1)) ** 2
     for row in (*normal, *right):
-        row[:] = _windowed(row)
+        row[:] = np.convolve(np.pad(row, _REFINED_HALF), bell, mode="valid")
     better = new_columns(count, {"centre": ((2,), "f8"), "sigma": ((), "f8")})
     for part in row_blocks(count):
         (a, b, c), (u, v) = normal[:, part], right[:, part]
@@ -510,8 +499,3 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
 def _limits(excess: Floats) -> tuple[float, float]:
     reach = 4.0 * spread(excess)
     return -reach, reach
-
-
-def _windowed(row: Floats) -> Floats:
-    bell = 1.0 - (np.arange(-_REFINED_HALF, _REFINED_HALF + 1) / (_REFINED_HALF + 1)) ** 2
-    return np.asarray(np.convolve(np.pad(row, _REFINED_HALF), bell, mode="valid"))

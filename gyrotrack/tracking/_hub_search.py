@@ -16,13 +16,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from gyrotrack.tracking._registration import TURN, Picture, Ring
-
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Picture, Plane
+from gyrotrack.tracking._registration import TURN, Ring
 
 _PAIRS = 40
 """Number of pairs of frames for each lag [1]. Chosen: a smaller number gives an uncertain hub, a larger one costs
@@ -68,7 +65,7 @@ class Motion:
     mean: Picture
     deviation: Picture
     noise: float  # standard deviation where nothing moves
-    moving: npt.NDArray[np.bool_]  # shape (height, width); where the brightness changes by more than noise
+    moving: Bools  # shape (height, width); where the brightness changes by more than noise
     # the part (left, top, right, bottom) of the frame that contains the picture, without uniform bars at the sides
     area: tuple[int, int, int, int]
 
@@ -322,9 +319,9 @@ class _CommonHub:
 
     hub: complex
     # for each pair: 1 - a, displacement and centroid of the features [px]
-    left: npt.NDArray[np.complex128]
-    shift: npt.NDArray[np.complex128]
-    centroid: npt.NDArray[np.complex128]
+    left: Complexes
+    shift: Complexes
+    centroid: Complexes
     unexplained: float  # ratio of the median residual of the displacements to their median
 
     @classmethod
@@ -335,17 +332,14 @@ class _CommonHub:
             return None
         turn, moved, centroid = (np.array(column, dtype=np.complex128) for column in zip(*known, strict=True))
         left = 1.0 - turn
-        weight = np.abs(left) > np.median(np.abs(left)) * 0.5
-        hub = complex(
-            np.sum(np.conj(left) * moved * weight) / max(float(np.sum(np.abs(left) ** 2 * weight)), 1e-12)
-        )
-        for _ in range(20):
+        weight = (np.abs(left) > np.median(np.abs(left)) * 0.5).astype(np.float64)
+        robust = weight
+        for _ in range(21):
+            power = max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
+            hub = complex(np.sum(np.conj(left) * moved * robust) / power)
             miss = np.abs(moved - left * hub)
             scale = max(1.4826 * float(np.median(miss)), 1e-3)
             robust = weight / (1.0 + (miss / (2 * scale)) ** 2)
-            hub = complex(
-                np.sum(np.conj(left) * moved * robust) / max(float(np.sum(np.abs(left) ** 2 * robust)), 1e-12)
-            )
         shift = moved - left * centroid
         rest = float(np.median(np.abs(moved - left * hub)))
         return cls(hub, left, shift, centroid, rest / max(float(np.median(np.abs(shift))), 1e-12))
@@ -353,9 +347,9 @@ class _CommonHub:
 
 def distant_hub(
     start: complex,
-    left: npt.NDArray[np.complex128],
-    shift: npt.NDArray[np.complex128],
-    centroid: npt.NDArray[np.complex128],
+    left: Complexes,
+    shift: Complexes,
+    centroid: Complexes,
 ) -> tuple[float, float] | None:
     """Fit the hub h to 1 - a = d / (h - c) for all pairs of frames; None for a body around its hub."""
     middle, spread = complex(np.median(centroid.real), np.median(centroid.imag)), float(np.abs(shift).max())
@@ -382,11 +376,7 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
     points = cv2.goodFeaturesToTrack(first, _FEATURES, 0.01, 5, mask=mask)
     if points is None or len(points) < 6:
         return None
-    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 4}
-    flow: Any = cv2.calcOpticalFlowPyrLK
-    there, status, _ = flow(first, second, points, None, **options)
-    back, again, _ = flow(second, first, there, None, **options)
-    tracked = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(points - back).max(axis=(1, 2)) < 0.5)
+    there, tracked = _there_and_back(first, second, points, levels=4, nearest=0.5)
     start, end = points[tracked, 0], there[tracked, 0]
     moves = np.hypot(*(end - start).T) > 0.3
     if moves.sum() < 6:
@@ -406,9 +396,21 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
     return a, complex(np.mean(z1) - a * np.mean(z0)), complex(np.mean(z0))
 
 
+def _there_and_back(
+    first: Plane, second: Plane, points: Any, *, levels: int, nearest: float
+) -> tuple[Any, Bools]:
+    """Track points to another frame and back by optical flow; return them, and which return within `nearest` px."""
+    flow: Any = cv2.calcOpticalFlowPyrLK
+    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": levels}
+    there, status, _ = flow(first, second, points, None, **options)
+    back, again, _ = flow(second, first, there, None, **options)
+    known = (status[:, 0] == 1) & (again[:, 0] == 1)
+    return there, known & (np.abs(points - back).max(axis=(1, 2)) < nearest)
+
+
 def follow_features(
     frames: Iterable[Plane], motion: Motion, widest: float
-) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.int64]] | None:
+) -> tuple[Complexes, Complexes, Integers] | None:
     """Track the features of a body by optical flow from frame to frame.
 
     Return None if there are too few inliers, or if the range of the angles exceeds `widest` [rad].
@@ -419,8 +421,6 @@ def follow_features(
     smooth = cv2.blur(motion.deviation, (5, 5))
     strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))
     mask = cv2.dilate(strong.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(np.uint8)
-    flow: Any = cv2.calcOpticalFlowPyrLK
-    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 3}
     turn, moved, since = [], [], []
     chosen = 0
     before: Plane | None = None
@@ -440,9 +440,7 @@ def follow_features(
             moved.append(0.0 + 0.0j)
             since.append(chosen)
             continue
-        there, status, _ = flow(before, frame, now, None, **options)
-        back, again, _ = flow(frame, before, there, None, **options)
-        tracked = (status[:, 0] == 1) & (again[:, 0] == 1) & (np.abs(now - back).max(axis=(1, 2)) < 0.3)
+        there, tracked = _there_and_back(before, frame, now, levels=3, nearest=0.3)
         start, now = start[tracked], there[tracked]
         before = frame.copy()
         if len(start) < _FEWEST:
@@ -485,7 +483,7 @@ def follow_features(
     return np.array(turn), np.array(moved), np.array(since, dtype=np.int64)
 
 
-def still_point(turn: npt.NDArray[np.complex128], moved: npt.NDArray[np.complex128]) -> tuple[float, float]:
+def still_point(turn: Complexes, moved: Complexes) -> tuple[float, float]:
     """Return the position in the first frame of the point of the body that moves least."""
     left = turn - turn.mean()
     right = -(moved - moved.mean())

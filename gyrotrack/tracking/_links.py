@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Complexes, Floats, Plane
 from gyrotrack.tracking._pivot import fit_arc
 from gyrotrack.tracking._registration import Ring
 from gyrotrack.tracking._silhouettes import (
@@ -25,10 +26,6 @@ from gyrotrack.tracking._silhouettes import (
     parts_of,
     spots_in,
 )
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
-Plane = npt.NDArray[np.uint8]
 
 _RIGID = 0.05
 """Largest relative standard deviation of a constant distance [1]. Derived: a rod within 18 degrees of its
@@ -160,7 +157,7 @@ def carries_a_link(ring: Ring, frames: Sequence[Plane], angle: Floats, noise: fl
     return joined > _SHOWN * len(frames) and float(seen.max()) < _TURNS_WITH * joined
 
 
-def _joined(region: Plane, body: Ring, beyond: Ring) -> npt.NDArray[np.bool_]:
+def _joined(region: Plane, body: Ring, beyond: Ring) -> Bools:
     """Return the columns of a ring that contain parts of a region which are connected to a ring farther inside."""
     closed = cv2.morphologyEx(region, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     label, _ = parts_of(np.asarray(closed, dtype=np.uint8))

@@ -12,9 +12,10 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 import numpy as np
-import numpy.typing as npt
 
-Sink = Callable[[str, int, npt.NDArray[np.int64], npt.NDArray[np.float64]], object]
+from gyrotrack._arrays import Floats, Integers
+
+Sink = Callable[[str, int, Integers, Floats], object]
 """Called with a body, the first frame of a part, frame numbers (n,) in the part, and angles as seen (n,) [rad].
 
 Angles are unwrapped within a part. If a frame number is not larger than the previous number, the part is restarted.
@@ -46,9 +47,7 @@ def set_sink(sink: Sink | None) -> None:
     _sink.set(sink)
 
 
-def report_angles(
-    body: str, part: int, frames: npt.NDArray[np.int64], angles: npt.NDArray[np.float64]
-) -> None:
+def report_angles(body: str, part: int, frames: Integers, angles: Floats) -> None:
     """Send angles (n,) [rad] of frames (n,) to the sink, if there is one; frames without an angle are NaN."""
     sink = _sink.get()
     known = np.isfinite(angles)

@@ -16,11 +16,12 @@ is estimated by maximum likelihood.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers
 from gyrotrack._column_store import in_file, row_blocks
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of
@@ -34,12 +35,21 @@ from gyrotrack.tracking._marker_window import (
 )
 from gyrotrack.tracking._scene import Marker
 
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+
+class FrameColumns:
+    """A record whose fields are arrays with one row per frame."""
+
+    def spread_out(self, index: Integers, count: int) -> Self:
+        """Place the frames at `index` of `count` frames; see the function `spread_out`."""
+        return type(self)(**in_file({k: spread_out(v, index, count) for k, v in vars(self).items()}))
+
+    def picked(self, index: Integers) -> Self:
+        """Return the frames `index`."""
+        return type(self)(**in_file({k: v[index] for k, v in vars(self).items()}))
 
 
 @dataclass(frozen=True)
-class MarkerObservations:
+class MarkerObservations(FrameColumns):
     """Observations of one marker in consecutive frames, about the centre of the ring; NaN where the body is lost."""
 
     # shape (n,); fine angle as seen [rad], radius of the middle of the marker [px]
@@ -52,28 +62,14 @@ class MarkerObservations:
     gain: Floats
     misfit: Floats
     weakness: Floats  # shape (n,); factor on the uncertainty for occlusion and low gain; see `Match`
-    open: Mask  # shape (n,); no part of the marker is known to be occluded
+    open: Bools  # shape (n,); no part of the marker is known to be occluded
     centre: Floats  # shape (n, 2); centre of the ring in px
-
-    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> MarkerObservations:
-        """Place the frames at `index` of `count` frames; see the function `spread_out`."""
-        return MarkerObservations(
-            **in_file(
-                {f.name: spread_out(getattr(self, f.name), index, count) for f in fields(MarkerObservations)}
-            )
-        )
-
-    def picked(self, index: npt.NDArray[np.int64]) -> MarkerObservations:
-        """Return the frames `index`."""
-        return MarkerObservations(
-            **in_file({f.name: getattr(self, f.name)[index] for f in fields(MarkerObservations)})
-        )
 
     def at(self, part: slice) -> MarkerObservations:
         """Return some of the frames."""
-        return MarkerObservations(**{f.name: getattr(self, f.name)[part] for f in fields(MarkerObservations)})
+        return MarkerObservations(**{name: values[part] for name, values in vars(self).items()})
 
-    def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Mask:
+    def outside(self, inner: float, outer: float, half_width: float, size: tuple[int, int]) -> Bools:
         """Return a mask of the frames in which a part of the marker is outside a picture of (width, height) px."""
         found = np.zeros(len(self.angle), dtype=np.bool_)
         for part in row_blocks(len(found)):
@@ -85,7 +81,7 @@ class MarkerObservations:
                         found[part] |= (x < 0) | (y < 0) | (x > size[0] - 1) | (y > size[1] - 1)
         return found
 
-    def position(self, good: Mask) -> Floats:
+    def position(self, good: Bools) -> Floats:
         """Return the position of the middle of the marker, (n, 2) [px], at the median radius in frames not `good`."""
         usual = float(np.nanmedian(self.radius[good])) if good.any() else np.nan
         r = np.where(good, self.radius, usual)
@@ -95,11 +91,10 @@ class MarkerObservations:
         return place
 
 
-def spread_out(values: npt.NDArray[Any], index: npt.NDArray[np.int64], count: int) -> npt.NDArray[Any]:
-    """Place rows at `index` of `count` rows; the other rows are NaN or False."""
-    out = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
-    if values.dtype != np.bool_:
-        out[:] = np.nan
+def spread_out(values: npt.NDArray[Any], index: Integers, count: int) -> npt.NDArray[Any]:
+    """Place rows at `index` of `count` rows; the other rows are NaN, 0 or False."""
+    nothing = np.nan if values.dtype.kind == "f" else 0
+    out = np.full((count, *values.shape[1:]), nothing, dtype=values.dtype)
     out[index] = values
     return out
 
@@ -146,8 +141,8 @@ class Candidate:
     """Fine angles of one marker before the fusion."""
 
     angle: Floats  # as seen, wrapped [rad]
-    good: Mask  # frames in which height and profile are plausible
-    open: Mask  # frames in which no part of the marker is occluded
+    good: Bools  # frames in which height and profile are plausible
+    open: Bools  # frames in which no part of the marker is occluded
     weak: Floats  # factor on the uncertainty for occlusion and low gain
     misfit_excess: Floats  # excess of the misfit of the profile; see `variance_inflation`
     mount: float  # initial value of the mount angle, as seen [rad]
@@ -164,7 +159,7 @@ _POOR = 6.0
 value omits good angles, a larger one keeps disturbed angles."""
 
 
-def plausible(seen: MarkerObservations) -> Mask:
+def plausible(seen: MarkerObservations) -> Bools:
     """Return the frames in which a marker has a plausible height and profile."""
     known = np.isfinite(seen.gain) & (seen.weakness < WEAKEST * _usual(seen, seen.weakness))
     whole = known & seen.open
@@ -177,7 +172,7 @@ def plausible(seen: MarkerObservations) -> Mask:
     return np.asarray(known & (seen.misfit < max(typical + _POOR * scatter, LARGEST_MISFIT)))
 
 
-def candidate(seen: MarkerObservations, angle: Floats, good: Mask, mount: float) -> Candidate:
+def candidate(seen: MarkerObservations, angle: Floats, good: Bools, mount: float) -> Candidate:
     """Return a candidate from observations and the corrected angle."""
     columns = {
         "angle": angle,
@@ -214,7 +209,7 @@ class Match:
     weakness: Floats
 
 
-def match(profile: Floats, template: Floats, start: Floats, seen: Mask) -> Match:
+def match(profile: Floats, template: Floats, start: Floats, seen: Bools) -> Match:
     """Fit gain, offset and displacement [samples] of a template to the samples `seen` of profiles (n, m)."""
     slope = np.empty_like(template)
     slope[1:-1] = 0.5 * (template[2:] - template[:-2])
@@ -266,7 +261,7 @@ def _with_ends(rows: Floats, reach: int) -> Floats:
     return np.concatenate([rows[:, :1].repeat(reach, 1), rows, rows[:, -1:].repeat(reach, 1)], axis=1)
 
 
-def mean_profile(profile: Floats, found: Match, use: Mask, seen: Mask, *, symmetric: bool) -> Floats | None:
+def mean_profile(profile: Floats, found: Match, use: Bools, seen: Bools, *, symmetric: bool) -> Floats | None:
     """Average the unoccluded samples of the frames in `use`, scaled to 0 to 1 (NaN: no sample); None for few frames."""
     if use.sum() < 3:
         return None
@@ -288,7 +283,7 @@ _CLIPPED = 2.5
 narrows the distribution, a larger one admits hands and glare."""
 
 
-def _clipped_mean(values: Floats, seen: Mask) -> Floats:
+def _clipped_mean(values: Floats, seen: Bools) -> Floats:
     """Return the mean of each column over its seen values without outliers; NaN if there are none."""
     for _ in range(2):
         count = seen.sum(axis=0)
@@ -349,7 +344,7 @@ class MarkerTracker:
         """Return the tangential profile at the expected angle of the marker, (n, m)."""
         return displaced(self.template(window.raw.shape[1]), window.fraction)
 
-    def measure(self, window: MarkerWindow, open_: Mask, clear: Mask | None = None) -> MarkerObservations:
+    def measure(self, window: MarkerWindow, open_: Bools, clear: Bools | None = None) -> MarkerObservations:
         """Measure the marker; `open_` (n, columns of the window) marks the samples that nothing occludes.
 
         A shadow reduces the chroma of a coloured marker as a whole. Next to a white marker, a shadow darkens the
@@ -380,7 +375,7 @@ class MarkerTracker:
             centre=np.tile(np.array(ring.centre), (len(hide), 1)),
         )
 
-    def _matters(self, window: MarkerWindow) -> Mask:
+    def _matters(self, window: MarkerWindow) -> Bools:
         """Return the samples of the windows within the extent of the marker, (n, m)."""
         step, half = self.strip.ring.step, self.strip.half
         x = np.abs(np.arange(-half, half + 1)) * step
@@ -396,7 +391,7 @@ class MarkerTracker:
             return flat_top(self.marker.half_width / self.strip.ring.step, count)
         return self._across
 
-    def _matched_across(self, window: MarkerWindow, open_: Mask, whole: Mask) -> Match:
+    def _matched_across(self, window: MarkerWindow, open_: Bools, whole: Bools) -> Match:
         rounds = 3 if self._across is None else 1
         reach = max(round(self.marker.half_width / self.strip.ring.step), 1)
         template = self.template(window.profile.shape[1])
@@ -418,7 +413,7 @@ class MarkerTracker:
             found = match(window.profile, template, found.shift, open_)
         return found
 
-    def _without_neighbours(self, window: MarkerWindow, found: Match, open_: Mask) -> Match:
+    def _without_neighbours(self, window: MarkerWindow, found: Match, open_: Bools) -> Match:
         """Match profiles with an implausible misfit again, without the disturbing samples beside the marker.
 
         The markers of the rotor pass below the markers of the casing and do not change their profiles. An object beside
@@ -438,12 +433,12 @@ class MarkerTracker:
             getattr(found, f.name)[poor] = getattr(own, f.name)
         return found
 
-    def _learn_light(self, window: MarkerWindow, expected: Floats, offset: Floats, use: Mask) -> None:
+    def _learn_light(self, window: MarkerWindow, expected: Floats, offset: Floats, use: Bools) -> None:
         expected = np.where((expected > 0.4) & use, expected, 0.0)
         column = window.column(self.strip.ring.columns)
         self.light.learn(0, column, expected, window.raw - offset[:, None])
 
-    def _matched_along(self, window: MarkerWindow, found: Match, whole: Mask) -> Match:
+    def _matched_along(self, window: MarkerWindow, found: Match, whole: Bools) -> Match:
         columns = np.arange(window.scores.shape[2]) - self.strip.half
         reach = max(0.5 * self.marker.half_width / self.strip.ring.step, 1.0)
         weight = np.clip(reach + 0.5 - np.abs(columns[None, :] - found.shift[:, None]), 0.0, 1.0)
@@ -464,7 +459,7 @@ class MarkerTracker:
             along = match(profile, better, along.shift, everything)
         return along
 
-    def _corners(self, window: MarkerWindow, found: Match, whole: Mask) -> tuple[Floats, Floats]:
+    def _corners(self, window: MarkerWindow, found: Match, whole: Bools) -> tuple[Floats, Floats]:
         ring = self.strip.ring
         radius, angle = np.full((2, len(whole), 2), np.nan)
         use = whole & (found.gain > 0.1)
@@ -476,7 +471,7 @@ class MarkerTracker:
             radius[use], angle[use] = np.where(likely, r, np.nan), np.where(likely, phi, np.nan)
         return radius, angle
 
-    def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Mask:
+    def _likely(self, radius: Floats, angle: Floats, fine: Floats) -> Bools:
         """Return a mask (n, 1) of the pairs of corners consistent with the position and width of the marker."""
         half, middle = 0.5 * (angle[:, 1] - angle[:, 0]), angle.mean(axis=1)
         known = np.isfinite(half)
@@ -492,7 +487,7 @@ class MarkerTracker:
         return np.asarray(likely[:, None])
 
 
-def _some(use: Mask, most: int) -> Mask:
+def _some(use: Bools, most: int) -> Bools:
     """Return about `most` of the frames in use, equally spaced."""
     chosen = np.flatnonzero(use)
     few = np.zeros(len(use), dtype=np.bool_)
@@ -520,7 +515,7 @@ _OF_MISFIT = 1.2
 disturbed profiles, a smaller one leaves few profiles."""
 
 
-def _good(found: Match, whole: Mask, known: Mask) -> Mask:
+def _good(found: Match, whole: Bools, known: Bools) -> Bools:
     """Return a mask of the frames that may enter a template: those with a large gain and no more than usual misfit."""
     usable = (
         known & (found.gain > _LEAST_GAIN) & (found.gain < _MOST_GAIN) & (found.weakness < _MOST_WEAKNESS)

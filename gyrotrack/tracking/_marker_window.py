@@ -9,21 +9,18 @@ relative to the other body, h shows an occlusion.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from gyrotrack._arrays import Bools, Floats, Integers, Singles
+from gyrotrack._column_store import WithBuffer
 from gyrotrack._native import _kernels as kernels
 from gyrotrack.tracking._acquisition import LONGEST_DWELL
-from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, ring_for
+from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, cyclic_sum, ring_for
 from gyrotrack.tracking._scene import Marker, Samples, in_turn
 from gyrotrack.video._container import Frame
-
-Floats = npt.NDArray[np.float64]
-Singles = npt.NDArray[np.float32]
-Integers = npt.NDArray[np.int64]
 
 CHROMA_PIXEL = 2.0
 """Spacing of the samples of a coloured marker in the luma [px]. Derived: one sample of chroma in 4:2:0 is 2 px of
@@ -38,7 +35,7 @@ def common_columns(markers: tuple[Marker, ...], centre: tuple[float, float]) -> 
     return ring_for(centre, 0.7 * radius, radius, CHROMA_PIXEL).columns
 
 
-class MarkerStrip:
+class MarkerStrip(WithBuffer):
     """Windows about one marker, collected for a batch of frames, as scores: 0 on the background, 1 on the marker.
 
     A score is linear in the planes of the film; it is computed and unrolled only for the pixels of the windows. The
@@ -46,6 +43,8 @@ class MarkerStrip:
     `keep_out` is the smallest radius, at the edge of the disc [px]. `margin` is the largest distance of a marker from
     its expected angle [rad].
     """
+
+    _buffer = "windows"
 
     def __init__(
         self,
@@ -71,7 +70,6 @@ class MarkerStrip:
         self.width = 2 * self.half + 1
         self.windows = np.zeros((capacity, ring.rows, self.width), dtype=np.float32)
         self.starts = np.zeros(capacity, dtype=np.int64)
-        self._used = False  # whether the windows contain frames
         a, b = marker.contrast
         weights = (1.0 / a, 0.0) if self.white else (a / (a * a + b * b), b / (a * a + b * b))
         shape = samples.frames[0].y.shape if self.white else samples.frames[0].u.shape
@@ -83,14 +81,6 @@ class MarkerStrip:
         self._mixing = np.zeros(ring.rows, dtype=np.float32)
         self._mixing[self._every_second] = 1.0 / len(self._mixing[self._every_second])
         self._ground_mean = ground[self._every_second].mean(axis=0)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "windows": self.windows if self._used else self.windows.shape}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        if not self._used:
-            self.windows = np.zeros(state["windows"], dtype=np.float32)
 
     def centre_on(self, centre: tuple[float, float]) -> None:
         """Move the ring to another centre."""
@@ -191,7 +181,7 @@ class MarkerWindow:
         mixing = np.zeros((len(parts), self.scores.shape[1]))
         for line, part in zip(mixing, parts, strict=True):
             line[part] = 1.0 / len(part)
-        self.layers = Windows.plain(self.scores).rows(mixing)
+        self.layers = Windows.plain(self.scores).bands(mixing)
         self.raw: Floats = np.einsum("l,nlm->nm", self._sizes, self.layers)
         self.profile = self.raw
         self._light: Floats | None = None
@@ -214,9 +204,9 @@ class MarkerWindow:
         """Return the mean over the columns with weights (n, m) of sum 1, corrected for illumination: (n, rows)."""
         lit = weight if self._light is None else weight * self._light
         plain = Windows.plain(self.scores)
-        return replace(plain, light=lit).columns(np.ones((1, weight.shape[1])))[:, 0]
+        return replace(plain, light=lit).bands(np.ones((1, weight.shape[1])), across=True)[:, 0]
 
-    def shaped(self, use: npt.NDArray[np.bool_], gain: Floats, offset: Floats) -> Windows:
+    def shaped(self, use: Bools, gain: Floats, offset: Floats) -> Windows:
         """Return the windows of some frames, corrected for illumination, background at 0 and marker at 1."""
         light = np.ones((len(gain), self.scores.shape[2])) if self._light is None else self._light[use]
         return Windows(self.scores, np.flatnonzero(use), light, offset, 1.0 / gain)
@@ -259,7 +249,7 @@ class AngleMap:
         `blur` is the half width of the moving average. `prior` is the weight, in full passages, of an assumed height of
         1.
         """
-        top, bottom = (_blurred(part, blur) for part in (self._top, self._bottom))
+        top, bottom = (cyclic_sum(part, blur) for part in (self._top, self._bottom))
         known = bottom > 0.5
         height = np.where(known, top / np.where(known, bottom, 1.0) - self._ground, np.nan)
         for row, weight, seen in zip(height, bottom, known, strict=True):
@@ -303,13 +293,13 @@ def even_light(light: AngleMap, reach: int) -> Floats:
     return np.asarray(np.clip(filled, HIDDEN, 2.0))
 
 
-def shaded_columns(light: AngleMap) -> npt.NDArray[np.bool_]:
+def shaded_columns(light: AngleMap) -> Bools:
     """Return a mask of the angles at which an object at rest occludes the marker, or glare outshines it."""
     height = light.heights(max(light.columns // 128, 1), prior=4.0)[0]
     return np.asarray(np.nan_to_num(height, nan=1.0) < HIDDEN)
 
 
-def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
+def open_columns(cover: AngleMap, *, shadows: bool) -> Bools:
     """Return a mask of the angles at which the marker is unoccluded in all layers, or unknown.
 
     Occluded ranges are extended by one column; with `shadows`, also over adjacent columns with a height below `CLEAR`.
@@ -321,7 +311,7 @@ def open_columns(cover: AngleMap, *, shadows: bool) -> npt.NDArray[np.bool_]:
     return np.asarray(~_grown(hidden))
 
 
-def _grown(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _grown(chosen: Bools) -> Bools:
     return np.asarray(chosen | np.roll(chosen, 1) | np.roll(chosen, -1))
 
 
@@ -332,16 +322,6 @@ def _upper_middle(values: Floats) -> float:
     k = int(place)
     return float(ordered[k] + (place - k) * (ordered[min(k + 1, len(ordered) - 1)] - ordered[k]))
 
-
-def _blurred(rows: Floats, half: int) -> Floats:
-    if half < 1:
-        return rows
-    padded = np.concatenate([np.zeros((len(rows), 1)), rows[:, -half:], rows, rows[:, :half]], axis=1)
-    total = np.cumsum(padded, axis=1)
-    return np.asarray(total[:, 2 * half + 1 :] - total[:, : -(2 * half + 1)])
-
-
-Mask = npt.NDArray[np.bool_]
 
 _COLUMNS = 360
 """Number of columns of the map of the occlusion [columns per turn]. Chosen: one degree; with fewer, the edge of the bar
@@ -369,7 +349,7 @@ class Occlusion:
         for layer in range(window.layers.shape[1]):
             self.map.learn(layer, column, core, np.clip(window.layers[:, layer], -0.2, 1.5))
 
-    def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Mask:
+    def open(self, window: MarkerWindow, casing: Floats | None, *, shadows: bool = False) -> Bools:
         """Return a mask of the unoccluded samples (n, m) without shadow; all samples if the other body is unknown."""
         everything = np.ones(window.raw.shape, dtype=np.bool_)
         if casing is None:

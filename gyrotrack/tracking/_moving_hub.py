@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Picture, Plane
 from gyrotrack._column_store import StoredPictures
 from gyrotrack._errors import TrackingError
 from gyrotrack._smoothing import running_quantile
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import Film, Progress, frames_of, fresh_frames
 from gyrotrack.tracking._hub_search import Motion, follow_features, ring_for, spatial_noise, still_point
 from gyrotrack.tracking._live_angles import FrameAngles
 from gyrotrack.tracking._registration import (
@@ -35,13 +35,6 @@ from gyrotrack.tracking._registration import (
 )
 from gyrotrack.tracking._silhouettes import median_picture, quantile_picture
 from gyrotrack.tracking._tracked import Tracked, white_noise
-
-Floats = npt.NDArray[np.float64]
-Frames = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
-Plane = npt.NDArray[np.uint8]
-Picture = npt.NDArray[np.float32]
-Progress = Callable[[int, int | None], None]
 
 _LEAST_RANGE = 0.01
 """Smallest range of the angles in which features are followed [rad]. Chosen: a smaller value follows noise, a larger
@@ -182,7 +175,7 @@ one ignores a short displacement."""
 
 
 def track_by_features(
-    film: Film, usable: Frames, motion: Motion, progress: Progress | None = None
+    film: Film, usable: Integers, motion: Motion, progress: Progress | None = None
 ) -> Tracked | None:
     """Track a body without an axle, for example a suspended table, by its features; None for any other film.
 
@@ -190,8 +183,7 @@ def track_by_features(
     the whole picture, tracks all other bodies: a body on an axle, a body that moves more than it turns, and a body
     whose hub is outside the picture, for example the ball of a pendulum.
     """
-    wanted = set(usable.tolist())
-    found = _loose_motion((f for i, f in enumerate(film.frames()) if i in wanted), motion)
+    found = _loose_motion(frames_of(film, usable), motion)
     if found is None:
         return None
     theta, path, followed, ring = found
@@ -239,7 +231,7 @@ def may_be_loose(frames: Iterable[Plane], motion: Motion) -> bool:
 
 def _loose_motion(
     frames: Iterable[Plane], motion: Motion, travel: float = 1.0, least: float = _LEAST_RANGE
-) -> tuple[Floats, npt.NDArray[np.complex128], Frames, Ring] | None:
+) -> tuple[Floats, Complexes, Integers, Ring] | None:
     """Return angles and hub path of a body from its features, the frames of their selection, and a ring; or None.
 
     The range of the angles must exceed `least` [rad], and the hub must move by less than `travel` times the arcs of
@@ -325,7 +317,7 @@ def track_free_body(
 class Path:
     """The path of a body."""
 
-    frame: Frames  # frames in which the outline is complete, (m,)
+    frame: Integers  # frames in which the outline is complete, (m,)
     place: Floats  # centroid of the outline (x, y) [px], (m, 2)
     radius: float  # radius of a circle of the same area [px]
     # changed area of the picture in these frames, divided by the changed area in all frames
@@ -362,7 +354,7 @@ class _Link:
         return np.asarray(last + step * (frame - self.frame[-1]))
 
 
-def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
+def find_paths(film: Film, usable: Integers, noise: float) -> list[Path]:
     """Return the paths of all bodies that move across the picture, the one with the largest area swept first.
 
     The background is the median of frames with equal changes of the picture between them, so that bodies that come to
@@ -378,12 +370,10 @@ def find_paths(film: Film, usable: Frames, noise: float) -> list[Path]:
     background = _uncovered(background, sample, limit)
     active: list[_Link] = []
     ended: list[_Link] = []
-    wanted = set(usable.tolist())
-    for index, frame in enumerate(film.frames()):
-        if index in wanted:
-            ended += [k for k in active if index - k.frame[-1] > _LOST and len(k.frame) >= _FEWEST]
-            active = [k for k in active if index - k.frame[-1] <= _LOST]
-            _link(active, index, _outlines(np.abs(frame - background) > limit))
+    for index, frame in zip(usable.tolist(), frames_of(film, usable), strict=True):
+        ended += [k for k in active if index - k.frame[-1] > _LOST and len(k.frame) >= _FEWEST]
+        active = [k for k in active if index - k.frame[-1] <= _LOST]
+        _link(active, index, _outlines(np.abs(frame - background) > limit))
     found = []
     for link in ended + active:
         area = np.array([o.area for o in link.outline])
@@ -430,12 +420,11 @@ def _sizes(area: Floats, moment: Floats) -> tuple[Bools, Floats | None]:
     return similar, np.sqrt(trend)
 
 
-def _changed(film: Film, usable: Frames, limit: float) -> Floats:
+def _changed(film: Film, usable: Integers, limit: float) -> Floats:
     """Return the area [px2] that differs by more than a limit between each frame and an earlier frame."""
-    wanted = set(usable.tolist())
     before: deque[Plane] = deque(maxlen=_LAG)
     area = []
-    for frame in (f for i, f in enumerate(film.frames()) if i in wanted):
+    for frame in frames_of(film, usable):
         smooth = np.asarray(cv2.blur(frame, (3, 3)), dtype=np.uint8)
         area.append(float(np.count_nonzero(cv2.absdiff(smooth, before[0]) > limit)) if before else 0.0)
         before.append(smooth)
@@ -492,11 +481,10 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
         (float(hub[0]), float(hub[1])), max(1.0, 0.1 * path.radius), _WITHIN * path.radius, finest=_COARSE
     )
     shift = path.place - hub
-    where = {int(frame): k for k, frame in enumerate(path.frame)}
     size = np.ones(len(path.frame)) if path.scale is None else path.scale
-    shown = ((where[i], f) for i, f in enumerate(film.frames()) if i in where)
+    shown = enumerate(frames_of(film, path.frame))
     pictures = (ring.scaled(size[k]).unwrap(f, tuple(shift[k])) for k, f in shown)
-    polars = StoredPictures.of(len(where), pictures)
+    polars = StoredPictures.of(len(path.frame), pictures)
     # exclude frames of a body at rest: they contain no information, and a codec copies them without noise
     turning = np.array([float(np.std(b - a)) for a, b in zip(polars, polars[_LAG:], strict=False)])
     sliding = np.hypot(*(path.place[_LAG:] - path.place[:-_LAG]).T)
@@ -525,7 +513,7 @@ def _rotation(film: Film, path: Path, noise: float) -> tuple[Path, Ring, Floats,
 
 def _along_path(
     film: Film,
-    frames: Frames,
+    frames: Integers,
     ring: Ring,
     theta: Floats,
     shift: Floats,
@@ -570,9 +558,8 @@ def _along_path(
     parts = template.halves()
     every: list[Pose] = []
     halves = np.empty((2, len(theta)))
-    where = {int(frame): k for k, frame in enumerate(frames)}
     live = FrameAngles("single")
-    for k, frame in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
+    for k, frame in enumerate(frames_of(film, frames)):
         polar = polar_of(frame, k)
         pose = register(polar, template, theta[k], move=True)
         if area is None and k > 1:

@@ -18,12 +18,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers
 from gyrotrack._smoothing import BORROWED_NU, median_of, spread
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,7 @@ def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbi
     if len(points) < _FEWEST:
         return None
     rng = np.random.default_rng(0)
-    best: tuple[int, npt.NDArray[np.bool_]] | None = None
+    best: tuple[int, Bools] | None = None
     for _ in range(trials):
         first = rng.integers(len(points))
         same = np.flatnonzero(group == group[first])
@@ -150,7 +147,7 @@ _LEAST_ANGLE = 0.5
 slow bodies."""
 
 
-def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np.bool_]:
+def _agreeing(points: Floats, group: Integers, centre: Floats) -> Bools:
     radius = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1])
     inlier = np.zeros(len(points), dtype=np.bool_)
     for label in range(int(group.max()) + 1):
@@ -168,7 +165,7 @@ def _agreeing(points: Floats, group: Integers, centre: Floats) -> npt.NDArray[np
     return inlier
 
 
-def _directions(points: Floats, group: Integers, centre: Floats, inlier: npt.NDArray[np.bool_]) -> int:
+def _directions(points: Floats, group: Integers, centre: Floats, inlier: Bools) -> int:
     """Count the 10 degree sectors with inliers over all groups."""
     sector = np.floor(_angles(points[inlier], centre) * 36.0 / (2.0 * np.pi)).astype(np.int64)
     return len(np.unique(36 * group[inlier] + sector % 36))
@@ -269,13 +266,7 @@ def fit_flattening(positions: dict[str, Floats]) -> Flattening:
     use = {
         name: v for name, v in positions.items() if len(v) >= LEAST_OBSERVATIONS and _cover(v) > LEAST_COVER
     }
-    if not use:
-        return NO_FLATTENING
-    found = Flattening(dict.fromkeys(use, (0.0, 0.0)), 0.0, 0.0)
-    few = {name: v[:: max(len(v) // MOST_OBSERVATIONS, 1)] for name, v in use.items()}
-    for _ in range(_ROUNDS):
-        found = _improved(found, few)
-    return found
+    return _fitted(use, common=False) if use else NO_FLATTENING
 
 
 def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
@@ -288,12 +279,21 @@ def fit_common_offset(positions: dict[str, Floats]) -> Flattening:
     together = np.concatenate(list(use.values())) if use else np.zeros((0, 2))
     if len(together) < LEAST_OBSERVATIONS or _cover(together) <= LEAST_COVER:
         return NO_FLATTENING
-    found = Flattening(dict.fromkeys(use, (0.0, 0.0)), 0.0, 0.0)
-    few = {name: v[:: max(len(v) // MOST_OBSERVATIONS, 1)] for name, v in use.items()}
+    return _fitted(use, common=True)
+
+
+def _fitted(positions: dict[str, Floats], *, common: bool) -> Flattening:
+    """Fit one offset for each marker, or a `common` offset, and the flattening."""
+    found = Flattening(dict.fromkeys(positions, (0.0, 0.0)), 0.0, 0.0)
+    few = {name: v[:: max(len(v) // MOST_OBSERVATIONS, 1)] for name, v in positions.items()}
     for _ in range(_ROUNDS):
-        solution = _robust([_model(found.level(name, v)) for name, v in few.items()], common=True)
-        moved = found.moved(solution[len(few) : len(few) + 2])
-        found = replace(moved, p=found.p + float(solution[-2]), q=found.q + float(solution[-1]))
+        solution = _robust([_model(found.level(name, v)) for name, v in few.items()], common=common)
+        own = np.tile(solution[-4:-2], (len(few), 1)) if common else solution[:-2].reshape(-1, 3)[:, 1:]
+        offset = {
+            name: (x + float(by[0]), y + float(by[1]))
+            for (name, (x, y)), by in zip(found.offset.items(), own, strict=True)
+        }
+        found = Flattening(offset, found.p + float(solution[-2]), found.q + float(solution[-1]))
     return found
 
 
@@ -387,19 +387,6 @@ def _arc(v: Floats, size: float, usual: float) -> tuple[Floats, Floats, float]:
 
 def _cover(v: Floats) -> float:
     return covered_angle(np.arctan2(v[:, 1], v[:, 0]))
-
-
-def _improved(found: Flattening, positions: dict[str, Floats]) -> Flattening:
-    names = list(positions)
-    solution = _robust([_model(found.level(name, positions[name])) for name in names])
-    offset = {
-        name: (
-            found.offset[name][0] + float(solution[3 * k + 1]),
-            found.offset[name][1] + float(solution[3 * k + 2]),
-        )
-        for k, name in enumerate(names)
-    }
-    return Flattening(offset, found.p + float(solution[-2]), found.q + float(solution[-1]))
 
 
 def _model(v: Floats) -> tuple[Floats, Floats]:

@@ -13,10 +13,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 
-Floats = npt.NDArray[np.float64]
+from gyrotrack._arrays import Floats, Integers
 
 
 @dataclass(frozen=True)
@@ -27,17 +26,10 @@ class Orbit:
     direction of the long axis in the picture (y down), the positions are h + r / (1 + s) M u, with M = [[1 + p, q], [q,
     1 - p]] and a unit vector u at the angle in the plane of the body. The ratio of the axes is (1 - s) / (1 + s) =
     cos(tilt).
-
-    Attributes
-    ----------
-    value : ndarray, shape (5,)
-        Centre x, y [px], mean radius r / (1 + s) [px], p and q.
-    covariance : ndarray, shape (5, 5)
-        Covariance of `value`, including position-dependent errors.
     """
 
-    value: Floats
-    covariance: Floats
+    value: Floats  # shape (5,); centre x, y [px], mean radius r / (1 + s) [px], p and q
+    covariance: Floats  # shape (5, 5); covariance of `value`, including position-dependent errors
 
     @property
     def tilt(self) -> tuple[float, float]:
@@ -129,31 +121,15 @@ hubs with an unbounded uncertainty, a larger one refuses short arcs."""
 
 @dataclass(frozen=True)
 class Arc:
-    """The circle of a path.
+    """The circle of a path."""
 
-    Attributes
-    ----------
-    hub : ndarray, shape (2,)
-        Centre of the circle (x, y) [px].
-    covariance : ndarray, shape (2, 2)
-        Covariance of the centre [px2].
-    radius : float
-        Radius of the circle [px].
-    curvature, curvature_u : float
-        1 / radius and its standard uncertainty [1/px].
-    noise : float
-        Standard deviation of the radial residuals [px].
-    by_place : float
-        Standard deviation of the position-dependent part of the radial residuals [px].
-    """
-
-    hub: Floats
-    covariance: Floats
-    radius: float
-    curvature: float
+    hub: Floats  # shape (2,); centre of the circle (x, y) [px]
+    covariance: Floats  # shape (2, 2); covariance of the centre [px2]
+    radius: float  # radius of the circle [px]
+    curvature: float  # 1 / radius and its standard uncertainty [1/px]
     curvature_u: float
-    noise: float
-    by_place: float
+    noise: float  # standard deviation of the radial residuals [px]
+    by_place: float  # standard deviation of the position-dependent part of the radial residuals [px]
 
     @property
     def determined(self) -> bool:
@@ -258,7 +234,7 @@ def _starts(x: Floats, y: Floats) -> list[Floats]:
     return found
 
 
-def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[np.int64]:
+def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> Integers:
     """Return the part of the arc of each position."""
     if straight:
         _, _, axes = np.linalg.svd(np.stack([x, y], axis=1), full_matrices=False)
@@ -271,7 +247,7 @@ def _cell(x: Floats, y: Floats, hub: Floats, *, straight: bool) -> npt.NDArray[n
 
 
 def _covariance(
-    jacobian: Floats, rest: Floats, sigma: Floats, cell: npt.NDArray[np.int64], floor: float
+    jacobian: Floats, rest: Floats, sigma: Floats, cell: Integers, floor: float
 ) -> tuple[float, float, Floats]:
     """Return the noise, the position-dependent error, and the covariance of the parameters due to both errors."""
     count = max(len(rest) - 3, 1)

@@ -7,19 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._coaxial import second_rotation
-from gyrotrack.tracking._film import Film, fresh_frames
+from gyrotrack.tracking._film import Film, Progress, fresh_frames
 from gyrotrack.tracking._hub_search import FARTHEST, Motion
+from gyrotrack.tracking._orbit import covered_angle
 from gyrotrack.tracking._pivot import Arc, Orbit, angles_about, fit_arc, fit_orbit
-from gyrotrack.tracking._point_tracker import PointPath, Progress, Turn, track_point
+from gyrotrack.tracking._point_tracker import PointPath, Turn, track_point
 from gyrotrack.tracking._registration import TURN
 from gyrotrack.tracking._silhouettes import Foreground
-from gyrotrack.tracking._tracked import white_noise
-
-Floats = npt.NDArray[np.float64]
+from gyrotrack.tracking._tracked import correlated_variance, white_noise
 
 HUB_U = 1.0
 """Standard uncertainty of a given hub, per axis [px]. Chosen: the accuracy of a click; a smaller value
@@ -89,32 +88,19 @@ step; a larger value follows jumps."""
 
 @dataclass(frozen=True)
 class TrackedPoint:
-    """The motion of a point about a pivot.
+    """The motion of a point about a pivot."""
 
-    Attributes
-    ----------
-    frame : ndarray of int64, shape (m,)
-        Frames in which the point was measured.
-    place, place_sigma : ndarray, shape (m, 2)
-        Position (x, y) and its standard uncertainty [px].
-    angle, sigma : ndarray, shape (m,)
-        Unwrapped angle about the hub, counter-clockwise as seen, and its uncertainty from the position [rad].
-    hub : ndarray, shape (2,)
-        Pivot (x, y) [px].
-    hub_covariance : ndarray, shape (2, 2)
-        Covariance of the pivot [px2]: an error common to all angles, in addition to `sigma`.
-    view : float
-        Relative standard uncertainty of all angles due to the unknown tilt of the camera.
-    """
-
-    frame: npt.NDArray[np.int64]
+    frame: Integers  # shape (m,); frames in which the point was measured
+    # shape (m, 2); position (x, y) and its standard uncertainty [px]
     place: Floats
     place_sigma: Floats
+    # shape (m,); unwrapped angle about the hub, counter-clockwise as seen, and its uncertainty from the position [rad]
     angle: Floats
     sigma: Floats
-    hub: Floats
+    hub: Floats  # shape (2,); pivot (x, y) [px]
+    # shape (2, 2); covariance of the pivot [px2]: an error common to all angles, in addition to `sigma`
     hub_covariance: Floats
-    view: float
+    view: float  # relative standard uncertainty of all angles due to the unknown tilt of the camera
     way: str
     path: PointPath
     arc: Arc
@@ -170,23 +156,10 @@ def follow_point(
 ) -> TrackedPoint:
     """Follow a point of a film and measure its angle about a pivot.
 
-    Parameters
-    ----------
-    film : Film
-        The film.
-    start : tuple of float, optional
-        Position (x, y) in the first frame [px]; without it, the only compact body that moves.
-    hub : tuple of float, optional
-        The pivot (x, y) [px], also outside the picture; without it, the centre of the path.
-    progress : callable, optional
-        Called with the number of measured frames and the number of all frames.
-    seen : Foreground, optional
-        The differences from the background of the film, if already computed.
-
-    Raises
-    ------
-    TrackingError
-        The film has no point to follow, or the path does not determine the pivot.
+    `start` is the position (x, y) in the first frame [px]; without it, the only compact body that moves is followed.
+    `hub` is the pivot (x, y) [px], also outside the picture; without it, the centre of the path. `progress` is called
+    with the number of measured frames and the number of all frames. `seen` is the foreground of the film, if it is
+    known. A TrackingError is raised if the film has no point to follow, or if the path does not determine the pivot.
     """
     path = track_point(film, start, _turn_about(hub), progress, seen)
     return _of_path(film, path, start, hub)
@@ -217,27 +190,17 @@ def _white_scale(path: PointPath) -> float:
 
 @dataclass(frozen=True)
 class SecondLink:
-    """The direction of the second link of a double pendulum, from the joint to a point of the link.
+    """The direction of the second link of a double pendulum, from the joint to a point of the link."""
 
-    Attributes
-    ----------
-    frame : ndarray of int64, shape (m,)
-        Frames in which both points are measured.
-    angle, sigma : ndarray, shape (m,)
-        Unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty [rad], which
-        contains `off_axis`.
-    off_axis : ndarray, shape (n,)
-        Standard uncertainty of the direction [rad] because the points are not exactly on the axis of the joint and not
-        exactly fixed to the link.
-    path : PointPath
-        The path of the point.
-    """
-
-    frame: npt.NDArray[np.int64]
+    frame: Integers  # shape (m,); frames in which both points are measured
+    # shape (m,); unwrapped direction, counter-clockwise from the right of the picture, and its standard uncertainty
+    # [rad], which contains `off_axis`
     angle: Floats
     sigma: Floats
+    # shape (m,); standard uncertainty of the direction [rad] because the points are not exactly on the axis of the
+    # joint and not exactly fixed to the link
     off_axis: Floats
-    path: PointPath
+    path: PointPath  # path of the point
 
 
 _FEWEST_COMMON = 7
@@ -271,7 +234,7 @@ def follow_links(
     """
     joint = follow_point(film, starts[0], hub, progress)
 
-    def turn_of(frame: npt.NDArray[np.int64], place: Floats) -> Floats:
+    def turn_of(frame: Integers, place: Floats) -> Floats:
         at = np.stack([np.interp(frame, joint.frame, joint.place[:, i]) for i in (0, 1)], axis=1)
         away = place - at
         turn = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
@@ -390,9 +353,7 @@ def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats
         covariance = np.asarray(np.linalg.pinv(rows.T @ rows / variance + prior))
         found = covariance @ (rows.T @ value) / variance
         rest = value - rows @ found
-        # n residuals with the correlation q of neighbours are equivalent to n (1 - q) / (1 + q) independent residuals
-        alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
-        variance = (float(np.var(rest)) + 1e-12) * (1.0 + alike) / (1.0 - alike)
+        variance = correlated_variance(rest, 1e-12)
     return found, covariance, float(np.std(rest))
 
 
@@ -416,7 +377,7 @@ def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tup
 def _turn_about(hub: tuple[float, float] | None) -> Turn:
     """Return a function for the rotation of a patch, clockwise as seen, about a hub or the hub of its path."""
 
-    def turn_of(_: npt.NDArray[np.int64], place: Floats) -> Floats | None:
+    def turn_of(_: Integers, place: Floats) -> Floats | None:
         centre = np.array(hub) if hub is not None else None
         if centre is None:
             rough = fit_arc(place, np.full(len(place), 0.5))
@@ -613,8 +574,7 @@ def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
     if not (np.isfinite(orbit.value).all() and math.hypot(*orbit.value[3:]) < _FLATTEST):
         return None
     away = orbit.plane(place)
-    direction = np.sort(np.arctan2(away[:, 1], away[:, 0]))
-    gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
+    gap = TURN - covered_angle(np.arctan2(away[:, 1], away[:, 0]))
     off = float(np.std(np.hypot(*away.T))) / orbit.value[2]
     circle = fit_arc(place, sigma, least)
     of_circle = float(np.std(np.hypot(*(place - circle.hub).T))) / circle.radius
@@ -729,8 +689,7 @@ def _check_unselected(found: TrackedPoint, name: str) -> None:
     steady = pace < _JUMP * np.median(pace[moves])
     passes = np.diff(side)[steady]
     both_ways = bool((passes > 0).any() and (passes < 0).any())
-    direction = np.sort(angle % TURN)
-    gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
+    gap = TURN - covered_angle(angle)
     turned = float(np.ptp(np.cumsum(step * steady)))
     turns = turned > _TURNS * TURN and gap < 0.5 * TURN
     retraced = turns or (both_ways and np.count_nonzero(passes) > _REVERSALS)

@@ -19,15 +19,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers, Picture, Plane
 from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.tracking._diagnosis import FOLLOW_LINKS, RefusedFilmError, frames_of_one_shot
-from gyrotrack.tracking._film import FEWEST_FRAMES, Film
+from gyrotrack.tracking._film import FEWEST_FRAMES, Film, FrameSource, Progress, frames_of, reduced
 from gyrotrack.tracking._hub_search import spatial_noise
 from gyrotrack.tracking._links import move_as_links, one_rests, paths_of
 from gyrotrack.tracking._pivot import fit_arc
@@ -42,13 +41,6 @@ from gyrotrack.tracking._silhouettes import (
     spot_of,
     spots_in,
 )
-
-Floats = npt.NDArray[np.float64]
-Frames = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
-Plane = npt.NDArray[np.uint8]
-Picture = npt.NDArray[np.float32]
-Progress = Callable[[int, int | None], None]
 
 _CORE = 0.7
 """Distance from the edge, divided by the largest distance, above which pixels are averaged for the middle of a part
@@ -175,39 +167,20 @@ compact [1]. Derived: sqrt(8 / pi) = 1.6 for a rectangle twice as long as wide."
 
 @dataclass(frozen=True)
 class PointPath:
-    """The path of a point.
+    """The path of a point."""
 
-    Attributes
-    ----------
-    frame : ndarray of int64, shape (m,)
-        Frames in which the point was measured.
-    place : ndarray, shape (m, 2)
-        Position (x, y) of the point [px].
-    covariance : ndarray, shape (m, 2, 2)
-        The Cramer-Rao bound of the position, enlarged where the patch does not match its picture [px2].
-    radius : float
-        Radius of the patch [px].
-    searched : int
-        Number of frames in which the point was searched for.
-    turns : bool
-        Whether the patch rotates with the line from the hub to the patch.
-    picture : ndarray
-        The learnt picture of the patch, in grey levels.
-    keeps : bool
-        Whether the picture certainly does not rotate with this line.
-    """
-
-    frame: Frames
-    place: Floats
+    frame: Integers  # shape (m,); frames in which the point was measured
+    place: Floats  # shape (m, 2); position (x, y) of the point [px]
+    # shape (m, 2, 2); the Cramer-Rao bound of the position, enlarged where the patch does not match its picture [px2]
     covariance: Floats
-    radius: float
-    searched: int
-    turns: bool
-    picture: Picture
-    keeps: bool = False
+    radius: float  # radius of the patch [px]
+    searched: int  # number of frames in which the point was searched for
+    turns: bool  # whether the patch rotates with the line from the hub to the patch
+    picture: Picture  # the learnt picture of the patch, in grey levels
+    keeps: bool = False  # whether the picture certainly does not rotate with this line
 
 
-Turn = Callable[[Frames, Floats], Floats | None]
+Turn = Callable[[Integers, Floats], Floats | None]
 """Returns the rotation (n,) [rad] of a body for frames (n,) and positions (n, 2), or None if it is undetermined."""
 
 
@@ -247,7 +220,7 @@ def track_point(
 
 def _track_spot(
     film: Film,
-    usable: Frames,
+    usable: Integers,
     spot: Spot,
     seen: Foreground,
     turn_of: Turn,
@@ -268,7 +241,7 @@ def _track_spot(
         small,
         usable,
         small.spot(spot),
-        small.mean(background).astype(np.float32),
+        reduced(background, factor),
         noise / factor,
         lambda frame, place: turn_of(frame, small.seen(place)),
         progress,
@@ -283,17 +256,6 @@ def _track_spot(
     )
 
 
-class _Frames(Protocol):
-    """The frames for tracking: a film, or a film with reduced frames."""
-
-    @property
-    def path(self) -> Path: ...
-
-    def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]: ...
-
-    def some(self, index: Frames) -> Sequence[Plane]: ...
-
-
 @dataclass(frozen=True)
 class _Reduced:
     """A film with the means of squares of `factor` px as pixels."""
@@ -305,17 +267,12 @@ class _Reduced:
     def path(self) -> Path:
         return self.film.path
 
-    def mean(self, picture: Plane | Picture) -> npt.NDArray[Any]:
-        height, width = (n // self.factor for n in picture.shape)
-        whole = picture[: height * self.factor, : width * self.factor]
-        return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
-
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Plane]:
         for frame in self.film.frames(first, stop):
-            yield np.asarray(self.mean(frame), dtype=np.uint8)
+            yield reduced(frame, self.factor)
 
-    def some(self, index: Frames) -> Sequence[Plane]:
-        return [np.asarray(self.mean(frame), dtype=np.uint8) for frame in self.film.some(index)]
+    def some(self, index: Integers) -> Sequence[Plane]:
+        return [reduced(frame, self.factor) for frame in self.film.some(index)]
 
     def seen(self, place: Floats) -> Floats:
         """Convert places (n, 2) of the reduced picture to places in the film [px]."""
@@ -334,8 +291,8 @@ class _Reduced:
 
 
 def _tracked(
-    film: _Frames,
-    usable: Frames,
+    film: FrameSource,
+    usable: Integers,
     spot: Spot,
     background: Picture,
     noise: float,
@@ -453,7 +410,7 @@ def _spot_at(
     return Spot(middle, inner, (np.hypot(u, v) <= inner).astype(np.uint8))
 
 
-def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]:
+def _only_spot(film: Film, usable: Integers, seen: Foreground) -> tuple[int, Spot]:
     """Return the compact moving body, and the number of frames before the first frame that shows it.
 
     The body has the size of the largest compact body in most frames of a sample. A hand or a shadow that is visible in
@@ -478,7 +435,7 @@ def _only_spot(film: Film, usable: Frames, seen: Foreground) -> tuple[int, Spot]
 
 
 def _several(
-    film: Film, usable: Frames, seen: Foreground, frame: Plane, spots: Sequence[Spot]
+    film: Film, usable: Integers, seen: Foreground, frame: Plane, spots: Sequence[Spot]
 ) -> TrackingError:
     """Return the error for a film of several bodies: two links if a rod joins them and they move as links.
 
@@ -586,7 +543,9 @@ def _matched(
     return (place[0] + half, place[1] + half), max(float(square[row, column]), 0.0) / float(mask.sum())
 
 
-def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> tuple[Floats, Floats, Bools]:
+def _follow(
+    film: FrameSource, usable: Integers, spot: Spot, background: Picture
+) -> tuple[Floats, Floats, Bools]:
     """Follow a patch by template matching; return positions (n, 2), rotations (n,) and a mask of found patches (n,).
 
     The patch is searched for at the position predicted by its last steps, then in a reduced picture of the whole frame.
@@ -601,10 +560,9 @@ def _follow(film: _Frames, usable: Frames, spot: Spot, background: Picture) -> t
     turns, spin, usual = np.zeros(len(usable)), 0.0, 0.0
     anchor: Picture | None = None
     recent: Picture | None = None
-    limit, change, last, steps = 0.0, 0.0, np.array(spot.place), list[npt.NDArray[np.float64]]()
-    wanted = set(usable.tolist())
+    limit, change, last, steps = 0.0, 0.0, np.array(spot.place), list[Floats]()
     behind = cv2.copyMakeBorder(background, half, half, half, half, cv2.BORDER_REPLICATE)
-    for k, frame in enumerate(f for i, f in enumerate(film.frames()) if i in wanted):
+    for k, frame in enumerate(frames_of(film, usable)):
         picture = cv2.copyMakeBorder(frame, half, half, half, half, cv2.BORDER_REPLICATE).astype(np.float32)
         changed = (picture - behind) ** 2
         if anchor is None or recent is None:
@@ -919,8 +877,8 @@ class _Learnt:
 
 
 def _learnt(
-    film: _Frames,
-    frame: Frames,
+    film: FrameSource,
+    frame: Integers,
     place: Floats,
     turn: Floats | None,
     turn_sigma: float,
@@ -1004,15 +962,14 @@ def _uncovered(layers: _Layers, pictures: Sequence[Plane], place: Floats, kept: 
 
 
 def _measured(
-    film: _Frames, frame: Frames, learnt: _Learnt, searched: int, progress: Progress | None
+    film: FrameSource, frame: Integers, learnt: _Learnt, searched: int, progress: Progress | None
 ) -> PointPath:
     """Register every frame with the average picture."""
     layers, place, turn = learnt.layers, learnt.place, learnt.turn
-    where = {int(f): k for k, f in enumerate(frame)}
     found = place.copy()
     covariance = np.full((len(frame), 2, 2), np.nan)
     misfit = np.full(len(frame), np.inf)
-    for k, picture in ((where[i], f) for i, f in enumerate(film.frames()) if i in where):
+    for k, picture in enumerate(frames_of(film, frame)):
         angle = 0.0 if turn is None else float(turn[k])
         found[k], covariance[k], misfit[k], _ = layers.register(picture, place[k], angle)
         if progress is not None:

@@ -15,10 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from gyrotrack._arrays import Floats, Integers, Plane, Singles
+from gyrotrack._column_store import WithBuffer
 from gyrotrack._native import _kernels as kernels
-from gyrotrack.video._container import Frame, Plane
+from gyrotrack.video._container import Frame
 
-Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+Maps = tuple[Singles, Singles]
 
 CHROMA_SHIFT = (0.0, 0.5)
 """Position (x, y) of the first chroma sample in the luma: on the left column, between two rows [px]. Source:
@@ -38,7 +40,7 @@ class Ring:
     columns: int
 
     @property
-    def radii(self) -> npt.NDArray[np.float64]:
+    def radii(self) -> Floats:
         """Radii of the rows in luma px."""
         return np.linspace(self.inner, self.outer, self.rows)
 
@@ -50,16 +52,6 @@ class Ring:
     def moved(self, centre: tuple[float, float]) -> Ring:
         """Return the same grid about another centre."""
         return Ring(centre, self.inner, self.outer, self.rows, self.columns)
-
-    @cached_property
-    def chroma_maps(self) -> Maps:
-        """Maps for `cv2.remap` of a half-resolution plane."""
-        return self.maps(chroma=True)
-
-    @cached_property
-    def luma_maps(self) -> Maps:
-        """Maps for `cv2.remap` of the full-resolution plane."""
-        return self.maps(chroma=False)
 
     def maps(self, *, chroma: bool, beyond: int = 0) -> Maps:
         """Return x and y of every point [px of a plane], with `beyond` additional columns after the full turn."""
@@ -84,37 +76,34 @@ def unroll(plane: Plane, maps: Maps) -> Plane:
     return np.asarray(strip, dtype=np.uint8)
 
 
-def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> npt.NDArray[np.float64]:
+def boxed(profile: npt.NDArray[np.floating[Any]], half: int) -> Floats:
     """Return the moving average of cyclic profiles, (n, columns), over 2 half + 1 columns."""
-    width = 2 * half + 1
-    padded = np.concatenate([profile[:, -half:], profile, profile[:, :half]], axis=1).astype(np.float64)
+    return cyclic_sum(profile, half) / (2 * half + 1)
+
+
+def cyclic_sum(profile: npt.NDArray[np.floating[Any]], half: int) -> Floats:
+    """Return the moving sum of cyclic profiles, (n, columns), over 2 half + 1 columns."""
+    padded = np.pad(profile, ((0, 0), (half, half)), mode="wrap").astype(np.float64)
     total = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
-    return np.asarray((total[:, width:] - total[:, :-width]) / width)
+    return np.asarray(total[:, 2 * half + 1 :] - total[:, : -(2 * half + 1)])
 
 
-Singles = npt.NDArray[np.float32]
-Integers = npt.NDArray[np.int64]
 # left, right, top and bottom edge in px of a plane; right and bottom are one px beyond the box
 Box = npt.NDArray[np.int32]
 
 
-class Score:
+class Score(WithBuffer):
     """Weighted sum of planes (luma if `white`, else chroma) that maximises the contrast of a marker.
 
     All frames use one buffer.
     """
 
+    _buffer = "buffer"
+
     def __init__(self, white: bool, weights: tuple[float, float], shape: tuple[int, ...]) -> None:  # noqa: FBT001
         self.white = white
         self.weights = weights
         self.buffer = np.zeros(shape, dtype=np.float32)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "buffer": self.buffer.shape}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self.buffer = np.zeros(state["buffer"], dtype=np.float32)
 
     def planes(self, frames: list[Frame]) -> tuple[list[npt.NDArray[np.uint8]], ...]:
         """Return the planes that the score uses, one list for each weight."""
@@ -190,9 +179,6 @@ def _reach(place: Singles, width: int, size: int) -> npt.NDArray[np.int32]:
     return np.column_stack([begin, end]).astype(np.int32)
 
 
-Floats = npt.NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class Windows:
     """Some windows of a batch, transformed as (light * window - offset) * scale without a copy."""
@@ -212,15 +198,11 @@ class Windows:
         lit = np.ones((count, columns))
         return Windows(np.ascontiguousarray(scores, dtype=np.float32), np.arange(count), lit, nothing, one)
 
-    def rows(self, mixing: Floats) -> Floats:
-        """Return averages over rows, with weights (bands, rows) of sum 1: (n, bands, columns)."""
-        return self._mixed(mixing, across=False)
+    def bands(self, mixing: Floats, *, across: bool = False) -> Floats:
+        """Return averages over rows, with weights (bands, rows) of sum 1: (n, bands, columns).
 
-    def columns(self, mixing: Floats) -> Floats:
-        """Return averages over columns, with weights (bands, columns) of sum 1: (n, bands, rows)."""
-        return self._mixed(mixing, across=True)
-
-    def _mixed(self, mixing: Floats, *, across: bool) -> Floats:
+        `across`: averages over columns, with weights (bands, columns): (n, bands, rows).
+        """
         weights = mixing.astype(np.float32)
         given = self.scores, self.which, self.light, self.offset, self.scale, weights
         return kernels.bands(*given, across=across)

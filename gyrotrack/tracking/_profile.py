@@ -24,6 +24,7 @@ yellow-green. The exact hue is then measured in the clip.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -35,6 +36,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from gyrotrack._arrays import Singles
 from gyrotrack._errors import ProfileError
 from gyrotrack._toml import check, read_document
 
@@ -49,8 +51,6 @@ def single_threaded() -> Iterator[None]:
     finally:
         cv2.setNumThreads(before)
 
-
-Floats = npt.NDArray[np.float32]
 
 Hue = Literal["red", "orange", "yellow", "green", "cyan", "blue", "magenta"]
 
@@ -85,12 +85,12 @@ def nearest_colour(hue: float) -> Hue:
     return min(names, key=apart)
 
 
-def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Floats:
+def hue_score(du: npt.ArrayLike, dv: npt.ArrayLike, direction: tuple[float, float]) -> Singles:
     """Return p - |q| for chroma differences with parts p along and q across the direction; 0 beyond 45 degrees."""
     u, v = np.asarray(du, dtype=np.float32), np.asarray(dv, dtype=np.float32)
     along = direction[0] * u + direction[1] * v
     across = direction[0] * v - direction[1] * u
-    score: Floats = np.maximum(along - np.abs(across), np.float32(0.0))
+    score: Singles = np.maximum(along - np.abs(across), np.float32(0.0))
     return score
 
 
@@ -111,8 +111,7 @@ def colour_name(red: float, green: float, blue: float) -> str:
     u, v = 0.564 * (blue - luma), 0.713 * (red - luma)
     if np.hypot(u, v) < _LEAST_CHROMA:
         return "white" if luma >= _BRIGHT else ""
-    hue = np.degrees(np.arctan2(v, u))
-    return min(_HUE_DEGREES, key=lambda name: abs((hue - _HUE_DEGREES[name] + 180.0) % 360.0 - 180.0))
+    return nearest_colour(float(np.degrees(np.arctan2(v, u))))
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ class Blob:
     fill: float
 
 
-def find_blobs(score: npt.NDArray[np.float32], threshold: float, most: int = 4) -> list[Blob]:
+def find_blobs(score: Singles, threshold: float, most: int = 4) -> list[Blob]:
     """Find the strongest connected patches above a threshold, strongest first."""
     mask = (score > threshold).astype(np.uint8)
     count, found_labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -143,9 +142,7 @@ def find_blobs(score: npt.NDArray[np.float32], threshold: float, most: int = 4) 
     return sorted(found, key=lambda blob: -blob.weight)[:most]
 
 
-def _blob(
-    score: npt.NDArray[np.float32], labels: npt.NDArray[np.int32], box: npt.NDArray[np.int32], label: int
-) -> Blob:
+def _blob(score: Singles, labels: npt.NDArray[np.int32], box: npt.NDArray[np.int32], label: int) -> Blob:
     left, top, width, height, area = (int(v) for v in box)
     window = (slice(top, top + height), slice(left, left + width))
     weights = np.where(labels[window] == label, score[window], np.float32(0.0)).astype(np.float64)
@@ -254,35 +251,14 @@ def parse(data: dict[str, Any], where: str) -> Profile:
     return check(data, Profile, what="profile", where=where, error=ProfileError)
 
 
-_WORDS = {"name", "colour", "body"}
-
-
 def to_toml(profile: Profile) -> str:
     """Write a profile as TOML text, from which `load` restores the same profile."""
-    lines = [f'name = "{_escaped(profile.name)}"', f'centre = "{profile.centre}"']
-    if profile.circle_colour != "red":
-        lines.append(f'circle_colour = "{profile.circle_colour}"')
-    if profile.circle_hue is not None:
-        lines.append(f"circle_hue = {profile.circle_hue!r}")
-    if profile.hub is not None:
-        lines.append(f"hub = [{profile.hub[0]!r}, {profile.hub[1]!r}]")
-    if profile.capture_fps is not None:
-        lines.append(f"capture_fps = {profile.capture_fps!r}")
-    if profile.sense is not None:
-        lines.append(f"sense = {profile.sense}")
-    if profile.wander is not None:
-        lines.append(f"wander = {str(profile.wander).lower()}")
-    if not profile.tilt_correction:
-        lines.append("tilt_correction = false")
-    for marker in profile.marker:
-        lines += ["", "[[marker]]"]
-        lines += [f'{key} = "{value}"' for key, value in marker.model_dump(include=_WORDS).items()]
-        if marker.hue is not None:
-            lines.append(f"hue = {marker.hue!r}")
-        if marker.mount_angle is not None:
-            lines.append(f"mount_angle = {marker.mount_angle!r}")
-    return "\n".join(lines) + "\n"
+    own = {"name": profile.name, "centre": profile.centre}
+    own |= profile.model_dump(exclude={"marker"}, exclude_defaults=True)
+    tables = [marker.model_dump(exclude_none=True) for marker in profile.marker]
+    return "\n[[marker]]\n".join(map(_entries, (own, *tables)))
 
 
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"')
+def _entries(values: dict[str, Any]) -> str:
+    """Return the lines of a TOML table; strings, numbers and lists have the same form as in JSON."""
+    return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())

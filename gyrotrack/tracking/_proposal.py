@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Singles
 from gyrotrack._column_store import large_blocks_returned
 from gyrotrack._errors import TrackingError
 from gyrotrack.tracking._acquisition import (
@@ -43,11 +43,8 @@ from gyrotrack.tracking._profile import (
     nearest_colour,
 )
 from gyrotrack.tracking._scene import Disc, FrameStore, Marker, Samples, Scene, take_samples
-from gyrotrack.video._container import Frame, read_raw_stamps
+from gyrotrack.video._container import Frame, read_packets
 from gyrotrack.video._decoder import frames_at
-
-Floats = npt.NDArray[np.float64]
-Images = npt.NDArray[np.float32]
 
 BINS = 120
 """Number of bins of the histogram of the hue [1]. Chosen: 3 degrees each; a smaller number joins similar colours, a
@@ -74,14 +71,14 @@ class MovingColour:
     """Differences of chroma of sample frames from their median."""
 
     # chroma minus the median of all samples where the saturation increases, else 0, (2, n, height, width)
-    change: Images
+    change: Singles
     # directions in the chroma plane (U, V) of the colours that move [rad], the strongest first
     hues: tuple[float, ...]
 
-    def scores(self, hue: float) -> Images:
+    def scores(self, hue: float) -> Singles:
         """Return the score of a hue in each pixel of each sample, (n, height, width), 0 if another hue is nearer."""
         limit = min((0.5 * apart(hue, other) for other in self.hues if other != hue), default=SECTOR)
-        score: Images = np.empty_like(self.change[0])
+        score: Singles = np.empty_like(self.change[0])
         for own, u, v in zip(score, *self.change, strict=True):  # one by one, to limit memory
             own[...] = hue_score(u, v, direction_of(hue))
             if limit < SECTOR:
@@ -108,7 +105,7 @@ def moving_colour(samples: Samples) -> MovingColour:
     return MovingColour(change, _peaks(change))
 
 
-def _peaks(change: Images) -> tuple[float, ...]:
+def _peaks(change: Singles) -> tuple[float, ...]:
     size = np.hypot(change[0], change[1]).ravel()
     moving = size > 0
     hue = np.arctan2(change[1].ravel()[moving], change[0].ravel()[moving])
@@ -271,8 +268,6 @@ def _without(rings: Rings, seen: SampledMarker) -> Rings:
     return Rings(np.where(here[None, :, None, :], plain[:, None], rings.strips), rings.ring)
 
 
-Mask = npt.NDArray[np.bool_]
-
 EVEN = 0.6
 """Smallest share of the observations that are in phase with a steady rotation [1]. Chosen: a smaller value accepts
 random patches, a larger one rejects occluded markers."""
@@ -322,7 +317,7 @@ _IN_PHASE = 0.35
 changes of the speed, a larger one accepts random angles."""
 
 
-def rotation(angle: Floats, use: Mask) -> SteadyRotation:
+def rotation(angle: Floats, use: Bools) -> SteadyRotation:
     """Find the step for which most angles of consecutive frames, (n,) [rad], are in phase."""
     frame = np.flatnonzero(use)
     if len(frame) < _FEWEST:
@@ -358,8 +353,8 @@ class ProposedMarker:
 
     profile: MarkerProfile  # entry in the profile, and the marker in the film
     marker: Marker
-    angle: npt.NDArray[np.float64]  # angle in each sample [rad], and whether the marker is distinct in it
-    clear: npt.NDArray[np.bool_]
+    angle: Floats  # angle in each sample [rad], and whether the marker is distinct in it
+    clear: Bools
     step: float  # rotation of its body from frame to frame [rad]
 
     @property
@@ -566,7 +561,7 @@ def propose(
 def _samples(video: Path) -> Samples:
     """Decode the first frames, and other frames equally spaced over the film."""
     first = take_samples(video)
-    stamps = read_raw_stamps(video)
+    stamps = read_packets(video).stamps
     chosen = np.linspace(first.head, len(stamps) - 1, SPREAD).astype(int) if len(stamps) > first.head else ()
     found = frames_at(video, {int(stamps[k]) for k in chosen}, FrameStore())
     spread: list[Frame] = [found[stamp] for stamp in sorted(found)]

@@ -23,9 +23,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Picture = npt.NDArray[np.float32]
-Bools = npt.NDArray[np.bool_]
+from gyrotrack._arrays import Bools, Floats, Integers, Picture, Singles
+
 Area = tuple[int, int, int, int]
 
 TURN = 2 * np.pi
@@ -397,7 +396,7 @@ def _split(turned: float) -> tuple[int, float]:
     return whole, turned - whole
 
 
-def _band(size: int, band: str) -> npt.NDArray[np.float32]:
+def _band(size: int, band: str) -> Singles:
     """Return the weights of the orders of a polar picture with `size` columns, up to the last order that is used.
 
     `band` selects details by their order k (cycles per turn): "low", "middle" or "high". High orders make the maximum
@@ -417,7 +416,7 @@ def _band(size: int, band: str) -> npt.NDArray[np.float32]:
     return np.asarray(factor[: last + 1], dtype=np.float32)
 
 
-def _energy(spectrum: npt.NDArray[np.complex64], factor: npt.NDArray[np.float32]) -> float:
+def _energy(spectrum: npt.NDArray[np.complex64], factor: Singles) -> float:
     return float((spectrum.real**2 + spectrum.imag**2).sum(axis=0) @ factor)
 
 
@@ -494,9 +493,7 @@ _AS_WELL = 1.2
 Chosen: equal parts fit equally well within noise; a smaller value keeps slips, a larger one removes true jumps."""
 
 
-def without_slips(
-    polars: Sequence[Picture], angle: Floats, at: npt.NDArray[np.int64], template: Template
-) -> Floats:
+def without_slips(polars: Sequence[Picture], angle: Floats, at: Integers, template: Template) -> Floats:
     """Return the angles (n,) [rad] without slips, in single frames, by one of several equal parts, for example spokes.
 
     In such a frame the angle deviates from the motion, and returns in the next frame. The angle is replaced if the
@@ -520,7 +517,7 @@ def without_slips(
     return angle
 
 
-def _off_line(angle: Floats, at: npt.NDArray[np.int64], k: int) -> float:
+def _off_line(angle: Floats, at: Integers, k: int) -> float:
     """Return the deviation of an angle from the line through its neighbours (at the ends, the next two angles)."""
     last = len(angle) - 1
     a, b = (k - 1, k + 1) if 0 < k < last else (1, 2) if k == 0 else (last - 2, last - 1)

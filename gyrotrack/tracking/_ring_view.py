@@ -31,9 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Singles = npt.NDArray[np.float32]
-Complexes = npt.NDArray[np.complex128]
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Singles
 
 TURN = 2.0 * np.pi
 """A full turn [rad]. Derived: 2 pi."""
@@ -81,12 +79,8 @@ def slope(picture: npt.NDArray[np.floating]) -> Singles:
 def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
     """Return the static part of the image in orders of at least `lowest` per turn, (rows, columns).
 
-    Parameters
-    ----------
-    strips : ndarray, shape (n, rows, columns)
-        Pictures in coordinates of the body, the columns over a turn, counter-clockwise.
-    angle : ndarray, shape (n,)
-        Angle of the body in each picture [rad], over a turn or more.
+    The `strips` (n, rows, columns) are pictures in coordinates of the body, the columns over a turn, counter-clockwise.
+    The angles of the body (n,) [rad] cover a turn or more.
     """
     count = strips.shape[2]
     columns = columns_of(angle, count)
@@ -119,7 +113,7 @@ def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
     return found
 
 
-def columns_of(angle: Floats, count: int) -> npt.NDArray[np.int64]:
+def columns_of(angle: Floats, count: int) -> Integers:
     """Return the column, of `count` per turn, of a stationary picture below column 0 of a body at angles [rad]."""
     return np.asarray(np.rint(angle * count / TURN).astype(np.int64) % count)
 
@@ -139,18 +133,11 @@ class ViewResponse:
     def of(
         cls, picture: Singles, radial: Singles, basis: Singles, weight: Singles, radius: Floats
     ) -> ViewResponse:
-        """Compute the response of zones with templates `picture`.
+        """Compute the response of zones with mean pictures (zones, samples), in rows of equal `radius` (rows,) [px].
 
-        Parameters
-        ----------
-        picture, weight : ndarray, shape (zones, samples)
-            Mean picture, samples in rows of equal radius, and weight of a sample, 1 / variance.
-        radial : ndarray, shape (rows, columns)
-            Derivative of the picture with respect to the radius [1/px].
-        basis : ndarray, shape (zones, samples, 3)
-            Changes of the picture per rad of rotation, with an offset and with the gain.
-        radius : ndarray, shape (rows,)
-            Radii of the rows of all zones [px].
+        `radial` (rows, columns) is the derivative of the picture with respect to the radius [1/px]. `basis` (zones,
+        samples, 3) contains the changes of the picture per rad of rotation, with an offset and with the gain. The
+        `weight` of a sample (zones, samples) is 1 / variance.
         """
         zones, samples = picture.shape
         body = picture.reshape(len(radius), -1)
@@ -193,7 +180,7 @@ class ViewResponse:
         turning = (view[0::2] + 1j * view[1::2])[:, None] * np.exp(-1j * np.outer(ORDERS, angle))
         return np.asarray((response @ turning).imag)
 
-    def explains(self, view: Floats, residuals: Sequence[Singles], angle: Floats) -> npt.NDArray[np.bool_]:
+    def explains(self, view: Floats, residuals: Sequence[Singles], angle: Floats) -> Bools:
         """Return a mask of the rows (rows,) in which a view explains most of the static residuals of the zones.
 
         A shadow or a window beside a circular edge resembles a displacement of the edge. The test compares the power
@@ -227,7 +214,7 @@ class View:
         residuals: Sequence[Singles],
         weight: Singles,
         angle: Floats,
-        known: npt.NDArray[np.bool_],
+        known: Bools,
         together: float,
     ) -> View:
         """Fit the view, with rotation, offset and gain, to the residuals of the zones, each (n, samples).

@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from threading import Lock
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Integers, Singles
 from gyrotrack._column_store import new_columns, release_pages
 from gyrotrack._errors import VideoError
+from gyrotrack.tracking._film import reduced
 from gyrotrack.tracking._polar import Ring, unroll
-from gyrotrack.video._container import Frame, keyframes, read_packets
+from gyrotrack.video._container import Frame, read_packets
 from gyrotrack.video._decoder import Reader, frames_at
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -160,11 +159,11 @@ class Samples:
     def chroma(self) -> npt.NDArray[np.uint8]:
         """Chroma of the frames `spread`, shape (2, n, height, width), at a reduced resolution."""
         chosen = [self.frames[i] for i in self.spread]
-        kept = np.ascontiguousarray if self.scale == 2 else _halved
+        kept = np.ascontiguousarray if self.scale == 2 else partial(reduced, factor=2)
         return np.stack([(kept(f.u), kept(f.v)) for f in in_turn(chosen)], axis=1)
 
     @cached_property
-    def still(self) -> npt.NDArray[np.float32]:
+    def still(self) -> Singles:
         """Median of `chroma` over the frames, shape (2, height, width)."""
         return np.asarray(np.median(self.chroma, axis=1), dtype=np.float32)
 
@@ -186,14 +185,15 @@ class Samples:
 
     def strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
         """Unroll the chroma of some frames, shape (2, n, rows, columns)."""
-        maps = ring.chroma_maps
+        maps = ring.maps(chroma=True)
         some = [self.frames[k] for k in frames]
         return np.stack([(unroll(f.u, maps), unroll(f.v, maps)) for f in in_turn(some)], axis=1)
 
     def luma_strips(self, ring: Ring, frames: Sequence[int]) -> npt.NDArray[np.uint8]:
         """Unroll the luma of some frames, shape (n, rows, columns)."""
+        maps = ring.maps(chroma=False)
         some = [self.frames[k] for k in frames]
-        return np.stack([unroll(f.y, ring.luma_maps) for f in in_turn(some)])
+        return np.stack([unroll(f.y, maps) for f in in_turn(some)])
 
 
 def take_samples(path: Path, threads: int = 1) -> Samples:
@@ -227,10 +227,11 @@ def _later(path: Path, head: int, pixels: int, threads: int) -> list[Frame]:
     count = len(packets.stamps)
     if count <= head or not packets.key.any():
         return []
-    if int(packets.key[head:].sum()) >= KEYS:
-        return keyframes(path, KEYS, FrameStore())
-    wanted = np.unique(np.linspace(head, count - 1, LATER).astype(np.int64))
     keys = np.flatnonzero(packets.key)
+    if int(packets.key[head:].sum()) >= KEYS:
+        wanted = keys[np.linspace(0, len(keys) - 1, KEYS).astype(np.int64)]
+    else:
+        wanted = np.unique(np.linspace(head, count - 1, LATER).astype(np.int64))
     start = keys[np.maximum(np.searchsorted(keys, wanted, side="right") - 1, 0)]
     cost = sum(int((wanted - start)[start == key].max()) for key in np.unique(start))
     share = min(DECODED * 1280 * 720 / pixels / max(cost, 1), 1.0)
@@ -241,7 +242,7 @@ def _later(path: Path, head: int, pixels: int, threads: int) -> list[Frame]:
         with lock:
             return store(frame)
 
-    def decode(keys: npt.NDArray[np.int64]) -> dict[int, Frame]:
+    def decode(keys: Integers) -> dict[int, Frame]:
         return frames_at(path, packets.stamps[nearer[np.isin(start, keys)]].tolist(), keep)
 
     used = np.unique(start)
@@ -249,14 +250,3 @@ def _later(path: Path, head: int, pixels: int, threads: int) -> list[Frame]:
     with ThreadPoolExecutor(len(parts)) as pool:
         found = {stamp: frame for part in pool.map(decode, parts) for stamp, frame in part.items()}
     return [found[stamp] for stamp in sorted(found)]
-
-
-def _halved(plane: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    height, width = plane.shape
-    return np.asarray(
-        cv2.resize(
-            plane[: height // 2 * 2, : width // 2 * 2],
-            (width // 2, height // 2),
-            interpolation=cv2.INTER_AREA,
-        )
-    )

@@ -15,14 +15,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers, Picture, Plane
 from gyrotrack.tracking._film import Film
 from gyrotrack.tracking._hub_search import Motion, spatial_noise
+from gyrotrack.tracking._orbit import covered_angle
 from gyrotrack.tracking._pivot import angles_about, fit_arc, fit_orbit
 from gyrotrack.tracking._registration import TURN
-
-Floats = npt.NDArray[np.float64]
-Plane = npt.NDArray[np.uint8]
-Picture = npt.NDArray[np.float32]
 
 _BACKGROUND = 60
 """Number of frames for the background, which is their median [frames]. Chosen: a larger number costs memory and time, a
@@ -184,21 +182,11 @@ def spots_in(region: Plane, least: float, most: int) -> list[Spot]:
 
 @dataclass(frozen=True)
 class CompactBody:
-    """The compact body that is seen in most of the compared frames.
+    """The compact body that is seen in most of the compared frames."""
 
-    Attributes
-    ----------
-    radius : float
-        Median radius of the body [px].
-    place : ndarray, shape (n, 2)
-        Centroids in the frames that show the body [px].
-    alone : float
-        Median share of the body in the pixels that differ from the background.
-    """
-
-    radius: float
-    place: Floats
-    alone: float
+    radius: float  # median radius of the body [px]
+    place: Floats  # shape (n, 2); centroids in the frames that show the body [px]
+    alone: float  # median share of the body in the pixels that differ from the background
 
     @property
     def pivot(self) -> Floats | None:
@@ -216,9 +204,7 @@ class CompactBody:
         if not arc.determined:
             return np.full(2, np.inf)
         away = place - arc.hub
-        direction = np.sort(np.arctan2(away[:, 1], away[:, 0]))
-        gap = float(np.max(np.diff(np.append(direction, direction[0] + TURN))))
-        return arc.hub if TURN - gap < _OPEN else None
+        return arc.hub if covered_angle(np.arctan2(away[:, 1], away[:, 0])) < _OPEN else None
 
 
 def compact_body(sample: Sequence[Plane], background: Picture, noise: float) -> CompactBody | None:
@@ -248,7 +234,7 @@ class Foreground:
     noise: float  # standard deviation of single frames [grey levels]
 
     @classmethod
-    def of(cls, film: Film, usable: npt.NDArray[np.int64]) -> Foreground:
+    def of(cls, film: Film, usable: Integers) -> Foreground:
         """Compare some of the usable frames with their median."""
         sample = film.some(usable[np.unique(np.linspace(0, len(usable) - 1, _BACKGROUND).astype(int))])
         noise = max(spatial_noise(sample[:: max(1, len(sample) // 8)]), 0.5)
@@ -333,8 +319,7 @@ def long_tilted_body(sample: Sequence[Plane], background: Picture, noise: float)
             continue
         half = np.array([h for _, h, _ in found])
         ends = np.concatenate([half, -half])
-        direction = np.sort(angles_about(np.zeros(2), ends) % TURN)
-        if float(np.max(np.diff(np.append(direction, direction[0] + TURN)))) > _GAP:
+        if TURN - covered_angle(angles_about(np.zeros(2), ends)) > _GAP:
             continue
         try:
             orbit = fit_orbit(ends, np.full(len(ends), 0.5))

@@ -29,12 +29,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack._smoothing import median_of, spread
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 FEWEST_TEMPLATES = 5
 """Smallest number of templates from which the variance of the steps between zeros can be estimated [1]. Chosen: a
@@ -67,32 +64,20 @@ time, a smaller range limits the error."""
 
 @dataclass(frozen=True)
 class TemplateZeros:
-    """Zeros of the templates of a film.
+    """Zeros of the templates of a film."""
 
-    Attributes
-    ----------
-    zero : ndarray, shape (n,)
-        Correction added to the angle of the texture in each frame [rad].
-    uncertainty : ndarray, shape (n,)
-        Standard uncertainty of the zero of the template of each frame [rad]; the frames of a batch share its error. 0
-        where the zero is not known.
-    """
-
-    zero: Floats
+    zero: Floats  # shape (n,); correction added to the angle of the texture in each frame [rad]
+    # shape (n,); standard uncertainty of the zero of the template of each frame [rad], 0 where the zero is not known;
+    # the frames of a batch share its error
     uncertainty: Floats
 
 
 def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) -> TemplateZeros:
     """Return the zeros of the templates of a body that turns many times.
 
-    Parameters
-    ----------
-    off : ndarray, shape (n,)
-        Angle of the markers minus angle of the texture [rad], without whole turns; NaN where either is not known.
-    template : ndarray, shape (n,)
-        Number of the template of each frame, from 0, in order.
-    angles : sequence of ndarray, shape (n,)
-        Angles whose harmonics describe the errors of the markers [rad]; the first is the angle of the body itself.
+    `off` (n,) is the angle of the markers minus the angle of the texture [rad], without whole turns; NaN where either
+    is not known. `template` (n,) is the number of the template of each frame, from 0, in order. The harmonics of the
+    `angles` (n,) [rad] describe the errors of the markers; the first is the angle of the body itself.
     """
     count = int(template.max(initial=-1)) + 1
     known = np.isfinite(off)

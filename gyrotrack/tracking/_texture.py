@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -32,11 +32,14 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial.legendre import legvander
 
+from gyrotrack._arrays import Bools, Complexes, Floats, Integers, Singles
+from gyrotrack._column_store import WithBuffer
 from gyrotrack._native import _kernels as kernels
 from gyrotrack._smoothing import median_of, spread
-from gyrotrack.tracking._marker_tracker import spread_out
+from gyrotrack.tracking._marker_tracker import FrameColumns
 from gyrotrack.tracking._ring_view import (
     LEAST_ARC,
+    TURN,
     VIEW_SIZE,
     WHOLE_TURN,
     View,
@@ -47,13 +50,6 @@ from gyrotrack.tracking._ring_view import (
     without_light,
 )
 from gyrotrack.video._container import Frame
-
-Floats = npt.NDArray[np.float64]
-Singles = npt.NDArray[np.float32]
-Complexes = npt.NDArray[np.complex128]
-
-TURN = 2.0 * np.pi
-"""A full turn [rad]. Derived: 2 pi."""
 
 ZONES = 8
 """Number of zones in radius [1]. Chosen: with more zones, errors are separated more finely, but each zone determines
@@ -173,7 +169,7 @@ a larger one makes the zones equal."""
 
 
 @dataclass(frozen=True)
-class TextureObservations:
+class TextureObservations(FrameColumns):
     """The angle of a body from its texture in consecutive frames; NaN where the angle is not known."""
 
     angle: Floats  # shape (n,); as seen, about the zero of the first template, unwrapped [rad]
@@ -195,9 +191,7 @@ class TextureObservations:
         first, second = np.zeros((2, len(centre), 2))
         return cls(angle, sigma, slow, misfit, centre.copy(), first, second, np.zeros(len(centre)))
 
-    def set(
-        self, use: npt.NDArray[np.int64], zones: _Zones, angle: Floats, turned: Floats, misfit: Floats
-    ) -> None:
+    def set(self, use: Integers, zones: _Zones, angle: Floats, turned: Floats, misfit: Floats) -> None:
         """Set the frames `use` from the rotations of the zones relative to an angle [rad], and from their misfits."""
         mean, total = zones.mean(turned)
         self.angle[use] = angle + mean
@@ -206,18 +200,8 @@ class TextureObservations:
         for found, each in ((self.first, zones.first), (self.second, zones.second)):
             found[:] = (zones.share @ each).real, (zones.share @ each).imag
 
-    def spread_out(self, index: npt.NDArray[np.int64], count: int) -> TextureObservations:
-        """Place the frames at `index` of `count` frames; the other frames are NaN."""
-        return TextureObservations(
-            **{f.name: spread_out(getattr(self, f.name), index, count) for f in fields(self)}
-        )
-
-    def picked(self, index: npt.NDArray[np.int64]) -> TextureObservations:
-        """Return the frames `index`."""
-        return TextureObservations(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
-
     @property
-    def template(self) -> npt.NDArray[np.int64]:
+    def template(self) -> Integers:
         """Number of the template of each frame, (n,), from 0: frames of one template have the same moments."""
         known = np.flatnonzero(np.isfinite(self.angle))
         number = np.zeros(len(self.angle), dtype=np.int64)
@@ -382,7 +366,7 @@ def _fitted(
 
 
 def _mean_residual(
-    strips: Singles, zone: int, picture: Singles, basis: Singles, parts: Floats, used: npt.NDArray[np.bool_]
+    strips: Singles, zone: int, picture: Singles, basis: Singles, parts: Floats, used: Bools
 ) -> tuple[Singles, Singles]:
     """Return mean and mean square (P,) of the residuals of a fit, with changes `parts` (n, 3), in the `used` frames."""
     share = np.where(used, 1.0 / used.sum(), 0.0)[:, None]
@@ -429,8 +413,10 @@ def _templates(strips: Singles, radius: Floats) -> _Zones:
     return _Zones(picture, variance, weight, basis, usual, first, second, np.zeros(ZONES))
 
 
-class TextureTracker:
+class TextureTracker(WithBuffer):
     """Samples the ring of one body in each frame, and measures its rotation batch by batch."""
+
+    _buffer = "_strips"
 
     def __init__(
         self, centre: tuple[float, float], outer: float, size: tuple[int, int], capacity: int
@@ -447,20 +433,11 @@ class TextureTracker:
         self._slopes: dict[int, Singles] = {}  # derivative with respect to the radius in some frames [1/px]
         self._angle = np.full(capacity, np.nan)
         self._centre = np.zeros((capacity, 2))
-        self._used = False
         self._zero = self._own_zero = 0.0
         self._last: _Zones | None = None
         self._own: _OwnView | None = None  # view of the last slow batch
         self._light: Singles | None = None  # static light of the last fast batch
         self._slow, self._batch = False, 0
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_strips": self._strips if self._used else self._strips.shape}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        if not self._used:
-            self._strips = np.zeros(state["_strips"], dtype=np.uint8)
 
     def take(
         self, frames: list[Frame], place: int, coarse: Floats, displacement: Floats | None = None
@@ -484,7 +461,7 @@ class TextureTracker:
         self._slopes |= {place + int(k): slope for k, slope in zip(some, slopes, strict=True)}
 
     def _sampled(
-        self, frames: list[Frame], use: npt.NDArray[np.int64], centre: Floats, turn: Floats, off: float
+        self, frames: list[Frame], use: Integers, centre: Floats, turn: Floats, off: float
     ) -> npt.NDArray[np.uint8]:
         """Sample rings in the frames `use` about centres (n, 2) [px] at angles with cos and sin `turn` (n, 2).
 
@@ -542,7 +519,7 @@ class TextureTracker:
         return seen, aligned
 
     def _align(
-        self, use: npt.NDArray[np.int64], angle: Floats, learnt: _OwnView | None
+        self, use: Integers, angle: Floats, learnt: _OwnView | None
     ) -> tuple[_OwnView, Floats, Floats, Floats]:
         """Measure the frames `use` at rough angles [rad] in pictures that are turned back by the measured angles.
 
@@ -559,7 +536,7 @@ class TextureTracker:
             angle = rough + np.nan_to_num(own.zones.mean(turned)[0])
         return own, rough, turned, misfit
 
-    def _radial_slope(self, use: npt.NDArray[np.int64], ahead: Floats) -> Singles:
+    def _radial_slope(self, use: Integers, ahead: Floats) -> Singles:
         """Return the mean derivative of the pictures with respect to the radius, (rows, COLUMNS) [1/px].
 
         The derivative is measured in the frames, because edges are narrower than the distance of the rows.
@@ -570,7 +547,7 @@ class TextureTracker:
         slopes = [_columns_ahead(self._slopes[int(use[k])], ahead[k]) for k in known]
         return np.asarray(np.mean(slopes, axis=0))
 
-    def _turned(self, use: npt.NDArray[np.int64], ahead: Floats, light: Singles | None = None) -> Singles:
+    def _turned(self, use: Integers, ahead: Floats, light: Singles | None = None) -> Singles:
         """Return the samples of the frames `use`, turned by a further `ahead` columns, (n, rows, COLUMNS).
 
         Static light (rows, COLUMNS) is subtracted. The samples are floats: rounding to grey levels would lose subpixel

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack.tracking._registration import TURN, Ring, Template
-
-Floats = npt.NDArray[np.float64]
 
 _MANY_TURNS = 3.0
 """Smallest number of turns in which an error once per turn is distinguishable from a motion [turns]. Chosen: a smaller
@@ -25,7 +24,7 @@ disc."""
 class Tracked:
     """The motion of one body in a film."""
 
-    frame: npt.NDArray[np.int64]  # shape (m,); frames in which the motion was measured
+    frame: Integers  # shape (m,); frames in which the motion was measured
     # shape (m,); unwrapped angle, counter-clockwise as seen, and its standard uncertainty [rad]
     angle: Floats
     sigma: Floats
@@ -79,6 +78,16 @@ def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
     return min(found) if found else float("nan")
 
 
+def correlated_variance(rest: Floats, least: float = 0.0) -> float:
+    """Return the variance of independent residuals that determine a fit as well as the correlated residuals `rest`.
+
+    n residuals with the correlation q of neighbours are equivalent to n (1 - q) / (1 + q) independent residuals. The
+    variance of `rest` is increased by `least`.
+    """
+    alike = float(np.clip(np.sum(rest[1:] * rest[:-1]) / max(np.sum(rest**2), 1e-12), 0.0, 0.95))
+    return (float(np.var(rest)) + least) * (1.0 + alike) / (1.0 - alike)
+
+
 _SIGNIFICANT = 3.0
 """Smallest significant error due to a displaced hub, in standard errors [1]. Chosen: a smaller value states noise as an
 error, a larger one hides a displaced hub."""
@@ -108,9 +117,7 @@ def hub_error(angle: Floats, halves: Floats, parts: tuple[Template, Template]) -
     return float(np.std(rows[:, :free] @ found[:free])) * hub_leverage(parts)
 
 
-def apart_beyond_harmonics(
-    angle: Floats, halves: Floats, at: npt.NDArray[np.int64], sigma: float
-) -> float | None:
+def apart_beyond_harmonics(angle: Floats, halves: Floats, at: Integers, sigma: float) -> float | None:
     """Return the error of the angles if the halves of the ring turn differently over many turns [rad]; None if small.
 
     The halves of a rigid body differ by harmonics of the angle, a slow trend of the view, and noise. A further

@@ -10,12 +10,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Plane = npt.NDArray[np.uint8]
-Picture = npt.NDArray[np.float32]
+from gyrotrack._arrays import Bools, Floats, Picture, Plane
 
 WIDEST = 3.0
 """Smallest range of the angle in which rotation does not resemble translation [rad]. Chosen: about half a turn; a

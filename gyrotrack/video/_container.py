@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -21,8 +21,8 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Integers, Plane
 from gyrotrack._errors import VideoError
 from gyrotrack.io.readers._format_names import FILMS
 from gyrotrack.video._frame_stream import FrameStream
@@ -30,8 +30,6 @@ from gyrotrack.video._photron import SUFFIX as PHOTRON
 from gyrotrack.video._photron import GreyFrames, raw_file, read_header
 from gyrotrack.video._tiff import SUFFIXES as TIFF
 from gyrotrack.video._tiff import TiffFrames, TiffStack, read_stack
-
-Plane = npt.NDArray[np.uint8]
 
 _PLANAR_420 = ("yuv420p", "yuvj420p")
 
@@ -190,11 +188,8 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
         form = "image2"
     else:
         _check_file(path)
-    if _is_photron(path):
+    if _is_photron(path) or _is_stack(path):
         source, own_options = _raw_frames(path)
-        form = "rawvideo"
-    elif _is_stack(path):
-        source, own_options = _stack_frames(path)
         form = "rawvideo"
     try:
         container = av.open(
@@ -217,7 +212,7 @@ def opened(path: Path, threads: int = 1) -> Iterator[tuple[Any, Any]]:
         if stream.codec_context is None:
             what = f"There is no decoder for the codec of {path}."
             raise VideoError(what, "Copy the film again, or convert it to H.264.")
-        _check_size(path, stream)
+        _check_sides(path, int(stream.codec_context.width), int(stream.codec_context.height))
         stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         stream.codec_context.thread_type = "FRAME" if threads > 1 else "NONE"
         stream.codec_context.thread_count = threads
@@ -314,22 +309,17 @@ def _is_stack(path: Path) -> bool:
     return path.suffix.lower() in TIFF and path.is_file()
 
 
-def _stack_frames(path: Path) -> tuple[TiffFrames, dict[str, str]]:
-    """Return the pictures of a TIFF stack, and the options for their demultiplexer."""
-    stack = read_stack(path)
-    _check_sides(path, stack.width, stack.height)
-    rate = Fraction(stack.fps or 1.0).limit_denominator(100_000)
-    pixels = "rgb24" if stack.colour else "gray"
-    options = {"video_size": f"{stack.width}x{stack.height}", "pixel_format": pixels, "framerate": str(rate)}
-    return TiffFrames(stack), options
-
-
-def _raw_frames(path: Path) -> tuple[GreyFrames, dict[str, str]]:
-    """Return the frames beside a header of a Photron camera, and the options for their demultiplexer."""
-    header = read_header(path)
+def _raw_frames(path: Path) -> tuple[FrameStream, dict[str, str]]:
+    """Return the frames of a Photron camera or of a TIFF stack, and the options for their demultiplexer."""
+    header = read_header(path) if _is_photron(path) else read_stack(path)
     _check_sides(path, header.width, header.height)
-    size, rate = f"{header.width}x{header.height}", Fraction(header.fps).limit_denominator(1000)
-    return GreyFrames(header), {"video_size": size, "pixel_format": "gray", "framerate": str(rate)}
+    frames: FrameStream
+    if isinstance(header, TiffStack):
+        frames, pixels, finest = TiffFrames(header), "rgb24" if header.colour else "gray", 100_000
+    else:
+        frames, pixels, finest = GreyFrames(header), "gray", 1000
+    size, rate = f"{header.width}x{header.height}", Fraction(header.fps or 1.0).limit_denominator(finest)
+    return frames, {"video_size": size, "pixel_format": pixels, "framerate": str(rate)}
 
 
 def file_sha256(path: Path) -> str:
@@ -360,10 +350,6 @@ def _check_file(path: Path) -> None:
         raise VideoError(f"{path} cannot be opened: {error.strerror}.", "Check its permissions.") from error
     if size == 0:
         raise VideoError(f"{path} is empty (0 bytes).", "Copy the film from the camera again.")
-
-
-def _check_size(path: Path, stream: Any) -> None:
-    _check_sides(path, int(stream.codec_context.width), int(stream.codec_context.height))
 
 
 def _check_sides(path: Path, width: int, height: int) -> None:
@@ -481,9 +467,9 @@ class Packets:
     """The packets of a film that have a timestamp, in the order of their timestamps."""
 
     # shape (n,); timestamps in units of the time base, and sizes in bytes
-    stamps: npt.NDArray[np.int64]
-    size: npt.NDArray[np.int64]
-    key: npt.NDArray[np.bool_]  # shape (n,); whether packets are key frames
+    stamps: Integers
+    size: Integers
+    key: Bools  # shape (n,); whether packets are key frames
     complete: bool  # whether all packets of the film have a timestamp
     # whether the container stores the timestamps of the frames; AVI and raw streams only count packets
     exact: bool = True
@@ -503,34 +489,3 @@ def read_packets(path: Path) -> Packets:
         len(stamped) == len(found),
         exact,
     )
-
-
-def read_raw_stamps(path: Path) -> npt.NDArray[np.int64]:
-    """Return the sorted timestamps of a film's packets in units of the time base, without decoding."""
-    return read_packets(path).stamps
-
-
-def keyframes(path: Path, count: int, keep: Callable[[Frame], Frame] = Frame.copy) -> list[Frame]:
-    """Decode up to `count` key frames spread evenly over a film, copied by `keep`; the index of these frames is -1."""
-    with opened(path) as (container, stream):
-        keys = [n for n, packet in enumerate(packets_of(container.demux(stream))) if packet.is_keyframe]
-    wanted = {keys[int(i)] for i in np.linspace(0, len(keys) - 1, min(count, len(keys)))} if keys else set()
-    found: list[Frame] = []
-    with opened(path) as (container, stream):
-        orientation: Orientation | None = None
-        for n, packet in enumerate(packets_of(container.demux(stream))):
-            if n in wanted:
-                for raw in _decode_alone(packet, stream):
-                    orientation = orientation or orientation_of(raw, stream)
-                    found.append(keep(planes_of(raw, -1, orientation)))
-    return found
-
-
-def _decode_alone(packet: Any, stream: Any) -> list[Any]:
-    """Decode one key packet by itself; the decoder is flushed for the next packet."""
-    try:
-        frames = [*packet.decode(), *stream.codec_context.decode(None)]
-    except av.error.FFmpegError:
-        frames = []
-    stream.codec_context.flush_buffers()
-    return frames[:1]

@@ -8,20 +8,21 @@ other two frames.
 from __future__ import annotations
 
 import itertools
-import threading
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, Full, Queue
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import av
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gyrotrack._arrays import Floats, Integers
 from gyrotrack._smoothing import running_quantile
 from gyrotrack.video._container import (
     ClipInfo,
@@ -34,6 +35,7 @@ from gyrotrack.video._container import (
     packets_of,
     planes_of,
     probe,
+    read_packets,
 )
 from gyrotrack.video._time_base import stamp_warnings
 
@@ -47,64 +49,35 @@ _CHUNK_BYTES = 5_000_000
 exist at a time."""
 WAITING = 2
 """Largest number of waiting chunks [1]. Chosen: a larger number takes memory, a smaller one lets the decoder wait."""
-_PATIENCE = 0.05
-"""Time after which a waiting thread checks whether it must stop [s]. Chosen: a longer time delays the end, a shorter
-one costs time."""
 
 
-class ReadAhead(Generic[T]):
-    """An iterator whose source runs in its own thread, `chunk` items ahead; exceptions are raised in the consumer."""
+def read_ahead(source: Iterator[T], chunk: int = CHUNK) -> Generator[T, None, None]:
+    """Yield the items of a source that runs in its own thread, up to `WAITING` chunks and one more ahead.
 
-    def __init__(self, source: Iterator[T], chunk: int = CHUNK) -> None:
-        self._source = source
-        self._chunk = chunk
-        self._queue: Queue[tuple[list[T], bool, BaseException | None]] = Queue(WAITING)
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="decoding", daemon=True)
-        self._thread.start()
-
-    def __iter__(self) -> Iterator[T]:
-        last = False
-        while not last:
-            try:
-                items, last, error = self._queue.get(timeout=_PATIENCE)
-            except Empty:
-                continue
+    An exception of the source is raised after the items before it.
+    """
+    pool = ThreadPoolExecutor(1, "decoding")
+    try:
+        waiting = deque(pool.submit(_next_items, source, chunk) for _ in range(WAITING + 1))
+        while True:
+            items, error = waiting.popleft().result()
             yield from items
             if error is not None:
                 raise error
+            if len(items) < chunk:
+                return
+            waiting.append(pool.submit(_next_items, source, chunk))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
-    def close(self) -> None:
-        """End the thread and discard its items."""
-        self._closed.set()
-        while self._thread.is_alive():
-            try:
-                self._queue.get(timeout=_PATIENCE)
-            except Empty:
-                continue
 
-    def _work(self) -> None:
-        items: list[T] = []
-        error: BaseException | None = None
-        try:
-            for item in self._source:
-                items.append(item)
-                if len(items) == self._chunk:
-                    self._hand_over(items, last=False)
-                    items = []
-                if self._closed.is_set():
-                    return
-        except BaseException as raised:
-            error = raised
-        self._hand_over(items, last=True, error=error)
-
-    def _hand_over(self, items: list[T], *, last: bool, error: BaseException | None = None) -> None:
-        while not self._closed.is_set():
-            try:
-                self._queue.put((items, last, error), timeout=_PATIENCE)
-            except Full:
-                continue
-            return
+def _next_items(source: Iterator[T], most: int) -> tuple[list[T], BaseException | None]:
+    items: list[T] = []
+    try:
+        items.extend(itertools.islice(source, most))
+    except BaseException as error:
+        return items, error
+    return items, None
 
 
 _STAMP_S = 2e-3
@@ -147,7 +120,7 @@ class Reader:
         self._size: tuple[int, int] | None = None
         self._open: Any = None
         self._stream: Any = None
-        self._ahead: ReadAhead[tuple[Any, int]] | None = None
+        self._ahead: Generator[tuple[Any, int], None, None] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -201,16 +174,16 @@ class Reader:
         decoded = decode_past_damage(packets or iter(()), 100 + 2 * self.info.frames_declared)
         if self._threads > 1:
             picture = max(self.info.width * self.info.height * 3 // 2, 1)
-            self._ahead = ReadAhead(decoded, int(np.clip(_CHUNK_BYTES // picture, 1, CHUNK)))
-            return iter(self._ahead)
+            self._ahead = read_ahead(decoded, int(np.clip(_CHUNK_BYTES // picture, 1, CHUNK)))
+            return self._ahead
         return decoded
 
     @property
-    def stamps(self) -> npt.NDArray[np.int64]:
+    def stamps(self) -> Integers:
         """Timestamps of the decoded frames in units of the time base; missing timestamps are the smallest integer."""
         return np.array(self._pts, dtype=np.int64)
 
-    def pts_seconds(self) -> npt.NDArray[np.float64]:
+    def pts_seconds(self) -> Floats:
         """Return the timestamps of the decoded frames [s]; NaN for frames without a timestamp."""
         return pts_seconds(self.stamps, float(self.info.time_base))
 
@@ -220,14 +193,12 @@ class Reader:
         return film_warnings(self.info, self.pts_seconds(), self.bad_packets, self.corrupt)
 
 
-def pts_seconds(stamps: npt.NDArray[np.int64], tick: float) -> npt.NDArray[np.float64]:
+def pts_seconds(stamps: Integers, tick: float) -> Floats:
     """Return timestamps [s], NaN for frames without a timestamp; `tick` is the time base [s]."""
     return np.where(stamps == _NO_STAMP, np.nan, stamps * tick)
 
 
-def film_warnings(
-    info: ClipInfo, seconds: npt.NDArray[np.float64], bad_packets: int, corrupt: int
-) -> tuple[str, ...]:
+def film_warnings(info: ClipInfo, seconds: Floats, bad_packets: int, corrupt: int) -> tuple[str, ...]:
     """Return warnings about a decoded film; `seconds` (n,) is NaN without a timestamp; `corrupt` counts frames."""
     found = []
     if info.frames_declared > len(seconds):
@@ -272,66 +243,19 @@ def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> 
 def frames_at(
     path: Path, stamps: Iterable[int], keep: Callable[[Frame], Frame] = Frame.copy
 ) -> dict[int, Frame]:
-    """Decode the frames with the given timestamps (units of the time base), if they exist, with the index -1.
+    """Decode the frames with the given timestamps (units of the time base), if they exist.
 
-    Other frames are decoded only if the requested frames refer to them.
+    Frames between the same key frames are decoded together, from the first of these key frames.
     """
-    wanted = set(stamps)
-    ranges = _ranges(path, sorted(wanted))
+    packets, info = read_packets(path), probe(path)
+    keys, wanted = packets.stamps[packets.key], np.array(sorted(stamps), dtype=np.int64)
+    key = np.searchsorted(keys, wanted, side="right") - 1
     found: dict[int, Frame] = {}
-    with opened(path) as (container, stream):
-        orientation: Orientation | None = None
-        packets = enumerate(packets_of(container.demux(stream)))
-        for first, stop, start, end in ranges:
-            last = max(stamp for stamp in wanted if start <= stamp < end)
-            for raw in _decoded(packets, first, stop, stream, wanted):
-                orientation = orientation or orientation_of(raw, stream)
-                if raw.pts in wanted:
-                    found[int(raw.pts)] = keep(planes_of(raw, -1, orientation))
-                if raw.pts is not None and raw.pts >= last:
-                    break
+    for k in np.unique(key[key >= 0]):
+        some = set(wanted[key == k].tolist())
+        with Reader(path, 1, Part(0, int(keys[k]), max(some) + 1), info) as reader:
+            found |= {f.pts: keep(f) for f in reader if f.pts is not None and f.pts in some}
     return found
-
-
-def _ranges(path: Path, wanted: list[int]) -> list[tuple[int, int, int, int]]:
-    """Return the runs of packets, each from a key packet to the next one, that contain a timestamp in `wanted`.
-
-    Each run is (number of the first packet, number of the last packet plus 1, timestamp of the key packet, timestamp of
-    the next key packet).
-    """
-    keys: list[tuple[int, int]] = []
-    count = 0
-    with opened(path) as (container, stream):
-        for packet in packets_of(container.demux(stream)):
-            if packet.is_keyframe and packet.pts is not None:
-                keys.append((int(packet.pts), count))
-            count += 1
-    found = []
-    for (start, first), (end, stop) in zip(keys, [*keys[1:], (1 << 63, count)], strict=True):
-        if any(start <= stamp < end for stamp in wanted):
-            found.append((first, stop, start, end))
-    return found
-
-
-def _decoded(
-    packets: Iterator[tuple[int, Any]], first: int, stop: int, stream: Any, wanted: set[int]
-) -> Iterator[Any]:
-    """Decode the packets from number `first` to `stop` - 1; the decoder is flushed at the end."""
-    stream.codec_context.flush_buffers()
-    for number, packet in packets:
-        if number >= first:
-            needed = packet.pts is None or packet.pts in wanted
-            stream.codec_context.skip_frame = "DEFAULT" if needed else "NONREF"
-            try:
-                yield from packet.decode()
-            except av.error.FFmpegError:
-                continue
-        if number == stop - 1:
-            break
-    try:
-        yield from stream.codec_context.decode(None)
-    except av.error.FFmpegError:
-        return
 
 
 SAME = 0.3
@@ -413,7 +337,7 @@ def _rows(frame: Frame) -> Rows:
     return frame.y[height // 8 : height - height // 8 : max(height // _ROWS, 1)]
 
 
-def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
+def _uninformative(packets: Packets) -> Integers:
     """Return the numbers of packets with little information: much smaller than their neighbours, or equal in size."""
     if len(packets.size) < _AROUND:
         return np.zeros(0, dtype=np.int64)
@@ -424,7 +348,7 @@ def _uninformative(packets: Packets) -> npt.NDArray[np.int64]:
     return np.flatnonzero(~packets.key & (size < SMALL * usual))
 
 
-def _starts(place: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _starts(place: Integers) -> Integers:
     """Return the positions at which runs of neighbours begin."""
     return place[np.diff(place, prepend=-2) > 1]
 
@@ -434,7 +358,7 @@ REGULAR = 0.8
 finds a period by chance, a larger one fails if a repeat is not detected."""
 
 
-def _regular(start: npt.NDArray[np.int64]) -> bool:
+def _regular(start: Integers) -> bool:
     """Return whether runs are periodic up to a rounding error of one frame, as after a conversion."""
     apart = np.diff(start)
     return len(start) >= _FEWEST and bool((np.abs(apart - np.median(apart)) <= 1.0).mean() > REGULAR)

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Plane = npt.NDArray[np.uint8]
+from gyrotrack._arrays import Plane
 
 _MOVES = 8.0
 """Smallest change between frames of a moving pixel [grey levels]. Chosen: a smaller value includes noise, a

@@ -6,15 +6,7 @@ from abc import ABC, abstractmethod
 
 
 class FrameStream(ABC):
-    """Frames as raw pixels, with the methods of a file; only one frame at a time is in memory.
-
-    Parameters
-    ----------
-    frames : int
-        Number of frames.
-    size : int
-        Bytes of a frame in the stream.
-    """
+    """Frames of `size` bytes as raw pixels, with the methods of a file; only one frame at a time is in memory."""
 
     def __init__(self, frames: int, size: int) -> None:
         self._frames, self._size = frames, size

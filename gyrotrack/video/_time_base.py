@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gyrotrack._arrays import Bools, Floats, Integers
 from gyrotrack._errors import UsageError, VideoError
 from gyrotrack._smoothing import local_fit
 from gyrotrack.video._container import ClipInfo
@@ -77,7 +77,7 @@ are common; with a smaller value, timestamps in whole ms count as uneven, and wi
 undetected."""
 
 
-def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> npt.NDArray[np.int64]:
+def frame_numbers(pts: Floats, tick: float = COARSEST_TICK) -> Integers:
     """Return the numbers of a film's frames from their timestamps (n,) [s] (NaN where missing).
 
     At a gap, the numbers of the missing frames are skipped. `tick` is the unit of the timestamps [s]. If it is larger
@@ -102,14 +102,14 @@ def frame_numbers(pts: npt.NDArray[np.float64], tick: float = COARSEST_TICK) -> 
     return np.concatenate([[0], np.cumsum(advance)])
 
 
-def _uneven(step: npt.NDArray[np.float64], tick: float) -> bool:
+def _uneven(step: Floats, tick: float) -> bool:
     """Return whether more than one in ten steps between timestamps is not a whole number of periods."""
     period = float(np.median(step))
     off = np.abs(step / period - np.rint(step / period)) * period
     return bool((off > np.maximum(0.2 * period, 1.1 * min(tick, COARSEST_TICK))).mean() > 0.1)
 
 
-def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
+def gap_warnings(number: Integers) -> tuple[str, ...]:
     """Return a warning about missing frames, from the numbers of the frames that are present."""
     advance = np.diff(number)
     gaps = np.flatnonzero(advance > 1)
@@ -120,7 +120,7 @@ def gap_warnings(number: npt.NDArray[np.int64]) -> tuple[str, ...]:
     return (warnings,) if len(gaps) else ()
 
 
-def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
+def stamp_warnings(pts: Floats) -> tuple[str, ...]:
     """Return a warning about timestamps (n,) [s] that are missing (NaN) or do not increase."""
     if len(pts) < 3:
         return ()
@@ -133,10 +133,6 @@ def stamp_warnings(pts: npt.NDArray[np.float64]) -> tuple[str, ...]:
     counted = "; times are counted from the decoded frames" if backwards > 0.01 * (len(stamps) - 1) else ""
     return (f"{backwards} timestamps do not increase{counted}.",) if backwards else ()
 
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 SOURCES = ("auto", "stamps", "frames")
 LIVE = 0.05
@@ -171,7 +167,7 @@ class FrameTimes:
     # larger than rounding errors
     smooth: Floats | None = None
     warnings: tuple[str, ...] = ()  # for the user
-    again: Mask | None = None  # shape (n,); frames that repeat the previous frame; None if there are none
+    again: Bools | None = None  # shape (n,); frames that repeat the previous frame; None if there are none
 
     def even(self) -> FrameTimes:
         """Return the smoothed times, with a warning."""
@@ -224,8 +220,10 @@ class Timing:
 
         Raise a VideoError if the source is "stamps" and timestamps are missing or do not increase.
         """
-        grows = len(pts) > 2 and bool(np.isfinite(pts).all()) and _growing(np.diff(pts))
-        usable = grows and bool((np.diff(pts) > 0.0).all())
+        step = np.diff(pts)
+        grows = len(pts) > 2 and bool(np.isfinite(pts).all())
+        grows = grows and float(np.median(step)) > 0.0 and float((step <= 0.0).mean()) <= _ODD
+        usable = grows and bool((step > 0.0).all())
         if self.source == "stamps" and not usable:
             what = "Times from timestamps were requested, but timestamps are missing or do not increase."
             raise VideoError(what, "Omit --times to count frames.")
@@ -274,10 +272,6 @@ def uneven(number: Integers, pts: Floats, tick: float) -> bool:
     """Return whether more than one in a hundred timestamps deviates from a line over the frames' numbers."""
     off = pts - np.polyval(np.polyfit(number, pts, 1), number)
     return bool((np.abs(off) > max(_ROUNDED * tick, EVEN * float(np.median(np.diff(pts))))).mean() > _ODD)
-
-
-def _growing(step: Floats) -> bool:
-    return float(np.median(step)) > 0.0 and float((step <= 0.0).mean()) <= _ODD
 
 
 def _real_tick(pts: Floats, tick: float) -> float:

@@ -239,13 +239,12 @@ def test_bands_are_those_of_numpy(both, across):
     light = rng.uniform(0.5, 2, (count, 31))
     light[:, 6] = 0.0
     windows = Windows(scores, which, light, rng.normal(0, 1, count), rng.uniform(0.5, 2, count))
-    work = windows.columns if across else windows.rows
-    ours, theirs = both(lambda: work(mixing))
+    ours, theirs = both(lambda: windows.bands(mixing, across=across))
     assert ours.shape == (count, 3, 12 if across else 31)
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
     beyond = Windows(scores, which + 40, light, windows.offset, windows.scale)
     with pytest.raises(ValueError, match="outside the windows"):
-        beyond.rows(mixing[:, :12])
+        beyond.bands(mixing[:, :12])
 
 
 @ways

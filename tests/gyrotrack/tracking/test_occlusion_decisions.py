@@ -19,6 +19,7 @@ from gyrotrack.tracking._marker_tracker import (
     plausible,
 )
 from gyrotrack.tracking._marker_window import AngleMap, Occlusion, even_light, open_columns
+from gyrotrack.tracking._polar import cyclic_sum
 
 TURN = 2 * math.pi
 
@@ -498,8 +499,8 @@ class TestLight:
 
     def test_neighbours_are_averaged_around_the_turn(self):
         rows = np.arange(6.0)[None]
-        assert windows._blurred(rows, 1)[0].tolist() == [6.0, 3.0, 6.0, 9.0, 12.0, 9.0]
-        assert windows._blurred(rows, 0) is rows
+        assert cyclic_sum(rows, 1)[0].tolist() == [6.0, 3.0, 6.0, 9.0, 12.0, 9.0]
+        assert cyclic_sum(rows, 0).tolist() == rows.tolist()
 
     @pytest.mark.parametrize(("reach", "mean"), [(1, 2), (2, 2), (3, 3)])
     def test_the_light_is_between_0_55_and_2(self, reach, mean):
@@ -825,5 +826,5 @@ class TestStrip:
             found.apply_light(light)
             lit = strip.windows[:2] / light[found.column(10)[:2]][:, None]
             expected = (lit - offset[:, None, None]) / gain[:, None, None]
-            shaped = found.shaped(found.known, gain, offset).rows(np.eye(9))
+            shaped = found.shaped(found.known, gain, offset).bands(np.eye(9))
             assert shaped == pytest.approx(expected, rel=1e-5)

@@ -490,7 +490,7 @@ def test_a_profile_that_extract_refuses_is_not_sound(monkeypatch):
 def test_samples_are_the_head_and_frames_spread_over_the_film(count, spread, monkeypatch):
     first = SimpleNamespace(head=5, frames=tuple(range(7)))
     monkeypatch.setattr(module, "take_samples", lambda _: first)
-    monkeypatch.setattr(module, "read_raw_stamps", lambda _: 10 * np.arange(count))
+    monkeypatch.setattr(module, "read_packets", lambda _: SimpleNamespace(stamps=10 * np.arange(count)))
     asked = set()
 
     def frames_at(_, stamps, __):

@@ -9,7 +9,7 @@ def test_columns_are_angles_counter_clockwise_as_seen():
     angle = np.arctan2(-(y - 90.3), x - 140.7)
     plane = (np.mod(angle, 2 * np.pi) * 40).astype(np.uint8)
     ring = Ring((140.7, 90.3), 40.0, 60.0, 5, 360)
-    strip = unroll(plane, ring.luma_maps)
+    strip = unroll(plane, ring.maps(chroma=False))
     expected = np.arange(360) * ring.step * 40
     np.testing.assert_allclose(strip[2, 5:-5], expected[5:-5], atol=2.0)
 
@@ -20,7 +20,7 @@ def test_rows_are_radii_and_chroma_agrees_with_luma():
     yc, xc = np.mgrid[:100, :150]
     chroma = np.hypot(2 * xc + CHROMA_SHIFT[0] - 140.7, 2 * yc + CHROMA_SHIFT[1] - 90.3).astype(np.uint8)
     ring = Ring((140.7, 90.3), 30.0, 80.0, 11, 128)
-    for strip in (unroll(luma, ring.luma_maps), unroll(chroma, ring.chroma_maps)):
+    for strip in (unroll(luma, ring.maps(chroma=False)), unroll(chroma, ring.maps(chroma=True))):
         np.testing.assert_allclose(strip.mean(axis=1), ring.radii - 0.5, atol=0.6)  # uint8 cuts off
 
 

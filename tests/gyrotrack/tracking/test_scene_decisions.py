@@ -8,6 +8,7 @@ import pytest
 from gyrotrack import VideoError
 from gyrotrack.tracking import _polar as polar
 from gyrotrack.tracking import _scene as module
+from gyrotrack.tracking._film import reduced
 from gyrotrack.tracking._polar import Grid, Ring, Score, Windows, boxed, ring_for, unroll
 from gyrotrack.tracking._profile import chroma_direction, colour_name, find_blobs, hue_score, nearest_colour
 from gyrotrack.tracking._scene import Marker, Samples, Scene
@@ -24,7 +25,7 @@ def test_a_polar_grid_has_rows_of_radii_and_columns_of_angles():
     angle = np.arange(11) * np.pi / 4
     np.testing.assert_allclose(x[1], 30.0 + 7.0 * np.cos(angle), rtol=1e-6)
     np.testing.assert_allclose(y[1], 20.0 - 7.0 * np.sin(angle), rtol=1e-6)
-    x, y = RING.chroma_maps
+    x, y = RING.maps(chroma=True)
     np.testing.assert_allclose(x[3], (30.0 + 11.0 * np.cos(angle[:8])) / 2.0, rtol=1e-6)
     np.testing.assert_allclose(y[3], (20.0 - 11.0 * np.sin(angle[:8]) - 0.5) / 2.0, rtol=1e-6)
     moved = RING.moved((1.0, 2.0))
@@ -119,13 +120,13 @@ def test_windows_are_averaged_over_rows_and_columns_after_a_transformation():
     plain = (light[:, None, :] * scores[[3, 1]] - offset[:, None, None]) * scale[:, None, None]
     rows, columns = np.array([[0.25, 0.75, 0.0], [0.0, 0.5, 0.5]]), np.array([[0.2] * 5])
     np.testing.assert_allclose(
-        windows.rows(rows), np.einsum("br,nrc->nbc", rows, plain), rtol=1e-4, atol=1e-5
+        windows.bands(rows), np.einsum("br,nrc->nbc", rows, plain), rtol=1e-4, atol=1e-5
     )
     np.testing.assert_allclose(
-        windows.columns(columns), np.einsum("bc,nrc->nbr", columns, plain), rtol=1e-4, atol=1e-5
+        windows.bands(columns, across=True), np.einsum("bc,nrc->nbr", columns, plain), rtol=1e-4, atol=1e-5
     )
     np.testing.assert_allclose(
-        Windows.plain(scores).rows(rows), np.einsum("br,nrc->nbc", rows, scores), rtol=1e-4, atol=1e-5
+        Windows.plain(scores).bands(rows), np.einsum("br,nrc->nbc", rows, scores), rtol=1e-4, atol=1e-5
     )
 
 
@@ -244,7 +245,7 @@ def test_samples_have_chroma_in_small_pictures_and_half_of_it_in_large_ones():
     assert large.chroma.shape == (2, 1, 1, 200)
     assert large.to_luma(1.0, 2.0) == (5.5, 9.5)
     plane = np.array([[10, 20, 30, 40, 99], [50, 60, 70, 80, 99], [99] * 5], np.uint8)
-    assert module._halved(plane).tolist() == [[35, 55]]
+    assert reduced(plane, 2).tolist() == [[35, 55]]
 
 
 def test_samples_are_unrolled_along_a_ring():
@@ -291,14 +292,14 @@ def test_later_samples_are_key_frames_or_frames_between_them(count, every, kind,
     key = np.arange(count) % every == 0 if every else np.zeros(count, bool)
     packets = Packets(10 * np.arange(count), np.ones(count, np.int64), key, True)
     monkeypatch.setattr(module, "read_packets", lambda _: packets)
-    monkeypatch.setattr(module, "keyframes", lambda path, most, keep: ["key"] * most)
     asked = []
     monkeypatch.setattr(
         module, "frames_at", lambda path, stamps, keep: asked.extend(stamps) or {s: s for s in stamps}
     )
     found = module._later("film", 48, 320 * 240, 2)
     if kind == "keys":
-        assert found == ["key"] * 20
+        places = np.linspace(0, key.sum() - 1, 20).astype(int)
+        assert found == sorted(asked) == (470 * places).tolist()
     elif kind == "none":
         assert found == []
     else:

@@ -5,16 +5,16 @@ import time
 
 import pytest
 
-from gyrotrack.video._decoder import CHUNK, WAITING, ReadAhead
+from gyrotrack.video._decoder import CHUNK, WAITING, read_ahead
 
 
 def decoders():
-    return [t for t in threading.enumerate() if t.name == "decoding"]
+    return [t for t in threading.enumerate() if t.name.startswith("decoding")]
 
 
 @pytest.mark.parametrize("count", [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 100])
 def test_all_items_come_in_order(count):
-    assert list(ReadAhead(iter(range(count)))) == list(range(count))
+    assert list(read_ahead(iter(range(count)))) == list(range(count))
 
 
 def test_it_works_ahead_but_not_far():
@@ -25,7 +25,8 @@ def test_it_works_ahead_but_not_far():
             made.append(k)
             yield k
 
-    ahead = ReadAhead(source())
+    ahead = read_ahead(source())
+    next(ahead)
     limit = time.monotonic() + 10
     while len(made) < CHUNK * (WAITING + 1) and time.monotonic() < limit:
         time.sleep(0.01)
@@ -40,7 +41,7 @@ def test_an_error_comes_after_the_items_before_it():
         yield from range(CHUNK + 2)
         raise ValueError("broken")
 
-    items = iter(ReadAhead(source()))
+    items = read_ahead(source())
     assert [next(items) for _ in range(CHUNK + 2)] == list(range(CHUNK + 2))
     with pytest.raises(ValueError, match="broken"):
         next(items)
@@ -48,9 +49,8 @@ def test_an_error_comes_after_the_items_before_it():
 
 def test_closing_ends_the_thread_wherever_it_is():
     for taken in (0, 1, 20):
-        ahead = ReadAhead(iter(range(10**9)))
-        items = iter(ahead)
+        ahead = read_ahead(iter(range(10**9)))
         for _ in range(taken):
-            next(items)
+            next(ahead)
         ahead.close()
         assert not decoders()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gyrotrack import VideoError
-from gyrotrack.video._container import probe, read_packets, read_raw_stamps
+from gyrotrack.video._container import probe, read_packets
 from gyrotrack.video._decoder import Part, Reader, film_warnings, frames_at
 from gyrotrack.video._time_base import capture_rate, frame_numbers, gap_warnings
 
@@ -162,7 +162,7 @@ def test_parts_are_read_from_their_key_frames(tmp_path, name, threads):
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
 def test_frames_are_picked_by_their_stamps(tmp_path, name):
     path = film(tmp_path / name)
-    stamps = read_raw_stamps(path)
+    stamps = read_packets(path).stamps
     wanted = [0, 24, 25, 74, 76, 149]
     found = frames_at(path, [int(stamps[k]) for k in wanted])
     assert [number(found[int(stamps[k])]) for k in wanted] == wanted

@@ -106,67 +106,51 @@ def test_packets_are_sorted_by_their_timestamps(monkeypatch):
     found = container.read_packets("film")
     assert (found.complete, found.exact) == (True, False)
     monkeypatch.setattr(container, "opened", Opened([], "matroska,webm"))
-    assert len(container.read_raw_stamps("film")) == 0
+    assert len(container.read_packets("film").stamps) == 0
 
 
-@pytest.mark.parametrize(("count", "stamps"), [(2, [0, 180]), (3, [0, 60, 180]), (9, [0, 60, 120, 180])])
-def test_key_frames_are_spread_evenly(count, stamps, monkeypatch):
-    monkeypatch.setattr(container, "opened", Opened(_film()))
-    found = container.keyframes("film", count)
-    assert [f.pts for f in found] == stamps
-    assert {f.index for f in found} == {-1}
+@pytest.fixture
+def opens(monkeypatch):
+    """Let a film consist of given packets."""
+
+    def film(packets):
+        for module in (container, decoder):
+            monkeypatch.setattr(module, "opened", Opened(packets))
+        monkeypatch.setattr(decoder, "probe", lambda _: SimpleNamespace(path="film", frames_declared=24))
+
+    return film
 
 
-def test_damaged_key_frames_are_omitted(monkeypatch):
+def test_damaged_frames_are_omitted(opens):
     film = _film()
     film[6] = _packet(60, key=True, fails=True)
-    monkeypatch.setattr(container, "opened", Opened(film))
-    assert [f.pts for f in container.keyframes("film", 9)] == [0, 120, 180]
-    monkeypatch.setattr(container, "opened", Opened([_packet(0)]))
-    assert container.keyframes("film", 9) == []
+    opens(film)
+    assert set(decoder.frames_at("film", {0, 60, 120, 180})) == {0, 120, 180}
+    opens([_packet(0)])
+    assert decoder.frames_at("film", {0}) == {}
 
 
-@pytest.mark.parametrize("wanted", [{0}, {50}, {10, 130, 230}, {60, 65}, {500, 230}])
-def test_frames_are_decoded_between_their_key_frames(wanted, monkeypatch):
+@pytest.mark.parametrize("wanted", [{0}, {50}, {10, 130, 230}, {60, 65}, {500, 230}, {-1}])
+def test_frames_are_decoded_from_their_key_frames(wanted, opens):
     film = _film()
     decoded = []
     for packet in film:
         packet.decode = lambda p=packet: decoded.append(p.pts) or [_raw(p.pts)]
-    monkeypatch.setattr(decoder, "opened", Opened(film))
+    opens(film)
     found = decoder.frames_at("film", wanted)
     assert set(found) == wanted & {p.pts for p in film}
-    assert all(frame.pts == stamp and frame.index == -1 for stamp, frame in found.items())
-    # of each run, the frames from its key frame up to the last wanted one
+    assert all(frame.pts == stamp for stamp, frame in found.items())
+    # of each run, the frames from its key frame to the frame after the last wanted one
     runs = {}
-    for stamp in wanted:
+    for stamp in wanted - {-1}:
         start = min(stamp // 60 * 60, 180)
         runs[start] = max(runs.get(start, 0), stamp)
     assert decoded == [
-        p.pts
-        for p in film
-        if any(s <= p.pts < min(e + 10, s + 60 if s < 180 else 999) for s, e in runs.items())
+        stamp
+        for start, last in sorted(runs.items())
+        for stamp in range(start, min(last + 20, 240), 10)
+        if stamp - 10 <= last
     ]
-
-
-def test_runs_of_packets_are_found_by_their_key_frames(monkeypatch):
-    monkeypatch.setattr(decoder, "opened", Opened(_film(20)))
-    assert decoder._ranges("film", [15]) == [(0, 6, 0, 60)]
-    assert decoder._ranges("film", [59, 60]) == [(0, 6, 0, 60), (6, 12, 60, 120)]
-    assert decoder._ranges("film", [180]) == [(18, 20, 180, 1 << 63)]
-    assert decoder._ranges("film", [-1]) == []
-
-
-def test_frames_that_are_not_wanted_may_be_skipped():
-    skipped = []
-    stream = Opened([]).stream
-    packets = [_packet(k) for k in range(5)]
-    for packet in packets:
-        packet.decode = lambda: skipped.append(stream.codec_context.skip_frame) or []
-    list(decoder._decoded(enumerate(packets), 1, 4, stream, {2}))
-    assert skipped == ["NONREF", "DEFAULT", "NONREF"]
-    packets[3].pts = None  # it may be the wanted one
-    list(decoder._decoded(enumerate(packets), 3, 4, stream, {2}))
-    assert skipped[3:] == ["DEFAULT"]
 
 
 @pytest.mark.parametrize(
