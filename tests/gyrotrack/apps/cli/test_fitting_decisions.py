@@ -66,6 +66,7 @@ class TestFit:
         monkeypatch.setattr(module.shared, "own_effects", lambda effects, mechanism: (effects, mechanism))
         monkeypatch.setattr(module, "_intervals", intervals)
         monkeypatch.setattr(module, "_predicted", predicted)
+        monkeypatch.setattr(module, "_note_unused_inputs", lambda found, out: None)
         monkeypatch.setattr("fitting.study._preparation.curve_bias", lambda found: "bias")
         monkeypatch.setattr(
             "fitting.study._serialisation.fit_document",

@@ -270,7 +270,7 @@ class TestLadder:
         )  # fmt: skip
         noise = next(x for x in lines if x.startswith("noise"))
         assert noise.split()[:5] == ["noise", "0.0125", "1", "1", "-77.0"]
-        assert lines[-1] == "1000 samples, 250 equivalent independent ones"
+        assert lines[-1] == "1000 samples, 250 equivalent independent samples"
         assert lines[-2].endswith(";")
         lines = self.lines(self.step("f1", 0.4, None, samples=None, rmse_noise=None, bic_noise=None))
         assert next(x for x in lines if x.startswith("noise")).split()[:5] == ["noise", "-", "1", "1", "-"]
