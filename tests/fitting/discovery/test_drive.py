@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.discovery import _drive as module
 from fitting.discovery._drive import unrecorded_drive
 from fitting.effects._mechanism import MAIN
 from fitting.inference._record import Samples
@@ -46,7 +45,7 @@ def fit_of(
         casing=runs[0], rotor=rotor, driving=driving, spun=SimpleNamespace(state=state, name="wheel")
     )
     data = SimpleNamespace(record=record, motion=SimpleNamespace(is_smooth=smooth), is_angle=angle)
-    monkeypatch.setattr(module, "predicted_samples", lambda *_: iter(models))
+    monkeypatch.setattr("fitting.discovery._drive.predicted_samples", lambda *_: iter(models))
     return SimpleNamespace(problem=SimpleNamespace(data=[data]), model=SimpleNamespace(restoring=restoring))
 
 
