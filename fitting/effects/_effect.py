@@ -293,9 +293,11 @@ class Effect:
     - ``bearing``: the torque +tau on the casing and -tau on the rotor;
     - ``contact`` (rims that touch, gears, a belt): the torque tau on the rotor and -n tau on the casing, where n is the
       ratio of the contact;
-    - ``factor``: a factor of the whole bearing torque; - ``inertia``: a factor of the acceleration of the casing; -
-    ``camera.casing`` or ``camera.rotor``: an angle added to the angles that the camera measures; psi and omega are then
-    the angle and the speed of the filmed body; - ``input``: the dead time of a recorded input.
+    - ``factor``: a factor of the whole bearing torque;
+    - ``inertia``: a factor of the acceleration of the casing;
+    - ``camera.casing`` or ``camera.rotor``: an angle added to the angles that the camera measures; psi and omega are
+      then the angle and the speed of the filmed body;
+    - ``input``: the dead time of a recorded input.
 
     All properties of an effect are fields or properties of this class. No code depends on the name of an effect, so a
     new law is one entry of the library.
