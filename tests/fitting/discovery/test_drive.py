@@ -67,6 +67,14 @@ def test_a_rise_of_the_speed_is_a_drive_in_either_sense(monkeypatch, angle, sign
     assert "--from" in found
 
 
+def test_the_rise_begins_before_it_ends(monkeypatch):
+    """From 20 rad/s down to 10 at 8 s, up to 15 at 12 s, and down to 2 at 24 s."""
+    speed = np.interp(TIME, [0, 8, 12, 24], [20.0, 10.0, 15.0, 2.0])
+    found = unrecorded_drive(fit_of(monkeypatch, speed, np.interp(TIME, [0, 24], [20.0, 2.0])))
+    # the means of parts of one second: 10 + 5 / 8 and 15 - 13 / 24 rad/s
+    assert "rises by 3.85 rad/s from 8.5 s to 12.5 s" in found
+
+
 @pytest.mark.parametrize(("rise", "found"), [(2.3, True), (2.0, False)])
 def test_a_tenth_of_the_largest_speed_is_a_rise(monkeypatch, rise, found):
     assert bool(unrecorded_drive(fit_of(monkeypatch, ramp(rise), SLOWED))) is found

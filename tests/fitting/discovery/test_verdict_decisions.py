@@ -518,6 +518,17 @@ class TestVerdict(Answer):
         self.answer(**(given | change))
         assert "with_random_torque" not in self.asked
 
+    @pytest.mark.parametrize("wrong", [False, True])
+    def test_an_unrecorded_drive_excludes_a_random_torque(self, wrong):
+        drive = "The speed rises."
+        final = Found(wrong=wrong, needs_random=True)
+        given = {"select": selection(final=final), "with_random_torque": random_torque(), "describes": True}
+        found = self.answer(Found(wrong=wrong, needs_random=True), unrecorded_drive=drive, **given)
+        assert found.verdict == ("unexplained" if wrong else "undecided")
+        assert drive in found.sentence
+        assert "with_random_torque" not in self.asked
+        assert drive not in self.answer(Found(needs_random=True), unrecorded_drive="", **given).sentence
+
     def test_of_an_oscillation_there_is_no_random_alternative(self):
         swinging = Found(wrong=True, problem=problem(data(oscillation=SimpleNamespace())))
         self.answer(

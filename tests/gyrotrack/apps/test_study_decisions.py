@@ -224,6 +224,7 @@ def test_effects_are_added_once():
         ("casing: q * omega_c", "casing.air.linear"),
         ("casing: -k*omega_c**3", None),
         ("rotor: -k*omega_r", None),
+        ("rotor: -k*omega_c", None),
     ],
 )
 def test_a_law_of_the_model_is_not_added_under_another_name(law, known):
