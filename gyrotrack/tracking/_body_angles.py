@@ -58,7 +58,12 @@ from gyrotrack.tracking._orbit import (
 )
 from gyrotrack.tracking._profile import Profile
 from gyrotrack.tracking._scene import Marker, Scene
-from gyrotrack.tracking._template_zeros import TemplateZeros, scatter_of_templates, template_zeros
+from gyrotrack.tracking._template_zeros import (
+    TemplateZeros,
+    change_of_harmonics,
+    scatter_of_templates,
+    template_zeros,
+)
 from gyrotrack.tracking._texture import CENTRE_ERROR, TextureObservations
 from gyrotrack.video._time_base import FrameTimes
 
@@ -810,7 +815,9 @@ def by_texture(
     off = middle + wrapped(off - middle)
     template = texture.template
     if abs(net_turn(body.angle)) > MANY_TURNS * 2.0 * np.pi:
-        zeros = template_zeros(off, template, [body.angle, *(a - body.angle for a in others)])
+        relative = [body.angle, *(a - body.angle for a in others)]
+        zeros = template_zeros(off, template, relative)
+        angle = angle + change_of_harmonics(wrapped(off - zeros.zero), template, relative)
     else:
         scatter = scatter_of_templates(off - middle, template)
         zeros = TemplateZeros(np.full(len(off), middle), np.full(len(off), scatter))
@@ -839,6 +846,9 @@ def by_texture(
             error_of_ring(texture, usual) / radius,
         ),
         axis=np.nan_to_num(of_view) * math.sqrt(variance_left(coarse, VIEW_ORDERS)),
+        # all zones of a ring are visible, as are markers above the other body
+        other=others[0] if len(others) else None,
+        above=True,
         time_base=time_base,
     )
     new = np.isfinite(found.angle)

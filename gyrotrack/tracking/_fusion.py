@@ -490,13 +490,16 @@ def errors_by_neighbour(
         when = near & (passing if above else state.turning)
         found = _curve(state, name, difference, state.by_place(name), smooth, when)
         clear = float(fast)
-        if last and fast and not above:
+        if last and fast:
             clear = _shown_share(found, difference, when & c.open)
+        # the mean error of unoccluded frames is a part of the mount angle
+        seen = near & c.open
+        level = clear * float(curve_at(found.values, difference[seen]).mean()) if seen.any() else 0.0
         for part in row_blocks(n):
             share = np.where(c.open[part], clear, 1.0) * near[part]
             weight = np.where(when[part], share / state.sigma(name, part) ** 2, 0.0)
             leverage[name][part] = found.leverage(difference[part], weight)
-            error[name][part] = share * curve_at(found.values, difference[part])
+            error[name][part] = share * curve_at(found.values, difference[part]) - level * near[part]
         if above:
             slow, _ = local_fit(error[name], near.astype(np.float64), *window)
             error[name] -= np.where(near, np.nan_to_num(slow), 0.0)
@@ -726,9 +729,30 @@ def _without_common(mounts: dict[str, float]) -> Floats:
     return np.stack([np.concatenate(list(curves.values())) for curves in kept], axis=1)
 
 
-ROUNDS = 5
-"""Number of passes of the fusion [iterations]. Chosen: a smaller number stops before curves and motion agree, a larger
-one costs time."""
+FEWEST_ROUNDS = 5
+"""Smallest number of passes of the fusion, and number of passes that estimate mount angles, outliers and weights
+[iterations]. Chosen: a smaller number ends before they settle; with a larger one, the mean of a short film follows a
+single marker, whose scatter becomes 0."""
+MOST_ROUNDS = 60
+"""Largest number of passes of the fusion [iterations]. Measured: in films whose frames are in step with eight periods
+per turn, 5, 30 and 60 passes leave errors of 0.34, 0.13 and 0.12 mrad of this order; a larger number costs time."""
+SETTLED = 2e-3
+"""The fusion ends if the rms change of the errors of each marker, divided by its scatter, is below this value [1].
+Chosen: a hundred such changes add 0.2 standard deviations; a smaller value costs time, a larger one ends before curves
+and motion agree."""
+
+
+def change_of_bias(before: Residuals, after: Residuals) -> float:
+    """Return the largest rms change of the estimated errors of a marker, divided by its scatter [1]."""
+    largest = 0.0
+    for name in after.candidates:
+        total, count = 0.0, 0
+        for part in row_blocks(len(after.path)):
+            used = after.weights.use[name][part]
+            change = (after.bias(name, part) - before.bias(name, part))[used]
+            total, count = total + float(change @ change), count + len(change)
+        largest = max(largest, math.sqrt(total / max(count, 1)) / after.weights.scatter[name][0])
+    return largest
 
 
 @dataclass(frozen=True)
@@ -803,18 +827,24 @@ def join(
     """
     state, arcs = Residuals.of(coarse, candidates, fps, time_base), arcs or {}
     half, degree = learning_window(state.path)
-    for number in range(ROUNDS):
-        short, leverage = state.smooth(HALF_WINDOW)
-        state = replace(state, mounts=mount_angles(state, short))
-        state = replace(state, weights=weights_about(state, short, leverage))
+    settled = False
+    for number in range(MOST_ROUNDS):
+        last, before = number == MOST_ROUNDS - 1 or (settled and number >= FEWEST_ROUNDS - 1), state
+        if number < FEWEST_ROUNDS:
+            short, leverage = state.smooth(HALF_WINDOW)
+            state = replace(state, mounts=mount_angles(state, short))
+            state = replace(state, weights=weights_about(state, short, leverage))
         smooth, _ = state.smooth(half, degree)
-        state = replace(state, turning=turning_frames(state, short, smooth, half))
+        if number < FEWEST_ROUNDS:
+            state = replace(state, turning=turning_frames(state, short, smooth, half))
         state = replace(state, place=errors_by_place(state, smooth))
         state = replace(state, view=errors_of_view(state, floor, arcs))
         if other is not None:
-            last = number == ROUNDS - 1
             found = errors_by_neighbour(state, smooth, other, (half, degree), above=above, last=last)
             state = replace(state, neighbour=found)
+        if last:
+            break
+        settled = change_of_bias(before, state) < SETTLED
     short, leverage = state.smooth(HALF_WINDOW)
     state = replace(state, weights=weights_about(state, short, leverage))
     state = replace(state, view=errors_of_view(state, floor, arcs))

@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -61,6 +62,16 @@ _COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
 """Grid of common errors x, divided by the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer steps cost
 time, a smaller range limits the error."""
 
+_VIEW_ORDERS = range(1, 3)
+"""Orders of the harmonics that change with the template [periods per turn]. Derived: a displaced centre causes order 1,
+an oblique view order 2."""
+_FLAT = 1.0
+"""Prior precision of the coefficients that change with the template [1/rad^2]. Derived: wide enough to contain no
+information; it only prevents a singular matrix in a body at rest."""
+FINEST = 1e-7
+"""Lower limit of the scatter of the differences [rad]. Derived: the rounding error of sums in single precision, which
+is all that remains in a picture without noise."""
+
 
 @dataclass(frozen=True)
 class TemplateZeros:
@@ -80,12 +91,9 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     `angles` (n,) [rad] describe the errors of the markers; the first is the angle of the body itself.
     """
     count = int(template.max(initial=-1)) + 1
-    known = np.isfinite(off)
-    # the numbers of templates increase
-    parts = [slice(*np.searchsorted(template, [b, b + 1])) for b in range(count)]
-    batches = [_without_outliers(off, part.start + np.flatnonzero(known[part])) for part in parts]
-    used = [b for b in range(count) if len(batches[b]) >= _FEWEST_FRAMES]
+    batches, used = _batches(off, template, count)
     if len(used) < FEWEST_TEMPLATES:
+        known = np.isfinite(off)
         middle = median_of(off[known]) if known.any() else 0.0
         return TemplateZeros(np.full(len(off), middle), np.zeros(len(off)))
     mean = np.array([float(off[batches[b]].mean()) for b in used])
@@ -93,17 +101,71 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     squares = [_squared_amplitudes(off, a, [batches[b] for b in used], variance) for a in angles]
     for angle, each in zip(angles, squares, strict=True):
         variance = variance + [0.5 * float(each @ _squared_resultants(angle, batches[b])) for b in used]
-    speed = np.array([_mean_rate(angles[0][batches[b]], batches[b]) for b in used])
-    change = np.diff(speed) ** 2
-    if change.mean() < _STEADY**2 * np.mean(speed**2):
-        change[:] = 0.0
-    zero, left, per_speed = _smoothed(mean, variance, np.diff(used).astype(np.float64), change)
+    change = _changes_of_speed(angles[0], [batches[b] for b in used])
+    zero, left, per_speed = _smoothed(mean, variance, np.diff(used).astype(np.float64), change, _COMMON)
     each = np.interp(np.arange(count), used, zero)[template]
     for i, b in enumerate(used if per_speed > 0 else ()):
-        within, of_slope = _within(off, angles, squares, batches[b], parts[b], per_speed)
-        each[parts[b]] += within
+        part = slice(*np.searchsorted(template, [b, b + 1]))
+        within, of_slope = _within(off, angles, squares, batches[b], part, per_speed)
+        each[part] += within
         left[i] += of_slope
     return TemplateZeros(each, np.sqrt(np.interp(np.arange(count), used, left))[template])
+
+
+def change_of_harmonics(off: Floats, template: Integers, angles: Sequence[Floats]) -> Floats:
+    """Return the change of errors once and twice per turn between templates, (n,) [rad], to be added to the texture.
+
+    A displaced centre and an oblique view turn a template in proportion to its moments, which differ between templates.
+    The harmonics of `off` in a batch differ from those in other batches for this reason only, because both angles
+    contain the motion and the errors of the markers do not depend on the template. The coefficients of orders 1 and 2
+    are fitted in each batch and smoothed as the zeros are; their weighted mean over the batches is subtracted. The
+    arguments are explained in `template_zeros`; the mean of `off` is 0 in each batch.
+    """
+    count = int(template.max(initial=-1)) + 1
+    batches, used = _batches(off, template, count)
+    if len(used) < FEWEST_TEMPLATES:
+        return np.zeros(len(off))
+    white = np.array([float(off[batches[b]].var()) / len(batches[b]) for b in used])
+    squares = [_squared_amplitudes(off, a, [batches[b] for b in used], white) for a in angles]
+    squares[0][: len(_VIEW_ORDERS)] = 0.0
+    found = np.array([_coefficients(off, angles, squares, batches[b]) for b in used])
+    change = _changes_of_speed(angles[0], [batches[b] for b in used])
+    correction = np.zeros(len(off))
+    turn = np.where(np.isfinite(angles[0]), angles[0], 0.0)
+    for (order, wave), (value, variance) in zip(
+        product(_VIEW_ORDERS, (np.cos, np.sin)), found.transpose(2, 1, 0), strict=True
+    ):
+        level, left, _ = _smoothed(value, variance, np.diff(used).astype(np.float64), change, _COMMON[:1])
+        level -= np.average(level, weights=1.0 / left)
+        correction += np.interp(np.arange(count), used, level)[template] * wave(order * turn)
+    return correction
+
+
+def _coefficients(
+    off: Floats, angles: Sequence[Floats], squares: Sequence[Floats], frames: Integers
+) -> Floats:
+    """Return coefficients of cos and sin of `_VIEW_ORDERS` in a batch [rad], and their variances [rad^2], (2, 4)."""
+    own = [np.ones(len(frames))]
+    own += [wave(order * angles[0][frames]) for order, wave in product(_VIEW_ORDERS, (np.cos, np.sin))]
+    others = _marker_errors(angles, squares, frames)
+    basis = np.stack(own + others, axis=1)
+    noise = float(off[frames].var())
+    prior = np.diag([_FLAT] * len(own) + [1.0] * len(others))
+    covariance = np.linalg.inv(basis.T @ basis / max(noise, FINEST**2) + prior)
+    fitted = covariance @ (basis.T @ off[frames]) / max(noise, FINEST**2)
+    return np.stack([fitted, np.diag(covariance)])[:, 1 : len(own)]
+
+
+def _marker_errors(angles: Sequence[Floats], squares: Sequence[Floats], frames: Integers) -> list[Floats]:
+    """Return the harmonics of the errors of a marker in some frames [rad]; their coefficients have the variance 1."""
+    columns = []
+    for angle, each in zip(angles, squares, strict=True):
+        turn = angle[frames]
+        for order, square in zip(_ORDERS, each, strict=True):
+            if square > 0:
+                size = math.sqrt(0.5 * square)
+                columns += [np.nan_to_num(size * wave(order * turn)) for wave in (np.cos, np.sin)]
+    return columns
 
 
 def scatter_of_templates(off: Floats, template: Integers) -> float:
@@ -114,6 +176,16 @@ def scatter_of_templates(off: Floats, template: Integers) -> float:
     known = np.isfinite(off)
     medians = [median_of(off[known & (template == b)]) for b in np.unique(template[known])]
     return spread(np.array(medians)) if len(medians) >= FEWEST_TEMPLATES else 0.0
+
+
+def _batches(off: Floats, template: Integers, count: int) -> tuple[list[Integers], list[int]]:
+    """Return the frames of each of `count` templates whose differences are used, and the templates with enough frames.
+
+    The numbers of the templates increase with time.
+    """
+    parts = [slice(*np.searchsorted(template, [b, b + 1])) for b in range(count)]
+    batches = [_without_outliers(off, part.start + np.flatnonzero(np.isfinite(off[part]))) for part in parts]
+    return batches, [b for b in range(count) if len(batches[b]) >= _FEWEST_FRAMES]
 
 
 def _without_outliers(off: Floats, frames: Integers) -> Integers:
@@ -154,6 +226,13 @@ def _squared_resultants(angle: Floats, frames: Integers) -> Floats:
     return np.asarray(np.abs(waves.mean(axis=1)) ** 2)
 
 
+def _changes_of_speed(angle: Floats, batches: Sequence[Integers]) -> Floats:
+    """Return squared changes of speed between batches, (batches - 1,) [(rad per frame)^2]; 0 for a steady body."""
+    speed = np.array([_mean_rate(angle[frames], frames) for frames in batches])
+    change = np.diff(speed) ** 2
+    return change if change.mean() >= _STEADY**2 * np.mean(speed**2) else np.zeros_like(change)
+
+
 def _mean_rate(angle: Floats, frames: Integers) -> float:
     """Return the mean speed in some frames [rad per frame]."""
     return float(angle[-1] - angle[0]) / float(frames[-1] - frames[0])
@@ -180,17 +259,10 @@ def _within(
     noise = float(off[frames].var())
     if not float(apart @ apart) > 0 or not noise > 0:
         return np.zeros(batch.stop - batch.start), 0.0
-    columns, prior = [np.ones(len(frames)), apart * per_speed], [0.0, 1.0]
-    for angle, each in zip(angles, squares, strict=True):
-        turn = angle[frames]
-        for order, square in zip(_ORDERS, each, strict=True):
-            if square > 0:
-                size = math.sqrt(0.5 * square)
-                columns += [np.nan_to_num(size * wave(order * turn)) for wave in (np.cos, np.sin)]
-                prior += [1.0, 1.0]
-    basis = np.stack(columns, axis=1)
+    errors = _marker_errors(angles, squares, frames)
+    basis = np.stack([np.ones(len(frames)), apart * per_speed, *errors], axis=1)
     # the noise includes the harmonics, which the coefficients may describe only in part
-    covariance = np.linalg.inv(basis.T @ basis / noise + np.diag(prior))
+    covariance = np.linalg.inv(basis.T @ basis / noise + np.diag([0.0, 1.0] + [1.0] * len(errors)))
     slope = per_speed * float(covariance[1] @ (basis.T @ off[frames])) / noise
     usual = per_speed**2 * float(np.mean(apart**2))
     rest = off[frames] - basis @ (covariance @ (basis.T @ off[frames]) / noise)
@@ -209,10 +281,13 @@ def _slow_variance(rest: Floats) -> float:
     return max(float(groups.mean(axis=1).var()) - white / _FEWEST_FRAMES, 0.0)
 
 
-def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> tuple[Floats, Floats, float]:
+def _smoothed(
+    mean: Floats, variance: Floats, gaps: Floats, change: Floats, common: Floats
+) -> tuple[Floats, Floats, float]:
     """Return the most likely zeros and their variances, (batches,), and p [rad per (rad per frame)].
 
     Between batches, (batches - 1,), `gaps` is the distance in batches, and `change` the squared change of speed.
+    `common` is the grid of errors x, in units of the typical uncertainty of a mean.
     """
     unit = math.sqrt(median_of(variance))
     usual = float(change.mean())
@@ -221,7 +296,7 @@ def _smoothed(mean: Floats, variance: Floats, gaps: Floats, change: Floats) -> t
         (q, p, x)
         for q in unit * _STEPS
         for p in unit * _STEPS[:: 1 if usual > 0 else len(_STEPS)]
-        for x in unit * _COMMON
+        for x in unit * common
     ]
 
     def variances(q: float, p: float, x: float) -> tuple[Floats, Floats]:

@@ -298,7 +298,7 @@ class TestRings:
         own = replace(seen, own_view=late[:, 0].astype(float))
         assert periodic_error(own, centre, 2e-3, learnt) == pytest.approx(LEAST_PERIODIC)
 
-    def given(self, monkeypatch, seen, *, usual=1e-6, error=2e-3, coarse=None, better=True):
+    def given(self, monkeypatch, seen, *, usual=1e-6, error=2e-3, coarse=None, better=True, others=()):
         """Return what a ring is joined with, and the body of it and of markers at 0, with a centre of +-0.04 px."""
         asked = []
 
@@ -311,7 +311,9 @@ class TestRings:
         monkeypatch.setattr(module, "scatter_of_templates", lambda off, template: 0.3)
         marker, flat = body(np.zeros(N)), Flattening({}, 0.0, 0.0, error=error)
         coarse = np.zeros(N) if coarse is None else coarse
-        found = module.by_texture(marker, seen, path(N, 0.04), flat, coarse, 250.0, usual, 100.0)
+        found = module.by_texture(
+            marker, seen, path(N, 0.04), flat, coarse, 250.0, usual, 100.0, None, others
+        )
         return asked[0], found, marker
 
     def test_a_frame_of_a_ring_is_as_certain_as_its_zones_and_its_misfit(self, monkeypatch):
@@ -323,6 +325,34 @@ class TestRings:
         # the zero of few turns is uncertain by the scatter of the templates
         assert found.slow == (pytest.approx(0.3), module.BATCH)
         assert found.angle.tolist() == [0.5] * N
+
+    def test_errors_of_a_ring_are_learnt_beside_the_other_body_as_above_it(self, monkeypatch):
+        other = np.linspace(0.0, 9.0, N)
+        (_, options), _, _ = self.given(monkeypatch, ring(N), others=[other])
+        assert options["other"] is other
+        assert options["above"] is True
+        (_, options), _, _ = self.given(monkeypatch, ring(N))
+        assert options["other"] is None
+
+    def test_harmonics_that_change_with_the_template_are_corrected(self, monkeypatch):
+        """In a body of many turns, with the angles of the markers about the zeros of the templates."""
+        turn, given = np.linspace(0.0, 80.0, N), []
+        zeros = module.TemplateZeros(np.full(N, 0.2), np.zeros(N))
+        monkeypatch.setattr(module, "template_zeros", lambda *_: zeros)
+        monkeypatch.setattr(
+            module, "change_of_harmonics", lambda *args: given.append(args) or np.full(N, 0.03)
+        )
+        asked = []
+        monkeypatch.setattr(
+            module, "join", lambda coarse, seen, fps, **_: asked.append(seen) or body(turn, 1e-4)
+        )
+        monkeypatch.setattr(module, "_averages_better", lambda *_: True)
+        seen = ring(N, angle=turn - 0.25)
+        module.by_texture(body(turn), seen, path(N, 0.04), Flattening({}, 0.0, 0.0), turn, 250.0, 1e-6, 100.0)
+        ((off, _, angles),) = given
+        assert off == pytest.approx(np.full(N, 0.05))
+        assert angles[0] == pytest.approx(turn)
+        assert asked[0]["texture"].angle == pytest.approx(module.wrapped(turn - 0.25 + 0.03 + 0.2))
 
     def test_a_ring_that_is_not_better_leaves_the_markers(self, monkeypatch):
         _, found, marker = self.given(monkeypatch, ring(N), better=False)

@@ -177,7 +177,7 @@ class TestRounds:
         arcs = {"m0": np.eye(2)}
         asked, views = self.joined(monkeypatch, view, floor=0.01, axis=0.03, orbit=0.04, arcs=arcs)
         assert asked[3:5] == (0.01, pytest.approx(axis))
-        assert views == [(0.01, arcs)] * 6  # in five rounds, and at last
+        assert views == [(0.01, arcs)] * 6  # in five passes, and at last
 
     def test_frames_are_confirmed_by_others_up_to_nine_tenths(self, monkeypatch):
         leverage = np.full(N, 0.5)

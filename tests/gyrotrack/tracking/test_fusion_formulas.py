@@ -412,6 +412,33 @@ class TestLearning:
         assert learnt_.any() == learnt
         assert found.leverage["m1"].any() == learnt
 
+    @pytest.mark.parametrize("hidden", [0.0, 0.4])
+    def test_a_level_of_the_errors_beside_another_body_is_a_mount_angle(self, hidden):
+        """The errors of unoccluded frames have the mean 0; hidden frames are displaced from them by 5 mrad."""
+        turn, other = 0.3 * np.arange(N), 1.0 + 0.38 * np.arange(N)
+        covered = np.mod(turn - other, TURN) < TURN * hidden
+        error = 3e-3 * np.cos(2 * (turn - other)) + 4e-3 + 5e-3 * covered
+        found = changed(
+            state([error, error], mounts=(0.0, 0.0), scatter=dict.fromkeys(("m0", "m1"), (0.0002, 0.0002))),
+            turning=True, open=dict.fromkeys(("m0", "m1"), ~covered),
+        )  # fmt: skip
+        learnt = errors_by_neighbour(found, np.zeros(N), other, (30, 2), above=False, last=False).error["m0"]
+        assert learnt[~covered].mean() == pytest.approx(0.0, abs=1e-9)
+        edges = np.mod((turn - other)[:, None] / TURN - [0.0, hidden] + 0.5, 1.0) - 0.5
+        clear = np.abs(edges).min(axis=1) > 0.06
+        usual = error - error[~covered].mean()
+        assert learnt[clear] == pytest.approx(usual[clear], abs=1.5e-3)
+
+    @pytest.mark.parametrize("above", [False, True])
+    def test_the_last_curve_is_reduced_by_its_noise(self, monkeypatch, above):
+        whole, _ = self.passed(above=above, other_rate=0.38)
+        monkeypatch.setattr(module, "_shown_share", lambda *_: 0.25)
+        monkeypatch.setattr(module, "local_fit", lambda value, *_: (np.zeros(len(value)), None))
+        whole, _ = self.passed(above=above, other_rate=0.38)
+        last, _ = self.passed(above=above, other_rate=0.38, last=True)
+        assert last.error["m0"] == pytest.approx(0.25 * whole.error["m0"])
+        assert last.leverage["m0"] == pytest.approx(0.25 * whole.leverage["m0"])
+
     def test_the_slow_part_of_an_error_from_above_is_motion(self, monkeypatch):
         windows = []
 
@@ -603,8 +630,10 @@ class TestHidden:
 class TestJoin:
     @pytest.mark.parametrize("above", [False, True])
     def test_the_other_body_is_followed_in_each_round(self, monkeypatch, above):
-        """The errors near its markers are learnt in windows of the curve, and for good in the last round."""
+        """The errors near its markers are learnt in windows of the curve, and for good in the last pass."""
         seen = []
+        changes = iter([1.0] * 6 + [1.9e-3])
+        monkeypatch.setattr(module, "change_of_bias", lambda before, after: next(changes))
 
         def learn(state, smooth, other, window, *, above, last):
             seen.append((other, window, above, last))
@@ -614,9 +643,43 @@ class TestJoin:
         given, other = state(), np.linspace(0.0, 9.0, N)
         found = join(given.path, given.candidates, 1000.0, other, above=above)
         window = module.learning_window(given.path)
-        assert [s[1:] for s in seen] == [(window, above, last) for last in [False] * 4 + [True]]
+        assert [s[1:] for s in seen] == [(window, above, last) for last in [False] * 7 + [True]]
         assert all(s[0] is other for s in seen)
         assert found.angle - found.angle[0] == pytest.approx(given.path, abs=1e-9)
         seen.clear()
+        monkeypatch.setattr(module, "change_of_bias", lambda before, after: 0.0)
         join(given.path, given.candidates, 1000.0)
         assert seen == []
+
+    @pytest.mark.parametrize(("change", "passes"), [(0.0, 5), (1.9e-3, 5), (2.1e-3, 60)])
+    def test_passes_end_when_the_curves_change_by_less_than_a_five_hundredth(
+        self, monkeypatch, change, passes
+    ):
+        """Mount angles, weights and whole turns are estimated in five passes, and the weights at last."""
+        seen, asked = [], []
+
+        def counted(name, own):
+            return lambda *given: asked.append(name) or own(*given)
+
+        for name in ("mount_angles", "weights_about", "turning_frames"):
+            monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
+        monkeypatch.setattr(
+            module, "errors_by_neighbour", lambda state, *_, **last: seen.append(last) or state.neighbour
+        )
+        monkeypatch.setattr(module, "change_of_bias", lambda before, after: change)
+        given = state()
+        join(given.path, given.candidates, 1000.0, np.linspace(0.0, 9.0, N))
+        assert [each["last"] for each in seen] == [False] * (passes - 1) + [True]
+        assert asked == ["mount_angles", "weights_about", "turning_frames"] * 5 + ["weights_about"]
+
+    def test_a_change_of_errors_is_relative_to_the_scatter_of_a_marker(self):
+        """3 mrad in used frames of the first marker of +-10 mrad; 3 mrad of +-2 mrad, by place and by neighbour."""
+        used = np.arange(N) < 100
+        before = changed(state(), scatter={"m0": (10e-3, 0.1), "m1": (2e-3, 0.1)}, use={"m0": used})
+        after = changed(before, by_place={"m0": np.where(used, 3e-3, 9.0)})
+        assert module.change_of_bias(before, after) == pytest.approx(0.3)
+        after = changed(before, by_place={"m1": 2e-3}, by_neighbour={"m1": 1e-3})
+        assert module.change_of_bias(before, after) == pytest.approx(1.5)
+        after = changed(before, by_place={"m1": np.where(np.arange(N) % 4 == 0, -3e-3, 0.0)})
+        assert module.change_of_bias(before, after) == pytest.approx(0.75)
+        assert module.change_of_bias(before, before) == 0.0

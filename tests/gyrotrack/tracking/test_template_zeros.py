@@ -7,7 +7,7 @@ import pytest
 
 from gyrotrack.tracking import _body_angles
 from gyrotrack.tracking import _template_zeros as module
-from gyrotrack.tracking._template_zeros import scatter_of_templates, template_zeros
+from gyrotrack.tracking._template_zeros import change_of_harmonics, scatter_of_templates, template_zeros
 from gyrotrack.tracking._texture import TextureObservations
 
 BATCH, COUNT = 512, 30
@@ -110,7 +110,7 @@ def test_the_amplitude_of_a_harmonic_is_that_of_batches_in_which_it_averages_out
 def test_a_harmonic_in_step_adds_half_its_squared_amplitude_to_the_variance_of_a_mean(monkeypatch):
     given = []
 
-    def smoothed(mean, variance, gaps, change):
+    def smoothed(mean, variance, gaps, change, common):
         given.append(variance)
         return mean, variance, 0.0
 
@@ -273,13 +273,12 @@ def test_zeros_and_variances_are_those_of_the_whole_linear_model(monkeypatch):
     mean, variance = rng.normal(0, 1e-3, 7), rng.uniform(0.5, 2.0, 7) * 1e-8
     gaps, change = np.array([1.0, 1.0, 2.0, 1.0, 3.0, 1.0]), rng.uniform(0.1, 2.0, 6)
     monkeypatch.setattr(module, "_STEPS", np.array([1.5]))
-    monkeypatch.setattr(module, "_COMMON", np.array([0.7]))
     unit = np.sqrt(np.median(variance))
     step = (1.5 * unit) ** 2 * (gaps + change / change.mean())
     r = variance + (0.7 * unit) ** 2
     difference = np.diff(np.eye(7), axis=0)
     covariance = np.linalg.inv(np.diag(1 / r) + difference.T @ np.diag(1 / step) @ difference)
-    zero, left, per_speed = module._smoothed(mean, variance, gaps, change)
+    zero, left, per_speed = module._smoothed(mean, variance, gaps, change, np.array([0.7]))
     assert zero == pytest.approx(covariance @ (mean / r), rel=1e-9)
     assert left == pytest.approx(np.diag(covariance), rel=1e-9)
     assert per_speed == pytest.approx(1.5 * unit / np.sqrt(change.mean()))
@@ -406,3 +405,58 @@ def test_outliers_of_a_batch_are_beyond_five_robust_standard_deviations(size, ke
     found = module._without_outliers(off, np.arange(100))
     assert (99 in found) is kept
     assert len(found) == 99 + kept
+
+
+class TestHarmonicsOfTemplates:
+    """Errors of a texture with one or two periods per turn, beside markers with white noise of 1.5 mrad."""
+
+    def changed(self, size, order=1, relative=(), error=0.0):
+        """Return the correction and the error of the texture, which has an amplitude `size` in each template."""
+        wrong = size[TEMPLATE] * np.cos(order * ANGLE + 0.7)
+        return change_of_harmonics(noise(3) + error - wrong, TEMPLATE, [ANGLE, *relative]), wrong
+
+    @pytest.mark.parametrize("order", [1, 2])
+    def test_jumps_of_the_error_are_removed(self, order):
+        size = 1.5e-3 * np.random.default_rng(4).standard_normal(COUNT)
+        found, wrong = self.changed(size - size.mean(), order)
+        left = found + wrong
+        left -= 2 * np.mean(left * np.exp(-1j * order * ANGLE)).real * np.cos(order * ANGLE)
+        assert left.std() < 0.15e-3
+        assert wrong.std() > 0.7e-3
+
+    @pytest.mark.parametrize(("order", "size"), [(1, 2e-3), (2, 2e-3), (3, None)])
+    def test_what_templates_have_in_common_stays(self, order, size):
+        """A constant error may be that of the markers; the view has no third order."""
+        each = np.full(COUNT, size) if size else 2e-3 * np.random.default_rng(5).standard_normal(COUNT)
+        found, _ = self.changed(each, order)
+        assert found.std() < 0.06e-3
+
+    def test_markers_in_step_do_not_change_a_template(self):
+        """In batches 12 to 14, the third harmonic beside another body is in step with the first one of the body."""
+        rate = np.where((TEMPLATE >= 12) & (TEMPLATE < 15), (0.4 + 2 * np.pi) / 3, 1.234 + 0.001 * TEMPLATE)
+        relative = np.cumsum(rate)
+        found, _ = self.changed(np.zeros(COUNT), relative=[relative], error=3e-3 * np.cos(3 * relative))
+        alone, _ = self.changed(np.zeros(COUNT), error=3e-3 * np.cos(3 * relative))
+        assert found.std() < 0.15e-3
+        assert alone.std() > 0.5e-3
+
+    def test_four_templates_are_too_few(self):
+        off, use = noise() + 2e-3 * np.cos(ANGLE) * (TEMPLATE == 2), TEMPLATE < 4
+        assert not change_of_harmonics(off[use], TEMPLATE[use], [ANGLE[use]]).any()
+        use = TEMPLATE < 5
+        assert change_of_harmonics(off[use], TEMPLATE[use], [ANGLE[use]]).any()
+
+    def test_a_body_at_rest_has_no_harmonics(self):
+        found = change_of_harmonics(noise(), TEMPLATE, [np.full(N, 0.3)])
+        assert np.abs(found).max() < 1e-3
+        assert not change_of_harmonics(np.zeros(N), TEMPLATE, [np.full(N, 0.3)]).any()
+
+    def test_a_coefficient_is_that_of_least_squares(self):
+        angle = np.linspace(0.0, 9.0, 200)
+        basis = np.stack([angle**0, *(f(k * angle) for k in (1, 2) for f in (np.cos, np.sin))], axis=1)
+        off = basis @ [0.1e-3, 1e-3, -2e-3, 0.5e-3, 3e-3] + 1e-4 * np.random.default_rng(6).standard_normal(
+            200
+        )
+        value, variance = module._coefficients(off, [angle], [np.zeros(12)], np.arange(200))
+        assert value == pytest.approx(np.linalg.lstsq(basis, off, rcond=None)[0][1:], rel=1e-3)
+        assert variance == pytest.approx(off.var() * np.diag(np.linalg.inv(basis.T @ basis))[1:], rel=1e-3)
