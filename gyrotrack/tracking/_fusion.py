@@ -14,6 +14,10 @@ smooth closed curve c that minimises
 where r are the residuals with weights w, B are linear hat functions on equally spaced knots, s is the scatter, D2 are
 cyclic second differences, and bend and size are prior standard deviations.
 
+Curves and smooth motion are estimated in alternation until the curves settle (backfitting: A. Buja, T. Hastie and R.
+Tibshirani, Annals of Statistics 17 (1989) 453). An error in step with the frames varies as slowly as the motion. It is
+known from frames in which it varies faster, and needs many passes.
+
 Real motion of a body must not be removed. An unbalance or a tilted table changes the motion once or twice per turn of
 the body, equally for all its markers. This is negligible for a fast body: an amplitude A of its acceleration causes an
 amplitude A / omega^2 of its angle. If there are fast frames, the curves are estimated from these frames and used for

@@ -20,6 +20,9 @@ p as the prior standard deviation, fitted together with the harmonics, whose coe
 / 2. Frames that are in step with a harmonic would otherwise tilt the zero by the error of the marker. The zero may
 also be a curved function of the speed, for example because the first turn of a body at rest is not blurred. Slow
 residuals of the fit are therefore part of the variance of z_b, up to the prior variance of the change within the batch.
+
+The errors of the texture once and twice per turn (centre, oblique view) also differ between templates. Their
+differences follow from the markers in the same way (`change_of_harmonics`).
 """
 
 from __future__ import annotations
@@ -68,7 +71,7 @@ an oblique view order 2."""
 _FLAT = 1.0
 """Prior precision of the coefficients that change with the template [1/rad^2]. Derived: wide enough to contain no
 information; it only prevents a singular matrix in a body at rest."""
-FINEST = 1e-7
+_FINEST = 1e-7
 """Lower limit of the scatter of the differences [rad]. Derived: the rounding error of sums in single precision, which
 is all that remains in a picture without noise."""
 
@@ -151,8 +154,8 @@ def _coefficients(
     basis = np.stack(own + others, axis=1)
     noise = float(off[frames].var())
     prior = np.diag([_FLAT] * len(own) + [1.0] * len(others))
-    covariance = np.linalg.inv(basis.T @ basis / max(noise, FINEST**2) + prior)
-    fitted = covariance @ (basis.T @ off[frames]) / max(noise, FINEST**2)
+    covariance = np.linalg.inv(basis.T @ basis / max(noise, _FINEST**2) + prior)
+    fitted = covariance @ (basis.T @ off[frames]) / max(noise, _FINEST**2)
     return np.stack([fitted, np.diag(covariance)])[:, 1 : len(own)]
 
 
