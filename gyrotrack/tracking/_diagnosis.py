@@ -24,7 +24,7 @@ _PAIRS = 16
 """Number of pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes
 longer."""
 _LAGS = (1, 2, 4, 8)
-"""Lags between the frames of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
+"""Lags between the frames of a pair [frames]. Chosen: the first lag at which the features move measurably is used;
 longer lags lose features of fast bodies."""
 _STEP = 1.0
 """Smallest displacement of a feature in motion [px]. Chosen: a smaller value includes noise, a larger one needs
@@ -339,7 +339,7 @@ class TwoMotions:
     places: tuple[complex, complex]  # centroids of the features of both bodies [px]
     shares: tuple[float, float]  # shares of the moving features
     ratio: float  # rotation of the second body divided by the rotation of the first
-    joined: bool = False  # whether both motions displace a joint, at a fixed distance from a hub, equally
+    joined: bool = False  # whether a joint at a fixed distance from a hub belongs to both bodies
 
     @property
     def moving(self) -> int:

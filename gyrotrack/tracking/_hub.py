@@ -83,8 +83,8 @@ _ALTERNATIVES = 48
 """Smallest number of frames for which the radii of the markers select a path of `_SHORT_HALVES` [frames]. Chosen: with
 fewer the selection is random, with more the path of the hub is smoothed in a short film."""
 _PARTIAL_STEP = 6.0
-"""Smallest step of a partly covered disc, relative to the typical step from frame to frame [1]. Chosen: a smaller value
-discards good views, a larger one keeps displaced views."""
+"""Smallest step to or from a partly covered disc, relative to the typical step from frame to frame [1]. Chosen: a
+smaller value discards good views, a larger one keeps displaced views."""
 _LINE_POWER = 7.0
 """Smallest power of a line, relative to the floor of the spectrum [1]. Derived: the power of noise is exponentially
 distributed and exceeds 7 with a probability of exp(-7) = 0.1 %."""

@@ -1,9 +1,9 @@
 """Candidates for the hub of a rotating body, from the film alone.
 
-Three independent methods suit different kinds of bodies: the point of convergence of the gradients of the mean picture
-(a body that turns many times is blurred into circles); the fixed point of the similarity transformation between two
-frames (features of a textured body); the centre of the orbit of a compact spot. Registration selects one of the
-candidates.
+Three independent methods suit different kinds of bodies. A body that turns many times is blurred into circles, and the
+gradients of its mean picture converge at the hub. The features of a textured body move from frame to frame by a
+similarity transformation, whose fixed point is the hub. A compact spot moves on a circle about the hub. Registration
+selects one of the candidates.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _LAGS = (1, 4, 16)
 """Distances of the frames of a pair [frames]. Chosen: for fast and slow bodies; over longer distances features are
 lost, shorter distances show no rotation."""
 _FIRST = 5
-"""Spacing of the pairs that decide whether the other pairs are needed [pairs]. Chosen: with a larger value few pairs
-decide, a smaller one costs time."""
+"""Every pair at a multiple of this number is examined first, to decide whether the other pairs are needed [pairs].
+Chosen: with a larger value, few pairs decide; a smaller one costs time."""
 _NO_COMMON_HUB = 0.8
 """Pairs of frames have no common hub if the median residual of the displacements about one hub, divided by the median
 displacement, exceeds this value [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any
@@ -416,7 +416,7 @@ def follow_features(
     Return None if there are too few inliers, or if the range of the angles exceeds `widest` [rad].
 
     Otherwise return a, b (n,) of z -> a z + b, |a| = 1, from the first frame to each frame, and the frame in which the
-    tracked features were selected: new features inherit the error of the previous features.
+    tracked features were selected: features selected later inherit the error of the previous features.
     """
     smooth = cv2.blur(motion.deviation, (5, 5))
     strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))

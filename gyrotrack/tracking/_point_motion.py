@@ -414,9 +414,7 @@ def _of_path(
             f"The compact body that moves, at ({x:.0f}, {y:.0f}) px in the first frame, is followed as a point; "
             "--point X,Y selects another one."
         )
-        if (
-            second := _second_rotation(film, found)
-        ) is not None:  # the last warning must be the doubt about the result
+        if (second := _second_rotation(film, found)) is not None:  # the file keeps the last warning
             found = replace(found, warnings=(*found.warnings, second), ambiguous=True)
     return replace(found, warnings=(*warnings, *found.warnings))
 
@@ -438,7 +436,8 @@ def about_pivot(
 
     `tilt` is the camera tilt for which the path is corrected [rad]; None if unknown.
     """
-    # relative errors of all angles, and of the radius of curvature divided by the distance of the hub
+    # relative errors due to the tilt: of all angles, and of the ratio of the radius of curvature to the distance of
+    # the hub
     of_angle, of_radius = _VIEW_OF_ANGLE, _VIEW_OF_RADIUS
     if tilt is not None:
         of_angle = 0.5 * math.tan(tilt) * _TILT_U
@@ -530,8 +529,8 @@ def about_pivot(
     outward = away / radius[:, None]
     across = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
     radial, along = (np.sqrt(np.einsum("ni,nij,nj->n", v, path.covariance, v)) for v in (outward, across))
-    # along the path, motion blur and jitter of the clock add to the noise; errors that neighbouring frames share, for
-    # example due to a codec, appear only across the path
+    # Along the path, motion blur and jitter of the clock add to the noise. Errors that neighbouring frames have in
+    # common, for example due to a codec, are measured only across the path.
     scatter = white_noise(angle, path.frame) * float(np.median(radius))
     along = along * max(scatter / float(np.median(along)), scale)
     place_sigma = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
@@ -559,8 +558,8 @@ _ELLIPSE = 0.03
 """Largest deviation (rms) of the points of an orbit from the ellipse, divided by its radius [1]. Chosen: a smaller
 value refuses blurred points, a larger one accepts other paths."""
 _BETTER = 0.5
-"""Largest deviation of an orbit from the ellipse, divided by its deviation from a circle [1]. Chosen: a smaller value
-leaves small tilts uncorrected, a larger one fits noise."""
+"""Largest deviation of the points of a tilted orbit from the ellipse, divided by their deviation from a circle [1].
+Chosen: a smaller value leaves small tilts uncorrected, a larger one fits noise."""
 
 
 def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:
