@@ -3,7 +3,7 @@
 Bodies are painted in polar coordinates, so that motion blur is exactly a box filter along the columns: a body that
 turns by w during the exposure appears at each angle as the mean of its picture over w.
 
-Edges are sharp edges convolved with a Gaussian (the ``psf`` of the camera) in closed form, so that sub-pixel positions
+Each edge is a step convolved with a Gaussian (the ``psf`` of the camera) in closed form, so that sub-pixel positions
 are correct at every angle.
 
 A pixel is the mean over the exposure of ``casing + (1 - cover) * rotor``, where cover is the opacity of the casing. The
@@ -77,7 +77,7 @@ class PolarPicture:
         return self._blurred[width]
 
     def sample(self, columns: Picture, rows: Picture, smear: float, out: Paint | None = None) -> Paint:
-        """Interpolate the picture bilinearly at (column, row) positions, with a motion blur of ``smear`` rad.
+        """Interpolate the picture bilinearly at positions (column, row), with a motion blur of ``smear`` rad.
 
         Columns are in [0, 2 columns], with the angle 0 at ``columns / 2``.
         """
@@ -163,7 +163,7 @@ def cut_window(scene: Scene, camera: Camera, light: Light, table: Array) -> Wind
     x, y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     u, v = camera.unproject(x, y)
     r = np.hypot(u, v)
-    # including the edge of the rotor, which the ring hides
+    # including the edge of the rotor, which the ring of the casing occludes
     inside = r < 0.5 * (scene.ring_inner + scene.ring_outer)
     lamps = light.field(camera)[rows, columns] / FULL
     near = min((m.near for m in scene.on("rotor")), default=np.inf)
