@@ -258,7 +258,7 @@ def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int
 
 
 def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
-    """Return the torque of another model, along its motion, minus the torque of the base; None if they are equal."""
+    """Return the torque of another model, along its motion, minus that of the base; None without added effects."""
     from fitting.dynamics._collocation import Sampler
 
     old, new = base.problem.cases[index], other.problem.cases[index]

@@ -191,7 +191,7 @@ class TextureObservations(FrameColumns):
         return cls(angle, sigma, slow, misfit, centre.copy(), first, second, np.zeros(len(centre)))
 
     def set(self, use: Integers, zones: _Zones, angle: Floats, turned: Floats, misfit: Floats) -> None:
-        """Set the frames `use` from the rotations of the zones relative to an angle [rad], and from their misfits."""
+        """Set the frames `use` from rotations of the zones relative to an angle [rad], and the misfits of the zones."""
         mean, total = zones.mean(turned)
         self.angle[use] = angle + mean
         self.sigma[use], self.slow[use] = zones.sigma / total, zones.slow / total

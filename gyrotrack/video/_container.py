@@ -56,7 +56,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How the coded picture is displayed: with square pixels, mirrored left to right, rotated as by `numpy.rot90`."""
+    """Conversion of a coded picture for display: to square pixels, then mirrored, then rotated (`numpy.rot90`)."""
 
     quarters: int = 0
     mirrored: bool = False
