@@ -95,8 +95,8 @@ def large_blocks_returned() -> Iterator[None]:
 
     glibc returns blocks above a threshold size. By default, it raises this threshold to the size of the largest freed
     block, up to 32 MB. Pictures and the buffers of trackers would then fragment the heap. After tracking, the threshold
-    is set to 32 MB: otherwise the system would have to clear each large array of a fit, which takes half as long as the
-    fit.
+    is set to 32 MB. With a lower threshold, the system would have to clear each large array of a fit, and the clearing
+    takes half as long as the fit.
     """
     _set_thresholds(*_TRACKING)
     try:

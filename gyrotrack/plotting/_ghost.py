@@ -1,9 +1,9 @@
 """The ghost: the outline of a marker at the angle predicted by a model, drawn together with the real marker.
 
-A fit gives the difference between the measured and the modelled angle at the time of each frame. It includes the clock
-of the clip and the zero of its angle (`fitting.inference._angle_residuals`). The outline of the marker consists of its
-two corners near the hub and two outer corners. It is turned about the hub by minus this difference. If the difference
-is too small to be visible, it is multiplied by a factor; every picture states the factor.
+A fit gives the difference between the measured and the modelled angle at the time of each frame. This difference takes
+the clock of the clip and the zero of its angle into account (`fitting.inference._angle_residuals`). The outline of the
+marker consists of its two corners near the hub and two outer corners. It is turned about the hub by minus this
+difference. If the difference is too small to be visible, it is multiplied by a factor; every picture states the factor.
 """
 
 from __future__ import annotations
@@ -536,7 +536,7 @@ def stretches(
     folders: Sequence[Path],
     index: int = 0,
 ) -> list[Stretch]:
-    """Return the parts that a film shows: the run of the casing (or single body), and intervals with a lack of fit.
+    """Return the stretches of all clips: the run of the casing (or single body), and intervals with a lack of fit.
 
     Parameters
     ----------

@@ -197,7 +197,7 @@ def _single(array: Array) -> Picture:
     return np.ascontiguousarray(array, dtype=np.float32)
 
 
-COLUMNS_PER_PX = 1.4  # along the rim; more towards the axis
+COLUMNS_PER_PX = 1.4  # at the rim; nearer to the axis, there are more columns per px
 ROWS_PER_PX = 1.4
 GAP: Colour = (0.02, 0.02, 0.022)
 TABLES: dict[str, Colour] = {
@@ -208,7 +208,7 @@ TABLES: dict[str, Colour] = {
 
 
 class _Canvas:
-    """Polar grid of cover (opacity) and of colour times cover, painted from bottom to top."""
+    """Polar grid with two layers: cover (opacity), and colour times cover. The lowest object is painted first."""
 
     def __init__(self, scene: Scene, camera: Camera, reach: float) -> None:
         self.sigma = max(camera.psf, 0.2) / camera.scale
@@ -323,7 +323,7 @@ Frame = NDArray[np.uint8]
 
 SUB_STEP_PX = 1.2  # largest motion of the edges of the casing in a sub-exposure [px]
 MAX_SUB = 24
-FOLD = 256  # rows into which a list of points is folded; cv2.remap is limited to 32767 columns
+FOLD = 256  # number of rows of an array of points, because cv2.remap is limited to 32767 columns
 SOFT_SHADOW = 0.05  # blur of the shadow of the bar [rad]
 
 BANKS = 4

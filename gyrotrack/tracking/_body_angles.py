@@ -83,7 +83,7 @@ class BodyView:
 
     @property
     def coloured(self) -> tuple[str, ...]:
-        """The markers that are measured in the chroma planes, as the disc is.
+        """The markers that, like the disc, are measured in the chroma planes.
 
         They are preferred, because luma may be displaced from chroma by half a px.
         """
@@ -455,9 +455,9 @@ def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> f
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the difference between the positions of a fast body's axis from its angles and from its radii, (2,) [px].
+    """Return the position of a fast body's axis from its angles minus the position from its radii, (2,) [px], y up.
 
-    The y axis points up. The difference is shrunk according to its uncertainty.
+    The difference is shrunk according to its uncertainty.
     """
     off = _axis_by_angles(body_view, flat, body)
     known = max(len(body_view.reference(flat)), 1)
@@ -465,7 +465,7 @@ def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floa
 
 
 def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the difference between the positions of the axis from angles and from radii, (2,) [px], y up.
+    """Return the position of the axis from angles minus the position from radii, (2,) [px], y up.
 
     The difference is averaged over the markers; it is 0 if it is unknown.
     """

@@ -205,7 +205,7 @@ class Film:
         return np.asarray(shown, dtype=np.uint8)
 
     def levelled(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Convert a place (x, y) of the picture to the frames, which are corrected for the tilt [px]."""
+        """Convert a place (x, y) [px] of the picture to the place in the frames that are corrected for the tilt."""
         if self.tilt is None:
             return place
         x, y = self.tilt.matrix(self.info.width, self.info.height) @ np.array([*place, 1.0])

@@ -58,7 +58,7 @@ from gyrotrack.video._time_base import Timing
 T = TypeVar("T")
 
 PART = 2500
-"""Largest number of frames of a part, which may be exceeded by the distance between key frames [frames]. Chosen: a
+"""Largest number of frames of a part; a part may be longer by the distance between two key frames [frames]. Chosen: a
 larger number leaves few parts for processes; a smaller one learns templates from less data."""
 LEAST_PART = 400
 """Smallest number of frames of a part [frames]. Chosen: enough for illumination and templates; a smaller number gives
@@ -134,7 +134,7 @@ class _Beginning:
 
 
 class _Advance:
-    """Time between frames in median periods, from the timestamps of the whole film."""
+    """Time between frames in units of its median, from the timestamps of the whole film."""
 
     def __init__(self, stamps: Integers, time_base: float, timing: Timing) -> None:
         times = timing.of(np.asarray(stamps * time_base, dtype=np.float64), time_base)

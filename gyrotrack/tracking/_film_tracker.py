@@ -136,7 +136,7 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Bools]:
-        """Refine coarse angles (n,) by coloured markers, with small weights if occluded; also return a mask."""
+        """Refine coarse angles (n,) by coloured markers; occluded markers have small weights. Also return a mask."""
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:

@@ -65,7 +65,7 @@ FAST = 70.0
 unbalance, an acceleration of amplitude 10 rad/s2, causes an amplitude of 10 / 70^2 = 2 mrad."""
 _LEFT = 0.2
 """Smallest share of the scatter of a marker that is independent of the other markers [1]. Chosen: a smaller value gives
-a marker too much weight; a larger one counts the timing error that all markers have in common twice."""
+a marker too much weight; a larger one counts twice the timing error that all markers have in common."""
 
 
 @dataclass(frozen=True)

@@ -153,8 +153,8 @@ class MarkerStrip(WithBuffer):
 
 
 LAYERS = 3
-"""Number of parts, along the radius, of a marker whose occlusion is measured separately [1]. Chosen: a smaller number
-takes a partly covered marker for a dim marker, a larger one gives noisy heights."""
+"""Number of parts into which a marker is divided along the radius, to measure the occlusion of each part [1]. Chosen: a
+smaller number takes a partly covered marker for a dim marker, a larger one gives noisy heights."""
 
 
 class MarkerWindow:

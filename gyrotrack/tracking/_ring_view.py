@@ -16,8 +16,8 @@ with rotation, offset and gain of each frame. dB/dr is measured in the frames, b
 distance of the rows. Over more than a turn, the static part of the picture, L(r, a) (for example the light, and the rim
 in front of the table), is the mean of the residuals at each place. A view also changes the picture at circular edges,
 and this change is part of L. The mean of B over each circle is therefore not used to determine the view. Over less than
-a turn, a shadow beside a circular edge resembles a displacement of this edge. This mean is then used only in rows in
-which a view explains most of the static residuals (`ViewResponse.explains`).
+a turn, a shadow beside a circular edge resembles a displacement of this edge. The mean over a circle is then used only
+in rows in which a view explains most of the static residuals (`ViewResponse.explains`).
 
 The apparent rotation of one frame depends on z and f through the slopes of B in both directions. For example, the
 edges of a bar are oblique to the radius, so that a displacement along the radius resembles a rotation.

@@ -12,9 +12,9 @@ a local level model (A. C. Harvey, Forecasting, Structural Time Series Models an
 s_b is the scatter of the differences in the n_b frames, and <>_b is the mean over these frames. x is an error common to
 the frames of a batch. The error of a marker has harmonics k of the angle a of the marker, and of the angle relative to
 the other body, whose markers it passes. The amplitudes A_k are measured in batches in which the harmonics average out.
-If the period of a harmonic is a multiple of the time between frames, the harmonic does not average out, and the markers
-contain little information about the zero. The blur of a template depends on the speed omega_b; p = 0 for a steady body.
-q, p and x maximise the likelihood, and the zeros are smoothed.
+If the time between frames is nearly a multiple of the period of a harmonic, the harmonic does not average out, and the
+markers contain little information about the zero. The blur of a template depends on the speed omega_b; p = 0 for a
+steady body. q, p and x maximise the likelihood, and the zeros are smoothed.
 
 Within a batch the zero is z_b + c_b (omega - omega_b). c_b is the posterior mean of the slope of the differences, with
 p as the prior standard deviation, fitted together with the harmonics, whose coefficients have the prior variance A_k^2

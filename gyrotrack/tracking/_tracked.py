@@ -53,7 +53,7 @@ class Tracked:
 
     @property
     def hub_leverage(self) -> float:
-        """Error due to a displaced hub, divided by the difference that it causes between the halves of the ring."""
+        """Error due to a displaced hub, divided by the resulting difference between the halves of the ring."""
         return hub_leverage(self.template.halves())
 
 

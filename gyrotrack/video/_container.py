@@ -298,7 +298,7 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
         first = next(a + 1 for a, b in pairwise(numbers) if b != a + 1)
         raise VideoError(
             f"{folder}: {lost} pictures are missing; the first missing number is {first}.",
-            "Times are counted from the pictures: add the missing pictures.",
+            "The times follow from the numbers of the pictures: add the missing pictures.",
         )
     digits = f"%0{widths.pop()}d" if widths else "%d"
     # `head` is empty if a name is only a number; joining a path with an empty name would add no separator

@@ -87,9 +87,9 @@ def frame_numbers(pts: Floats, tick: float = COARSEST_TICK) -> Integers:
     longer than 1.5 periods and longer than one period plus 1.1 ticks, because timestamps in whole ticks jitter by one
     tick: in Matroska (1 ms) a single missing frame cannot be detected above 900 frames/s.
 
-    Frames are numbered without gaps in three cases. Timestamps are missing. Or, apart from gaps, the timestamps are not
-    equally spaced: more than one step in ten is not a whole number of periods. Or they do not increase: more than one
-    step in a hundred is not positive (AVI stores the order of decoding, not of display).
+    Frames are numbered without gaps in three cases. First, timestamps are missing. Second, the timestamps are not
+    equally spaced: more than one step in ten is not a whole number of periods. Third, the timestamps do not increase:
+    more than one step in a hundred is not positive (AVI stores the order of decoding, not of display).
     """
     plain = np.arange(len(pts), dtype=np.int64)
     step = np.diff(pts)
