@@ -269,8 +269,9 @@ def ring(
 def turned(strips: Array, which: Array, ahead: Array, light: Array, first: Array) -> Array:
     """Return rings without their margins, turned back by fractions of a column, less static light, (n, rows, columns).
 
-    Column j of frame k is the linear interpolation of `strips` (m, rows, columns + 2 margin), ring `which[k]`, at the
-    column j + margin + `ahead[k]`, less column (j + `first[k]`) modulo columns of `light` (rows, columns).
+    The result at column j of frame k is the difference of two values. The first is the ring `which[k]` of `strips` (m,
+    rows, columns + 2 margin), linearly interpolated at the column j + margin + `ahead[k]`. The second is the column (j
+    + `first[k]`) modulo columns of `light` (rows, columns).
     """
     out = np.empty((len(which), *light.shape), dtype=np.float32)
     signature = "u1[m,r,d] i8[n] f8[n] f4[r,c] i8[n] -> f4[n,r,c]"

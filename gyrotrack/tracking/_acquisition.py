@@ -168,7 +168,7 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
 
     By default, the background is the median over the samples at every pixel. It is the median along each row in two
     cases: the marker is at one angle in more than `LONGEST_DWELL` of the samples, or the patch does not have the size
-    of a marker, for example if a codec leaves a residue of a marker at rest.
+    of a marker. An example of such a patch is the residue that a codec leaves of a marker at rest.
     """
     seen = _locate(rings.foreground, rings.ring, wanted)
     if seen is None or seen.marker.dwell > LONGEST_DWELL or not is_marker_sized(seen.marker):

@@ -90,7 +90,7 @@ _PATH_SETTLED = 0.02
 """For a body far from its hub, the iterations for the displacement in a frame end if a step is smaller than this value
 [px]. Chosen: a larger value stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
-"""Number of iterations for the hub of a body far from it [iterations]. Chosen: a smaller number stops before distance
+"""Number of iterations that refine a hub far from its body [iterations]. Chosen: a smaller number stops before distance
 and template agree, a larger one costs time."""
 _FEWEST_STEPS = 4.0
 """Smallest effective number, (sum s)^2 / (sum s^2), of the steps s by which a body turns from frame to frame [1].
@@ -445,8 +445,8 @@ def _candidates(
 ) -> _Candidates:
     """Propose hubs unless the hub is given, track about each, and keep the candidates that may explain enough.
 
-    The refinement is the slowest step. Before it, the explained share of a candidate must reach limits that are
-    proportional to `share`.
+    The refinement is the slowest step. Before the refinement, the explained share of a candidate must reach limits that
+    are proportional to `share`.
     """
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]

@@ -351,8 +351,8 @@ def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening
 
     It is determined from the harmonics of orders 3 to 6, which neither an offset nor a tilt causes. The mean over the
     markers is used, because a shadow displaces all of them equally at each place. The result combines this estimate
-    with the typical error, as two estimates of one variance. If a marker turns in step with the frames, it is seen at
-    only a few places. Such a marker is not used.
+    with the typical error, as two estimates of one variance. A marker that turns in step with the frames is seen at
+    only a few places and is not used.
     """
     usual = usual_error_of_harmonic(body_view)
     found = []
@@ -484,9 +484,9 @@ def separate_perspective(
     determine a + e.
 
     The radii of the casing give its offset plus the displacement a by perspective. The displacement is subtracted. Two
-    values of the offset are expected. It is zero if the disc and the marker of the casing are on one body; the offset
-    of the rotor is then due to the depth of the rotor. It is the offset of the rotor if the disc is above both bodies.
-    Both expected values have the uncertainty `_height_error`. All measurements have position-dependent errors.
+    values of the offset are expected. The offset is zero if the disc and the marker of the casing are on one body; the
+    offset of the rotor is then due to the depth of the rotor. It is the offset of the rotor if the disc is above both
+    bodies. Both expected values have the uncertainty `_height_error`. All measurements have position-dependent errors.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -871,8 +871,8 @@ an unbalance."""
 LEVEL = 0.005
 """Largest flattening for which a ring determines its own view; it corresponds to a tilt of 0.14 rad [1]. Measured: in
 rendered films of a near camera with a tilt of 0.15 rad (flattening 0.0056), the rms error of the angles is 0.75 to 1.2
-standard uncertainties if the body turns by more than 0.6 turns, and 1.1 to 1.6 if it makes half a turn. At a tilt of
-0.08 rad it is 0.9 to 1.1."""
+standard uncertainties if the body turns by more than 0.6 turns, and 1.1 to 1.6 standard uncertainties if the body makes
+half a turn. At a tilt of 0.08 rad, the rms error is 0.9 to 1.1 standard uncertainties."""
 _ALMOST_ALL = 0.95
 """The view that is determined from the ring itself is used if at least this share of the frames of the ring is measured
 with it [1]. Chosen: the other frames have the angles of the markers; a smaller value mixes different errors, a larger

@@ -360,7 +360,7 @@ class TwoMotions:
 
 
 def two_motions(pairs: Sequence[Pair]) -> TwoMotions | None:
-    """Return the motions of two bodies that turn differently; None unless most pairs of frames show both."""
+    """Return the motions of two bodies that turn differently; None unless most pairs of frames show both motions."""
     found, turns, motions = [], [], []
     moving = 0
     for pair in pairs:

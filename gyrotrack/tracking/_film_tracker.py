@@ -254,7 +254,7 @@ SLOW = 3.0 * LEAST_SCATTER
 limit of the scatter of a coarse angle."""
 _MOVE = 0.6
 """Distance of the disc from the centre of the rings beyond which the rings are moved [px]. Chosen: with a smaller
-value, noise moves them; a larger one displaces the markers in their windows."""
+value, noise moves the rings; a larger one displaces the markers in their windows."""
 
 
 @dataclass(frozen=True)
@@ -340,7 +340,7 @@ class FilmTracker:
         return len(self.held) == min(self.hold, BATCH - self.filled)
 
     def keep(self, frame: Frame, step: float, *, stamped: bool) -> None:
-        """Hold the next frame of the film until enough of them are held.
+        """Hold the next frame of the film until enough frames are held.
 
         `step` is the time from the previous frame in frame periods. A frame that repeats the previous one shows the
         same moment. It replaces a missing frame, so its step is added to the step of the next frame. Regular repeats in

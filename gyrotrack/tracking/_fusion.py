@@ -5,9 +5,9 @@ markers are combined with their mount angles, weighted by the inverse variance o
 outliers are rejected.
 
 Systematic errors that are functions of an angle are removed first. Reflections of lamps in the metal displace a marker
-in the same way each time it passes a place. The edge and the shadow of the bar of the casing displace it each time it
-passes the bar. These errors are estimated from the residuals of the marker about the smooth motion of its body, as a
-smooth closed curve c that minimises
+in the same way each time it passes a place. The edge and the shadow of the casing's bar displace a marker each time the
+marker passes the bar. These errors are estimated from the residuals of the marker about the smooth motion of its body,
+as a smooth closed curve c that minimises
 
     sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
 

@@ -85,10 +85,10 @@ def harmonic_error(angle: Floats) -> float:
     other orders may be as large at other speeds. An order is omitted in batches in which it resembles the motion: the
     frames are in step with the error there, so the error varies slowly.
 
-    Amplitudes of orders 1 and 2 may be constant (centre, tilt), proportional to the speed (rolling shutter), to its
-    square (motion blur), or to its inverse square (a torque that depends on the angle, for example due to an
-    unbalance). The residuals of a fit of these four terms are the error of these orders. `angle` (n,) is the unwrapped
-    angle of each frame [rad], NaN where it is not known.
+    Amplitudes of orders 1 and 2 have known causes. They may be constant (centre, tilt), or proportional to the speed
+    (rolling shutter), to its square (motion blur) or to its inverse square (a torque that depends on the angle, for
+    example due to an unbalance). The residuals of a fit of these four terms are the error of these orders. `angle` (n,)
+    is the unwrapped angle of each frame [rad], NaN where it is not known.
     """
     found = _amplitudes(angle)
     largest = 0.0

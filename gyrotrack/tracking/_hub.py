@@ -458,9 +458,9 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     """Correct the path of a centre by the radii of markers about it.
 
     In a window about each frame, the error n of the centre minimises sum w (excess + n . r)^2 / s^2 + |n|^2 /
-    `EXPECTED_ERROR`^2, where r is the unit vector towards a marker, excess and s are the residual and the scatter of
-    its radius, and w is a parabolic weight over the window. The uncertainty is the standard uncertainty of n in this
-    fit.
+    `EXPECTED_ERROR`^2, where r is the unit vector towards a marker. The residual and the scatter of the marker's radius
+    are excess and s, and w is a parabolic weight over the window. The uncertainty is the standard uncertainty of n in
+    this fit.
     """
     count = len(path.centre)
     normal, right = np.zeros((3, count)), np.zeros((2, count))

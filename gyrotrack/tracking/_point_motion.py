@@ -156,10 +156,11 @@ def follow_point(
 ) -> TrackedPoint:
     """Follow a point of a film and measure its angle about a pivot.
 
-    `start` is the position (x, y) in the first frame [px]; without it, the only compact body that moves is followed.
-    `hub` is the pivot (x, y) [px], also outside the picture; without it, the centre of the path. `progress` is called
-    with the number of measured frames and the number of all frames. `seen` is the foreground of the film, if it is
-    known. A TrackingError is raised if the film has no point to follow, or if the path does not determine the pivot.
+    `start` is the position (x, y) in the first frame [px]; without `start`, the only compact body that moves is
+    followed. `hub` is the pivot (x, y) [px], which may be outside the picture; without `hub`, the pivot is the centre
+    of the path. `progress` is called with the number of measured frames and the number of all frames. `seen` is the
+    foreground of the film, if it is known. A TrackingError is raised if the film has no point to follow, or if the path
+    does not determine the pivot.
     """
     path = track_point(film, start, _turn_about(hub), progress, seen)
     return _of_path(film, path, start, hub)
@@ -360,10 +361,10 @@ def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats
 def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tuple[Floats, Floats, float]:
     """Return the correction across the second link for a point beside the joint, with its standard uncertainty [px].
 
-    With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
-    links, the distance is L - Re(d exp(-i phi)), where L is the length of the second link. The end appears displaced by
-    -Im(d exp(-i phi)) across the link [px]. A linear fit of the distances (n,) with a normal prior of mean 0 determines
-    d. The third result is the rms residual [px].
+    Let d be the displacement of the point from the joint, which is constant on the first link, phi the angle `between`
+    the links, and L the length of the second link. The distance is then L - Re(d exp(-i phi)). The end appears
+    displaced by -Im(d exp(-i phi)) across the link [px]. A linear fit of the distances (n,) with a normal prior of mean
+    0 determines d. The third result is the rms residual [px].
     """
     cos, sin = np.cos(between), np.sin(between)
     found, covariance, rest = _with_prior(np.stack([-cos, -sin, np.ones_like(cos)], axis=1), length, off)

@@ -154,9 +154,9 @@ _UPDATE = 0.1
 """Weight of a frame in the running mean of the residual [1]. Chosen: with a smaller value, the mean follows changes of
 light late; with a larger one, it adapts to a lost rotation."""
 _NECK = 0.7
-"""Only rods join a part to the body if the depth of the body (distance from its edge) at the distance `_NECK_AT` from
-the middle of the part, divided by the depth of the part, is at most this value [1]. Chosen: a smaller value joins the
-rod to the part, a larger one divides a compact body."""
+"""The depth of a point is its distance from the edge of the body. Only rods join a part to the body if the depth at the
+distance `_NECK_AT` from the middle of the part, divided by the depth at the middle, is at most this value [1]. Chosen:
+a smaller value joins the rod to the part, a larger one divides a compact body."""
 _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
 circle; a larger distance reaches other parts."""

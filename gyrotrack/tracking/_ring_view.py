@@ -120,8 +120,8 @@ def columns_of(angle: Floats, count: int) -> Integers:
 class ViewResponse:
     """Response of the zones of a ring to a view (x, y, p, q, g_x, g_y, k_x, k_y), in coordinates of the body."""
 
-    # shape (zones, samples, VIEW_SIZE); change of the grey levels per px of displacement, and per unit of the others,
-    # in addition to rotation, offset and gain
+    # shape (zones, samples, VIEW_SIZE); change of the grey levels per px of displacement, and per unit of the other
+    # parameters, in addition to rotation, offset and gain
     change: Singles
     rotation: Floats  # shape (zones, VIEW_SIZE); apparent rotation of each zone [rad] per unit of the view
     information: Floats  # shape (zones, VIEW_SIZE, VIEW_SIZE); information about the view in one frame

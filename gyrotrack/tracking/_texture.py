@@ -104,8 +104,8 @@ LEAST_CONTRAST = 0.5
 of one brightness, a larger one omits zones in shadow."""
 LEAST_KNOWN = 0.9
 """A zone is used if the number of frames with an angle of this zone, divided by the number for the best zone, is at
-least this value [1]. Chosen: a zone has no angle where it disagrees, so its other angles seem too good; a smaller value
-admits such zones, a larger one omits zones that a cable covers."""
+least this value [1]. Chosen: a zone has no angle in frames in which it does not match its template, so its other angles
+seem too good; a smaller value admits such zones, a larger one omits zones that a cable covers."""
 LEAST_ZONES = 2
 """Smallest number of informative zones for which the errors of their angles are estimated [1]. Derived: the differences
 of three angles determine three variances; the difference of two angles gives an upper limit of both variances."""
