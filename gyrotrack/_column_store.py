@@ -1,8 +1,8 @@
 """Long columns in an anonymous memory-mapped file, so that memory use does not grow with the length of the film.
 
-The columns are ordinary arrays, but only the pages in use occupy memory: `release_pages` releases these pages, and the
-operating system reads a page from the file again on the next access. Columns of short films are plain arrays. On
-systems without support for such files, all columns are plain arrays.
+The columns are ordinary arrays, but only pages in use occupy memory. `release_pages` releases these pages. On the next
+access to a page, the operating system reads it from the file again. Columns of short films are plain arrays. On systems
+without support for such files, all columns are plain arrays.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def release_pages() -> None:
 def release_memory() -> None:
     """Return freed memory to the system.
 
-    Otherwise glibc retains this memory, and the heap is fragmented by freed frames.
+    Without this call, glibc retains the memory, and freed frames fragment the heap.
     """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # a libc other than glibc
@@ -83,9 +83,9 @@ def release_memory() -> None:
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of <malloc.h>
-# smallest size of a freed block that is returned, and free memory kept at the end of the heap [bytes]. While a film is
-# tracked, they are larger than the temporary arrays of a batch of frames; afterwards, they are the largest values that
-# glibc sets by itself
+# Two sizes [bytes]: the smallest freed block that is returned, and the free memory kept at the end of the heap. While
+# a film is tracked, both are larger than the temporary arrays of a batch of frames. Afterwards, both are the largest
+# values that glibc sets by itself.
 _TRACKING, _AFTERWARDS = (1 << 20, 1 << 22), (1 << 25, 1 << 26)
 
 
@@ -95,8 +95,8 @@ def large_blocks_returned() -> Iterator[None]:
 
     glibc returns blocks above a threshold size. By default, it raises this threshold to the size of the largest freed
     block, up to 32 MB. Pictures and the buffers of trackers would then fragment the heap. After tracking, the threshold
-    is set to 32 MB: otherwise the system would have to clear each large array of a fit, which takes half as long as the
-    fit.
+    is set to 32 MB. With a lower threshold, the system would have to clear each large array of a fit, and the clearing
+    takes half as long as the fit.
     """
     _set_thresholds(*_TRACKING)
     try:
@@ -160,7 +160,7 @@ class StoredPictures(Sequence[Array]):
 
 
 class WithBuffer:
-    """A tracker with an array for a batch of frames; other processes get the array only if it contains frames."""
+    """A tracker with an array for a batch of frames; the array is pickled only if it contains frames."""
 
     _buffer: ClassVar[str]  # name of the array
     _used = False  # whether it contains frames

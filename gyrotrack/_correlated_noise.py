@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dtrtrs
 
 Floats = npt.NDArray[np.float64]
 
-_MAX_BINS = 150  # largest number of bins; the neighbouring samples in a bin are replaced by their mean
+_MAX_BINS = 150  # largest number of bins; neighbouring samples in a bin are replaced by their mean
 _VARIANCE_RATIOS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0)  # q and p, divided by the white variance of a bin
 _TIMES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # tau [bins]
 _HARMONIC_TIMES = (0.1, 0.3, 1.0, 3.0)  # T [lengths of the record]
@@ -79,7 +79,7 @@ def correlated_least_squares(
         products.append(solved.T @ solved)
         logs.append(2 * np.sum(np.log(root.diagonal())))
         scatter.append(plain @ noise @ plain.T)
-    # for each noise model: products of columns and values, log-determinant, covariance of the products `plain` @ y
+    # for each noise model: products of columns and values, log-determinant, and covariance of the products `plain` @ y
     grams, log_noise, noise_of_plain = np.array(products), np.array(logs), np.array(scatter)
     plain_products = plain @ both
     estimates = []
@@ -178,8 +178,8 @@ def _noise_models(
 ) -> Iterator[tuple[int, float, float, Floats]]:
     """Yield family, q, tau and covariance of each noise model.
 
-    The families are 0 for white noise and 1 for noise correlated in time. If the bins resolve a turn, they are also 2
-    for noise that is harmonic in the angle, and 3 for both kinds.
+    Family 0 is white noise, and family 1 is noise correlated in time. If the bins resolve a turn, there are two more:
+    family 2 is noise that is harmonic in the angle, and family 3 contains both kinds.
     """
     lag = np.abs(when[:, None] - when[None, :]) / float(np.median(np.diff(when)))
     level = float(np.median(white))

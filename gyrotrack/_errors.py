@@ -12,7 +12,7 @@
     ├── OutputError                "output":  a result that cannot be written
     └── UsageError                 "usage":   options that contradict each other; exit code 2
 
-A poor result is not an error: it is a result with a verdict.
+A poor result raises no exception; its verdict states that it is poor.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Local polynomials, robust scatter, smooth motion on uniform and non-uniform time bases, angular velocities.
 
-Angular velocities are computed as in the paper (V. Tanrıverdi and A. Erbasan, arXiv:2605.06700): central differences of
-the running median of the angles over 51 points are smoothed by a second such median. The first and last 50 points are
-omitted.
+Angular velocities are computed as in the paper (V. Tanrıverdi and A. Erbasan, arXiv:2605.06700). The angles are
+smoothed by a running median over 51 points, and their central differences by a second running median. The first and
+last 50 points are omitted.
 
 On a non-uniform time base, the path of a body is a fit of local parabolas in time to the coarse angles. The residuals
 of a marker from this path are small, so each residual is assigned to the nearest point of a uniform grid and smoothed
@@ -37,7 +37,7 @@ _MIN_NU, _MAX_NU = 5.0, 1e3
 # degrees of freedom of an uncertainty that was taken from other bodies (relative uncertainty about 1/3)
 BORROWED_NU = 4.0
 _BLOCK = 1024
-_MANY = 200_000  # number of points above which a faster running quantile, which has a slow import, saves time
+_MANY = 200_000  # number of points above which a faster running quantile saves time despite its slow import
 _MIN_JITTER_SHARE = 0.5
 _MAX_SHARE_SIGMA = 0.2
 
@@ -48,9 +48,9 @@ def local_fit(
     """Fit a polynomial about every point of a uniformly sampled series, over `half` points to both sides.
 
     The weights are 1 - (x/(half + 1))^2 times the weights of the points. A missing value, which may be NaN, has the
-    weight 0. Points up to the distance `hole` are excluded, to predict each point from points farther away. The results
-    are the fitted values and, for each point, its weight in its own fitted value. Both are NaN if the window contains
-    too few points.
+    weight 0. Points up to the distance `hole` from a point are excluded, so that points farther away predict it. The
+    results are the fitted values and, for each point, its weight in its own fitted value. Both are NaN if the window
+    contains too few points.
     """
     n = len(value)
     smooth, leverage = np.empty(n), np.empty(n)
@@ -81,7 +81,7 @@ def core_scatter(off: Floats, otherwise: float) -> float:
 
 
 def excess(off: Floats) -> float:
-    """Return the rms, between 0.5 and 3, of normalised residuals clipped at `FAR`; 1 for too few residuals."""
+    """Return the rms of normalised residuals clipped at `FAR`, limited to 0.5 to 3; 1 for too few residuals."""
     known = off[np.isfinite(off)]
     if len(known) < FEWEST:
         return 1.0
@@ -306,7 +306,7 @@ def _median_table(width: int) -> tuple[Floats, Floats]:
 
 
 class TimeBase:
-    """The times `place` (n,) of frames, with independent errors of standard deviation `sigma`, in camera periods."""
+    """Times `place` (n,) of frames, with independent errors of standard deviation `sigma`, both in frame periods."""
 
     def __init__(self, place: Floats, sigma: float = 0.0) -> None:
         self.place = place - place[0]

@@ -19,11 +19,11 @@ _KEY = re.compile(
 
 
 def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
-    """Return the line (from 1) of the key at `location`, or of the nearest enclosing table with a line.
+    """Return the line (from 1) of the key at `location`; if it is not found, the line of the nearest enclosing table.
 
     A location consists of keys, and of indices in arrays of tables: ``("clip", 1, "file")``. The function scans lines
-    and is not a parser: for keys of inline tables the line of the table is returned, and a line within a multi-line
-    string may be mistaken for a key.
+    and is not a parser. For keys of inline tables, it returns the line of the table. It may mistake a line within a
+    multi-line string for a key.
     """
     places: dict[tuple[int | str, ...], int] = {}
     counts: dict[tuple[str, ...], int] = {}
@@ -33,14 +33,14 @@ def line_of(text: str, location: tuple[int | str, ...]) -> int | None:
             names = _parts(head[2])
             if head[1] == "[[":
                 counts[names] = counts.get(names, -1) + 1
-                # nested arrays of a new element are counted from zero
+                # count the arrays within a new element from zero
                 for inner in [n for n in counts if n[: len(names)] == names and n != names]:
                     del counts[inner]
             table = _within(names, counts)
             places.setdefault(table, number)
         elif (key := _KEY.match(line)) is not None:
             places.setdefault((*table, *_parts(key[1])), number)
-    # elements of an inline array have the line of the array
+    # an element of an inline array has the line of the array
     known = [location[:n] for n in range(len(location), 0, -1)]
     return next((places[k] for k in known if k in places), None)
 
@@ -77,7 +77,7 @@ def read_document(
 
 
 def read_text(path: Path, *, what: str, error: type[GyrotrackError]) -> str:
-    """Return the text of a file of moderate size; errors as for `read_document`."""
+    """Return the text of a file of moderate size; raise the same errors as `read_document`."""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):  # reading a named pipe could block forever

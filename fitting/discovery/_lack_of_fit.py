@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 def nonparametric_law(fit: Fit, site: str, speed: str) -> float:
-    """Return the fall of the deviance due to a torque on a body or in a joint that is any smooth function of a speed.
+    """Return the fall of the deviance due to a torque, any smooth function of a speed, on a body or in a joint.
 
     The function is the same in all cases. It is scored like a candidate, without a refit. It is a spline with 4 or 8
     knots, whichever gives the larger fall.

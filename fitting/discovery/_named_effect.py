@@ -14,13 +14,13 @@ The limit is the rms of h, as a share of the torque. At this rms the test detect
 with a probability of at least 90 %. Deviations that the base absorbs are not detectable. An example is a constant
 torque of the bearing in a narrow range of speeds.
 
-*Active bounds.* If chi-square falls when parameters at a bound are allowed to pass it, the true torque differs in form
-from the sum of the laws. With the columns B of these parameters, orthogonal to all free columns, the fall of chi-square
-is
+*Active bounds.* If chi-square falls when parameters at a bound are allowed to pass this bound, the true torque differs
+in form from the sum of the laws. With the columns B of these parameters, orthogonal to all free columns, the fall of
+chi-square is
 
     chi2 = r'B (B'B)^-1 B'r   with rank(B) degrees of freedom.
 
-*Time.* A law of time, or a law with a state variable, that has a fitted time constant can imitate any torque that
+*Time.* A law with a fitted time constant (a law of time, or a law with a state variable) can imitate any torque that
 changes slowly in time. Such a law is compared with a cubic spline in time on the same body: the spline replaces the
 effect in a linear refit.
 

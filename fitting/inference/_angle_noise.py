@@ -110,7 +110,8 @@ likely level without periodic noise [1]. Chosen: two kinds of noise share the va
 smaller number passes over the maximum, a larger one costs time."""
 _NEAR_LEVELS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Trial levels of the periodic noise if noise with an exponential correlation is included as well, divided by the most
-likely level without the latter [1]. Chosen: a smaller number passes over the maximum, a larger one costs time."""
+likely level of the periodic noise alone [1]. Chosen: a smaller number passes over the maximum, a larger one costs
+time."""
 
 
 @dataclass(frozen=True)

@@ -457,7 +457,7 @@ class CaseData:
 
     @cached_property
     def _times_of_bodies(self) -> tuple[tuple[int, list[int], Array], ...]:
-        """Index in the state, indices of the runs, and node times of all these runs, for each body."""
+        """For each body, its index in the state, the indices of its runs, and the node times of all these runs."""
         runs = {MAIN: [0]}
         for i, run in enumerate(self.rotor, 1):
             runs.setdefault(run.samples.state, []).append(i)
@@ -987,9 +987,9 @@ def camera_columns(samples: Samples, *, blurred: bool = False) -> Array:
 
     The columns are cos and sin of the angle, cos and sin of twice the angle, and cos and sin of the angle multiplied by
     the speed and by its square. The speed is in units of the largest speed. Columns are zero if a harmonic has the same
-    value in all samples. An example are pulses once per turn, which contain no information on harmonics of the angle;
-    their sines are only rounding errors, which increase with the angle. Only frames are `blurred` by the motion; for
-    other samples, the last two columns are zeros.
+    value in all samples. An example is a pulse once per turn: it contains no information on harmonics of the angle, and
+    the sines at the pulses are only rounding errors, which increase with the angle. Only frames are `blurred` by the
+    motion; for other samples, the last two columns are zeros.
     """
     psi = samples.value
     knots, speed = _rough_speeds(samples)

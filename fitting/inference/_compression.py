@@ -37,9 +37,9 @@ _SMALL_CHANGE = 1e-3
 """Change of an angle below which the integrals of its harmonics are computed as series [rad]. Derived: the neglected
 fourth power is 1e-12."""
 _MIN_RESPONSE = 1e-6
-"""A response to a harmonic torque has a part that is orthogonal to polynomials and harmonics. If this part is a smaller
-share than this value, it is rounding error [1]. Chosen: a smaller value adds rows of rounding errors, a larger one
-drops weak responses."""
+"""A response to a harmonic torque has a part that is orthogonal to polynomials and harmonics. This part is rounding
+error if its share of the response is below this value [1]. Chosen: a smaller value adds rows of rounding errors, a
+larger one drops weak responses."""
 
 
 def _harmonics(y: Array) -> Array:

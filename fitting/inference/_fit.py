@@ -100,7 +100,7 @@ def search_with_noise(
 
 
 def _without_strengths(problem: Problem, theta: Array, given: Mapping[str, float] | None) -> Array:
-    """Return initial values in which the strengths that were not given are 0, or the value nearest to 0."""
+    """Return initial values in which the strengths that were not given are 0, or the allowed value nearest to 0."""
     layout = problem.layout
     names = [n for n in layout.names if layout.parameter(n).role == "amplitude" and n not in (given or {})]
     places = [layout.index[n] for n in names]

@@ -121,7 +121,7 @@ class Prior:
         """Return the variables to which the prior applies, their means (k,), and L^-1 (k, k) of their covariance.
 
         With a `label`, a prior of a parameter with a value for each case applies to ``name@label``. Parameters that all
-        cases share are included if `shared`, because the prior of each may count only once.
+        cases share are included only if `shared`: in a joint fit their prior must count only once.
         """
         found = {}
         for i, name in enumerate(self.names):

@@ -8,13 +8,14 @@ torques, whether a model contains them or not.
 The acceleration is an Ornstein-Uhlenbeck process of rms s [rad/s2] and correlation time T. The estimated level and time
 are the posterior means of s and ln T; no test decides whether there is process noise. The prior of s at a given T is
 the positive half of a Student distribution with three degrees of freedom. Its scale is the resolution of the camera:
-the rms s of an acceleration, white for the rows, whose effect is as large as the noise in half of the rows; its
-spectral density is 2 s^2 T. The estimated level is never zero; if the data contain no process noise, it is a small
-fraction of this resolution. A random torque is not expected to exceed the mean torque that slows the body, so the scale
-is at most the mean acceleration; this limit matters for records of a second or two. The prior of T is uniform in ln T
-from 1/32 of a block, below which the noise is white for the rows, to three blocks, which are a twentieth of a long
-record. A stretch with a kink or a jump is far noisier than the other stretches. Therefore the likelihood of a stretch
-is a mixture: with a prior probability of 1/20, the stretch has a separate level.
+the rms s of an acceleration whose effect in half of the rows is as large as the noise. For this comparison, the
+acceleration is white noise of the spectral density 2 s^2 T. The estimated level is never zero; if the data contain no
+process noise, it is a small fraction of this resolution. A random torque is not expected to exceed the mean torque that
+slows the body, so the scale is at most the mean acceleration; this limit matters for records of a second or two. The
+prior of T is uniform in ln T from 1/32 of a block to three blocks. Below the lower limit the noise is white for the
+rows; three blocks are a twentieth of a long record. A stretch with a kink or a jump is far noisier than the other
+stretches. Therefore the likelihood of a stretch is a mixture: with a prior probability of 1/20, the stretch has a
+separate level.
 """
 
 from __future__ import annotations

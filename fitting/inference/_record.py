@@ -162,9 +162,9 @@ class Record:
     units : Units
         Units of torques: SI units, or units per unit of inertia if the moment of inertia is unknown; it is then 1.
     correlated : tuple of float
-        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
-        deviations of the amplitudes of an error with one and two periods per turn, and of an error of 1 to 12 periods
-        per turn [rad]; zeros without one.
+        Four numbers about errors of the casing's angle; zeros for an absent error. The first two are the standard
+        uncertainty [rad] and the correlation time [s] of a slowly varying error. The other two are standard deviations
+        of amplitudes [rad]: of an error with one and two periods per turn, and of an error of 1 to 12 periods per turn.
     correlated_profile : tuple of (float, float)
         Times [s] and the standard uncertainty [rad] of the slowly varying error at each of them; empty if it is
         constant.
@@ -409,9 +409,9 @@ def make_record(
     per_inertia : bool
         Whether no moment of inertia is known: it is then 1, and torques are per unit of inertia [rad/s2].
     correlated : tuple of float
-        Standard uncertainty [rad] and correlation time [s] of a slowly varying error of the casing's angle, standard
-        deviations of the amplitudes of an error with one and two periods per turn, and of an error of 1 to 12 periods
-        per turn [rad]; missing numbers are zero.
+        Up to four numbers about errors of the casing's angle; missing numbers are zero. The first two are the standard
+        uncertainty [rad] and the correlation time [s] of a slowly varying error. The other two are standard deviations
+        of amplitudes [rad]: of an error with one and two periods per turn, and of an error of 1 to 12 periods per turn.
     correlated_profile : sequence of (float, float)
         Times [s] and the standard uncertainty [rad] of the slowly varying error at each of them, between which it is
         linear; empty if it is constant.

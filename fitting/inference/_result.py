@@ -613,8 +613,8 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `harmonic_sigma` is the amplitude that counts, in standard deviations. By default the criteria of the
-            fit.
+            Its `harmonic_sigma` is the smallest significant amplitude, in standard deviations. By default the
+            criteria of the fit.
         """
         least = (criteria or self.criteria).harmonic_sigma
         return any(
@@ -630,8 +630,8 @@ class Fit(FitSummary):
         Parameters
         ----------
         criteria : Criteria
-            Its `excess_noise` is the excess that counts, in standard uncertainties of the recording's level. By
-            default the criteria of the fit.
+            Its `excess_noise` is the smallest excess that counts, in standard uncertainties of the recording's level.
+            By default the criteria of the fit.
         """
         criteria = criteria or self.criteria
         return any(n.level > n.pure + criteria.excess_noise * n.pure_u for n in self.noise)

@@ -221,12 +221,13 @@ def sample(
 ) -> None:  # fmt: skip
     """Sample windows of a polar grid from planes of frames by bilinear interpolation, and subtract a background.
 
-    `planes`: one or two lists of one plane (height, width) per frame, whose rows may be padded, with `weights` in the
-    score. `places` (rows, columns): pixel above and to the left of each sample as int32 (row in the upper, column in
-    the lower 16 bits), and the distances to the right and down as float32 [px]. `box` (starts, 4): left, right, top and
-    bottom edge of the pixels of a window that begins at a column. `ground` (rows, columns): background. `first` (n,):
-    first column of the window in each frame. `score` (height, width) is a work array, `out` (n, rows, width) written
-    to.
+    `planes` are one or two lists with one plane (height, width) for each frame; the rows of a plane may be padded. The
+    score is the sum of the planes times `weights`. `places` are three arrays (rows, columns). The first contains the
+    pixel above and to the left of each sample as int32 (row in the upper, column in the lower 16 bits). The others
+    contain the distances from this pixel to the right and down as float32 [px]. `box` (starts, 4) contains the left,
+    right, top and bottom edge of the pixels of a window that begins at each column. `ground` (rows, columns) is the
+    background, and `first` (n,) is the first column of the window in each frame. `score` (height, width) is a work
+    array; `out` (n, rows, width) is written to.
     """
     at, right, down = places
     signature = "i4[r,c] f4[r,c] f4[r,c] i4[b,4] f4[r,c] i8[n] -> f4[h,w] f4[n,r,o]"
@@ -268,8 +269,9 @@ def ring(
 def turned(strips: Array, which: Array, ahead: Array, light: Array, first: Array) -> Array:
     """Return rings without their margins, turned back by fractions of a column, less static light, (n, rows, columns).
 
-    Column j of frame k is the linear interpolation of `strips` (m, rows, columns + 2 margin), ring `which[k]`, at the
-    column j + margin + `ahead[k]`, less column (j + `first[k]`) modulo columns of `light` (rows, columns).
+    The result at column j of frame k is the difference of two values. The first is the ring `which[k]` of `strips` (m,
+    rows, columns + 2 margin), linearly interpolated at the column j + margin + `ahead[k]`. The second is the column (j
+    + `first[k]`) modulo columns of `light` (rows, columns).
     """
     out = np.empty((len(which), *light.shape), dtype=np.float32)
     signature = "u1[m,r,d] i8[n] f8[n] f4[r,c] i8[n] -> f4[n,r,c]"

@@ -123,7 +123,7 @@ def residual_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> C
 
 
 def difference_chart(view: CaseView, names: Sequence[str] = NAMES) -> list[Chart]:
-    """Return the chart of the casing's speed in the last model minus that in the first; empty for one model."""
+    """Return the chart of the difference of the main body's speed between last and first model; empty for one model."""
     if len(view.models) < 2:
         return []
     (first,), (last,) = (view.models[i].speeds[view.main] for i in (0, -1))
@@ -187,7 +187,7 @@ def _determined(torque: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def torque_chart(view: CaseView, body: str, names: Sequence[str] = NAMES) -> Chart:
-    """Return the chart of the unmodelled torque on a body against time, with torques that could explain it."""
+    """Return the chart of the unmodelled torque on a body against time, with the torques of candidate effects."""
     factor, prefix = _torque_scale(view, body)
     traces = []
     for m, label, (colour, _) in zip(view.models, names, _MODEL_STYLES, strict=False):
@@ -320,7 +320,7 @@ def torque_angle_charts(
 
 
 def _branches(speed: Array) -> list[NDArray[np.intp]]:
-    """Return indices before and after the peak of the speed, in order of speed; a single list if a part is short."""
+    """Return the indices before and after the peak of the speed, each in order of speed; one list for a short part."""
     peak = int(np.argmax(np.abs(speed)))
     parts = [np.arange(peak + 1), np.arange(peak, len(speed))]
     if min(map(len, parts)) < 3:

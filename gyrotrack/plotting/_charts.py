@@ -1,8 +1,8 @@
 """Charts, drawn by matplotlib (files, PDF) or by uPlot (browser), and the style of all figures: colours, sizes, themes.
 
 A `Chart` consists of traces (numbers, label, colour), independent of the backend. Measured data determine its vertical
-scale: traces for comparison have no influence, and neither have bands that are much wider than the curves (due to an
-undetermined parameter).
+scale. Two things have no influence on it: traces for comparison, and bands that are much wider than the curves because
+a parameter is not determined.
 """
 
 from __future__ import annotations
@@ -254,7 +254,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Interval:
-    """A shaded time interval [s] with a short text; `body` is the body to which the interval refers."""
+    """A shaded time interval [s] of a `body`, with a short text."""
 
     start: float
     stop: float
@@ -285,7 +285,7 @@ def _span(traces: Sequence[Trace]) -> float:
 
 
 def informative(traces: Sequence[Trace]) -> tuple[Trace, ...]:
-    """Return the traces of a chart without the parts of +-2 sigma bands that are wider than the chart."""
+    """Return the traces of a chart; parts of +-2 sigma bands that are wider than the chart are removed."""
     span = _span(traces)
     found = []
     for t in traces:

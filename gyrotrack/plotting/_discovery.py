@@ -122,7 +122,7 @@ def _candidates_finding(view: StudyView, shown: list[Candidate]) -> str:
     return text + (f"; next: {view.name(rest[0].effect).words}, {short(rest[0].score)}." if rest else ".")
 
 
-# of each figure of merit: title, unit, attribute of a step, whether the unit has a prefix
+# for each figure of merit: title, unit, attribute of a step, whether the unit gets an SI prefix
 _KINDS = (
     ("rms error, {body}", "rad/s", "rmse", True),
     ("misfit", "noise", "misfit", False),
@@ -323,7 +323,7 @@ def symbol(name: str, labels: Sequence[str]) -> str:
 
 
 def correlations(view: StudyView) -> tuple[list[str], Array]:
-    """Return the parameters of the final model with finite standard error, and their correlation matrix."""
+    """Return the parameters of the final model that have a finite standard error, and their correlation matrix."""
     fit = view.final
     variance = np.diag(fit.covariance)
     keep = np.flatnonzero(np.isfinite(variance) & (variance > 0))

@@ -1,9 +1,9 @@
 """The ghost: the outline of a marker at the angle predicted by a model, drawn together with the real marker.
 
-A fit gives the difference between the measured and the modelled angle at the time of each frame, on the clock of the
-clip and with its zero of the angle (`fitting.inference._angle_residuals`). The outline of the marker consists of its
-two corners near the hub and two outer corners. It is turned about the hub by minus this difference, multiplied by a
-factor if the difference is too small to be visible; every picture states the factor.
+A fit gives the difference between the measured and the modelled angle at the time of each frame. This difference takes
+the clock of the clip and the zero of its angle into account (`fitting.inference._angle_residuals`). The outline of the
+marker consists of its two corners near the hub and two outer corners. It is turned about the hub by minus this
+difference. If the difference is too small to be visible, it is multiplied by a factor; every picture states the factor.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Picture = NDArray[np.uint8]
 
 # length of an outline divided by the distance between its two near corners
 _LENGTH = 1.3
-# a difference below the first number is magnified to about the second number [px at the marker]
+# a largest difference below the first number is magnified to about the second number [px at the marker]
 _SMALL, _SEEN = 8.0, 16.0
 # largest angle of a magnified difference [rad]
 _LARGEST = 0.6
@@ -536,7 +536,7 @@ def stretches(
     folders: Sequence[Path],
     index: int = 0,
 ) -> list[Stretch]:
-    """Return the parts that a film shows: the run of the casing (or single body), and intervals with a lack of fit.
+    """Return the stretches of all clips: the run of the casing (or single body), and intervals with a lack of fit.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Data for figures, report and workbench, computed from the fits of a study."""
+"""Data of figures, report and workbench, computed from the fits of a study."""
 
 from __future__ import annotations
 
@@ -122,8 +122,8 @@ class CaseView:
     def failing(self, failures: Sequence[Failure], model: CaseModel) -> tuple[Interval, ...]:
         """Return the intervals with lack of fit of one of `models`, for the charts.
 
-        The intervals have a significant unmodelled torque, or a residual of the speed outside of its band, because an
-        unmodelled torque also changes the speed at later times.
+        An interval has a significant unmodelled torque, or a speed residual outside of its band. The second kind occurs
+        because an unmodelled torque also changes the speed at later times.
         """
         found = []
         for f in failures:
@@ -159,7 +159,7 @@ def _outside(
 ) -> list[tuple[float, float, float]]:
     """Return the intervals in which a residual is outside of its band on one side: start, stop and largest |z|.
 
-    For an oscillation, an interval continues if the residual changes sides within half a `period`.
+    For an oscillation, parts outside of the band that are at most half a `period` apart are joined.
     """
     ratio = residual.value / np.where(sigma > 0, sigma, np.inf)
     side = np.where(np.abs(ratio) > _BAND, np.sign(ratio), 0.0)
@@ -243,7 +243,7 @@ def _case_model(fit: Fit, torques: Sequence[ResidualTorque], index: int) -> Case
 def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int) -> tuple[AddedTorque, ...]:
     """Return the torques of the best refitted candidates that are not in the final model.
 
-    The result is empty if the recordings differ in a parameter.
+    The result is empty if a parameter has a separate value in each recording.
     """
     found = [
         added_torque(base.name(c.effect).words, base, c.fit, index)
@@ -258,7 +258,7 @@ def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int
 
 
 def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
-    """Return the torque of another model minus the torque of the base, along the other motion; None if equal."""
+    """Return the torque of another model, along its motion, minus that of the base; None without added effects."""
     from fitting.dynamics._collocation import Sampler
 
     old, new = base.problem.cases[index], other.problem.cases[index]

@@ -248,7 +248,7 @@ def jpeg(
 def _selected_frames(
     r: Recording, placement: Placement | None, intervals: Sequence[tuple[float, float]]
 ) -> list[int]:
-    """Return frames evenly distributed over the clip; some are moved to the middle of intervals of interest."""
+    """Return frames evenly distributed over the clip; the nearest ones are replaced by the middle of each interval."""
     spread = [int(i) for i in np.linspace(0, len(r.time) - 1, min(_FRAMES, len(r.time)))]
     if placement is None or not spread:
         return spread

@@ -5,7 +5,7 @@ casing is characterised in the same way at every time. A start is possible if th
 their uncertainties and the uncertainty of the clock rate r, which scales the three values by r, r^2 and r^3.
 
 Clips of one camera have a common clock rate, and a common direction if the camera was not moved in between. A common
-rate is assumed if it does not increase chi2 by more than errors of tracking explain. A common direction determines the
+rate is assumed unless it increases chi2 by more than tracking errors can explain. A common direction determines the
 start modulo whole turns of the casing. It is assumed if the probability that the directions agree by chance is less
 than 0.001.
 """
@@ -60,8 +60,8 @@ UNLIKELY = 1e-4
 """Largest p-value of a significant difference of clock rates, for white errors [1]. Chosen: a larger value separates
 clips of one camera, a smaller one joins two cameras."""
 MAX_LENGTH = 3.0
-"""Largest length of the part of a clip that is compared in the search [s]. Chosen: a cubic describes the motion over
-this length; a longer part needs a higher degree, a shorter one is noisy."""
+"""Largest length of the part of a clip that is compared with the record in the search [s]. Chosen: a cubic describes
+the motion over this length; a longer part needs a higher degree, a shorter one is noisy."""
 GRID = 0.1
 """Largest step of the survey of the casing's record [s]. Chosen: a larger step omits starts, a smaller one costs
 time."""
@@ -83,8 +83,8 @@ INTERVALS = (2, 4, 8, 16, 32)
 """Numbers of intervals of the spline that are tried [1]. Chosen: factors of two; a larger number costs time, a smaller
 one smooths the motion."""
 BIC_BLOCKS = 30
-"""Number of blocks whose means are taken as independent [1]. Chosen: with fewer, the number of intervals cannot be
-selected; with more, their means are correlated."""
+"""Number of blocks of residuals whose means are taken as independent [1]. Chosen: with fewer, the number of intervals
+cannot be selected; with more, the means are correlated."""
 PARAMETERS = 16
 """Number of parameters besides one parameter per interval [1]. Derived: 5 for the ends of the spline, 8 harmonics,
 start, rate and direction."""
@@ -103,7 +103,7 @@ NEAR = 1e-3
 """Largest difference of starts that count as equal [s]. Chosen: a smaller value lists one start twice, a larger one
 joins different starts."""
 EXCLUDED = 25.0
-"""Increase of chi2 above which an alternative start is excluded [1]. Derived: five standard deviations."""
+"""Increase of chi2 above which an alternative start is excluded [1]. Derived: 5^2, for five standard deviations."""
 MAX_START_SIGMA = 1e-3
 """Largest uncertainty of a start that is not ambiguous [s]. Chosen: a smaller value rejects clips of nearly constant
 speed, a larger one accepts an uncertain start."""
@@ -423,8 +423,8 @@ def _match_camera(prepared: list[Prepared]) -> list[Match]:
     """Match the clips of one camera.
 
     The clips have one clock rate. If separate rates fit better, but differ by less than the clocks of two cameras, the
-    difference is an error of tracking: all variances are then multiplied by the increase of chi2 due to the common
-    rate, per degree of freedom (R. T. Birge, Phys. Rev. 40, 207 (1932)).
+    difference is attributed to tracking. All variances are then multiplied by the increase of chi2 due to the common
+    rate, divided by its degrees of freedom (R. T. Birge, Phys. Rev. 40, 207 (1932)).
     """
     pairs = [p.pair for p in prepared]
     common, excess = len(prepared) > 1, 0.0
@@ -503,7 +503,7 @@ def _rivals(fits: list[Solution], best: Solution, clip: int) -> list[Rival]:
 def _common_direction(
     pairs: Sequence[Pair], best: Solution, *, common_rate: bool
 ) -> tuple[list[int | None], Solution]:
-    """Return the whole turns between the directions of clips, None where unknown, and the solution with these turns.
+    """Return the whole turns between the directions of clips (None where unknown), and the solution with these turns.
 
     The clip with the best known direction is the reference; the other clips are added in order of increasing
     uncertainty.
@@ -667,7 +667,7 @@ def _placement(name: str, match: Match) -> Placement:
 
 
 FASTER = 1.02
-"""Speed of the rotor in a later clip, divided by its speed in an earlier clip, above which a start may be wrong [1].
+"""Largest ratio of the speeds of the rotor in a later and an earlier clip without a warning about the starts [1].
 Chosen: a smaller value warns of noise, a larger one overlooks exchanged clips."""
 
 

@@ -8,9 +8,9 @@ and the rotor camera, with its own clock, direction and harmonics,
 
     psi_B(s) + offset = psi(t0 + (1 + eps) s) + H_B.
 
-The model is linear in spline and harmonics; their elimination leaves a 3 x 3 normal matrix of (t0, eps, offset) for
-each clip. All clips of one camera are solved jointly by Gauss-Newton steps, with a common rate and optionally a common
-offset. chi2 includes the residuals of the clips only, given the data of the casing camera.
+The model is linear in the coefficients of spline and harmonics. After their elimination, the normal matrix of each clip
+is 3 x 3, for (t0, eps, offset). All clips of one camera are solved jointly by Gauss-Newton steps, with a common rate
+and optionally a common offset. chi2 contains only the residuals of the clips; the data of the casing camera are given.
 
 The window is fixed while the start of the clip changes: in a moving window the set of samples would change, and chi2
 would be discontinuous.
@@ -48,7 +48,7 @@ class Start:
 
 
 def with_common_direction(starts: Sequence[Start], turns: Sequence[int | None]) -> list[Start]:
-    """Set a common direction for all clips that have a number of turns; the turns are added to this direction."""
+    """Give clips with a number of turns a common direction, plus this number of turns."""
     common = next(s.angle - TURN * m for s, m in zip(starts, turns, strict=True) if m is not None)
     return [
         s if m is None else replace(s, angle=common + TURN * m) for s, m in zip(starts, turns, strict=True)
@@ -257,7 +257,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Part:
-    """One clip, the fit of the casing in its window, and the start at which the window is centred."""
+    """One clip, the fit of the casing in the window of this clip, and the start at which the window is centred."""
 
     clip: Curve
     casing: CasingFit
@@ -266,7 +266,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class Normal:
-    """Quadratic approximation of chi2 near a `Start`, chi2 - 2 gradient . d + d . matrix . d, and the residuals."""
+    """Quadratic approximation of chi2 at a step d from a `Start`, chi2 - 2 gradient . d + d . matrix . d; residuals."""
 
     matrix: Floats
     gradient: Floats

@@ -139,8 +139,8 @@ class Truth:
     # shape (n, 4, 2); for each marker the corners in px at the middle of the exposure, in cyclic order: inner, inner,
     # outer, outer; of the inner corners, the first has the smaller angle in the sense of rotation
     corners: Mapping[str, Array]
-    # shape (n,); for each marker the visible fraction of its area, 0 to 1: not occluded by the casing (mean over the
-    # exposure), and not outside the image
+    # shape (n,); for each marker, the fraction of its area, 0 to 1, that the casing does not occlude (mean over the
+    # exposure) and that is inside the image
     visible: Mapping[str, Array]
     sense: int  # +1 if the bodies turn counter-clockwise in the image, -1 if clockwise
 
@@ -210,7 +210,7 @@ def _visible_fraction(scene: Scene, marker: Marker) -> Array:
 
 
 def _inside_picture(corners: Array, camera: Camera) -> Array:
-    """Return the fraction of a marker that is within each frame, (n,)."""
+    """Return the fraction of a marker that is inside the picture in each frame, (n,)."""
     low, high = np.array([-0.5, -0.5]), np.array([camera.width - 0.5, camera.height - 0.5])
     share = np.ones(len(corners))
     frame = np.array([low, [high[0], low[1]], high, [low[0], high[1]]], dtype=np.float32)

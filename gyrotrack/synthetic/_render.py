@@ -3,7 +3,7 @@
 Bodies are painted in polar coordinates, so that motion blur is exactly a box filter along the columns: a body that
 turns by w during the exposure appears at each angle as the mean of its picture over w.
 
-Edges are sharp edges convolved with a Gaussian (the ``psf`` of the camera) in closed form, so that sub-pixel positions
+Each edge is a step convolved with a Gaussian (the ``psf`` of the camera) in closed form, so that sub-pixel positions
 are correct at every angle.
 
 A pixel is the mean over the exposure of ``casing + (1 - cover) * rotor``, where cover is the opacity of the casing. The
@@ -77,7 +77,7 @@ class PolarPicture:
         return self._blurred[width]
 
     def sample(self, columns: Picture, rows: Picture, smear: float, out: Paint | None = None) -> Paint:
-        """Interpolate the picture bilinearly at (column, row) positions, with a motion blur of ``smear`` rad.
+        """Interpolate the picture bilinearly at positions (column, row), with a motion blur of ``smear`` rad.
 
         Columns are in [0, 2 columns], with the angle 0 at ``columns / 2``.
         """
@@ -163,7 +163,7 @@ def cut_window(scene: Scene, camera: Camera, light: Light, table: Array) -> Wind
     x, y = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
     u, v = camera.unproject(x, y)
     r = np.hypot(u, v)
-    # including the edge of the rotor, which the ring hides
+    # including the edge of the rotor, which the ring of the casing occludes
     inside = r < 0.5 * (scene.ring_inner + scene.ring_outer)
     lamps = light.field(camera)[rows, columns] / FULL
     near = min((m.near for m in scene.on("rotor")), default=np.inf)
@@ -197,7 +197,7 @@ def _single(array: Array) -> Picture:
     return np.ascontiguousarray(array, dtype=np.float32)
 
 
-COLUMNS_PER_PX = 1.4  # along the rim; more towards the axis
+COLUMNS_PER_PX = 1.4  # at the rim; nearer to the axis, there are more columns per px
 ROWS_PER_PX = 1.4
 GAP: Colour = (0.02, 0.02, 0.022)
 TABLES: dict[str, Colour] = {
@@ -208,7 +208,7 @@ TABLES: dict[str, Colour] = {
 
 
 class _Canvas:
-    """Polar grid of cover (opacity) and of colour times cover, painted from bottom to top."""
+    """Polar grid with two layers: cover (opacity), and colour times cover. The lowest object is painted first."""
 
     def __init__(self, scene: Scene, camera: Camera, reach: float) -> None:
         self.sigma = max(camera.psf, 0.2) / camera.scale
@@ -323,7 +323,7 @@ Frame = NDArray[np.uint8]
 
 SUB_STEP_PX = 1.2  # largest motion of the edges of the casing in a sub-exposure [px]
 MAX_SUB = 24
-FOLD = 256  # rows into which a list of points is folded; cv2.remap is limited to 32767 columns
+FOLD = 256  # number of rows of an array of points, because cv2.remap is limited to 32767 columns
 SOFT_SHADOW = 0.05  # blur of the shadow of the bar [rad]
 
 BANKS = 4

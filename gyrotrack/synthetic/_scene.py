@@ -48,8 +48,8 @@ class Camera:
     # the middle of the exposure of frame k
     start: float = 0.0
     rate: float = 1.0
-    # true time in s from the first to the last row (rolling shutter); 0 is a global shutter. The nominal time is the
-    # time of the row of ``rest``
+    # true time in s from the first to the last row (rolling shutter); 0 is a global shutter. The nominal time of a
+    # frame is the time of the row of ``rest``
     readout: float = 0.0
     # -1: the bodies turn clockwise in the image, as in the films of the paper (arXiv:2605.06700)
     sense: int = -1

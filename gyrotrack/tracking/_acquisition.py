@@ -3,8 +3,8 @@
 Only the names of the colours are known beforehand. The score of a pixel is the difference of its colour from the
 background in the hue of a marker (`hue_score`). A strip is a ring about the centre, unrolled to rows of equal radius
 and columns of equal angle. First, blobs that change between frames are collected for each colour, and the common centre
-of their circles is found. Then the disc at this centre is found. Last, each marker is found in rings about the centre,
-with its radii, width and measured shade (`find_markers`).
+of their circles is found. Then the disc at this centre is found. Finally, each marker is found in rings about the
+centre, with its radii, width and measured shade (`find_markers`).
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def find_coloured(rings: Rings, wanted: MarkerProfile) -> SampledMarker | None:
 
     By default, the background is the median over the samples at every pixel. It is the median along each row in two
     cases: the marker is at one angle in more than `LONGEST_DWELL` of the samples, or the patch does not have the size
-    of a marker, for example if a codec leaves a residue of a marker at rest.
+    of a marker. An example of such a patch is the residue that a codec leaves of a marker at rest.
     """
     seen = _locate(rings.foreground, rings.ring, wanted)
     if seen is None or seen.marker.dwell > LONGEST_DWELL or not is_marker_sized(seen.marker):
@@ -186,8 +186,8 @@ def _locate(difference: Singles, ring: Ring, wanted: MarkerProfile) -> SampledMa
     """Find the patch of a colour in each sample.
 
     If the background is not grey, the hue of the difference from the background is not the hue of the marker. The patch
-    is first found with the hue of the profile, and its own hue is measured. If a search with its own hue finds the same
-    patch, this hue is used instead.
+    is first found with the hue of the profile, and its hue is measured. If a search with the measured hue finds the
+    same patch, the measured hue is used.
     """
     score = _scores(difference, chroma_direction(wanted.colour, wanted.hue))
     own = score
@@ -234,7 +234,8 @@ def _scores(difference: Singles, direction: tuple[float, float]) -> Singles:
 
 _TYPICAL = 0.6
 """Quantile, over the samples, of the largest score in a sample; it is the typical score of the marker [1]. Chosen: the
-marker is occluded in less than half of the samples, and a hand has a larger score in less than a third of them."""
+marker is occluded in less than half of the samples, and a hand has a larger score in less than a third of the
+samples."""
 _CLEARLY = 0.5
 """A marker is clearly visible in a sample if the largest score in the sample, divided by the typical score, is at least
 this value [1]. Chosen: a smaller value accepts residues of the codec, a larger one loses shaded markers."""
@@ -313,12 +314,11 @@ def _blank(turned: Floats, ring: Ring, marker: Marker) -> None:
 
 
 _WIDER = 2.5
-"""Largest half width of a white marker, divided by the half width of the other markers, without the constant part
-`_WIDER_BY` [1]. Chosen: a smaller value refuses white markers of another shape, a larger one accepts reflections."""
+"""Largest half width of a white marker: this value times the half width of the other markers, plus `_WIDER_BY` [1].
+Chosen: a smaller value refuses white markers of another shape, a larger one accepts reflections."""
 _WIDER_BY = 0.05
-"""Constant part of the largest half width of a white marker; `_WIDER` times the half width of the other markers is
-added to it [rad]. Chosen: for narrow markers; a smaller value refuses blurred markers, a larger one accepts
-reflections."""
+"""Constant part of the largest half width of a white marker (see `_WIDER`) [rad]. Chosen: for narrow markers; a smaller
+value refuses blurred markers, a larger one accepts reflections."""
 
 
 def _brightest_place(
@@ -678,7 +678,7 @@ their surroundings, a larger one divides blobs."""
 
 
 def _blobs_in(scores: list[Singles], most: int) -> list[list[Blob]]:
-    """Find blobs above `_OF_PEAK` of the typical peak of a colour in every sample."""
+    """Find blobs above `_OF_PEAK` times the typical peak of a colour in every sample."""
     levels = [np.percentile(score, [90.0, 99.9]) if score.size else (0.0, 0.0) for score in scores]
     noise, peaks = float(np.median([low for low, _ in levels])), [high for _, high in levels]
     threshold = max(_LEAST_SCORE, _OVER_NOISE * noise, _OF_PEAK * float(np.median(peaks)))

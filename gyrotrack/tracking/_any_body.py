@@ -90,7 +90,7 @@ _PATH_SETTLED = 0.02
 """For a body far from its hub, the iterations for the displacement in a frame end if a step is smaller than this value
 [px]. Chosen: a larger value stops early, a smaller one costs time."""
 _PATH_ROUNDS = 5
-"""Number of iterations for the hub of a body far from it [iterations]. Chosen: a smaller number stops before distance
+"""Number of iterations that refine a hub far from its body [iterations]. Chosen: a smaller number stops before distance
 and template agree, a larger one costs time."""
 _FEWEST_STEPS = 4.0
 """Smallest effective number, (sum s)^2 / (sum s^2), of the steps s by which a body turns from frame to frame [1].
@@ -163,8 +163,8 @@ _SCREEN_AREA = 1000
 """Smallest moving area in the reduced frames for which these frames are used for screening [px2]. Chosen: a smaller
 value refuses small bodies, a larger one screens fewer films."""
 _SCREENED = 0.75
-"""Factor of the required share in reduced frames [1]. Chosen: reduced frames lose detail; a larger value refuses films
-that the full frames explain, a smaller one costs time."""
+"""Required share in reduced frames, divided by the required share in full frames [1]. Chosen: reduced frames lose
+detail; a larger value refuses films that the full frames explain, a smaller one costs time."""
 _STEPS = 6
 """Number of iterations of the refinement of a candidate [iterations]. Chosen: a smaller number stops early, a larger
 one costs time."""
@@ -225,7 +225,8 @@ def track_body(
     if shake is not None:
         film.stabilise(shake)
         still, margin = film.some(chosen), shake.margin(sample[0].shape)
-        # if this fails, or the picture is not calmer, the body in front of a blank wall was mistaken for the background
+        # if the stabilised film shows no motion, or is not calmer, the body in front of a blank wall was mistaken for
+        # the background
         with suppress(NothingMovesError):
             if calmer(sample, still, margin):
                 return _with_shake(
@@ -291,7 +292,7 @@ def _with_shake(found: Tracked, shake: Shake) -> Tracked:
         f"features of the background are used to compensate this motion. "
         f"The uncertainty of the compensation is {1e3 * share:.2g} mrad and is included."
     )
-    # the last warning is the doubt, if there is one
+    # the text is first, because the last warning states why a result is doubtful
     return replace(found, sigma=np.hypot(found.sigma, share), warnings=(text, *found.warnings))
 
 
@@ -424,7 +425,7 @@ def _track(
     doubts += [other_hub] if other_hub else []
     if not doubts:
         return tracked
-    if tracked.ambiguous:  # the last warning is the doubt that the file keeps
+    if tracked.ambiguous:  # the file keeps the last warning
         *others, last = tracked.warnings
         tracked, doubts = replace(tracked, warnings=tuple(others)), [last, *doubts]
     return replace(tracked, warnings=(*tracked.warnings, " ".join(doubts)), ambiguous=True)
@@ -444,8 +445,8 @@ def _candidates(
 ) -> _Candidates:
     """Propose hubs unless the hub is given, track about each, and keep the candidates that may explain enough.
 
-    The refinement is the slowest step. Before it, the explained share of a candidate must reach limits that are
-    proportional to `share`.
+    The refinement is the slowest step. Before the refinement, the explained share of a candidate must reach limits that
+    are proportional to `share`.
     """
     proposals = propose_hubs(block, motion) if hub is None else [Proposal(hub, "given")]
     trials = [trial for p in proposals for trial in _trials(p, block, motion)]
@@ -750,10 +751,11 @@ bodies for jumps, a larger one hides jumps."""
 
 
 def _steadiness(trial: _Trial) -> float:
-    """Return the share of the frames without a jump, which is a change of the step by more than its typical size.
+    """Return the share of the frames without a jump.
 
-    For a body with equal parts, for example spokes with a static shadow, angles that repeatedly jump back by one part
-    explain the film at least as well as the true angles.
+    A jump is a change of the step from frame to frame by more than the typical step. For a body with equal parts, for
+    example spokes with a static shadow, angles that repeatedly jump back by one part explain the film at least as well
+    as the true angles.
     """
     step = np.diff(trial.angle)
     limit = max(float(np.median(np.abs(step))), _LEAST_BEND * trial.ring.step)
@@ -1049,8 +1051,9 @@ def _hub_motion(polars: StoredPictures, angle: Floats, template: Template) -> fl
 class _BodyPath:
     """The path of a body far from its hub, from displacements that are fitted frame by frame.
 
-    If the hub is displaced by (-b, c), towards and across the middle of the path, the distance of the body from it is
-    r + b (1 - cos theta) + c sin theta.
+    Let the true hub be displaced from the assumed hub by -b towards the middle of the path, and by c across this
+    direction. The distance of the body from the assumed hub is then r + b (1 - cos theta) + c sin theta, apart from a
+    constant.
     """
 
     middle: float  # direction from the hub to the middle of the path [rad]
@@ -1098,8 +1101,8 @@ def _at_distance_of_path(
     plain, moved = True, False
     for _ in range(_PATH_ROUNDS):
         shown = StoredPictures.of(len(pictures), map(ring.unwrap, pictures))
-        # first with the same variance for all samples, because the variances of a template about a wrong hub hide the
-        # radial blur of this template
+        # First, all samples have equal variances. The individual variances would give a small weight to samples that a
+        # wrong hub blurs, and these samples show the error of the hub.
         template = learn(shown, angle, ring.inside(area), ring, separate=separate, plain=plain)
         path = _BodyPath.of(pictures, angle, template)
         wrong, sigma = path.bend / path.radius, path.bend_sigma / path.radius

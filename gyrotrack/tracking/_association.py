@@ -130,8 +130,8 @@ def find_lock(
 
     The step w maximises |sum exp(i (theta_k - w k))| over all w in (-pi, pi]; frames in which another object is
     brighter only reduce the sum. A lock requires that 70 % of the frames above the threshold are in phase. Among steps
-    that differ by whole turns, the step nearest to `hint` [rad / frame] is chosen. `place` (n,) are times in periods
-    of the camera.
+    that differ by whole turns, the step nearest to `hint` [rad / frame] is chosen. `place` (n,) are times in frame
+    periods.
     """
     columns = score.shape[1]
     best = np.argmax(score, axis=1)
@@ -184,12 +184,12 @@ def _even_advance(angle: Floats, frame: Floats, hint: float) -> Motion | None:
 def follow(
     score: Floats, motion: Motion, threshold: float, advance: Floats | None = None
 ) -> tuple[Floats, Bools, Motion]:
-    """Track a body from a known motion, the prediction for frame 0, through frames with a `score` (n, columns).
+    """Track a body through frames with a `score` (n, columns); `motion` is its predicted motion at frame 0.
 
-    `advance` (n,) is the number of camera periods from the previous frame to each frame: more than 1 after missing
-    frames, 0 for a repeated frame, not an integer where the rate varied. The results are the unwrapped angles (n,)
-    [rad], a mask of the frames in which the body was seen, and the prediction for frame n. After `LONGEST_COAST`
-    frames without the body the angles are NaN.
+    `advance` (n,) is the number of frame periods of the camera from the previous frame to each frame. It is more than 1
+    after missing frames, 0 for a repeated frame, and not an integer if the rate varied. The results are the unwrapped
+    angles (n,) [rad], a mask of the frames in which the body was seen, and the prediction for frame n. After
+    `LONGEST_COAST` frames without the body the angles are NaN.
     """
     count, columns = score.shape
     scale = columns / (2.0 * np.pi)
@@ -240,8 +240,8 @@ larger one ignores short films."""
 def find_rotation_sense(turns: dict[str, float], given: int | None) -> int:
     """Return the factor (+1 or -1) that makes the angles increase: `given`, or the sign of the `turns` as seen [rad].
 
-    The casing has priority, because it never turns by half a turn between frames; next is the rotor. The default is
-    clockwise, as in the films of the paper (V. Tanrıverdi and A. Erbasan, arXiv:2605.06700).
+    The turn of the casing is used first, because the casing never turns by half a turn between frames, then the turn of
+    the rotor. The default is clockwise, as in the films of the paper (V. Tanrıverdi and A. Erbasan, arXiv:2605.06700).
     """
     if given is not None:
         return given

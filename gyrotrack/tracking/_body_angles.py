@@ -79,7 +79,7 @@ class BodyView:
     markers: tuple[Marker, ...]
     observations: dict[str, MarkerObservations]  # by name
     inside: dict[str, Bools]  # frames in which a marker is within the picture
-    whole: dict[str, Bools]  # those of them in which the marker is also unoccluded and plausible
+    whole: dict[str, Bools]  # frames of `inside` in which the marker is unoccluded and plausible
 
     @property
     def radius(self) -> float:
@@ -88,7 +88,7 @@ class BodyView:
 
     @property
     def coloured(self) -> tuple[str, ...]:
-        """The markers that are measured in the chroma planes, as the disc is.
+        """The markers that, like the disc, are measured in the chroma planes.
 
         They are preferred, because luma may be displaced from chroma by half a px.
         """
@@ -356,8 +356,8 @@ def _error_of_harmonic(centre: CentrePath, body_view: BodyView, flat: Flattening
 
     It is determined from the harmonics of orders 3 to 6, which neither an offset nor a tilt causes. The mean over the
     markers is used, because a shadow displaces all of them equally at each place. The result combines this estimate
-    with the typical error, as two estimates of one variance. If a marker turns in step with the frames, it is seen at
-    only a few places. Such a marker is not used.
+    with the typical error, as two estimates of one variance. A marker that turns in step with the frames is seen at
+    only a few places and is not used.
     """
     usual = usual_error_of_harmonic(body_view)
     found = []
@@ -452,7 +452,7 @@ def _shrunk(found: Floats, error: float) -> Floats:
 def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> float:
     """Return the position-dependent error of a body without the first harmonic [px].
 
-    It is at least the smaller of the learnt error and the typical error.
+    The lower limit of the result is the learnt error or the typical error, whichever is smaller.
     """
     learnt, perspective = body.place_error * body_view.radius, axis_offset(body_view, flat, body)
     left = float(np.sqrt(max(learnt**2 - 0.5 * float(perspective @ perspective), 0.0)))
@@ -460,7 +460,7 @@ def error_by_place(body_view: BodyView, flat: Flattening, body: BodyAngles) -> f
 
 
 def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the position of the axis of a fast body from its angles minus that from its radii, (2,) [px], y up.
+    """Return the position of a fast body's axis from its angles minus the position from its radii, (2,) [px], y up.
 
     The difference is shrunk according to its uncertainty.
     """
@@ -470,9 +470,9 @@ def axis_offset(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floa
 
 
 def _axis_by_angles(body_view: BodyView, flat: Flattening, body: BodyAngles) -> Floats:
-    """Return the position of the axis from angles minus that from radii, (2,) [px], y up.
+    """Return the position of the axis from angles minus the position from radii, (2,) [px], y up.
 
-    It is averaged over the markers; 0 if it is unknown.
+    The difference is averaged over the markers; it is 0 if it is unknown.
     """
     off = [body.axis_off[m] * body_view.radius for m in body_view.reference(flat) if m in body.axis_off]
     return np.mean([(z.real, z.imag) for z in off], axis=0) if off else np.zeros(2)
@@ -483,14 +483,15 @@ def separate_perspective(
 ) -> Flattening:
     """Return the flattening of the casing's orbit about a marked hub, with perspective separated from its offset.
 
-    Let e be the centre of a circle relative to the hub. Perspective enlarges the near half of the circle. Its radii
-    then vary as those of a circle about a + e; a is proportional to the square of the radius. Its angles remain the
-    angles about e. The markers of the rotor turn fast, so their angles determine e, and their radii determine a + e.
+    Let e be the centre of a circle relative to the hub. Perspective enlarges the near half of the circle. The radii of
+    the circle then vary like the radii of a circle about e + a, where a is proportional to the square of the radius.
+    The angles remain angles about e. The markers of the rotor turn fast, so their angles determine e, and their radii
+    determine a + e.
 
     The radii of the casing give its offset plus the displacement a by perspective. The displacement is subtracted. Two
-    values of the offset are expected. It is zero if the disc and the marker of the casing are on one body; the offset
-    of the rotor is then due to the depth of the rotor. It is the offset of the rotor if the disc is above both bodies.
-    Both expected values have the uncertainty `_height_error`. All measurements have position-dependent errors.
+    values of the offset are expected. The offset is zero if the disc and the marker of the casing are on one body; the
+    offset of the rotor is then due to the depth of the rotor. It is the offset of the rotor if the disc is above both
+    bodies. Both expected values have the uncertainty `_height_error`. All measurements have position-dependent errors.
     """
     own, body_view, reference = flat["casing"], views["rotor"], flat["rotor"]
     if not own.offset or not reference.offset:
@@ -690,8 +691,8 @@ def _followed(
     The markers of the casing are combined twice, the second time with the known angle of the rotor, because markers of
     the rotor pass beneath the marker of the casing.
 
-    If a body turns too little to measure its position-dependent errors, it gets typical errors combined with the errors
-    of the other body, in px: illumination and encoder are the same for both bodies, but the surroundings of the markers
+    If a body turns too little to measure its position-dependent errors, the errors of the other body [px] are combined
+    with typical errors. Illumination and encoder are the same for both bodies, but the surroundings of the markers
     differ.
     """
     candidates = {name: body_view.candidates(centre, flattening[name]) for name, body_view in views.items()}
@@ -793,12 +794,13 @@ def by_texture(
 ) -> BodyAngles:
     """Return a body with the angles of its texture if their averages are better than averages from its markers.
 
-    The zeros of the templates follow from the markers (`template_zeros`). A marker that passes a marker of another body
-    has an error; `others` are the angles of the other bodies, (n,) [rad] each. If the body makes only a few turns, all
-    templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as for a
-    marker (`join`). In a compressed film, all zones of radius of the ring of a body at rest have the same error, so
-    differences between zones do not show it. If such position-dependent errors cannot be estimated, they are assumed to
-    be at least `error_of_ring`. This error is computed from `usual` [px] and the mean `radius` of the markers [px].
+    The zeros of the templates follow from the markers (`template_zeros`). A marker has an error when it passes a marker
+    of another body. `others` are the angles of the other bodies, (n,) [rad] each. If the body makes only a few turns,
+    all templates have one zero. Errors that repeat with the angle are estimated and the uncertainty is calibrated as
+    for a marker (`join`). If a body is at rest in a compressed film, the inner and the outer zones of its ring have the
+    same error. Differences between zones do not show this error. If such position-dependent errors cannot be estimated,
+    they are assumed to be at least `error_of_ring`. This error is computed from `usual` [px] and the mean `radius` of
+    the markers [px].
     """
     angle = texture.levelled(centre.centre, flat.p, flat.q)
     # The correction `change` need not be subtracted first: an error that repeats in each turn averages out in the zero
@@ -879,8 +881,8 @@ an unbalance."""
 LEVEL = 0.005
 """Largest flattening for which a ring determines its own view; it corresponds to a tilt of 0.14 rad [1]. Measured: in
 rendered films of a near camera with a tilt of 0.15 rad (flattening 0.0056), the rms error of the angles is 0.75 to 1.2
-standard uncertainties if the body turns by more than 0.6 turns, and 1.1 to 1.6 if it makes half a turn. At a tilt of
-0.08 rad it is 0.9 to 1.1."""
+standard uncertainties if the body turns by more than 0.6 turns, and 1.1 to 1.6 standard uncertainties if the body makes
+half a turn. At a tilt of 0.08 rad, the rms error is 0.9 to 1.1 standard uncertainties."""
 _ALMOST_ALL = 0.95
 """The view that is determined from the ring itself is used if at least this share of the frames of the ring is measured
 with it [1]. Chosen: the other frames have the angles of the markers; a smaller value mixes different errors, a larger

@@ -46,8 +46,8 @@ _TRIES = 300
 """Number of random pairs of features [1]. Derived: with nine outliers in ten, the probability of a pair without
 outliers is 1 - 0.99^300 = 95 %."""
 _WIDEST_BODY = 0.05
-"""Smallest share of the picture within the features of its background [1]. Chosen: the ball of a pendulum in front of a
-blank wall covers a smaller share; a larger value refuses narrow backgrounds."""
+"""Smallest area enclosed by the features of the background, divided by the area of the picture [1]. Chosen: the ball of
+a pendulum in front of a blank wall covers a smaller share; a larger value refuses narrow backgrounds."""
 _CLEAR = 5.0
 """Smallest significant motion of the camera in standard uncertainties [1]. Chosen: a smaller value corrects noise, a
 larger one leaves a shake."""

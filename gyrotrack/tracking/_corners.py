@@ -12,12 +12,12 @@ Ideally delta and rho are constant and beta is a right angle. Then
     sigma_k = sqrt((30 u_r)^2 + (150 u_1k)^2 + (150 u_2k)^2)             for each corner k
 
 with e_base along the base and e_right perpendicular to the radius. The angle is the mean of the angles of the corners.
-Each component of the uncertainty of the angle, u_r, u_1 or u_2, is the root mean square of this component of both
-corners. The formula of sigma_k, with these components, gives the uncertainty of the angle. Averaging does not reduce
+The uncertainty of this mean has the components u_r, u_1 and u_2. Each of them is the root mean square of the values of
+both corners. The formula of sigma_k with these components gives the uncertainty of the angle. Averaging does not reduce
 the uncertainty, because the errors of both corners have the same causes.
 
 In the unrolled ring a marker has two radial edges and a nearly tangential near edge. An edge is the place at which the
-score crosses a level, the mean of the scores of the marker and of the background beyond this edge. The background may
+score is half way between the score of the marker and the score of the background beyond this edge. The background may
 differ from edge to edge, for example next to a coloured bar under the marker. Lines are fitted through the crossings in
 several bands of rows and columns; the corners are the intersections of the lines.
 """
@@ -158,7 +158,7 @@ value includes the far corner, a smaller one gives a noisy direction."""
 def _side_edges(
     window: Windows, radii: Floats, angles: Floats, inner: float, outer: float
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-    """Fit angle = base + lean (r - inner) to each side over the inner part of the marker."""
+    """Fit the line angle = a + b (r - inner) to each side of the marker; return (a, b) of both sides."""
     length = outer - inner
     rows = np.flatnonzero((radii >= inner + _SIDE_FROM * length) & (radii <= inner + _SIDE_TO * length))
     if len(rows) < 2:
@@ -176,8 +176,8 @@ def _side_edges(
 
 
 _NEAR_WITHIN = 0.8
-"""Part of the half width within which the near edge is fitted [1]. Chosen: a larger value includes the rounded corners,
-a smaller one gives a noisy curve."""
+"""The near edge is fitted within this share of the half width of the marker [1]. Chosen: a larger value includes the
+rounded corners, a smaller one gives a noisy curve."""
 _EDGE_SEEN = 0.6
 """Smallest share of bands in which the near edge is seen [1]. Chosen: a smaller value extrapolates, a larger one omits
 partly covered edges."""
@@ -186,7 +186,7 @@ partly covered edges."""
 def _near_edge(
     window: Windows, radii: Floats, angles: Floats, half: Floats, middle: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit r = c0 + c1 phi + c2 phi^2 to the near edge within `_NEAR_WITHIN` of the half width."""
+    """Fit r = c0 + c1 phi + c2 phi^2 to the middle part of the near edge (`_NEAR_WITHIN`)."""
     known = np.isfinite(half)
     typical, centre = median_of(half[known]), median_of(middle[known])
     columns = np.flatnonzero(np.abs(angles - centre) < _NEAR_WITHIN * typical)
@@ -232,7 +232,7 @@ surroundings, a smaller one ignores a coloured bar."""
 
 
 def _edge(values: Floats, axis: Floats, first: int, step: int) -> Floats:
-    """Return where curves fall half way to the background; they start at the sample `first`, in the marker.
+    """Return where curves fall half way to the background; the search starts at the sample `first`, in the marker.
 
     The shape of `values` is (n, k, size); the shape of the result is (n, k).
     """

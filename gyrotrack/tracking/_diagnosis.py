@@ -24,7 +24,7 @@ _PAIRS = 16
 """Number of pairs of frames that are compared [1]. Chosen: with fewer, chance decides; with more, the comparison takes
 longer."""
 _LAGS = (1, 2, 4, 8)
-"""Lags between the frames of a pair [frames]. Chosen: the first lag in which the features move measurably is used;
+"""Lags between the frames of a pair [frames]. Chosen: the first lag at which the features move measurably is used;
 longer lags lose features of fast bodies."""
 _STEP = 1.0
 """Smallest displacement of a feature in motion [px]. Chosen: a smaller value includes noise, a larger one needs
@@ -44,8 +44,8 @@ _WITH_CAMERA = 0.7
 """Smallest share of all features that move with the camera [1]. Chosen: a smaller value takes a large body for the
 camera, a larger one overlooks parallax."""
 _WHOLE = 0.4
-"""Smallest share of the picture within the features that move with the camera [1]. Chosen: a smaller value takes a
-large body for the camera, a larger one overlooks a camera before blank walls."""
+"""Smallest area enclosed by the features that move with the camera, divided by the area of the picture [1]. Chosen: a
+smaller value takes a large body for the camera, a larger one overlooks a camera before blank walls."""
 _NO_HUB = 0.3
 """A picture does not turn about a hub if the rms residual of a rotation about one hub, divided by the rms displacement,
 is at least this value [1]. Chosen: a smaller value refuses a disc that fills the picture, a larger one accepts a camera
@@ -88,9 +88,9 @@ _SHOT = 12
 """Length of the shortest shot [frames]. Chosen: a smaller value averages too few frames, a larger one overlooks short
 titles."""
 _SMEARED = 0.12
-"""A picture is sharp if the detail along the circles of a ring, divided by the detail across them, is at least this
-value; the gradients of the noise are subtracted [1]. Chosen: only the stated cause of a refusal depends on it; a
-smaller value overlooks blur, a larger one calls discs with rings blurred."""
+"""A picture is sharp if the detail along the circles of a ring, divided by the detail across the circles, is at least
+this value (see `detail`) [1]. Chosen: only the stated cause of a refusal depends on it; a smaller value overlooks blur,
+a larger one calls discs with rings blurred."""
 FOLLOW_LINKS = (
     "Follow the joint and a point of the second link; give their positions in the first frame, in this order: "
     "`gyrotrack extract --links --points X,Y --points X,Y`; --hub X,Y gives the pivot."
@@ -310,7 +310,7 @@ def camera_motion(pairs: Sequence[Pair], shape: tuple[int, ...]) -> tuple[float,
         steps.append(size / pair.lag)
         shares.append(share)
         middle = complex(np.mean(pair.place[motion.members]))
-        # displacement of the middle of the features, and its value for a rotation about a hub h
+        # a rotation about a hub h displaces the middle of the features by (1 - a) (h - middle)
         left.append(1.0 - motion.a)
         right.append(motion.b - (1.0 - motion.a) * middle)
     # a handheld camera causes parallax, which is not a rigid motion: such pairs count neither as motion nor as rest
@@ -339,7 +339,7 @@ class TwoMotions:
     places: tuple[complex, complex]  # centroids of the features of both bodies [px]
     shares: tuple[float, float]  # shares of the moving features
     ratio: float  # rotation of the second body divided by the rotation of the first
-    joined: bool = False  # whether both motions displace a joint, at a fixed distance from a hub, equally
+    joined: bool = False  # whether a joint at a fixed distance from a hub belongs to both bodies
 
     @property
     def moving(self) -> int:
@@ -360,7 +360,7 @@ class TwoMotions:
 
 
 def two_motions(pairs: Sequence[Pair]) -> TwoMotions | None:
-    """Return the motions of two bodies that turn differently; None unless most pairs of frames show both."""
+    """Return the motions of two bodies that turn differently; None unless most pairs of frames show both motions."""
     found, turns, motions = [], [], []
     moving = 0
     for pair in pairs:

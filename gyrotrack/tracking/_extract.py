@@ -403,8 +403,8 @@ def _without_corners(markers: dict[str, MarkerTrack]) -> tuple[str, ...]:
 
 
 _GAP = 3.5
-"""Smallest time between two angles in which turns may be lost [periods]. Chosen: a smaller value doubts single missing
-frames, a larger one overlooks lost turns."""
+"""Smallest time between two angles in which turns may be lost [median times between angles]. Chosen: a smaller value
+doubts single missing frames, a larger one overlooks lost turns."""
 
 
 def track_doubts(name: str, track: BodyTrack, count: int, inspect: str) -> list[str]:

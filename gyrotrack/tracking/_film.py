@@ -205,7 +205,7 @@ class Film:
         return np.asarray(shown, dtype=np.uint8)
 
     def levelled(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Convert a place (x, y) of the picture to the frames, which are corrected for the tilt [px]."""
+        """Convert a place (x, y) [px] of the picture to the place in the frames that are corrected for the tilt."""
         if self.tilt is None:
             return place
         x, y = self.tilt.matrix(self.info.width, self.info.height) @ np.array([*place, 1.0])
@@ -262,8 +262,8 @@ def reduced(frame: Real, factor: int) -> Real:
 
 
 _EXAMINED = 12
-"""Number of frames that show whether a film is interlaced [frames]. Chosen: a smaller number may show no motion, a
-larger one costs time."""
+"""Number of frames from which interlacing is detected [frames]. Chosen: a smaller number may show no motion, a larger
+one costs time."""
 
 
 def _interlacing(path: Path) -> int | None:
@@ -376,8 +376,8 @@ _NEIGHBOURS = 9
 """Number of frames of the running quantile about a frame [frames]. Chosen: a larger number follows changes of the speed
 late, a smaller one is dominated by repeats."""
 _MOVING = 7
-"""Rank of the typical change among `_NEIGHBOURS` frames [1]. Chosen: a lower rank is a repeat where few
-frames are new, a higher one is an outlier."""
+"""Rank of the typical change among the changes of `_NEIGHBOURS` frames [1]. Chosen: a lower rank selects a repeat if
+few frames are new, a higher one selects an outlier."""
 _REPEATED = 0.1
 """Largest change of a repeated frame, relative to the typical change [1]. Chosen: a smaller value keeps repeats that
 were encoded again, a larger one drops frames of slow motion."""
@@ -395,8 +395,8 @@ def fresh_frames(film: Film) -> Integers:
     """Return the numbers of the selected frames that do not repeat the previous frame.
 
     The change of a frame is compared with the changes of its neighbours and of the frames in its run, because all
-    changes are small where an oscillation reverses. If a film repeats each frame many times, most frames have identical
-    neighbours only; these repeats are recognised by the equal lengths of the runs of identical frames.
+    changes are small where an oscillation reverses. If a film repeats each frame many times, most frames have only
+    identical neighbours. Such repeats are recognised because all runs of identical frames have the same length.
     """
     change = film.changes
     fresh = np.ones(len(change), dtype=np.bool_)

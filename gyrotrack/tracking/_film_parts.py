@@ -58,8 +58,8 @@ from gyrotrack.video._time_base import Timing
 T = TypeVar("T")
 
 PART = 2500
-"""Largest number of frames of a part, to within the distance between key frames [frames]. Chosen: a larger number
-leaves few parts for processes; a smaller one learns templates from less data."""
+"""Largest number of frames of a part; a part may be longer by the distance between two key frames [frames]. Chosen: a
+larger number leaves few parts for processes; a smaller one learns templates from less data."""
 LEAST_PART = 400
 """Smallest number of frames of a part [frames]. Chosen: enough for illumination and templates; a smaller number gives
 noisy templates, a larger one leaves few parts."""
@@ -134,7 +134,7 @@ class _Beginning:
 
 
 class _Advance:
-    """Time between frames in median periods, from the timestamps of the whole film."""
+    """Time between frames in units of its median, from the timestamps of the whole film."""
 
     def __init__(self, stamps: Integers, time_base: float, timing: Timing) -> None:
         times = timing.of(np.asarray(stamps * time_base, dtype=np.float64), time_base)
@@ -482,7 +482,7 @@ class _PartResults:
             self._facts[index], self._place[index] = record.facts, place
 
     def _belongs(self, record: Record) -> bool:
-        """Whether a record has the form of a part of this film: the file may be the journal of another film."""
+        """Return whether a record has the form of a part of this film; the file may be the journal of another film."""
         numbers = [record.facts.get(key) for key in ("part", "parts", "frames", "bad_packets", "corrupt")]
         if (
             not all(isinstance(n, int) and n >= 0 for n in numbers)
@@ -592,7 +592,7 @@ def _ring_angles(body: str, rows: Rows) -> list[str]:
 
 
 def zero_between(frame: Floats, angle: Floats, next_frame: Floats, next_angle: Floats) -> float:
-    """Return the zero of the angles of a part relative to the previous part [rad], from frames of both parts."""
+    """Return the zero of the angles of a part relative to the previous part [rad], from the common frames."""
     _, a, b = np.intersect1d(frame, next_frame, return_indices=True)
     apart = angle[a] - next_angle[b]
     known = apart[np.isfinite(apart)]

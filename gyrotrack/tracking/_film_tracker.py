@@ -77,7 +77,7 @@ class BodyTracker:
         self._cover = Occlusion(self._step, offset)
 
     def centre_on(self, centre: tuple[float, float]) -> None:
-        """Move all rings to a centre."""
+        """Centre all rings on a point."""
         for tracker in self.markers.values():
             tracker.strip.centre_on(centre)
 
@@ -91,7 +91,7 @@ class BodyTracker:
         return [*(tracker.light for tracker in self.markers.values()), self._cover.map]
 
     def take(self, frames: list[Frame], place: int, advance: Floats) -> None:
-        """Track through frames `advance` (n,) camera periods apart; store the windows of markers from `place` on."""
+        """Track a body through frames `advance` (n,) frame periods apart; store windows from index `place` on."""
         number = self._frame + np.cumsum(advance)
         found = self._predicted(frames, place, number)
         if found is None:
@@ -136,7 +136,7 @@ class BodyTracker:
             tracker.strip.take(frames, place, angles + tracker.marker.mount)
 
     def _refined(self, coarse: Floats, place: slice) -> tuple[Floats, Bools]:
-        """Refine coarse angles (n,) by coloured markers, with small weights if occluded; also return a mask."""
+        """Refine coarse angles (n,) by coloured markers; occluded markers have small weights. Also return a mask."""
         total, weight = np.zeros(len(coarse)), np.full(len(coarse), 1e-9)
         expected = np.nan_to_num(coarse)
         for strip in self._coloured:
@@ -254,7 +254,7 @@ SLOW = 3.0 * LEAST_SCATTER
 limit of the scatter of a coarse angle."""
 _MOVE = 0.6
 """Distance of the disc from the centre of the rings beyond which the rings are moved [px]. Chosen: with a smaller
-value, noise moves them; a larger one displaces the markers in their windows."""
+value, noise moves the rings; a larger one displaces the markers in their windows."""
 
 
 @dataclass(frozen=True)
@@ -340,12 +340,12 @@ class FilmTracker:
         return len(self.held) == min(self.hold, BATCH - self.filled)
 
     def keep(self, frame: Frame, step: float, *, stamped: bool) -> None:
-        """Hold the next frame of the film until enough of them are held.
+        """Hold the next frame of the film until enough frames are held.
 
-        `step` is the time from the previous frame in periods of the camera. A frame that repeats the previous one shows
-        the same moment. It replaces a missing frame, so its step is added to the step of the next frame. Exception: if
-        a film is not timed by its timestamps (not `stamped`), regular repeats were inserted, and their steps are not
-        added. Frames are not compared while hardly anything turns.
+        `step` is the time from the previous frame in frame periods. A frame that repeats the previous one shows the
+        same moment. It replaces a missing frame, so its step is added to the step of the next frame. Regular repeats in
+        a film that is not timed by its timestamps (not `stamped`) were inserted; their steps are not added. Frames are
+        not compared while the bodies hardly turn.
         """
         again = self.repeats is not None and self.repeats.same(frame)
         again = again and max(body.step for body in self.bodies.values()) > SLOW
@@ -399,7 +399,7 @@ class FilmTracker:
 
     def measure_batch(self) -> Rows:
         """Measure the frames stored since the last call; one row per frame of every quantity."""
-        if self._fresh:  # the first frames are measured twice
+        if self._fresh:  # the first frames are also measured to learn the maps
             self.learn_batch()
         rows: Rows = {"again": self.again[: self.filled].copy()}
         if self.repeats is not None:

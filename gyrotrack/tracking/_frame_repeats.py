@@ -1,10 +1,10 @@
 """Confirmation of repeated frames by the motion of the bodies.
 
-Two pictures may be equal because nothing turns. A frame counts as a repetition, and is not measured, if a body should
-have moved by more than its scatter but has not moved. The next frame shows the origin of the repetition. If in the next
-frame the body has moved by two steps, a frame is missing and the repetition has taken its place; the times of all other
-frames are correct. Otherwise the repetition was inserted between two frames of the camera, for example by a conversion
-to a higher rate, and the frames are numbered without the repetition.
+Two pictures may be equal because nothing turns. A frame counts as a repetition, and is not measured, if a body has not
+moved although its typical step clearly exceeds the scatter. The motion in the next frame shows why the frame was
+repeated. If the body moves by two steps in the next frame, the repetition replaces a missing frame, and the times of
+all other frames are correct. Otherwise the repetition was inserted between two frames of the camera, for example by a
+conversion to a higher rate, and the frames are numbered without the repetition.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ AROUND = 20
 """Number of frames to each side from which the typical step of a body is determined [frames]. Chosen: a smaller number
 gives a noisy step, a larger one includes a change of the speed."""
 CLEAR = 6.0
-"""A repetition is detected if the step of a body, in standard deviations of its steps, exceeds this value [1]. Derived:
-half a step, below which the body counts as unmoved, is then three standard deviations."""
+"""A repetition is detected if the typical step of a body, in standard deviations of its steps, exceeds this value [1].
+Derived: a body counts as unmoved below half a step, which is then at least three standard deviations."""
 FEWEST = 4
 """A scatter is computed from at least this number of steps, and a period from at least this number of runs of repeated
 frames [1]. Chosen: a smaller number gives a random scatter, a larger one leaves repeats undetected."""
@@ -91,7 +91,7 @@ class _Steps:
         self._steps = np.diff(angle[self._fresh])
 
     def around(self, frame: int) -> tuple[float, bool]:
-        """Return the median step about a frame, and whether it is significant."""
+        """Return the median step in the frames around a frame, and whether this step is significant."""
         place = int(np.searchsorted(self._fresh, frame))
         known = self._steps[max(place - AROUND, 0) : place + AROUND]
         known = known[np.isfinite(known)]
@@ -149,9 +149,8 @@ def without_repeats(
 ) -> tuple[FrameTimes, CaptureRate]:
     """Add a warning about repeated frames, and number the frames without inserted repeats.
 
-    A regular conversion preserves the duration of a film. If the capture rate is the frame rate of the file, the rate
-    of the camera is this rate times the share of original frames. Otherwise the capture rate is the rate of the
-    original frames.
+    A regular conversion preserves the duration of a film. If the given capture rate is the frame rate of the file, it
+    is multiplied by the share of original frames. Any other capture rate is taken as the rate of the original frames.
     """
     if not found.again.any():
         return times, rate

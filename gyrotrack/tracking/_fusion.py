@@ -5,9 +5,9 @@ markers are combined with their mount angles, weighted by the inverse variance o
 outliers are rejected.
 
 Systematic errors that are functions of an angle are removed first. Reflections of lamps in the metal displace a marker
-in the same way each time it passes a place. The edge and the shadow of the bar of the casing displace it each time it
-passes the bar. These errors are estimated from the residuals of the marker about the smooth motion of its body, as a
-smooth closed curve c that minimises
+in the same way each time it passes a place. The edge and the shadow of the casing's bar displace a marker each time the
+marker passes the bar. These errors are estimated from the residuals of the marker about the smooth motion of its body,
+as a smooth closed curve c that minimises
 
     sum w (r - B c)^2 / s^2  +  |D2 c|^2 / bend^2  +  |c|^2 / size^2
 
@@ -69,7 +69,7 @@ FAST = 70.0
 unbalance, an acceleration of amplitude 10 rad/s2, causes an amplitude of 10 / 70^2 = 2 mrad."""
 _LEFT = 0.2
 """Smallest share of the scatter of a marker that is independent of the other markers [1]. Chosen: a smaller value gives
-a marker too much weight, a larger one counts the error of the times of frames, which all markers share, twice."""
+a marker too much weight; a larger one counts twice the timing error that all markers have in common."""
 
 
 @dataclass(frozen=True)

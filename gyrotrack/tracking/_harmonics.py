@@ -1,10 +1,10 @@
-"""Errors of an angle that are periodic in the turn, determined by their amplitudes in batches of frames.
+"""Errors of an angle that repeat in each turn, determined from the amplitudes of their harmonics in batches of frames.
 
 In each batch, a polynomial and harmonics of the angle psi are fitted to psi. Harmonics caused by the camera (centre,
 tilt) have constant amplitudes. The shadow of a body is displaced from the body by a constant vector and merges with the
 blurred edges of the body. The shadow causes an amplitude of order 1 that grows with the blur, in proportion to the
-speed. A torque that is periodic in the turn, for example due to an unbalance, causes the amplitude A / omega^2, where A
-is the amplitude of the angular acceleration.
+speed. A torque that repeats in each turn, for example due to an unbalance, causes the amplitude A / omega^2, where A is
+the amplitude of the angular acceleration.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ states noise as an error, a larger one hides small errors."""
 def _amplitudes(angle: Floats) -> dict[int, Floats]:
     """Return amplitudes of cos and sin [rad], their variance [rad^2] and the turn [rad] per batch, (batches, 4).
 
-    The turn is that of a complete batch: the turn between the first and the last known angle is extrapolated.
+    The turn between the first and the last known angle is extrapolated to a complete batch.
     """
     found: dict[int, list[Floats]] = {order: [] for order in _HARMONICS}
     for first in range(0, len(angle) - BATCH + 1, BATCH):
@@ -85,10 +85,10 @@ def harmonic_error(angle: Floats) -> float:
     other orders may be as large at other speeds. An order is omitted in batches in which it resembles the motion: the
     frames are in step with the error there, so the error varies slowly.
 
-    Amplitudes of orders 1 and 2 may be constant (centre, tilt), proportional to the speed (rolling shutter), to its
-    square (motion blur), or to its inverse square (a torque that depends on the angle, for example due to an
-    unbalance). The residuals of a fit of these four terms are the error of these orders. `angle` (n,) is the unwrapped
-    angle of each frame [rad], NaN where it is not known.
+    Amplitudes of orders 1 and 2 have known causes. They may be constant (centre, tilt), or proportional to the speed
+    (rolling shutter), to its square (motion blur) or to its inverse square (a torque that depends on the angle, for
+    example due to an unbalance). The residuals of a fit of these four terms are the error of these orders. `angle` (n,)
+    is the unwrapped angle of each frame [rad], NaN where it is not known.
     """
     found = _amplitudes(angle)
     largest = 0.0

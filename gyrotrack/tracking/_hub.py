@@ -83,8 +83,8 @@ _ALTERNATIVES = 48
 """Smallest number of frames for which the radii of the markers select a path of `_SHORT_HALVES` [frames]. Chosen: with
 fewer the selection is random, with more the path of the hub is smoothed in a short film."""
 _PARTIAL_STEP = 6.0
-"""Smallest step of a partly covered disc, relative to the typical step from frame to frame [1]. Chosen: a smaller value
-discards good views, a larger one keeps displaced views."""
+"""Smallest step to or from a partly covered disc, relative to the typical step from frame to frame [1]. Chosen: a
+smaller value discards good views, a larger one keeps displaced views."""
 _LINE_POWER = 7.0
 """Smallest power of a line, relative to the floor of the spectrum [1]. Derived: the power of noise is exponentially
 distributed and exceeds 7 with a probability of exp(-7) = 0.1 %."""
@@ -458,9 +458,9 @@ def refine_centre(path: CentrePath, markers: Iterable[Radii]) -> CentrePath:
     """Correct the path of a centre by the radii of markers about it.
 
     In a window about each frame, the error n of the centre minimises sum w (excess + n . r)^2 / s^2 + |n|^2 /
-    `EXPECTED_ERROR`^2, where r is the unit vector towards a marker, excess and s are the residual and the scatter of
-    its radius, and w is a parabolic weight over the window. The uncertainty is the standard uncertainty of n in this
-    fit.
+    `EXPECTED_ERROR`^2, where r is the unit vector towards a marker. The residual and the scatter of the marker's radius
+    are excess and s, and w is a parabolic weight over the window. The uncertainty is the standard uncertainty of n in
+    this fit.
     """
     count = len(path.centre)
     normal, right = np.zeros((3, count)), np.zeros((2, count))

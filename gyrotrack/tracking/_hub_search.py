@@ -1,9 +1,9 @@
 """Candidates for the hub of a rotating body, from the film alone.
 
-Three independent methods suit different kinds of bodies: the point of convergence of the gradients of the mean picture
-(a body that turns many times is blurred into circles); the fixed point of the similarity transformation between two
-frames (features of a textured body); the centre of the orbit of a compact spot. Registration selects one of the
-candidates.
+Three independent methods suit different kinds of bodies. A body that turns many times is blurred into circles, and the
+gradients of its mean picture converge at the hub. The features of a textured body move from frame to frame by a
+similarity transformation, whose fixed point is the hub. A compact spot moves on a circle about the hub. Registration
+selects one of the candidates.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _LAGS = (1, 4, 16)
 """Distances of the frames of a pair [frames]. Chosen: for fast and slow bodies; over longer distances features are
 lost, shorter distances show no rotation."""
 _FIRST = 5
-"""Spacing of the pairs that decide whether the other pairs are needed [pairs]. Chosen: with a larger value few pairs
-decide, a smaller one costs time."""
+"""Every pair at a multiple of this number is examined first, to decide whether the other pairs are needed [pairs].
+Chosen: with a larger value, few pairs decide; a smaller one costs time."""
 _NO_COMMON_HUB = 0.8
 """Pairs of frames have no common hub if the median residual of the displacements about one hub, divided by the median
 displacement, exceeds this value [1]. Measured: 0.07 to 0.5 for bodies whose features determine the hub; 1 without any
 rotation."""
 _FEWEST_PAIRS = 4
 """Smallest number of pairs with a rotation that determine a hub [pairs]. Chosen: with fewer, pairs agree by chance;
-with more, hubs are lost."""
+with more, some hubs are not found."""
 _FEATURES = 400
 """Largest number of features of a frame [features]. Chosen: a larger number costs time, a smaller one leaves few
 features on the body."""
@@ -284,12 +284,13 @@ def fit_circle(x: Floats, y: Floats) -> tuple[float, float] | None:
 def similarity_hubs(
     frames: Sequence[Plane], motion: Motion
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return the fixed point (x, y) [px] of similarities between frames a few steps apart, from moving features.
+    """Return two estimates of the hub (x, y) [px], the fixed point of similarities between frames a few steps apart.
 
-    A similarity z -> a z + b about the hub h has b = (1 - a) h. Least squares in b are suitable for a body around its
-    hub (first result). For a small body far from the hub (second result), for example the ball of a pendulum, the
-    displacement d = (1 - a)(h - c) of the centroid c is precise, but the rotation is not precise, and its errors bias
-    the hub towards the body. In this case h is fitted to a = 1 - d / (h - c).
+    A similarity z -> a z + b of moving features about the hub h has b = (1 - a) h. The first estimate is a
+    least-squares fit to b, for a body that surrounds its hub. The second estimate is for a small body far from the hub,
+    for example the ball of a pendulum. The displacement d = (1 - a)(h - c) of its centroid c is precise, but its
+    rotation is not precise, and errors of the rotation bias the hub towards the body. Therefore h is fitted to a = 1 -
+    d / (h - c).
     """
     mask = cv2.dilate(motion.moving.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
     if mask.sum() < 50:
@@ -322,7 +323,7 @@ class _CommonHub:
     left: Complexes
     shift: Complexes
     centroid: Complexes
-    unexplained: float  # ratio of the median residual of the displacements to their median
+    unexplained: float  # median residual of the displacements divided by the median displacement
 
     @classmethod
     def of(cls, found: Iterable[tuple[complex, complex, complex] | None]) -> _CommonHub | None:
@@ -351,7 +352,7 @@ def distant_hub(
     shift: Complexes,
     centroid: Complexes,
 ) -> tuple[float, float] | None:
-    """Fit the hub h to 1 - a = d / (h - c) for all pairs of frames; None for a body around its hub."""
+    """Fit the hub h to 1 - a = d / (h - c) for all pairs of frames; None for a body that surrounds its hub."""
     middle, spread = complex(np.median(centroid.real), np.median(centroid.imag)), float(np.abs(shift).max())
     if abs(start - middle) < spread:
         return None
@@ -399,7 +400,11 @@ def similarity(first: Plane, second: Plane, mask: Plane) -> tuple[complex, compl
 def _there_and_back(
     first: Plane, second: Plane, points: Any, *, levels: int, nearest: float
 ) -> tuple[Any, Bools]:
-    """Track points to another frame and back by optical flow; return them, and which return within `nearest` px."""
+    """Track points to a second frame by optical flow.
+
+    Return the points in the second frame, and a mask of the reliable points: tracked back to the first frame, they are
+    within `nearest` px of their origin.
+    """
     flow: Any = cv2.calcOpticalFlowPyrLK
     options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": levels}
     there, status, _ = flow(first, second, points, None, **options)
@@ -415,8 +420,9 @@ def follow_features(
 
     Return None if there are too few inliers, or if the range of the angles exceeds `widest` [rad].
 
-    Otherwise return a, b (n,) of z -> a z + b, |a| = 1, from the first frame to each frame, and the frame in which the
-    tracked features were selected: new features inherit the error of the previous features.
+    Otherwise return a, b (n,) of z -> a z + b, |a| = 1, from the first frame to each frame. Also return, for each
+    frame, the frame in which its features were selected. Features selected later inherit the error of the previous
+    features.
     """
     smooth = cv2.blur(motion.deviation, (5, 5))
     strong = motion.moving & (smooth > float(np.median(smooth[motion.moving])))

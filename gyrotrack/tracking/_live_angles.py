@@ -18,13 +18,14 @@ from gyrotrack._arrays import Floats, Integers
 Sink = Callable[[str, int, Integers, Floats], object]
 """Called with a body, the first frame of a part, frame numbers (n,) in the part, and angles as seen (n,) [rad].
 
-Angles are unwrapped within a part. If a frame number is not larger than the previous number, the part is restarted.
+Angles are unwrapped within a part. A frame number that is not larger than the previous one shows that the tracking of
+the part has restarted.
 """
 
 _sink: ContextVar[Sink | None] = ContextVar("sink", default=None)
 _TOGETHER = 16
-"""Number of frames that a tracker of single frames reports together [frames]. Chosen: a smaller number costs time, a
-larger one delays the display."""
+"""Number of frames in one report of a tracker that measures frame by frame [frames]. Chosen: a smaller number costs
+time, a larger one delays the display."""
 
 
 @contextmanager

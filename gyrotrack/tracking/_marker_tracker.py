@@ -516,7 +516,7 @@ disturbed profiles, a smaller one leaves few profiles."""
 
 
 def _good(found: Match, whole: Bools, known: Bools) -> Bools:
-    """Return a mask of the frames that may enter a template: those with a large gain and no more than usual misfit."""
+    """Return a mask of the frames that may enter a template: with a large gain, and with a usual or smaller misfit."""
     usable = (
         known & (found.gain > _LEAST_GAIN) & (found.gain < _MOST_GAIN) & (found.weakness < _MOST_WEAKNESS)
     )

@@ -153,8 +153,8 @@ class MarkerStrip(WithBuffer):
 
 
 LAYERS = 3
-"""Number of parts of the radius for which the occlusion is measured separately [1]. Chosen: a smaller number takes a
-partly covered marker for a dim marker, a larger one gives noisy heights."""
+"""Number of parts into which a marker is divided along the radius, to measure the occlusion of each part [1]. Chosen: a
+smaller number takes a partly covered marker for a dim marker, a larger one gives noisy heights."""
 
 
 class MarkerWindow:
@@ -213,7 +213,7 @@ class MarkerWindow:
 
 
 class AngleMap:
-    """Mean relative height of a marker at each angle and in parts of the radius (`layers`), learnt from its passages.
+    """Mean relative height of a marker at each angle, for its parts along the radius (`layers`), from its passages.
 
     `ground` is the subtracted background, in heights of the marker. A marker covers the reflections of lamps in the
     metal beneath it. The brightness of the marker therefore varies little and is averaged, whereas its height above the

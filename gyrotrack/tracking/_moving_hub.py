@@ -1,7 +1,7 @@
 """Tracking of a body whose hub moves: a table suspended by threads, a sliding puck, a rolling cylinder.
 
-The path of the hub is found first: from the features of a body that hardly moves, or from the outlines of the
-difference from the background. The picture of the body about this path is then registered against a template averaged
+The path of the hub is found first: from features if the body hardly moves, otherwise from the outline of the region
+that differs from the background. The picture of the body about this path is then registered against a template averaged
 from the film, which measures the angle and the remaining displacement together.
 """
 
@@ -43,8 +43,9 @@ _WIDEST = 2.0
 """Largest range of the angles in which features are followed [rad]. Chosen: larger rotations are measured by
 registration about a hub, because features are lost during a larger rotation."""
 _LENIENT = 2.0
-"""Factor on the lower limits of range and travel in reduced frames [1]. Chosen: a smaller factor refuses films that the
-full frames show, a larger one examines more films in full frames."""
+"""In reduced frames, the smallest range of the angles is divided by this factor, and the largest travel of the hub is
+multiplied by it [1]. Chosen: a smaller factor refuses films that full frames would admit, a larger one examines more
+films in full frames."""
 _EXPLAINED = 0.4
 """Smallest share of the change of brightness about the path that the rotation explains [1]. Chosen: a smaller value
 accepts bodies that only translate, a larger one refuses uneven light."""
@@ -53,8 +54,8 @@ _RIGID = 0.7
 rigid body, it explains nearly the whole change [1]. Measured: 0.79 to 0.99 for real pucks and a cylinder, 0.56 to 0.63
 for a wave, a part of a turning rod and wires on a puck."""
 _ROUGHLY_RIGID = 0.5
-"""Smallest explained share with rough angles, for which a body is registered [1]. Measured: registration changes the
-share by less than 0.1; the films are not recorded."""
+"""A body is registered if rotation by the rough angles explains at least this share of the change [1]. Measured:
+registration changes the share by less than 0.1; the films are not recorded."""
 _COARSE = 48.0
 """Largest resolution for rough angles [samples per radius]. Chosen: a larger value costs time, a smaller one blurs the
 marks of the body."""
@@ -92,8 +93,9 @@ _ONE_SIGN = 3.0
 the inverse ratio) is at least this value [1]. Chosen: a smaller value takes marks of a body for the background, a
 larger one leaves a body at rest in the background."""
 _RARE = 0.15
-"""Smallest share of the frames in which the background is visible where a body covers it most of the time [1]. Chosen:
-a smaller value follows noise and shadows, a larger one takes a body that stays longer for the background."""
+"""If a body covers a pixel most of the time, the background must be visible there in at least this share of the frames
+[1]. Chosen: a smaller value follows noise and shadows, a larger one takes a body that stays longer for the
+background."""
 _LAG = 4
 """Distance between two frames in which the pictures of a moving body differ measurably [frames]. Chosen: a smaller
 number shows less motion than noise, a larger one shifts the ends of the motion."""
@@ -122,9 +124,9 @@ _RESCALED = 0.1
 distance from the camera explains [1]. Chosen: a smaller value follows the noise of the areas, a larger one omits the
 ends of a path towards the camera."""
 _SIMILAR = 0.25
-"""Largest relative change of the moment of an outline, divided by its squared area, that a change of distance explains
-[1]. Derived: a disc of which half is hidden changes by 0.28; a larger value takes occlusion for distance, a smaller one
-omits bodies that wobble."""
+"""Largest relative change of the moment of an outline, divided by its squared area, at a change of distance from the
+camera [1]. Derived: a disc of which half is hidden changes by 0.28; a larger value takes occlusion for distance, a
+smaller one omits bodies that wobble."""
 _TREND = 15, 31
 """Lengths of the running medians of area and moment [frames]. Chosen: smaller values follow an occlusion, larger values
 do not follow the distance."""
@@ -135,14 +137,14 @@ _TRAVEL = 0.5
 """Smallest distance that a free body moves [diameters]. Chosen: a smaller value follows bodies on an axle, a larger one
 omits short paths."""
 _OF_FILM = 0.25
-"""Smallest share of the change of the film that is in the frames of the path [1]. Chosen: a body with a smaller share
-is not the subject of the film; a larger value omits one body of several."""
+"""Smallest changed area of the picture in the frames of a path, divided by the changed area in all frames [1]. Chosen:
+a body with a smaller share is not the subject of the film; a larger value omits one body of several."""
 _SLIDING = 1.0
 """Smallest displacement of a moving body in `_LAG` frames [px]. Chosen: a smaller value includes rest, a larger
 one cuts slow ends."""
 _TURNING = 3.0
-"""Smallest change (rms) of the picture of a moving body divided by the noise [1]. Chosen: a smaller value includes
-rest, a larger one cuts slow ends."""
+"""Smallest change (rms) of the picture of a moving body, in standard deviations of the noise [1]. Chosen: a smaller
+value includes rest, a larger one cuts slow ends."""
 _TURNED = 0.2
 """Smallest change (rms) of the picture of a moving body, relative to the largest change [1]. Chosen: changes by the
 codec at rest exceed the noise; a smaller value includes these changes, a larger one cuts slow ends."""
@@ -205,8 +207,9 @@ def track_by_features(
     tracked = _along_path(film, usable, ring, theta, shift, motion.area, progress)
     if tracked.explained < _EXPLAINED:  # the features belong to several bodies
         return None
-    # features at the edge of the body are biased by the background: the result is from registration, and the difference
-    # between the two is a correlated uncertainty; new features inherit the error of the previous features
+    # The background biases features at the edge of the body, so the result is taken from registration. The scatter of
+    # the difference is a correlated uncertainty. New features inherit the error of the previous features, so the mean
+    # difference of each selection of features is removed.
     kept = np.isin(usable, tracked.frame)
     apart, followed = tracked.angle + theta[kept], followed[kept]
     for first in np.unique(followed):
@@ -232,10 +235,10 @@ def may_be_loose(frames: Iterable[Plane], motion: Motion) -> bool:
 def _loose_motion(
     frames: Iterable[Plane], motion: Motion, travel: float = 1.0, least: float = _LEAST_RANGE
 ) -> tuple[Floats, Complexes, Integers, Ring] | None:
-    """Return angles and hub path of a body from its features, the frames of their selection, and a ring; or None.
+    """Return angles, hub path, frames of selection and ring of a body from its features; None for any other body.
 
-    The range of the angles must exceed `least` [rad], and the hub must move by less than `travel` times the arcs of
-    the rim.
+    The frame of selection of a frame is the frame in which its features were selected. The range of the angles must
+    exceed `least` [rad], and the hub must move by less than `travel` times the arcs of the rim.
     """
     found = follow_features(frames, motion, _WIDEST)
     if found is None:
@@ -298,7 +301,7 @@ def track_free_body(
                 f"The distance of the body from the camera changes: its size in the picture changes by a factor of "
                 f"{path.scale.max() / path.scale.min():.2g}, which is compensated."
             )
-        # the last warning must be the doubt about the result
+        # the file keeps the last warning, which must state why the result is doubtful
         notes.append(
             f"The body does not turn about a fixed axis: it moves across the picture by "
             f"{np.hypot(*np.ptp(path.place, axis=0)):.0f} px. Its angle is measured about the centroid of its outline, "
@@ -357,8 +360,8 @@ class _Link:
 def find_paths(film: Film, usable: Integers, noise: float) -> list[Path]:
     """Return the paths of all bodies that move across the picture, the one with the largest area swept first.
 
-    The background is the median of frames with equal changes of the picture between them, so that bodies that come to
-    rest are not part of the background.
+    The background is the median of frames between which the picture changes by equal amounts. A body that comes to rest
+    is then not part of the background.
     """
     changed = _changed(film, usable, _CONTRAST * noise)
     moved = np.cumsum(changed)

@@ -2,14 +2,14 @@
 
 All points are (x, y) in px with y downwards; angles are counter-clockwise as seen.
 
-A circle seen obliquely is an ellipse, and a marker above the plane of the central disc moves around a point beside the
-disc. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
+In an oblique view, a circle is an ellipse, and a marker above the plane of the central disc moves around a point beside
+the disc. With v = (x - cx, -(y - cy)) the position of a marker relative to the disc,
 
     v = e + rho A (cos theta, sin theta),    A = [[1 + p, q], [q, 1 - p]],
 
-with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Offset and
-flattening change radius and angle: without correction, e causes an error of the angle of |e| / rho once per turn, and
-(p, q) an error of hypot(p, q) twice per turn.
+with e the offset of the orbit's centre and (p, q) the flattening: for a tilt t, hypot(p, q) = t^2 / 4. Both change
+radius and angle. Without correction, the offset causes an error of the angle with the amplitude |e| / rho and one
+period per turn. The flattening causes an error with the amplitude hypot(p, q) and two periods per turn.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ def common_centre(points: Floats, group: Integers, *, trials: int = 400) -> Orbi
     """Find the common centre of the circles of groups (colours) of points, (n, 2) [px], robust against outliers.
 
     Random triples of points of one group define circles. The selected centre has inliers (see `_agreeing`) in the
-    largest number of directions, because an object at rest is an inlier of every centre, but in one direction only.
-    The centre is refined by least squares over the inliers. The result is None if the inliers are too few or cover
-    less than `_LEAST_SPREAD`.
+    largest number of directions. The number of inliers is not used: an object at rest is an inlier of every centre, but
+    in one direction only. The centre is refined by least squares over the inliers. The result is None if the inliers
+    are too few or cover less than `_LEAST_SPREAD`.
     """
     if len(points) < _FEWEST:
         return None
@@ -237,7 +237,7 @@ class Flattening:
         return np.asarray(np.mean([self.offset[name] for name in names if name in self.offset], axis=0))
 
     def tangential_sigma(self, name: str, angle: Floats) -> Floats:
-        """Return the uncertainty of a marker along its orbit due to e, without the mean over the frames, (n,) [px]."""
+        """Return the uncertainty along the orbit of a marker due to e, without its mean over the frames, (n,) [px]."""
         if name not in self.offset_covariance or not np.isfinite(angle).any():
             return np.zeros(len(angle))
         along = np.stack([-np.sin(angle), np.cos(angle)])
@@ -245,7 +245,7 @@ class Flattening:
         return np.asarray(np.sqrt(np.einsum("in,ij,jn->n", along, self.offset_covariance[name], along)))
 
     def tilt_sigma(self, angle: Floats) -> Floats:
-        """Return the uncertainty of an angle due to p and q, without the mean over the frames, (n,) [rad]."""
+        """Return the uncertainty of an angle due to p and q, without its mean over the frames, (n,) [rad]."""
         if not np.isfinite(angle).any():
             return np.zeros(len(angle))
         along = np.stack([-np.sin(2.0 * angle), np.cos(2.0 * angle)])

@@ -144,8 +144,9 @@ good positions, a larger one keeps false matches."""
 
 _NEAR_HUB = 0.05
 """Smallest distance of the mean position from the hub, divided by the radius, at which the parameters of the arc are
-regular [1]. Derived: the derivatives of the hub grow as the inverse of this distance; below it, hub and radius are the
-parameters; a smaller value leaves large rounding errors, a larger one changes nothing for long arcs."""
+regular [1]. Derived: the derivatives of the hub grow as the inverse of this distance; at smaller distances, hub and
+radius are the parameters of the fit; a smaller value leaves large rounding errors, a larger one changes nothing for
+long arcs."""
 
 
 def fit_arc(place: Floats, sigma: Floats, least: float = 0.0) -> Arc:

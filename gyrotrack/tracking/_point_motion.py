@@ -156,10 +156,11 @@ def follow_point(
 ) -> TrackedPoint:
     """Follow a point of a film and measure its angle about a pivot.
 
-    `start` is the position (x, y) in the first frame [px]; without it, the only compact body that moves is followed.
-    `hub` is the pivot (x, y) [px], also outside the picture; without it, the centre of the path. `progress` is called
-    with the number of measured frames and the number of all frames. `seen` is the foreground of the film, if it is
-    known. A TrackingError is raised if the film has no point to follow, or if the path does not determine the pivot.
+    `start` is the position (x, y) in the first frame [px]; without `start`, the only compact body that moves is
+    followed. `hub` is the pivot (x, y) [px], which may be outside the picture; without `hub`, the pivot is the centre
+    of the path. `progress` is called with the number of measured frames and the number of all frames. `seen` is the
+    foreground of the film, if it is known. A TrackingError is raised if the film has no point to follow, or if the path
+    does not determine the pivot.
     """
     path = track_point(film, start, _turn_about(hub), progress, seen)
     return _of_path(film, path, start, hub)
@@ -360,10 +361,10 @@ def _with_prior(rows: Floats, value: Floats, off: float) -> tuple[Floats, Floats
 def _beside_joint(length: Floats, between: Floats, off: float = OFF_AXIS) -> tuple[Floats, Floats, float]:
     """Return the correction across the second link for a point beside the joint, with its standard uncertainty [px].
 
-    With the displacement d of the point from the joint, constant on the first link, and the angle phi `between` the
-    links, the distance is L - Re(d exp(-i phi)), where L is the length of the second link. The end appears displaced by
-    -Im(d exp(-i phi)) across the link [px]. A linear fit of the distances (n,) with a normal prior of mean 0 determines
-    d. The third result is the rms residual [px].
+    Let d be the displacement of the point from the joint, which is constant on the first link, phi the angle `between`
+    the links, and L the length of the second link. The distance is then L - Re(d exp(-i phi)). The end appears
+    displaced by -Im(d exp(-i phi)) across the link [px]. A linear fit of the distances (n,) with a normal prior of mean
+    0 determines d. The third result is the rms residual [px].
     """
     cos, sin = np.cos(between), np.sin(between)
     found, covariance, rest = _with_prior(np.stack([-cos, -sin, np.ones_like(cos)], axis=1), length, off)
@@ -414,9 +415,7 @@ def _of_path(
             f"The compact body that moves, at ({x:.0f}, {y:.0f}) px in the first frame, is followed as a point; "
             "--point X,Y selects another one."
         )
-        if (
-            second := _second_rotation(film, found)
-        ) is not None:  # the last warning must be the doubt about the result
+        if (second := _second_rotation(film, found)) is not None:  # the file keeps the last warning
             found = replace(found, warnings=(*found.warnings, second), ambiguous=True)
     return replace(found, warnings=(*warnings, *found.warnings))
 
@@ -438,7 +437,8 @@ def about_pivot(
 
     `tilt` is the camera tilt for which the path is corrected [rad]; None if unknown.
     """
-    # relative errors of all angles, and of the radius of curvature divided by the distance of the hub
+    # relative errors due to the tilt: of all angles, and of the ratio of the radius of curvature to the distance of
+    # the hub
     of_angle, of_radius = _VIEW_OF_ANGLE, _VIEW_OF_RADIUS
     if tilt is not None:
         of_angle = 0.5 * math.tan(tilt) * _TILT_U
@@ -530,8 +530,8 @@ def about_pivot(
     outward = away / radius[:, None]
     across = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
     radial, along = (np.sqrt(np.einsum("ni,nij,nj->n", v, path.covariance, v)) for v in (outward, across))
-    # along the path, motion blur and jitter of the clock add to the noise; errors that neighbouring frames share, for
-    # example due to a codec, appear only across the path
+    # Along the path, motion blur and jitter of the clock add to the noise. Errors that neighbouring frames have in
+    # common, for example due to a codec, are measured only across the path.
     scatter = white_noise(angle, path.frame) * float(np.median(radius))
     along = along * max(scatter / float(np.median(along)), scale)
     place_sigma = np.hypot(scale * radial[:, None] * outward, along[:, None] * across)
@@ -559,8 +559,8 @@ _ELLIPSE = 0.03
 """Largest deviation (rms) of the points of an orbit from the ellipse, divided by its radius [1]. Chosen: a smaller
 value refuses blurred points, a larger one accepts other paths."""
 _BETTER = 0.5
-"""Largest deviation of an orbit from the ellipse, divided by its deviation from a circle [1]. Chosen: a smaller value
-leaves small tilts uncorrected, a larger one fits noise."""
+"""Largest deviation of the points of a tilted orbit from the ellipse, divided by their deviation from a circle [1].
+Chosen: a smaller value leaves small tilts uncorrected, a larger one fits noise."""
 
 
 def _tilted_orbit(place: Floats, sigma: Floats, least: float) -> Orbit | None:

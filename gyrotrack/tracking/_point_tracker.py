@@ -43,8 +43,8 @@ from gyrotrack.tracking._silhouettes import (
 )
 
 _CORE = 0.7
-"""Distance from the edge, divided by the largest distance, above which pixels are averaged for the middle of a part
-[1]. Chosen: a smaller value includes joined rods, a larger one averages few pixels."""
+"""The middle of a part is the mean of the pixels whose distance from its edge, divided by the largest such distance,
+exceeds this value [1]. Chosen: a smaller value includes joined rods, a larger one averages few pixels."""
 _LATE = 0.1
 """Largest share of the frames that may precede the first frame that shows a spot [1]. Chosen: a smaller value refuses
 films with a hand at the start, a larger one skips motion."""
@@ -68,8 +68,8 @@ _PRESENT = 0.4
 the patch from the background in the first frame, is at least this value [1]. Chosen: a smaller value matches the
 background, a larger one loses a patch in shadow."""
 _TEMPLATE = 12.0
-"""Radius to which the picture of a large patch is reduced, by a whole factor [px]. Chosen: a larger radius costs time,
-a smaller one loses precision."""
+"""The picture of a large patch is reduced, by an integer factor, to about this radius [px]. Chosen: a larger radius
+costs time, a smaller one loses precision."""
 _COARSE = 5.0
 """Radius of a spot in the reduced picture that is searched as a whole [px]. Chosen: a larger radius costs time, a
 smaller one does not distinguish the spot from similar spots."""
@@ -83,11 +83,11 @@ _LEARNT = 200
 """Largest number of frames for the average picture of the patch [frames]. Chosen: a smaller number gives a noisier
 picture, a larger one costs time."""
 _ROUNDS = 4
-"""Number of alternations of averaging a patch and measuring its positions [iterations]. Chosen: a smaller number stops
-before patch and positions agree, a larger one costs time."""
+"""Number of iterations, each of which averages a patch and then measures its positions [iterations]. Chosen: a smaller
+number stops before patch and positions agree, a larger one costs time."""
 _TURN_ROUNDS = 3
-"""Number of alternations of measuring the path and the rotation of a patch [iterations]. Chosen: a smaller number stops
-before path and rotation agree, a larger one costs time."""
+"""Number of iterations, each of which measures the path of a patch and then its rotation [iterations]. Chosen: a
+smaller number stops before path and rotation agree, a larger one costs time."""
 _STEPS = 8
 """Largest number of Gauss-Newton steps of a patch [iterations]. Chosen: a smaller number stops early, a larger one
 costs time."""
@@ -139,8 +139,8 @@ _LEAST_ROUND = 8
 """Smallest radius of a patch that has an interior [px]. Chosen: a smaller patch has an edge only; a larger value
 ignores the detail of small bobs."""
 _TURNED = 0.3
-"""Rotation that must increase the residual of a patch with visible orientation [rad]. Chosen: the effect of a smaller
-value is below the noise; a larger one may reach the next period of a periodic patch."""
+"""A patch has a visible orientation if a rotation by this angle increases the residual [rad]. Chosen: the effect of a
+smaller value is below the noise; a larger one may reach the next period of a periodic patch."""
 _TURN_STARTS = 5
 """Number of additional initial angles of a rotation on each side, tried if the residual is unusual [1]. Chosen: a
 smaller number loses a fast rotation, a larger one costs time."""
@@ -151,12 +151,12 @@ _UNUSUAL = 1.5
 """Additional initial angles of a rotation are tried if the residual, divided by its running mean, is at least this
 value [1]. Chosen: a smaller value costs time, a larger one keeps a lost rotation."""
 _UPDATE = 0.1
-"""Weight of a frame in the running mean of the residual [1]. Chosen: a smaller value follows the light late, a larger
-one follows a lost rotation."""
+"""Weight of a frame in the running mean of the residual [1]. Chosen: with a smaller value, the mean follows changes of
+light late; with a larger one, it adapts to a lost rotation."""
 _NECK = 0.7
-"""Only rods join a part to the body if the depth of the body (distance from its edge) at the distance `_NECK_AT` from
-the middle of the part, divided by the depth of the part, is at most this value [1]. Chosen: a smaller value joins the
-rod to the part, a larger one divides a compact body."""
+"""The depth of a point is its distance from the edge of the body. Only rods join a part to the body if the depth at the
+distance `_NECK_AT` from the middle of the part, divided by the depth at the middle, is at most this value [1]. Chosen:
+a smaller value joins the rod to the part, a larger one divides a compact body."""
 _NECK_AT = 1.5
 """Distance from the middle of a part at which the depth is compared [depth of the part]. Chosen: just outside of a
 circle; a larger distance reaches other parts."""
@@ -191,7 +191,7 @@ def track_point(
     progress: Progress | None = None,
     seen: Foreground | None = None,
 ) -> PointPath:
-    """Follow a point of a body, given its position `start` in the first frame, or the only compact body that moves.
+    """Follow the point at `start` in the first frame; without `start`, follow the only compact body that moves.
 
     `turn_of` returns the rotation of the patch for approximate positions; `seen` is the foreground of the film, if it
     is known. A TrackingError is raised if the given place has no detail to follow, if several bodies move and none is
@@ -320,7 +320,7 @@ def _tracked(
     if np.ptp(followed) * spot.radius > 1.0:
         other = learnt(rough[found], followed, _TURN_SEEN)
         best = other if other.residual < _TURNS_WITH * best.residual else best
-    # alternate, because the rotation of the patch depends on its path and the path on the rotation
+    # iterate, because the rotation of the patch depends on its path, and the path on the rotation
     keeps = False
     for _ in range(_TURN_ROUNDS):
         about = turn_of(frame, best.place)
@@ -336,7 +336,7 @@ def _tracked(
 
 
 def _retraced(place: Floats, name: str) -> None:
-    """Raise a TrackingError unless an automatically selected point is near a circle, by its approximate positions."""
+    """Raise a TrackingError unless the approximate positions of an automatically selected point are near a circle."""
     arc = fit_arc(place, np.full(len(place), _ROUGH))
     extent = float(np.hypot(*np.ptp(place, axis=0)))
     if math.hypot(arc.noise, arc.by_place) > max(_ROUGHLY_ROUND * extent, 2.0 * _ROUGH):

@@ -1,6 +1,6 @@
 """A marker profile proposed from the film alone.
 
-The colours of a film that move are found first. In each of them, a candidate for a marker is found.
+The colours that move are found first. Then a candidate for a marker is found in each colour.
 """
 
 from __future__ import annotations
@@ -510,7 +510,7 @@ def propose(
     VideoError
         The film cannot be read.
     TrackingError
-        Nothing coloured turns about a centre in it.
+        No coloured region of the film turns about a centre.
     """
     video = Path(video)
     samples = _samples(video)
@@ -559,7 +559,7 @@ def propose(
 
 
 def _samples(video: Path) -> Samples:
-    """Decode the first frames, and other frames equally spaced over the film."""
+    """Decode the first frames, and further frames equally spaced over the film."""
     first = take_samples(video)
     stamps = read_packets(video).stamps
     chosen = np.linspace(first.head, len(stamps) - 1, SPREAD).astype(int) if len(stamps) > first.head else ()

@@ -318,7 +318,7 @@ def learn(
 
     The `polars` are read several times; `allowed` are samples within the picture. `separate`: the motion is large
     enough (a turn and more) to distinguish the fixed picture from the picture of the body. `counted` are weights of the
-    frames. `plain`: the same variance for all samples, because variances are too large at details while angles or hub
+    frames. `plain`: all samples have one variance; individual variances are too large at details while angles or hub
     are wrong.
     """
     counted = np.ones(len(polars)) if counted is None else counted
@@ -436,7 +436,10 @@ value the next spoke may be followed, a larger one refuses true jumps."""
 
 
 def follow(polars: Sequence[Picture], weight: Picture, fixed: Picture, ring: Ring, *, band: str) -> Floats:
-    """Return angles (n,) [rad] from weighted correlations of frames, minus `fixed`, with the mean of earlier frames."""
+    """Return angles (n,) [rad] from weighted correlations of each frame with the mean of earlier frames.
+
+    `fixed` is subtracted from all frames.
+    """
     size = ring.columns
     centred = (np.arange(size) + size // 2) % size - size // 2
     root = np.sqrt(weight)
@@ -494,10 +497,10 @@ Chosen: equal parts fit equally well within noise; a smaller value keeps slips, 
 
 
 def without_slips(polars: Sequence[Picture], angle: Floats, at: Integers, template: Template) -> Floats:
-    """Return the angles (n,) [rad] without slips, in single frames, by one of several equal parts, for example spokes.
+    """Correct angles (n,) [rad] that slip in single frames by the angle between equal parts, for example spokes.
 
-    In such a frame the angle deviates from the motion, and returns in the next frame. The angle is replaced if the
-    picture fits as well at the angle predicted by the neighbours. `at` (n,) are the numbers of the frames.
+    In such a frame the angle deviates from the motion, and in the next frame it returns. The angle is replaced by the
+    angle predicted from the neighbours if the picture fits equally well there. `at` (n,) are the numbers of the frames.
     """
     angle = angle.copy()
     if len(angle) < 4:
@@ -505,7 +508,8 @@ def without_slips(polars: Sequence[Picture], angle: Floats, at: Integers, templa
     typical = float(np.median(np.abs(np.diff(angle))))
     limit = max(_RETURNS * typical, _LEAST_JUMP * template.ring.step)
     off = np.abs([_off_line(angle, at, k) for k in range(len(angle))])
-    # the largest deviation first, because it belongs to the slip itself; the ends, which have one neighbour, last
+    # the largest deviation is first, because it belongs to the slip itself; the ends, which have one neighbour, are
+    # last
     inner = 1 + np.argsort(-off[1:-1])
     for k in (k for k in [*inner.tolist(), 0, len(angle) - 1] if off[k] > limit):
         expected = angle[k] - _off_line(angle, at, k)
@@ -525,8 +529,8 @@ def _off_line(angle: Floats, at: Integers, k: int) -> float:
 
 
 _COMPARED = 100
-"""Largest number of frames for estimating a template for a comparison, and for comparing it [frames]. Chosen: a larger
-number costs time; with a smaller one, noise decides."""
+"""Largest number of frames from which a template for a comparison is estimated, and which are compared with it
+[frames]. Chosen: a larger number costs time; with a smaller one, noise decides."""
 
 
 def every(count: int) -> int:

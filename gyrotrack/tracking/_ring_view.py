@@ -13,11 +13,11 @@ Shading with the gradient g = g_x + i g_y changes grey levels by B Re(g* r exp(i
 with the angle psi of the body. Therefore z, g and k rotate once per turn relative to the body, and f rotates twice.
 Over an arc, they are distinguishable from the rotation of the body. They are fitted by linear least squares, together
 with rotation, offset and gain of each frame. dB/dr is measured in the frames, because edges are narrower than the
-distance of the rows. Over more than a turn, the static part of the picture, L(r, a) (the light, and the rim in front of
-the table), is the mean of the residuals at each place. L also contains the effect of a view on the circular mean of B.
-The circular mean is therefore not used to determine the view. Over less than a turn, a shadow beside a circular edge
-resembles a displacement of this edge. The circular mean is then used only in rows in which a view explains most of the
-static residuals (`ViewResponse.explains`).
+distance of the rows. Over more than a turn, the static part of the picture, L(r, a) (for example the light, and the rim
+in front of the table), is the mean of the residuals at each place. A view also changes the picture at circular edges,
+and this change is part of L. The mean of B over each circle is therefore not used to determine the view. Over less than
+a turn, a shadow beside a circular edge resembles a displacement of this edge. The mean over a circle is then used only
+in rows in which a view explains most of the static residuals (`ViewResponse.explains`).
 
 The apparent rotation of one frame depends on z and f through the slopes of B in both directions. For example, the
 edges of a bar are oblique to the radius, so that a displacement along the radius resembles a rotation.
@@ -43,8 +43,8 @@ WHOLE_TURN = 1.0
 """Smallest arc over which all static light is distinguishable from the body [turns]. Derived: over less, some places of
 the picture show only a part of the body."""
 SHADING = 0.1
-"""Prior standard deviation of the shading over the outer radius of a ring, per axis [1]. Chosen: for a lamp beside the
-table; the prior matters only where a ring does not determine its shading."""
+"""Prior standard deviation, per axis, of the relative change of brightness by shading over the outer radius of a ring
+[1]. Chosen: for a lamp beside the table; the prior matters only where a ring does not determine its shading."""
 _ALTERNATIONS = 4
 """Number of alternations of body and static light [iterations]. Chosen: for a body that rests in half of the frames, a
 quarter of the light remains after the first alternation, a hundredth after the fourth; a larger number costs time."""
@@ -63,9 +63,9 @@ ORDERS = (1, 2, 1, 1)
 VIEW_SIZE = 2 * len(ORDERS)
 """Number of parameters of a view [1]. Derived: two for each of `ORDERS`."""
 LARGEST_UNEXPLAINED = 0.5
-"""Circular edges are used if the share of the static power in a row that remains after the fit of a view is at most
-this value [1]. Chosen: a smaller value does not use edges beside faint shadows, a larger one takes shadows for
-displacements."""
+"""Circular edges in a row are used if the static power that remains after the fit of a view, divided by the static
+power before the fit, is at most this value [1]. Chosen: a smaller value does not use edges beside faint shadows, a
+larger one takes shadows for displacements."""
 
 
 def slope(picture: npt.NDArray[np.floating]) -> Singles:
@@ -89,8 +89,8 @@ def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
         seen[:, k:] += strip[:, : count - k]
         seen[:, :k] += strip[:, count - k :]
     still, turning = (np.fft.rfft(p, axis=1) for p in (seen / len(strips), strips.mean(axis=0)))
-    # the average, in image coordinates, of a picture that turns with the body is its convolution with the distribution
-    # of the angle
+    # The mean, in image coordinates, of a picture that turns with the body is the convolution of the picture with the
+    # distribution of the angle.
     spread = np.fft.rfft(np.bincount(columns, minlength=count) / len(strips))
     light = np.zeros_like(still)
     # after a motion that is not uniform, the mean picture of the body contains a part of the light
@@ -104,9 +104,7 @@ def static_light(strips: Singles, angle: Floats, lowest: int = 1) -> Singles:
 def without_light(strips: Singles, light: Singles, angle: Floats) -> Singles:
     """Return pictures (n, rows, columns) at the angles (n,) [rad] without the static light."""
     count = strips.shape[2]
-    twice = np.concatenate(
-        [light, light], axis=1
-    )  # the slice that starts at column k is the light turned by k columns
+    twice = np.concatenate([light, light], axis=1)  # the slice from column k is the light turned by k columns
     found = np.empty_like(strips)
     for strip, place, k in zip(strips, found, columns_of(angle, count), strict=True):
         np.subtract(strip, twice[:, k : k + count], out=place)
@@ -122,8 +120,8 @@ def columns_of(angle: Floats, count: int) -> Integers:
 class ViewResponse:
     """Response of the zones of a ring to a view (x, y, p, q, g_x, g_y, k_x, k_y), in coordinates of the body."""
 
-    # shape (zones, samples, VIEW_SIZE); change of the grey levels per px of displacement, and per unit of the others,
-    # in addition to rotation, offset and gain
+    # shape (zones, samples, VIEW_SIZE); change of the grey levels per px of displacement, and per unit of the other
+    # parameters, in addition to rotation, offset and gain
     change: Singles
     rotation: Floats  # shape (zones, VIEW_SIZE); apparent rotation of each zone [rad] per unit of the view
     information: Floats  # shape (zones, VIEW_SIZE, VIEW_SIZE); information about the view in one frame

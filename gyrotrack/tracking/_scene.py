@@ -93,8 +93,9 @@ LATER = 32
 """Number of samples from the rest of a film with fewer key frames [frames]. Chosen: a larger number costs time, a
 smaller one gives a poor background."""
 DECODED = 240
-"""Largest number of frames of 1280 x 720 px that are decoded for the later samples; more if frames are smaller
-[frames]. Chosen: a larger number costs time, a smaller one samples the film less evenly."""
+"""Largest number of frames of 1280 x 720 px that are decoded for the later samples; the number is inversely
+proportional to the size of a frame [frames]. Chosen: a larger number costs time, a smaller one samples the film less
+evenly."""
 FEWEST = 8
 """Smallest number of frames of a film [frames]. Chosen: a smaller number does not show a motion, a larger one refuses
 excerpts."""
@@ -130,7 +131,7 @@ class FrameStore:
 
 
 def in_turn(frames: Sequence[Frame]) -> Iterator[Frame]:
-    """Yield stored frames; the memory of frames already read is released at intervals."""
+    """Yield stored frames, and release the memory of frames already read at intervals."""
     for count, frame in enumerate(frames, start=1):
         yield frame
         if count % _BLOCK == 0 or count == len(frames):

@@ -43,8 +43,9 @@ _OPENED = 0.6
 """Radius of the opening that removes a string from a bob, divided by the radius of the bob [1]. Chosen: a smaller value
 keeps a thick rod, a larger one removes bobs that are not round."""
 AS_LARGE = 0.7
-"""Smallest relative radius of the inscribed circle of a second spot that makes the choice ambiguous [1]. Chosen: a
-smaller value refuses films with other objects, a larger one may choose the wrong body."""
+"""The choice between two spots is ambiguous if the radius of the inscribed circle of the second spot, divided by the
+radius of the first, is at least this value [1]. Chosen: a smaller value refuses films with other objects, a larger one
+may choose the wrong body."""
 _PARTS = 50
 """Largest number of separate parts of a frame that are compared [1]. Chosen: a larger number costs time, a smaller one
 loses bodies in noisy films."""
@@ -192,7 +193,7 @@ class CompactBody:
     def pivot(self) -> Floats | None:
         """The centre (x, y) of the open arc on which the body moves [px]; None for any other path.
 
-        The centre of a straight path is at infinity.
+        For a straight path the centre is at infinity.
         """
         place = self.place
         extent = float(np.hypot(*np.ptp(place, axis=0)))
@@ -343,15 +344,15 @@ _MEET = 0.03
 """Largest distance of the axes from their common point, divided by their median length [1]. Chosen: a smaller value
 refuses bent rods, a larger one accepts rods without a hub on their axis."""
 _SPREAD = 0.01
-"""Smallest spread of the directions of the axes, as the mean square of the sine of the angle from the main direction
-[1]. Chosen: an rms rotation of 0.1 rad; a smaller value accepts nearly parallel axes, a larger one refuses small
+"""Smallest spread of the directions of the axes: the mean squared sine of the angle from the main direction [1].
+Chosen: an rms rotation of 0.1 rad; a smaller value accepts nearly parallel axes, a larger one refuses small
 oscillations."""
 
 
 def axes_meet(frames: Sequence[Plane], motion: Motion) -> tuple[float, float] | None:
     """Return the common point (x, y) [px] of the axes of a long body, which is the hub of a thin rod; or None.
 
-    Only few frames may show the rod, because a rod that is at rest for most of a film is part of the mean picture.
+    The rod may be visible in a few frames only: a rod that is at rest for most of a film is part of the mean picture.
     """
     few = frames[:: max(1, len(frames) // _AXES)]
     for side in _SIDES[::-1]:

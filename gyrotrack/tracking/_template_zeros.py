@@ -1,8 +1,9 @@
-"""Zero of the angle of each template of a body's texture, from the angles of its markers.
+"""Zeros of the angles from a body's texture, one for each template, determined from the angles of the markers.
 
-The texture of a body gives its angle about the template of a batch of frames. Templates are registered to each other,
-but the picture changes with motion blur and light, so the zero z_b of a template drifts from batch to batch. The angle
-of the markers has a fixed zero. In batch b the mean difference m_b of both angles is
+A template is the mean picture of a body in a batch of frames. The texture gives the angle of the body relative to this
+template. Templates are registered to each other, but the picture changes with motion blur and light, so the zero z_b of
+a template drifts from batch to batch. The angle of the markers has a fixed zero. In batch b the mean difference m_b of
+both angles is
 
     m_b = z_b + e_b,   z_b = z_(b-1) + w_b,   var e_b = s_b^2 / n_b + x^2 + sum_k A_k^2 |<exp(i k a)>_b|^2 / 2,
     var w_b = q^2 + p^2 (omega_b - omega_(b-1))^2,
@@ -11,15 +12,16 @@ a local level model (A. C. Harvey, Forecasting, Structural Time Series Models an
 s_b is the scatter of the differences in the n_b frames, and <>_b is the mean over these frames. x is an error common to
 the frames of a batch. The error of a marker has harmonics k of the angle a of the marker, and of the angle relative to
 the other body, whose markers it passes. The amplitudes A_k are measured in batches in which the harmonics average out.
-If the frames are in step with a harmonic, it does not average out, and the markers contain little information about the
-zero. The blur of a template depends on the speed omega_b; p = 0 for a steady body. q, p and x maximise the likelihood,
-and the zeros are smoothed.
+If the time between frames is nearly a multiple of the period of a harmonic, the harmonic does not average out, and the
+markers contain little information about the zero. The blur of a template depends on the speed omega_b; p = 0 for a
+steady body. q, p and x maximise the likelihood, and the zeros are smoothed.
 
 Within a batch the zero is z_b + c_b (omega - omega_b). c_b is the posterior mean of the slope of the differences, with
 p as the prior standard deviation, fitted together with the harmonics, whose coefficients have the prior variance A_k^2
-/ 2. Frames that are in step with a harmonic would otherwise tilt the zero by the error of the marker. The zero may
-also be a curved function of the speed, for example because the first turn of a body at rest is not blurred. Slow
-residuals of the fit are therefore part of the variance of z_b, up to the prior variance of the change within the batch.
+/ 2. Without the harmonics, the error of a marker that does not average out would be taken for a slope of the zero. The
+zero may also be a curved function of the speed, for example because the first turn of a body at rest is not blurred.
+The variance of slow residuals of the fit is therefore added to the variance of z_b, up to the prior variance of the
+change within the batch.
 
 The errors of the texture once and twice per turn (centre, oblique view) also differ between templates. Their
 differences follow from the markers in the same way (`change_of_harmonics`).
@@ -59,11 +61,11 @@ _FAR = 5.0
 """Smallest difference of an outlier in a batch, in robust standard deviations [1]. Chosen: a smaller value rejects
 good frames, a larger one keeps slips."""
 _STEPS = np.concatenate([[0.0], np.geomspace(0.1, 50.0, 10)])
-"""Grid of q, and of p times the change of speed (rms), divided by the typical uncertainty of a mean [1]. Chosen:
-factors of 2; finer steps cost time, a smaller range limits the drift."""
+"""Trial values of q, and of the product of p and the rms change of speed, both divided by the typical uncertainty of a
+mean difference m_b [1]. Chosen: factors of 2; finer steps cost time, a smaller range limits the drift."""
 _COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
-"""Grid of common errors x, divided by the typical uncertainty of a mean [1]. Chosen: factors of 2.3; finer steps cost
-time, a smaller range limits the error."""
+"""Trial values of the common error x, divided by the typical uncertainty of a mean difference m_b [1]. Chosen: factors
+of 2.3; finer steps cost time, a smaller range limits the error."""
 
 _VIEW_ORDERS = range(1, 3)
 """Orders of the harmonics that change with the template [periods per turn]. Derived: a displaced centre causes order 1,

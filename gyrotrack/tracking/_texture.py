@@ -13,8 +13,8 @@ with gain g and offset b of the illumination. Templates and rotations are estima
 Errors that are common to all samples of a zone do not appear in v: markers of the rotor that pass below the bar, the
 shadow of the bar, the blocks of the encoder. These errors appear in the differences between zones. The zones are
 combined by the best linear unbiased mean, with non-negative weights w = C^-1 1 / (1' C^-1 1); C is the covariance of
-the angles of the zones about a smooth motion. The motion, which is common to all zones, adds a multiple of 1 1' to C,
-which does not change w.
+the angles of the zones about a smooth motion. The motion is common to all zones. It adds a multiple of 1 1' to C and
+does not change w.
 
 The zero of a template is arbitrary. The zero of each batch is related to the zero of the previous batch by registering
 the templates of both batches.
@@ -80,8 +80,8 @@ LEARNT = 256
 """Smallest number of frames for later templates [frames]. Chosen: a smaller number gives noisy templates, a larger one
 keeps an old template."""
 LEAST_REACH = 0.7
-"""Smallest radius inside the picture, relative to the outer end of the markers [1]. Chosen: a smaller value uses a
-small part of the body, a larger one omits bodies near the border."""
+"""A body is used if the picture contains its ring up to at least this radius, relative to the outer end of the markers
+[1]. Chosen: a smaller value uses a small part of the body, a larger one omits bodies near the border."""
 LEAST_VARIANCE = 0.25
 """Lower limit of the variance of a sample [grey levels squared]. Chosen: rounding contributes 1 / 12, noise the rest;
 a smaller value gives saturated samples too much weight, a larger one ignores the noise."""
@@ -94,8 +94,8 @@ UNUSUAL = 4.0
 """A frame enters the template of a zone if its mean square residual in the zone, relative to the typical residual, is
 at most this value [1]. Chosen: a smaller value discards good frames, a larger one admits a hand."""
 LARGEST_MISFIT = 25.0
-"""Largest mean square residual of a zone with an angle, relative to the typical residual [1]. Chosen: another body
-below that stands still for some frames changes a zone less than a hand does; a smaller value omits these frames."""
+"""Largest mean square residual of a zone with an angle, relative to the typical residual [1]. Chosen: a second body
+below a zone that rests for some frames changes the zone less than a hand does; a smaller value omits such frames."""
 LARGEST_TURN = 0.02
 """Largest error of the approximate angles [rad]. Derived: two pixels at a radius of a hundred; beyond this error the
 picture is not linear in the angle."""
@@ -104,12 +104,11 @@ LEAST_CONTRAST = 0.5
 of one brightness, a larger one omits zones in shadow."""
 LEAST_KNOWN = 0.9
 """A zone is used if the number of frames with an angle of this zone, divided by the number for the best zone, is at
-least this value [1]. Chosen: a zone has no angle where it disagrees, so its other angles seem too good; a smaller value
-admits such zones, a larger one omits zones that a cable covers."""
+least this value [1]. Chosen: a zone has no angle in frames in which it does not match its template, so its other angles
+seem too good; a smaller value admits such zones, a larger one omits zones that a cable covers."""
 LEAST_ZONES = 2
-"""The errors of the angles of informative zones are estimated if there are at least this number of such zones [1].
-Derived: the differences of three angles determine three variances; the difference of two angles gives an upper limit of
-both variances."""
+"""Smallest number of informative zones for which the errors of their angles are estimated [1]. Derived: the differences
+of three angles determine three variances; the difference of two angles gives an upper limit of both variances."""
 TOGETHER = 16
 """Number of frames that are averaged to find slow errors of a zone [frames]. Chosen: slow errors act as a torque and do
 not average out; with fewer frames, these errors remain hidden in noise; with more, there are few averages."""
@@ -192,7 +191,7 @@ class TextureObservations(FrameColumns):
         return cls(angle, sigma, slow, misfit, centre.copy(), first, second, np.zeros(len(centre)))
 
     def set(self, use: Integers, zones: _Zones, angle: Floats, turned: Floats, misfit: Floats) -> None:
-        """Set the frames `use` from the rotations of the zones relative to an angle [rad], and from their misfits."""
+        """Set the frames `use` from rotations of the zones relative to an angle [rad], and the misfits of the zones."""
         mean, total = zones.mean(turned)
         self.angle[use] = angle + mean
         self.sigma[use], self.slow[use] = zones.sigma / total, zones.slow / total
@@ -263,8 +262,8 @@ class _Zones:
         turned, misfit = parts[:, :, 0], square / self.usual[:, None]
         # a hand of uniform brightness fits a template without contrast
         similar = (misfit < LARGEST_MISFIT) & (1.0 + parts[:, :, 2] > LEAST_CONTRAST)
-        # at larger angles the picture is not linear in the angle; a blurred picture is noisier, but linear up to larger
-        # angles. A zone that scatters more does not turn with the body
+        # At larger angles the picture is not linear in the angle. A blurred picture is noisier, but it is linear up to
+        # larger angles. A zone with a larger scatter does not turn with the body.
         farthest = FAR * np.array([[spread(one)] for one in turned])
         wide = (farthest > LARGEST_TURN) & (farthest < REACH)
         similar &= np.abs(turned) < np.where(wide, farthest, LARGEST_TURN)
@@ -521,10 +520,10 @@ class TextureTracker(WithBuffer):
     def _align(
         self, use: Integers, angle: Floats, learnt: _OwnView | None
     ) -> tuple[_OwnView, Floats, Floats, Floats]:
-        """Measure the frames `use` at rough angles [rad] in pictures that are turned back by the measured angles.
+        """Measure the frames `use` repeatedly, each time in pictures turned back by the last angles (n,) [rad].
 
-        If the error of the rough angles is as large as the details, one step is too short, and the template is
-        blurred. The results are the view, the last rough angles, and the result of `_OwnView.fit`.
+        One pass is not enough if the error of the initial angles is as large as the details, because the template is
+        then blurred. The results are the view, the angles of the last pictures, and the result of `_OwnView.fit`.
         """
         for _ in range(_ALIGNMENTS):
             ahead = np.rint((angle - self._angle[use]) / STEP * FINENESS) / FINENESS
@@ -615,13 +614,13 @@ class _OwnView:
 
 
 def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats, float]:
-    """Return the weights of the zones in the mean of their angles (ZONES, n) [rad], sum 1, and the mean's error [rad].
+    """Return weights of zones with the angles (ZONES, n) [rad], of sum 1, and the error of the weighted mean [rad].
 
     See the module docstring. The smooth motion is a polynomial and, over many turns, harmonics of the angle, which
     include errors of the centre and of the view that are removed later. The covariance is the sum of three parts: the
     covariance of single frames, the covariance of means of `TOGETHER` frames times `TOGETHER`, and the covariance due
-    to an error of the centre by `shift` [px] in each coordinate. This error turns a zone at the angle psi by Im(z m_1
-    exp(-i psi)) (`first` m_1 [1/px]). All weights are 0 if too few zones are known.
+    to an error of the centre by `shift` [px] in each coordinate. An error z of the centre turns a zone at the angle psi
+    by Im(z m_1 exp(-i psi)), where m_1 is `first` [1/px]. All weights are 0 if too few zones are known.
     """
     weights, seen = np.zeros(len(angle)), np.isfinite(angle).mean(axis=1)
     known = np.flatnonzero(seen > max(0.5, LEAST_KNOWN * seen.max()))
@@ -656,7 +655,7 @@ def zone_weights(angle: Floats, first: Complexes, shift: float) -> tuple[Floats,
 
 
 def _smooth_motion(angle: Floats, place: Floats, limit: float) -> Floats:
-    """Return functions, (n, columns), that describe a motion (n,) [rad] in one batch to within a `limit` [rad].
+    """Return basis functions (n, columns) that fit a motion (n,) [rad] in one batch to within a `limit` [rad].
 
     `place` (n,) are the times of the frames, from -1 to 1.
     """

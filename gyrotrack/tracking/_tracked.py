@@ -15,9 +15,9 @@ _MANY_TURNS = 3.0
 """Smallest number of turns in which an error once per turn is distinguishable from a motion [turns]. Chosen: a smaller
 number understates the uncertainty, a larger one overstates it."""
 _APART = 5.0
-"""Largest slow difference between the two halves of a rigid body, divided by the standard uncertainty of the angle [1].
-Measured: up to 3 for real wheels and discs, 10 for a drawn rim with an oscillation of 10 to 30 mrad relative to its
-disc."""
+"""Largest slowly varying difference between the angles of the two halves of a rigid body, divided by the standard
+uncertainty of the angle [1]. Measured: up to 3 for real wheels and discs, 10 for a drawn rim with an oscillation of 10
+to 30 mrad relative to its disc."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Tracked:
     # relative error of the distance of a hub outside the picture; all angles are inversely proportional to this
     # distance
     distance_error: float = 0.0
-    ambiguous: bool = False  # whether another rotation describes the film as well (temporal aliasing)
+    ambiguous: bool = False  # whether the result is doubtful; the last warning then states the reason
     # shape (m,); size of the body in the picture relative to `ring`; None if it is constant
     size: Floats | None = None
 
@@ -53,12 +53,12 @@ class Tracked:
 
     @property
     def hub_leverage(self) -> float:
-        """Error due to a displaced hub, divided by the difference that it causes between the halves of the ring."""
+        """Error due to a displaced hub, divided by the resulting difference between the halves of the ring."""
         return hub_leverage(self.template.halves())
 
 
 def white_noise(value: Floats, at: npt.ArrayLike | None = None) -> float:
-    """Return the standard deviation of the white noise in a series: the smallest for differences of order 2 to 6.
+    """Return the standard deviation of the white noise in a series: the smallest from differences of orders 2 to 6.
 
     A divided difference of order m over the increasing places `at` has the weights 1 / prod_k (x_j - x_k), which
     cancel polynomials up to order m - 1. Scaled to unit norm, this difference has the variance of the noise. The

@@ -41,8 +41,8 @@ def translates(
 ) -> bool:
     """Return whether translation explains a selection of the frames clearly better than rotation about a hub.
 
-    `moving` is the part of the picture that changes, `hub` the position (x, y) of the hub [px], `reach` the outer
-    radius of the ring [px], and `angle` (n,) the rotation of each picture, clockwise as seen [rad].
+    `moving` is the part of the picture that changes. `hub` is the position (x, y) of the hub [px], and `reach` is the
+    outer radius of the ring [px]. `angle` (n,) is the rotation of each picture, clockwise as seen [rad].
     """
     if len(angle) < 2 or np.ptp(angle) > WIDEST:
         return False

@@ -56,14 +56,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How the coded picture is displayed: with square pixels, mirrored left to right, rotated as by `numpy.rot90`."""
+    """Conversion of a coded picture for display: to square pixels, then mirrored, then rotated (`numpy.rot90`)."""
 
     quarters: int = 0
     mirrored: bool = False
     aspect: float = 1.0  # width of a coded pixel divided by its height
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Return the size of a picture with square pixels, before rotation; no side becomes smaller."""
+        """Return the size of a picture after conversion to square pixels, before rotation; one side is enlarged."""
         return round(width * max(self.aspect, 1.0)), round(height * max(1.0 / self.aspect, 1.0))
 
     def apply(self, plane: Plane) -> Plane:
@@ -105,8 +105,9 @@ def orientation_of(frame: Any, stream: Any) -> Orientation:
 
 
 _WIDEST_PIXEL = 4.0
-"""A film is shown if the ratio of width to height of its pixels, or of height to width, is at most this value [1].
-Chosen: anamorphic films have 4:3; a larger value accepts damaged headers, a smaller one distorts films."""
+"""Largest ratio of width to height of a pixel, or of height to width; if the header states a larger ratio, pixels are
+taken as square [1]. Chosen: anamorphic films have 4:3; a larger value accepts damaged headers, a smaller one distorts
+films."""
 
 
 def _pixel_aspect(stream: Any) -> float:
@@ -251,12 +252,16 @@ def _declared_duration(container: Any, stream: Any) -> float:
 
 
 _MISSING = 1.2
-"""Largest ratio of the nominal rate to the average rate that missing frames explain [1]. Chosen: a smaller value uses a
-rate biased by missing frames, a larger one uses the inverse of an unusual time base."""
+"""Largest ratio of the nominal rate to the average rate that missing frames explain [1]. Chosen: a smaller value uses
+an average rate biased by missing frames, a larger one uses a nominal rate that is only the inverse of an unusual time
+base."""
 
 
 def _nominal_rate(stream: Any) -> Any:
-    """Return the rate of a stream: missing frames bias the average rate, unusual time bases bias the nominal rate."""
+    """Return the nominal rate of a stream if missing frames may explain its excess over the average, else the average.
+
+    Missing frames bias the average rate. Unusual time bases bias the nominal rate.
+    """
     average, nominal = stream.average_rate, stream.base_rate
     if average and nominal and 1.0 <= float(nominal / average) < _MISSING:
         return nominal
@@ -293,10 +298,10 @@ def _numbered_pictures(folder: Path) -> tuple[str, dict[str, str]]:
         first = next(a + 1 for a, b in pairwise(numbers) if b != a + 1)
         raise VideoError(
             f"{folder}: {lost} pictures are missing; the first missing number is {first}.",
-            "Times are counted from the pictures: add the missing pictures.",
+            "The times follow from the numbers of the pictures: add the missing pictures.",
         )
     digits = f"%0{widths.pop()}d" if widths else "%d"
-    # a name may consist of the number alone, and joining a path with an empty name adds no separator
+    # `head` is empty if a name is only a number; joining a path with an empty name would add no separator
     escaped = f"{folder.resolve()}{os.sep}{head}".replace("%", "%%")
     return f"{escaped}{digits}{suffix}", {"start_number": str(numbers[0])}
 
@@ -325,8 +330,8 @@ def _raw_frames(path: Path) -> tuple[FrameStream, dict[str, str]]:
 def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a file's bytes in hexadecimal.
 
-    For a film in several files (pictures in a folder, frames beside a header), the result is the SHA-256 of their
-    digests.
+    For a film in several files (pictures in a folder, frames beside a header), the result is the SHA-256 of the digests
+    of all files.
     """
     if path.is_dir():
         return hashlib.sha256("".join(map(file_sha256, _pictures_in(path))).encode()).hexdigest()
@@ -384,8 +389,8 @@ def _tagged_rate(metadata: Any) -> float | None:
 
 _SONY_RATE = re.compile(rb'<VideoFrame\b[^>]*\bcaptureFps="([0-9.]+)[pi]"')
 _LONGEST_XML = 2**20
-"""Largest part of a description that is read [bytes]. Chosen: to limit memory; a longer description may contain the
-capture rate beyond this part."""
+"""Largest part of an XML description that is read [bytes]. Chosen: to limit memory; the capture rate is not found if it
+is beyond this part."""
 
 
 def _sony_rate(path: Path) -> float | None:
@@ -441,7 +446,7 @@ def packets_of(packets: Any) -> Iterator[Any]:
 def decode_past_damage(packets: Any, most_bad: int) -> Iterator[tuple[Any, int]]:
     """Decode packets in order, and skip damaged packets.
 
-    The decoding stops if the number of damaged packets exceeds `most_bad` plus twice the number of decoded frames.
+    Decoding stops if the number of damaged packets exceeds `most_bad` plus twice the number of decoded frames.
 
     The function yields (frame, number of damaged packets so far), and at the end (None, total number of damaged
     packets).

@@ -1,8 +1,8 @@
 """Decoding of a film: all frames in sequence, single frames by their timestamps, and the detection of repeated frames.
 
 Damaged packets are skipped. To detect repetitions, some rows of each frame are compared with the same rows of the
-previous frame. A repeated frame also repeats the sensor noise, so that the difference is much smaller than between any
-other two frames.
+previous frame. A repeated frame also repeats the sensor noise, so its difference from the previous frame is much
+smaller than the difference between other frames.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ WAITING = 2
 
 
 def read_ahead(source: Iterator[T], chunk: int = CHUNK) -> Generator[T, None, None]:
-    """Yield the items of a source that runs in its own thread, up to `WAITING` chunks and one more ahead.
+    """Yield the items of a source that runs in its own thread, at most `WAITING` + 1 chunks ahead.
 
-    An exception of the source is raised after the items before it.
+    An exception of the source is raised after all items that precede it.
     """
     pool = ThreadPoolExecutor(1, "decoding")
     try:
@@ -81,8 +81,8 @@ def _next_items(source: Iterator[T], most: int) -> tuple[list[T], BaseException 
 
 
 _STAMP_S = 2e-3
-"""Largest difference between the declared duration and the end of the last frame that rounding errors of timestamps
-explain [s]. Derived: twice the resolution of timestamps in whole ms."""
+"""Largest difference between the declared duration and the end of the last frame that is attributed to rounding errors
+of timestamps [s]. Derived: twice the resolution of timestamps in whole ms."""
 _NO_STAMP = -(1 << 63)
 """Value for a missing timestamp [ticks]. Source: AV_NOPTS_VALUE of FFmpeg."""
 
@@ -243,9 +243,9 @@ def _from_key(container: Any, stream: Any, stamp: int | None, *, seek: bool) -> 
 def frames_at(
     path: Path, stamps: Iterable[int], keep: Callable[[Frame], Frame] = Frame.copy
 ) -> dict[int, Frame]:
-    """Decode the frames with the given timestamps (units of the time base), if they exist.
+    """Decode those frames that have one of the given timestamps (units of the time base).
 
-    Frames between the same key frames are decoded together, from the first of these key frames.
+    Frames between two key frames are decoded together, from the first key frame.
     """
     packets, info = read_packets(path), probe(path)
     keys, wanted = packets.stamps[packets.key], np.array(sorted(stamps), dtype=np.int64)
@@ -286,8 +286,8 @@ Rows = npt.NDArray[np.uint8]
 class RepeatDetector:
     """Detects frames of a film that repeat the previous frame.
 
-    `regular` states whether runs of repeated frames are periodic, as after a conversion to another rate, according to
-    the packets of the whole film or to the frames so far.
+    `regular` states whether runs of repeated frames are periodic, as after a conversion to another rate. It is
+    determined from the packets of the whole film, or from the frames so far.
     """
 
     def __init__(self, packets: Packets) -> None:
@@ -338,7 +338,7 @@ def _rows(frame: Frame) -> Rows:
 
 
 def _uninformative(packets: Packets) -> Integers:
-    """Return the numbers of packets with little information: much smaller than their neighbours, or equal in size."""
+    """Return the numbers of packets with little information: much smaller than, or as large as, their neighbours."""
     if len(packets.size) < _AROUND:
         return np.zeros(0, dtype=np.int64)
     if packets.key.all():

@@ -1,4 +1,4 @@
-"""Interlaced film: each frame contains two fields, the even and the odd lines, captured half a period apart.
+"""Interlaced film: each frame contains two fields, the even and the odd lines, captured half a frame period apart.
 
 A field is a picture at its own time, interpolated to the size of the frame. The lines of the odd field are one line of
 the frame lower than the lines of the even field. The interpolation takes this into account.
@@ -42,9 +42,9 @@ def first_field(frames: Sequence[Plane]) -> int | None:
     """Return the earlier field of successive frames: 0 (even lines), 1 (odd lines), None if they are not interlaced.
 
     In a moving part of an interlaced frame, a line differs more from the neighbouring lines, which belong to the other
-    field, than from the next lines of its own field. A film that is only declared as interlaced has one picture in
-    both fields. The order follows from the smallest changes: the later field of a frame resembles the earlier field of
-    the next frame more than the other pairs.
+    field, than from the next lines of its own field. A film that is only declared as interlaced has one picture in both
+    fields. The order follows from the smallest change: the later field of a frame and the earlier field of the next
+    frame are more similar than any other pair of fields.
     """
     if len(frames) < 3:
         return None

@@ -1,7 +1,8 @@
 """The time base of a film: when each frame was captured.
 
 The timestamps of a film in real time come from the camera. The timestamps of a film in slow motion are for playback,
-and may have been changed by an editor. If timestamps are equally spaced, frames are counted, which is equivalent.
+and an editor may have changed them. If timestamps are equally spaced, the times are computed from frame numbers; the
+result is the same.
 
 In a film with a constant rate, the time of a frame is its index divided by the capture rate. Slow-motion films are
 stored at a lower rate than their capture rate, so a container's rate below 100 fps is never taken as the capture rate.
@@ -20,7 +21,8 @@ from gyrotrack.video._container import ClipInfo
 
 SLOWEST_PLAIN_RATE = 100.0
 """Container rate below which a film may be in slow motion and the capture rate must be given [1/s]. Chosen: slow motion
-is stored at 24 to 60 fps; a smaller value takes playback for real time, a larger one requires the rate needlessly."""
+is stored at 24 to 60 fps; a smaller value takes slow motion for real time, a larger one requires the rate
+needlessly."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +87,9 @@ def frame_numbers(pts: Floats, tick: float = COARSEST_TICK) -> Integers:
     longer than 1.5 periods and longer than one period plus 1.1 ticks, because timestamps in whole ticks jitter by one
     tick: in Matroska (1 ms) a single missing frame cannot be detected above 900 frames/s.
 
-    Frames are numbered without gaps in three cases. Timestamps are missing. Or, apart from gaps, the timestamps are not
-    equally spaced: more than one step in ten is not a whole number of periods. Or they do not increase: more than one
-    step in a hundred is not positive (AVI stores the order of decoding, not of display).
+    Frames are numbered without gaps in three cases. First, timestamps are missing. Second, the timestamps are not
+    equally spaced: more than one step in ten is not a whole number of periods. Third, the timestamps do not increase:
+    more than one step in a hundred is not positive (AVI stores the order of decoding, not of display).
     """
     plain = np.arange(len(pts), dtype=np.int64)
     step = np.diff(pts)
@@ -140,9 +142,9 @@ LIVE = 0.05
 down [1]. Chosen: a smaller value discards timestamps of a camera with a varying rate, a larger one uses timestamps of
 an edited film."""
 EVEN = 5e-3
-"""Largest residual of equally spaced timestamps about a line; it applies if it is larger than `_ROUNDED` ticks
-[periods]. Chosen: a smaller value takes jitter for a varying rate; with a larger one, the frames of a camera with a
-varying rate are counted."""
+"""Largest residual of equally spaced timestamps about a line, or `_ROUNDED` ticks if these are longer [periods].
+Chosen: a smaller value takes jitter for a varying rate; with a larger one, the frames of a camera with a varying rate
+are counted."""
 _ROUNDED = 0.75
 """Largest residual of rounded timestamps [ticks]. Derived: half a tick, plus a margin of a quarter."""
 _ODD = 0.01
@@ -180,7 +182,7 @@ class FrameTimes:
         return replace(self, place=self.smooth, sigma=0.0, smooth=None, warnings=warnings)
 
     def at(self, index: Integers) -> FrameTimes:
-        """Return the times of the frames `index`. None of them may repeat another frame."""
+        """Return the times of the frames `index`. No frame among them may repeat another frame."""
         some = (None if a is None else a[index] for a in (self.place, self.smooth))
         return FrameTimes(self.number[index], next(some), self.sigma, next(some), self.warnings)
 
@@ -199,7 +201,7 @@ class FrameTimes:
 
     @property
     def places(self) -> Floats:
-        """Times of the frames in periods of the capture rate, (n,)."""
+        """Times of the frames in periods 1 / (capture rate), (n,)."""
         return self.number.astype(np.float64) if self.place is None else self.place
 
 
@@ -288,7 +290,7 @@ def _real_tick(pts: Floats, tick: float) -> float:
 
 
 def _smoothed(number: Integers, place: Floats) -> tuple[Floats, float]:
-    """Return local parabolas through places, and the weight of each place in its own parabola."""
+    """Fit a local parabola about each place; return its value there and the weight of the place in this value."""
     line = np.polyval(np.polyfit(number, place, 1), number)
     value, weight = np.zeros((2, int(number[-1]) + 1))
     value[number], weight[number] = place - line, 1.0
@@ -316,7 +318,7 @@ def _without_rounding(number: Integers, place: Floats, tick: float) -> tuple[Flo
 
 
 def _without_jitter(number: Integers, place: Floats) -> Floats:
-    """Return places for a rate that varies slowly, or for a constant rate if the variation is not significant."""
+    """Return smoothed places: for a slowly varying rate if the variation is significant, else for a constant rate."""
     smooth, share = _smoothed(number, place)
     line = np.asarray(np.polyval(np.polyfit(number, place, 1), number), dtype=np.float64)
     noise = float(np.std(place - smooth)) * np.sqrt(share)
