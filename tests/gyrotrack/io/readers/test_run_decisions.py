@@ -150,11 +150,11 @@ def test_a_constant_speed_of_less_than_two_steps_is_no_drive(step, driven):
 
 
 def test_coarse_rounding_of_a_free_motion_is_no_drive():
-    time = 0.02 * np.arange(400)
-    speed = 30 - 1.8 * time
-    step = 0.52
+    time = 0.01 * np.arange(800)
+    speed = 45 * np.exp(-0.04 * time) - 15  # dry and linear friction
+    step = np.pi / 6  # 5 rpm
     made = replace(table_of(time, step * np.round(speed / step), "omega"), least_sigma=step / np.sqrt(12))
-    assert len(_run.run_of(made, made.value, Limits())[0].time) == 400
+    assert len(_run.run_of(made, made.value, Limits())[0].time) == 800
 
 
 def test_first_block_that_continues_the_parabola():
