@@ -13,7 +13,10 @@ exceeds z at some trial frequency is
     p = (1 + W sqrt(z)) exp(-z),   W = f T sqrt(4 pi / 12)
 
 (R. Baluev, Mon. Not. R. Astron. Soc. 385, 1279 (2008), eq. 6). Here f is the width of the band of trial frequencies,
-and T is the length of the record, which samples cover evenly. The lack-of-fit test against slow torques covers torques
+and T is the length of the record, which samples cover evenly. Correlated noise raises chi2 in a whole range of
+frequencies, a sinusoid only at its own. chi2 is therefore divided by the level of the noise near the frequency: the
+median of chi2 over the neighbouring trial frequencies, divided by the median of a chi-square of 2 degrees of freedom,
+but at least 1. The lack-of-fit test against slow torques covers torques
 with fewer than ten periods in the record.
 """
 
@@ -54,6 +57,15 @@ value tests rounding errors, a larger one omits deviations that are nearly absor
 _RANK_FREE = 1e-7
 """A direction is not projected out if its singular value, divided by the largest, is below this value [1]. Chosen: a
 smaller value projects out rounding errors, a larger one ignores some free columns."""
+_NEIGHBOURS = 120
+"""Number of trial frequencies whose median is the local level of the noise [1]. Chosen: 60 independent values, so that
+the level has a relative standard error of 19 %; a larger number blurs the spectrum of the noise. With fewer trial
+frequencies, the level is 1."""
+_OWN = 4
+"""Number of trial frequencies on each side that are not neighbours, because a sinusoid raises their chi2 as well [1].
+Derived: two widths of a peak; a larger number changes little, a smaller one takes the flank of a peak for noise."""
+_MEDIAN = 2 * math.log(2)
+"""Median of a chi-square of two degrees of freedom [1]. Derived: from its exponential distribution."""
 _NEAR_RESONANCE = 0.01
 """Smallest difference of the squared frequencies of a drive and an oscillator, divided by the squared frequency of the
 oscillator [1]. Chosen: with a smaller value, the computed angle is unlimited; a larger one understates a resonance."""
@@ -110,7 +122,10 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
     if highest <= lowest:
         return None
     coarse = np.arange(lowest, highest, step)
-    peak = coarse[int(np.argmax(periodogram(coarse)[0]))]
+    spectrum = periodogram(coarse)[0]
+    levels = _noise_levels(spectrum)
+    highest_of_all = int(np.argmax(spectrum / levels))
+    peak, level = coarse[highest_of_all], float(levels[highest_of_all])
     fine = np.linspace(peak - step, peak + step, 2 * _FINER + 1)
     power, torque = periodogram(fine)
     top = int(np.argmax(power))
@@ -125,13 +140,28 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
     share = periodogram.share(rate)
     p_values = [
         false_alarm_probability(
-            float(power[top]) / (1 - share + share * x), (highest - lowest) / (2 * np.pi), periodogram.span
+            float(power[top]) / level / (1 - share + share * x),
+            (highest - lowest) / (2 * np.pi),
+            periodogram.span,
         )
         for x in noise.process.ratios
     ]
     p_value = min(cases * float(np.dot(p_values, noise.process.weights)), 1.0) if credible else 1.0
     site = record.mechanism.main
     return PeriodogramPeak(rate, k, angle, record.label, record.body, p_value, record.torque_unit, site)
+
+
+def _noise_levels(chi2: Array) -> Array:
+    """Return the level of the noise at each trial frequency, at least 1, from chi2 at neighbouring frequencies."""
+    levels = np.ones(len(chi2))
+    if len(chi2) < _NEIGHBOURS:
+        return levels
+    for k in range(len(chi2)):
+        # at the ends of the band, most neighbours are on one side
+        first = max(min(k - _NEIGHBOURS // 2, len(chi2) - _NEIGHBOURS - 1), 0)
+        near = np.arange(first, min(first + _NEIGHBOURS + 1, len(chi2)))
+        levels[k] = max(1.0, float(np.median(chi2[near[np.abs(near - k) > _OWN]])) / _MEDIAN)
+    return levels
 
 
 class _Periodogram:

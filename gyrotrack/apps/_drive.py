@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import minimize
 
-from gyrotrack.apps._motion import TURN, Floats, Value
+from gyrotrack.apps._motion import TURN, Floats, Value, window_speeds
 from gyrotrack.io._records import Series
 from gyrotrack.io.readers._motion_table import Driver
 from gyrotrack.io.readers._plausibility import rises
@@ -34,6 +34,7 @@ _BLOCKS = 100  # largest number of intervals in which mean speeds are compared
 _LEAST_LEVEL = 0.05
 _EXPLAINED = 0.9  # smallest share of the variance of the speed that a first-order response explains
 _REST = 0.02  # largest speed at rest before a constant drive [share of the range of the speed]
+_AT_REST = 0.05  # largest speed of a body that is at rest at the start [share of the largest speed]
 _GRID = 24  # number of time constants in the search grid; the number of delays is half of it
 _LONGEST_DELAY = 0.1  # largest dead time in the search [share of the length of the record]
 _FEWEST = 12
@@ -94,6 +95,40 @@ def drive_of(
         reason = f"its input '{driving[0].name}' is not zero"
     else:
         return None
+    return _drive(series, quantity, reason, driving, speeds, count)
+
+
+def drive_from_rest(series: Series, quantity: str) -> Drive | None:
+    """Return the drive of a body that is at rest at the start and then turns in one sense; None for any other motion.
+
+    Mean speeds over short windows are compared, also in a record of few turns: an unbalance does not start a body at
+    rest.
+    """
+    step = float(np.median(np.diff(series.time)))
+    sigma = series.sigma if quantity == "angle" else series.omega_sigma * step
+    windows = window_speeds(series.time, series.angle, np.full(len(series.time), float(np.median(sigma))))
+    if windows is None:
+        return None
+    _, speed, error = windows
+    sense = 1.0 if series.angle[-1] >= series.angle[0] else -1.0
+    top = float((sense * speed).max())
+    rest = _AT_REST * top
+    if top < 2 * _SIGNIFICANT * error or abs(speed[0]) > rest + 3 * error:
+        return None
+    if float((sense * speed).min()) < -rest - _SIGNIFICANT * error:
+        return None
+    return _drive(series, quantity, "its speed rises from rest", [], _speed_of_turns(series, quantity), 1)
+
+
+def _drive(
+    series: Series,
+    quantity: str,
+    reason: str,
+    driving: Sequence[Driver],
+    speeds: tuple[Floats, Floats] | None,
+    count: int,
+) -> Drive:
+    """Return a drive with its response; `count` is the number of rises of the speed."""
     found = [r for i in driving if (r := _response(series, quantity, i)) is not None]
     if not driving and count == 1:
         found = [r for r in [_response(series, quantity, None)] if r is not None]

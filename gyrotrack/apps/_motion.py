@@ -139,7 +139,7 @@ def motion_of(time: Floats, angle: Floats, sigma: Floats) -> BodyMotion:
         return BodyMotion(
             "fluctuating", turns, omega, _mean_speed(time, angle, sigma), alpha, omega_u=omega_u
         )
-    windows = _speeds(time, angle, sigma, fewest=2)  # two windows are sufficient to show a reversal
+    windows = window_speeds(time, angle, sigma, fewest=2)  # two windows are sufficient to show a reversal
     reversing = windows is not None and (
         _turns_back(*windows[1:]) or _turns_back_by_a_turn(angle, *windows[1:])
     )
@@ -180,7 +180,7 @@ def fluctuates(time: Floats, angle: Floats, sigma: Floats) -> bool:
 
 def _rises_repeatedly(time: Floats, angle: Floats, sigma: Floats) -> bool:
     """Return whether the speed of a body that does not turn back rises repeatedly."""
-    windows = _speeds(time, angle, sigma)
+    windows = window_speeds(time, angle, sigma)
     if windows is None:
         return False
     _, speed, error = windows
@@ -646,7 +646,7 @@ def start_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     motor. The end of the drive is then located to the sample. The free part of an oscillation is determined by
     `start_of_oscillation`.
     """
-    windows = _speeds(time, angle, sigma)
+    windows = window_speeds(time, angle, sigma)
     if windows is None:
         return 0
     edges, speed, error = windows
@@ -675,7 +675,7 @@ def end_of_motion(time: Floats, angle: Floats, sigma: Floats) -> int:
     twentieth of the record is ignored. If the speed falls to rest within one window, the body was stopped, and the
     motion is free up to the last sample before the stop.
     """
-    windows = _speeds(time, angle, sigma)
+    windows = window_speeds(time, angle, sigma)
     if windows is None:
         return len(time)
     if _turns_back(*windows[1:]):
@@ -730,7 +730,7 @@ def _continued(time: Floats, angle: Floats, known: int) -> int:
     return int(away[0]) if len(away) else len(time) - known
 
 
-def _speeds(
+def window_speeds(
     time: Floats, angle: Floats, sigma: Floats, fewest: int = 8
 ) -> tuple[npt.NDArray[np.int64], Floats, float] | None:
     """Return first samples of windows, speeds in them [rad/s], and the error of a speed.

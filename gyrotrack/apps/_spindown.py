@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
 from gyrotrack._smoothing import angular_velocity, smoothing_width
-from gyrotrack.apps._drive import Drive, Response, drive_of
+from gyrotrack.apps._drive import Drive, Response, drive_from_rest, drive_of
 from gyrotrack.apps._motion import (
     TURN,
     BodyMotion,
@@ -717,6 +717,9 @@ def _analysed(
         motion = motion_of(series.time, series.angle, series.sigma)
     drives = drives_of(case)
     drive = None if motion.kind == "oscillation" and not drives else _drive(read)
+    if drive is None and motion.kind == "steady":
+        # equal speeds at both ends, or an acceleration without significance, do not show a constant speed
+        drive = drive_from_rest(series, case.quantity)
     if drive is not None and motion.kind == "fluctuating" and not drives:
         drive = replace(drive, response=None)
     elif drive is not None:

@@ -36,7 +36,7 @@ def read_zip(path: Path, content: bytes, options: ReadOptions) -> RawTable | Poi
                 raise DatasetError(what, "Unpack it, and give a part of the record.")
             names = [n for n in archive.namelist() if not n.endswith("/")]
             if "[Content_Types].xml" in names:
-                return read_workbook(path, content)
+                return read_workbook(path, content, options)
             if projects := [n for n in names if n.lower().endswith(".trk")]:
                 return read_project(
                     path, archive.read(only_one(path, projects, "projects", options)), options

@@ -18,6 +18,9 @@ from gyrotrack.io._records import Floats, Integers
 
 MIN_SAMPLES = 8
 _TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros`, `millis`)
+_FEW_TICKS = (
+    2**16
+)  # ticks after which a 16-bit number restarts, for example `millis` in an `unsigned int` of Arduino
 _DAY = 86400.0
 # largest relative deviation with which intervals count as equal; smallest share of equal intervals of a sampler
 _EQUAL, _SAMPLER = 0.02, 0.9
@@ -199,7 +202,7 @@ def refuse_slow_clock(where: str, column: str, time: Floats) -> None:
 
 
 def continued_clock(path: Path, time: Floats, line: Integers, notes: list[str]) -> Floats:
-    """Return times without the restarts of a 32-bit counter; any other restart raises a DatasetError."""
+    """Return times without the restarts of a 16-bit or 32-bit counter; any other restart raises a DatasetError."""
     made = _continued_counter(path, time, line, notes)
     _refuse_restarts(path, made, line)
     return made
@@ -210,6 +213,15 @@ def _continued_counter(path: Path, time: Floats, line: Integers, notes: list[str
     back = np.flatnonzero(step < 0)
     if not len(back) or len(time) < 2 * MIN_SAMPLES:
         return time
+    usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    for tick in (1e-6, 1e-3):
+        # a new recording would not continue at the usual interval
+        if (np.abs(step[back] + _FEW_TICKS * tick - usual) < _EQUAL * usual + 1.5 * tick).all():
+            notes.append(
+                f"{path.name}: the 16-bit clock restarts at line {line[back[0] + 1]}; times were continued"
+            )
+            whole = np.where(step < 0, step + _FEW_TICKS * tick, step)
+            return np.concatenate([[time[0]], time[0] + np.cumsum(whole)])
     for period in (_TICKS * 1e-6, _TICKS * 1e-3, float(_TICKS), _DAY):
         if (np.abs(step[back] + period) < 0.02 * period).all() and (period != _DAY or time.max() <= _DAY):
             which = "time of day" if period == _DAY else "32-bit clock"

@@ -31,7 +31,11 @@ _LONGEST_NAME = 500  # largest number of characters of a header
 _LONGEST_UNIT = 30  # largest number of characters of a unit that is not in the tables below
 # texts with which spreadsheets mark errors
 CELL_ERRORS = ("#n/a", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!")
-_MISSING = {"", "nan", "na", "n/a", "-", "none", "null", *CELL_ERRORS}
+_MISSING = {
+    "", "nan", "na", "n/a", "n.a.", "-", "--", "---", "\N{EN DASH}", "\N{EM DASH}", "none", "null", *CELL_ERRORS
+}  # fmt: skip
+# a number with separators of thousands: point, comma, apostrophe or an unbreakable blank
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'\u2019\xa0\u202f])\d{3})(?:\1\d{3})*(?:(?!\1)([.,])\d*)?")
 
 
 @dataclass(frozen=True)
@@ -76,9 +80,12 @@ class RawTable:
         column = self.columns[index]
         if isinstance(column, np.ndarray):
             return np.asarray(column, dtype=float)
+        comma = self.decimal_comma
+        separator = next((s for cell in column if (s := _separator_of_thousands(cell, comma=comma))), "")
         made = np.empty(len(column))
         for row, cell in enumerate(column):
-            value = number_of(cell, decimal_comma=self.decimal_comma, times=times)
+            plain = cell.replace(separator, "") if separator else cell
+            value = number_of(plain, decimal_comma=comma or separator == ".", times=times)
             if value is None:
                 raise DatasetError(
                     f"{self.path}, line {self.line[row]}: '{cell[:30]}' in the column "
@@ -122,6 +129,8 @@ def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) ->
         return math.nan
     if is_number(text):
         return float(text)
+    if separator := _separator_of_thousands(cell, comma=decimal_comma):
+        return float(cell.replace(separator, "").replace(",", "."))
     if times and ":" in text:
         try:
             date = datetime.fromisoformat(text)
@@ -131,6 +140,20 @@ def number_of(cell: str, *, decimal_comma: bool = False, times: bool = False) ->
             if clock:
                 return 3600.0 * float(clock[1] or 0) + 60.0 * float(clock[2]) + float(clock[3])
     return None
+
+
+def _separator_of_thousands(cell: str, *, comma: bool) -> str:
+    """Return the separator of thousands in a cell; "" without one, or if it may be a decimal sign.
+
+    A point or a comma before a single group of three digits separates thousands only if a decimal sign follows. With
+    `comma` false, a comma is never a decimal sign.
+    """
+    found = _GROUPED.fullmatch(cell)
+    if found is None:
+        return ""
+    separator = str(found[1])
+    single = separator in ".," and cell.count(separator) == 1 and not found[2]
+    return "" if single and (separator == "." or comma) else separator
 
 
 def is_number(text: str) -> bool:

@@ -54,7 +54,8 @@ _STILL_SIGMA, _STILL_SHARE = 8.0, 2e-3
 # contains several free runs, the part that seems to be free is one of these runs and is longer than `_SHORT` of the
 # record.
 _VARIES, _FEWEST_RISES, _SHORT = 0.25, 3, 0.2
-_MIN_STEPS = 2  # smallest deflection at which quantisation errors are independent [steps of the resolution]
+# smallest deflection, or change of a speed, at which quantisation errors are independent [steps of the resolution]
+_MIN_STEPS = 2
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,8 @@ def run_of(table: MotionTable, value: Floats, limits: Limits) -> tuple[MotionTab
         return _without_rest(*_without_hand(table, value))
     scatter_of_speeds = _scatter_of_blocks(speed)
     speed = np.abs(median_filter(speed, 5, mode="nearest"))
-    begin, driven = _end_of_drive(time, speed)
+    step = table.least_sigma * np.sqrt(12) if table.quantity == "omega" else 0.0
+    begin, driven = _end_of_drive(time, speed, step)
     end, stopped = _end_of_motion(time, speed, error, begin)
     if not _coasts(speed[begin : end + 1]):
         return table, value
@@ -342,8 +344,12 @@ def _coasts(speed: Floats) -> bool:
     return bool(len(speed) > 2 * lag and (speed[lag:] < speed[:-lag]).mean() > 0.9)
 
 
-def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
-    """Return the first block of the free motion, and whether the body was driven before this block."""
+def _end_of_drive(time: Floats, speed: Floats, step: float = 0.0) -> tuple[int, bool]:
+    """Return the first block of the free motion, and whether the body was driven before this block.
+
+    If the speeds are multiples of a `step` [rad/s], a body that slows down has a constant recorded speed until the next
+    step. A constant speed therefore shows a drive only if a free body would have slowed by several steps in this time.
+    """
     top = float(speed.max())
     last_high = int(np.flatnonzero(speed >= 0.99 * top)[-1])
     falling = np.flatnonzero(speed[last_high:] < 0.85 * top)
@@ -362,7 +368,10 @@ def _end_of_drive(time: Floats, speed: Floats) -> tuple[int, bool]:
     if best is None:
         return 0, False
     _, k, b, a, u = best
-    if b > 0.4 * a and a < 0 and b - a > _SIGNIFICANT * u:  # the speed is constant before the changepoint
+    slowed = -a * float(time[k] - time[low])
+    if (
+        b > 0.4 * a and a < 0 and b - a > _SIGNIFICANT * u and slowed > _MIN_STEPS * step
+    ):  # the speed is constant before the changepoint
         return _first_free(time, speed, k + 1, reach), True
     if speed[0] < 0.9 * top and last_high > 2:  # the speed increases before this block
         return _first_free(time, speed, last_high + 1, reach), True

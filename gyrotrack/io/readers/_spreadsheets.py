@@ -1,4 +1,8 @@
-"""Workbooks of Excel."""
+"""Workbooks of Excel.
+
+A sheet may contain a title, settings of the instrument, merged cells and a row of units above the samples. The samples
+begin with the first long block of rows with numbers.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +15,20 @@ from typing import Any
 import numpy as np
 
 from gyrotrack._errors import DatasetError, UsageError
+from gyrotrack.io.readers._motion_table import ReadOptions
 from gyrotrack.io.readers._raw_table import MAX_CELLS, RawTable
+from gyrotrack.io.readers._text_table import header_among
 
 _MOST_CELLS = 2_000_000  # largest number of cells of a workbook, because its XML is slow to read
+# Smallest number of rows of a block of samples, and of the samples of a sheet that is read [share of the largest
+# number in the workbook]. Fewer rows are settings of the instrument.
+_LONG = 0.5
+
+Rows = list[list[Any]]
 
 
-def read_workbook(path: Path, content: bytes) -> RawTable:
-    """Return the first sheet with numbers of an Excel workbook (.xlsx)."""
+def read_workbook(path: Path, content: bytes, options: ReadOptions) -> RawTable:
+    """Return a sheet with samples of an Excel workbook (.xlsx): the first one, or the one that `marker` names."""
     try:
         import openpyxl
     except ImportError:
@@ -25,22 +36,23 @@ def read_workbook(path: Path, content: bytes) -> RawTable:
     _refuse_markup(path, content)
     try:
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
-        sheets, cells = [], 0
+        sheets: dict[str, Rows] = {}
+        cells = 0
         for sheet in book.worksheets:
             sheet.reset_dimensions()  # the stated size may be much larger than the range of cells with values
-            rows: list[list[Any]] = []
+            rows: Rows = []
             for row in sheet.iter_rows(values_only=True):
                 # a row far below the other rows would be preceded by many empty rows
                 cells += max(len(row), 1)
                 if cells > _MOST_CELLS:
                     break
                 rows.append(list(row))
-            sheets.append(rows)
+            sheets[sheet.title] = rows
     except Exception as error:
         raise DatasetError(f"{path} is a damaged workbook: {str(error)[:100]}.", "Save it again.") from error
     if cells > _MOST_CELLS:
         raise too_many_cells(path, _MOST_CELLS)
-    return _first_sheet(path, sheets)
+    return _sheet_of_samples(path, sheets, options)
 
 
 def _refuse_markup(path: Path, content: bytes) -> None:
@@ -64,8 +76,8 @@ def too_many_cells(path: Path, most: int = MAX_CELLS) -> DatasetError:
     return DatasetError(what, "Export the columns of time and angle alone, as CSV.")
 
 
-def read_excel_97(path: Path, content: bytes, _options: object) -> RawTable:
-    """Return the first sheet with numbers of an Excel 97 workbook (.xls), a format of phyphox and older loggers."""
+def read_excel_97(path: Path, content: bytes, options: ReadOptions) -> RawTable:
+    """Return a sheet with samples of an Excel 97 workbook (.xls), a format of phyphox and older loggers."""
     try:
         import xlrd
     except ImportError:
@@ -78,10 +90,12 @@ def read_excel_97(path: Path, content: bytes, _options: object) -> RawTable:
 
     try:
         book = xlrd.open_workbook(file_contents=content, logfile=io.StringIO())
-        sheets = [[[value(c) for c in row] for row in sheet.get_rows()] for sheet in book.sheets()]
+        sheets = {
+            sheet.name: [[value(c) for c in row] for row in sheet.get_rows()] for sheet in book.sheets()
+        }
     except Exception as error:
         raise DatasetError(f"{path} is a damaged workbook: {str(error)[:100]}.", "Save it again.") from error
-    return _first_sheet(path, sheets)
+    return _sheet_of_samples(path, sheets, options)
 
 
 def _missing_library(what: str) -> UsageError:
@@ -90,22 +104,54 @@ def _missing_library(what: str) -> UsageError:
     )
 
 
-def _first_sheet(path: Path, sheets: list[list[list[Any]]]) -> RawTable:
-    """Return the first sheet with a row of mostly numbers."""
-    for rows in sheets:
-        for first, row in enumerate(rows):
-            if sum(isinstance(c, int | float) for c in row) >= max(1, sum(c is not None for c in row) / 2):
-                return _table_of_cells(path, rows, first)
-    raise DatasetError(f"{path} has no sheet with numbers.", "Give the sheet as CSV.")
+def _sheet_of_samples(path: Path, sheets: dict[str, Rows], options: ReadOptions) -> RawTable:
+    """Return the first sheet with about as many samples as the largest sheet, or the sheet that `marker` names.
+
+    A note names the other sheets with samples.
+    """
+    blocks = {name: found for name, rows in sheets.items() if (found := _block_of_samples(rows)) is not None}
+    if not blocks:
+        raise DatasetError(f"{path} has no sheet with numbers.", "Give the sheet as CSV.")
+    most = max(count for _, count in blocks.values())
+    long = [name for name, (_, count) in blocks.items() if count >= _LONG * most]
+    named = [n for n in blocks if options.marker and options.marker.casefold() in n.casefold()]
+    chosen = named[0] if len(named) == 1 else long[0]
+    others = ", ".join(f"'{n[:40]}'" for n in long if n != chosen)
+    note = f"{path.name}: the sheet '{chosen[:40]}' was read; --marker NAME selects another sheet: {others}"
+    return _table_of_cells(path, sheets[chosen], blocks[chosen][0], (note,) if others else ())
 
 
-def _table_of_cells(path: Path, rows: list[list[Any]], first: int) -> RawTable:
+def _block_of_samples(rows: Rows) -> tuple[int, int] | None:
+    """Return the first row of the first long block of rows with mostly numbers, and the rows of the longest block.
+
+    Empty rows do not interrupt a block.
+    """
+    filled = np.array([i for i, row in enumerate(rows) if any(c is not None for c in row)], dtype=np.int64)
+    numeric = np.array([_has_numbers(rows[i]) for i in filled], dtype=np.int64)
+    change = np.diff(numeric, prepend=0, append=0)
+    starts, lengths = np.flatnonzero(change > 0), np.flatnonzero(change < 0) - np.flatnonzero(change > 0)
+    if not len(starts):
+        return None
+    first = starts[np.argmax(lengths >= _LONG * lengths.max())]
+    return int(filled[first]), int(lengths.max())
+
+
+def _has_numbers(row: list[Any]) -> bool:
+    return sum(isinstance(c, int | float) for c in row) >= max(1, sum(c is not None for c in row) / 2)
+
+
+def _table_of_cells(path: Path, rows: Rows, first: int, notes: tuple[str, ...]) -> RawTable:
     width = max(len(r) for r in rows[first:])
-    head = rows[first - 1] if first else []
-    names = tuple(str(head[i]) if i < len(head) and head[i] is not None else "" for i in range(width))
+    above = {
+        i: [str(c) if c is not None else "" for c in (*r[:width], *[None] * (width - len(r)))]
+        for i, r in enumerate(rows[:first], 1)
+        if any(c is not None for c in r)
+    }
+    names, units, row = header_among(list(above.values()), width)
     filled = {i: r for i, r in enumerate(rows[first:], first + 1) if any(c is not None for c in r)}
     cells = tuple(
         ["" if i >= len(r) or r[i] is None else str(r[i]) for r in filled.values()] for i in range(width)
     )
     line = np.array(list(filled), dtype=np.int64)
-    return RawTable(path, names, ("",) * width, cells, line, max(first, 1))
+    header_line = list(above)[row] if above else 1
+    return RawTable(path, names, units, cells, line, header_line, notes=notes)

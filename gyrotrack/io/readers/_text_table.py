@@ -128,15 +128,21 @@ def _delimiter_of_body(lines: Lines) -> str | None:
 
 
 def _header(above: Lines, delimiter: str | None, width: int) -> tuple[list[str], list[str], int]:
-    """Return the names of the columns, their units if in a separate line, and the number of the line with the names.
-
-    Among several lines with a cell for each column (names, symbols, units), the header is the line with the most known
-    names.
-    """
+    """Return the names of the columns, their units if in a separate line, and the number of the line with the names."""
     cells = [split(text, delimiter) for _, text in above]
     cells = [c[:-1] if len(c) == width + 1 and not c[-1] else c for c in cells]
     if not cells:
         return [], [], 0
+    names, units, row = _names_among(cells)
+    return names, units, above[row][0]
+
+
+def _names_among(cells: Sequence[list[str]]) -> tuple[list[str], list[str], int]:
+    """Return the names of the columns, their units if in a separate row, and the row with the names.
+
+    Among several rows with a cell for each column (names, symbols, units), the header is the row with the most known
+    names.
+    """
     last = len(cells) - 1
     units: list[str] = []
     if last and len(cells[last - 1]) == len(cells[last]) and _are_units(cells[last]):
@@ -146,7 +152,23 @@ def _header(above: Lines, delimiter: str | None, width: int) -> tuple[list[str],
         sum(role_of(header_of(name)[0]) is not None for name in cells[i]) for i in range(first, last + 1)
     ]
     row = max(range(first, last + 1), key=lambda i: (known[i - first], i))
-    return cells[row], units, above[row][0]
+    return cells[row], units, row
+
+
+def header_among(cells: Sequence[list[str]], width: int) -> tuple[tuple[str, ...], tuple[str, ...], int]:
+    """Return names and units of the columns of a sheet, and the row with the names.
+
+    `cells` are the rows above the samples, with a cell for each column. A column without a name below a merged cell has
+    the nearest name above it. A row with a single cell is a title of the sheet, not a header of several columns.
+    """
+    blank = ("",) * width
+    heads = [row for row in cells if width == 1 or sum(map(bool, row)) > 1]
+    if not heads:
+        return (tuple(cells[-1]), blank, len(cells) - 1) if cells else (blank, blank, 0)
+    names, units, row = _names_among(heads)
+    for above in reversed(heads[:row]):
+        names = [name or upper for name, upper in zip(names, above, strict=True)]
+    return tuple(names), tuple(units) or blank, cells.index(heads[row])
 
 
 def _plain_numbers(lines: Lines, delimiter: str | None) -> Floats | None:

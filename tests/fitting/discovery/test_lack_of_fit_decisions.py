@@ -234,6 +234,32 @@ class TestPeriodogram:
         assert torque == pytest.approx([math.hypot(3.75, 2.0 - 0.6 * 3.75)])
 
 
+class TestNoiseLevels:
+    def test_the_level_is_that_of_the_neighbours_and_at_least_one(self):
+        k = np.arange(400)
+        # smooth spectra: the median of chi2 is 2 ln 2 times the level
+        chi2 = 2 * math.log(2) * np.where(k < 200, 0.5, 6.0)
+        levels = periodogram_module._noise_levels(chi2)
+        assert levels[:130] == pytest.approx(1.0)
+        assert levels[270:] == pytest.approx(6.0)
+        chi2[[5, 250, 395]] = 500.0
+        assert periodogram_module._noise_levels(chi2)[[5, 250, 395]] == pytest.approx([1.0, 6.0, 6.0])
+
+    def test_a_sinusoid_does_not_raise_its_own_level(self):
+        # with 120 neighbours, 52 raised values change the median only if the four nearest ones count
+        chi2 = np.arange(400) * 0.1
+        own = periodogram_module._noise_levels(chi2)[200]
+        chi2[196:205] = 1e6
+        assert periodogram_module._noise_levels(chi2)[200] == own
+        chi2[195] = chi2[205] = 1e6
+        assert periodogram_module._noise_levels(chi2)[200] > own
+
+    @pytest.mark.parametrize(("count", "level"), [(119, 1.0), (120, 5.0)])
+    def test_few_frequencies_do_not_determine_a_level(self, count, level):
+        chi2 = np.full(count, 10 * math.log(2))
+        assert periodogram_module._noise_levels(chi2) == pytest.approx(level)
+
+
 class Peak:
     """A periodogram with a peak of 60 at 2.34 rad/s; its amplitude is largest at another frequency."""
 
@@ -273,6 +299,20 @@ class TestHighestPeak:
         )
         assert found.p_value / (3 * (0.75 * one + 0.25 * other)) == pytest.approx(1.0)
         assert (found.label, found.body) == ("run", "casing")
+
+    def test_the_highest_peak_above_the_noise_near_it(self, monkeypatch):
+        """Noise that rises with the frequency has the largest chi2; the peak at 2.34 rad/s exceeds its own noise."""
+
+        def coloured(self, rates):
+            return Peak.__call__(self, rates)[0] + np.maximum(5 * (rates - 12), 0.0), 3e-6 * (1 + rates)
+
+        found = self.peak(monkeypatch, band=(1.0, 25.0, 0.1), __call__=coloured)
+        assert found.rate == pytest.approx(2.34, abs=0.1 / 16)
+        assert found.p_value < 1e-4
+        loud = self.peak(
+            monkeypatch, band=(1.0, 25.0, 0.1), __call__=lambda self, r: (np.full(len(r), 60.0), 1e-6 * r)
+        )
+        assert loud.p_value > 0.1
 
     @pytest.mark.parametrize("at", [2.27, 2.3, 2.34])
     def test_it_is_found_on_either_side_of_a_trial_frequency(self, monkeypatch, at):

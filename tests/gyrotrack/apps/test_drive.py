@@ -11,7 +11,7 @@ from fitting import Input
 from fitting._criteria import DEFAULT
 from gyrotrack import Series
 from gyrotrack.apps import _drive, _spindown
-from gyrotrack.apps._drive import drive_of
+from gyrotrack.apps._drive import drive_from_rest, drive_of
 from gyrotrack.apps._motion import motion_of_speeds
 from gyrotrack.apps.cli._app import run
 from gyrotrack.io.readers._motion_table import Driver
@@ -191,3 +191,36 @@ def test_a_dead_time_needs_evidence_and_a_fit_that_converged(monkeypatch, gain, 
     assert asked[0] == ("casing.air.linear", "casing.input.pwm")
     assert asked[1] == (*asked[0], "input.pwm.delay")
     assert ("input.pwm.delay" in found.model.names) is late
+
+
+@pytest.mark.parametrize(
+    ("first", "back", "driven"), [(0.0, 0.0, True), (0.04, 0.0, True), (0.06, 0.0, False), (0.0, -0.1, False)]
+)
+def test_a_body_at_rest_that_turns_less_than_a_turn_is_driven(first, back, driven):
+    """Trapezoid of a controller: the speed is equal at both ends, but not constant (all as shares of the top)."""
+    time = np.arange(400) / 100
+    shape = np.interp(time, [0, 0.3, 1.2, 2.5, 3.4, 4.0], [first, first, 1, 1, back, back])
+    made = series(time, 2.0 * shape, 1e-4)
+    assert drive_of(made, "omega", []) is None
+    found = drive_from_rest(made, "omega")
+    assert (found is not None) is driven
+    if found is not None:
+        assert found.reason == "its speed rises from rest"
+        assert found.response is None
+
+
+@pytest.mark.parametrize(("top", "driven"), [(13.0, True), (11.0, False)])
+def test_a_speed_from_rest_exceeds_twelve_standard_errors(monkeypatch, top, driven):
+    speed = np.array([0.0, *np.full(9, top)])
+    monkeypatch.setattr(_drive, "window_speeds", lambda *_: (np.arange(10), speed, 1.0))
+    assert (drive_from_rest(series(TIME[:50], np.ones(50), 1e-3), "angle") is not None) is driven
+    monkeypatch.setattr(_drive, "window_speeds", lambda *_: None)
+    assert drive_from_rest(series(TIME[:50], np.ones(50), 1e-3), "angle") is None
+
+
+def test_a_constant_drive_from_rest_in_few_turns_has_a_response():
+    time = np.arange(400) / 100
+    omega = 5 * (1 - np.exp(-np.clip(time - 0.5, 0, None) / 0.4))
+    found = drive_from_rest(series(time, omega, 1e-3), "omega")
+    assert found.response.time_constant.value == pytest.approx(0.4, rel=0.02)
+    assert found.omega is None

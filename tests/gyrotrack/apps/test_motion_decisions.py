@@ -178,15 +178,17 @@ def test_a_curve_reverses_without_net_rotation():
 
 def test_windows_of_speed():
     t = 0.02 * np.arange(500)
-    edges, speed, error = _motion._speeds(t, *noisy(5 * t))
+    edges, speed, error = _motion.window_speeds(t, *noisy(5 * t))
     assert edges.tolist() == list(range(0, 500, 10))
     np.testing.assert_allclose(speed, 5.0, atol=6 * error)
     assert error == pytest.approx(1e-3 * math.sqrt(1.2) / 0.2, rel=0.15)
-    assert _motion._speeds(t, 5 * t, np.full(500, 1e-3))[2] < 1e-6  # an error common to all angles cancels
-    edges, _, error = _motion._speeds(t[:45], *noisy(5 * t[:45], 2))
+    assert (
+        _motion.window_speeds(t, 5 * t, np.full(500, 1e-3))[2] < 1e-6
+    )  # an error common to all angles cancels
+    edges, _, error = _motion.window_speeds(t[:45], *noisy(5 * t[:45], 2))
     assert edges.tolist() == list(range(0, 45, 5))
-    assert _motion._speeds(t[:39], *noisy(t[:39])) is None
-    assert len(_motion._speeds(t[:40], *noisy(t[:40]))[0]) == 8
+    assert _motion.window_speeds(t[:39], *noisy(t[:39])) is None
+    assert len(_motion.window_speeds(t[:40], *noisy(t[:40]))[0]) == 8
 
 
 @pytest.mark.parametrize(

@@ -265,6 +265,28 @@ class TestRestarts:
         assert word in notes[0]
         assert "line 27" in notes[0]
 
+    @pytest.mark.parametrize(
+        ("tick", "later", "overflow"),
+        [
+            (1e-3, 0.0, True),
+            (1e-6, 0.0, True),
+            (1e-3, 0.0016, True),
+            (1e-3, 0.0018, False),
+            (1e-3, 1.0, False),
+        ],
+    )
+    def test_a_16_bit_clock_continues_at_the_usual_interval(self, tick, later, overflow):
+        usual = 10 * tick
+        true = usual * np.arange(60) + 2**16 * tick - 30.3 * usual
+        time = true % (2**16 * tick) + np.where(true >= 2**16 * tick, later, 0.0)
+        if overflow:
+            found, notes = self.continued(time)
+            assert found - true == pytest.approx(np.where(true >= 2**16 * tick, later, 0.0), abs=1e-9)
+            assert "16-bit clock restarts at line 33" in notes[0]
+        else:
+            with pytest.raises(DatasetError, match="the clock restarts"):
+                self.continued(time)
+
     @pytest.mark.parametrize(("size", "overflow"), [(0.985, True), (0.97, False), (1.03, False)])
     def test_an_overflow_is_a_step_of_the_period_within_a_fiftieth(self, size, overflow):
         step = np.full(49, 0.1)

@@ -87,22 +87,56 @@ def test_limits_of_archives(monkeypatch):
 # ---- workbooks
 
 
+def sheet_of(*sheets, marker=None):
+    named = {f"Run{i}": rows for i, rows in enumerate(sheets, 1)}
+    return _spreadsheets._sheet_of_samples(PATH, named, ReadOptions(marker=marker))
+
+
 def test_first_sheet_with_a_row_of_numbers():
     rows = [["title"], ["t", None, "a"], [0, "x", 5], [None, None, None], [1, None], [2, "y", 7, 8]]
-    raw = _spreadsheets._first_sheet(PATH, [[["only", "text"]], rows])
+    raw = sheet_of([["only", "text"]], rows)
     assert raw.names == ("t", "", "a", "")
     assert raw.columns[0] == ["0", "1", "2"]
     assert raw.columns[1] == ["x", "", "y"]
     assert raw.columns[3] == ["", "", "8"]
     assert raw.line.tolist() == [3, 5, 6]
     assert raw.header_line == 2
-    assert _spreadsheets._first_sheet(PATH, [[[1, 2], [3, 4]]]).names == ("", "")
-    assert _spreadsheets._first_sheet(PATH, [[[1, 2], [3, 4]]]).header_line == 1
-    assert _spreadsheets._first_sheet(PATH, [[["a", "b", 1], [1, 2, "c"]]]).names == ("a", "b", "1")
-    assert len(_spreadsheets._first_sheet(PATH, [[["a", 1, None, None], [1, 2, 3, 4]]]).line) == 2
-    for sheets in ([], [[["a"]]], [[[None, None]]]):
+    assert sheet_of([[1, 2], [3, 4]]).names == ("", "")
+    assert sheet_of([[1, 2], [3, 4]]).header_line == 1
+    assert sheet_of([["a", "b", 1], [1, 2, "c"]]).names == ("a", "b", "1")
+    assert len(sheet_of([["a", 1, None, None], [1, 2, 3, 4]]).line) == 2
+    for sheets in ([], [["a"]], [[None, None]]):
         with pytest.raises(DatasetError, match="no sheet"):
-            _spreadsheets._first_sheet(PATH, sheets)
+            sheet_of(sheets)
+
+
+def test_title_merged_cells_settings_and_units_above_the_samples_of_a_sheet():
+    data = [[k / 10, 2.0 * k, 20] for k in range(6)]
+    rows = [["Run 3", None, None], ["Mass", 2.5], ["Time", "Disc", None], [None, "Angle", "Heat"]]
+    raw = sheet_of([*rows, ["[s]", "deg", "[degC]"], *data])
+    assert raw.names == ("Time", "Angle", "Heat")
+    assert raw.units == ("s", "deg", "degC")
+    assert raw.line.tolist() == [6, 7, 8, 9, 10, 11]
+    assert raw.header_line == 4
+    # a single cell above the header is a title, which gives no name to a column
+    assert sheet_of([["Time"], [None, "Angle", "Heat"], *data]).names == ("", "Angle", "Heat")
+    # a block of half as many rows as the longest one contains samples; a shorter one contains settings
+    settings = [["Mass", 2.5], ["Length", 0.3]]
+    assert sheet_of([*settings, ["t", "angle"], *([k, k] for k in range(4))]).names == ("", "")
+    assert sheet_of([*settings, ["t", "angle"], *([k, k] for k in range(5))]).names == ("t", "angle")
+
+
+def test_the_sheet_with_samples_or_the_named_sheet_is_read():
+    long = [["t", "a"], *([k, 10 * k] for k in range(6))]
+    assert sheet_of([["Run", 3]], long).columns[1] == ["0", "10", "20", "30", "40", "50"]
+    assert not sheet_of([["Run", 3]], long).notes
+    half, short = long[:4], long[:3]
+    found = sheet_of(half, long)
+    assert len(found.line) == 3
+    assert "the sheet 'Run1' was read; --marker NAME selects another sheet: 'Run2'" in found.notes[0]
+    assert len(sheet_of(half, long, marker="run2").line) == 6
+    assert len(sheet_of(short, long).line) == 6
+    assert len(sheet_of(short, long, marker="run1").line) == 2
 
 
 def test_markup_of_a_workbook_is_limited(monkeypatch):

@@ -127,24 +127,26 @@ class TestInputs:
 class TestWorkbooks:
     def test_the_first_sheet_with_numbers_is_read(self):
         day = datetime(2020, 1, 1, tzinfo=UTC)
-        found = sheets._first_sheet(
-            PATH,
-            [
-                [["notes", None], ["only text", "here"]],
-                [["title"], ["t", "angle", None], [1, 2.5], [None, None], [3, 4.5, "x"]],
-                [[1, 2]],
-            ],
+
+        def first_sheet(*tables):
+            named = {str(i): rows for i, rows in enumerate(tables)}
+            return sheets._sheet_of_samples(PATH, named, ReadOptions())
+
+        found = first_sheet(
+            [["notes", None], ["only text", "here"]],
+            [["title"], ["t", "angle", None], [1, 2.5], [None, None], [3, 4.5, "x"]],
+            [[1, 2]],
         )
         assert found.names == ("t", "angle", "")
         assert [list(c) for c in found.columns] == [["1", "3"], ["2.5", "4.5"], ["", "x"]]
         assert found.line.tolist() == [3, 5]
         assert found.header_line == 2
-        assert sheets._first_sheet(PATH, [[[1, 2], [3, 4]]]).names == ("", "")
-        assert sheets._first_sheet(PATH, [[[1, 2], [3, 4]]]).header_line == 1
-        half = sheets._first_sheet(PATH, [[["a", "b"], ["x", 5, day, 6]]])
+        assert first_sheet([[1, 2], [3, 4]]).names == ("", "")
+        assert first_sheet([[1, 2], [3, 4]]).header_line == 1
+        half = first_sheet([["a", "b"], ["x", 5, day, 6]])
         assert half.line.tolist() == [2]
         with pytest.raises(DatasetError, match="no sheet with numbers"):
-            sheets._first_sheet(PATH, [[["x", 5, "y"], [None]]])
+            first_sheet([["x", 5, "y"], [None]])
 
     @pytest.mark.parametrize(
         ("name", "count", "refused"),

@@ -124,15 +124,30 @@ def test_inputs_and_units_are_recognised():
         ("1:02:03.5", {"times": True}, 3723.5),
         ("1970-01-01T00:01:40", {"times": True}, 100.0), ("1970-01-01T01:00:00+01:00", {"times": True}, 0.0),
         ("a:b", {"times": True}, None), ("1e3", {}, 1000.0),
+        ("1.234,5", {"decimal_comma": True}, 1234.5), ("-1,234.5", {}, -1234.5), ("1,234", {}, 1234.0),
+        ("1.234.567", {"decimal_comma": True}, 1234567.0), ("1'234.5", {}, 1234.5),
+        ("1\xa0234,5", {"decimal_comma": True}, 1234.5),
+        # a single separator may be a decimal sign; groups have three digits
+        ("1.234", {"decimal_comma": True}, 1.234), ("1,234", {"decimal_comma": True}, 1.234),
+        ("1.23,4", {"decimal_comma": True}, None), ("1,2345", {}, None), ("1.234,5.6", {}, None),
     ],
 )  # fmt: skip
 def test_numbers_in_cells(cell, options, expected):
     assert number_of(cell, **options) == expected
 
 
-@pytest.mark.parametrize("cell", ["", "nan", "NaN", "NA", "n/a", "-", "None", "null", "#DIV/0!", "#N/A"])
+@pytest.mark.parametrize(
+    "cell", ["", "nan", "NaN", "NA", "n/a", "-", "None", "null", "#DIV/0!", "#N/A", "--", "n.a."]
+)
 def test_cells_without_a_value(cell):
     assert math.isnan(number_of(cell))
+
+
+def test_thousands_are_separated_in_a_whole_column():
+    cells = (["999,5", "1.000,5", "2.000"], ["999,5", "1,000", "2,000"])
+    raw = RawTable(PATH, ("a", "b"), ("", ""), cells, np.array([3, 4, 5]), decimal_comma=True)
+    assert raw.numbers(0).tolist() == [999.5, 1000.5, 2000.0]
+    assert raw.numbers(1).tolist() == [999.5, 1.0, 2.0]
 
 
 def test_columns_of_numbers():

@@ -141,6 +141,22 @@ def test_end_of_a_drive(before, driven):
         assert block == 0
 
 
+@pytest.mark.parametrize(("step", "driven"), [(0.0, True), (4.6, True), (4.8, False)])
+def test_a_constant_speed_of_less_than_two_steps_shows_no_drive(step, driven):
+    """A free body would have slowed by 9.4 rad/s in the part of constant speed that is examined."""
+    time = 0.2 * np.arange(150)
+    speed = noisy(np.where(time < 10, 60.0, 60 - 1.0 * (time - 10)))
+    assert _run._end_of_drive(time, speed, step)[1] is driven
+
+
+def test_coarse_rounding_of_a_free_motion_shows_no_drive():
+    time = 0.01 * np.arange(800)
+    speed = 45 * np.exp(-0.04 * time) - 15  # dry and linear friction
+    step = np.pi / 6  # 5 rpm
+    made = replace(table_of(time, step * np.round(speed / step), "omega"), least_sigma=step / np.sqrt(12))
+    assert len(_run.run_of(made, made.value, Limits())[0].time) == 800
+
+
 def test_first_block_that_continues_the_parabola():
     time = np.arange(40.0)
     speed = noisy(20 - 0.5 * time + 0.004 * time**2, 1e-3)
