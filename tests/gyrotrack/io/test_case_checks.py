@@ -369,6 +369,47 @@ def test_every_attribute_of_a_case_is_read_from_bodies_alone(file, monkeypatch):
     assert (found["place"], found["start_u"], found["surface"]) == ("Bonn", 1e-3, "PVC")
 
 
+@pytest.mark.parametrize("third", [False, True])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda f: None, ""),
+        (lambda f: f["joint"].__delitem__("belt"), "no joint connects"),
+        (lambda f: f["joint/belt"].attrs.modify("bodies", ["arm", "arm"]), "is between arm and arm"),
+        (lambda f: f["joint/belt"].attrs.update({"bodies": ["arm"]}), "names 1 of two bodies"),
+        (lambda f: f["body/arm"].attrs.__delitem__("inertia"), "arm has no inertia"),
+        (lambda f: f["body/arm"].attrs.modify("inertia", -1.0), "is -1, not positive"),
+        (lambda f: f["body/arm"].attrs.modify("place", 1), "two bodies of the same place"),
+    ],
+)
+def test_several_bodies_have_an_inertia_and_are_connected(file, third, change, words):
+    def chain(f):
+        for name, old, place in (("wheel", "rotor", 1), ("arm", "casing", 0)):
+            f["body"].move(old, name)
+            f[f"body/{name}"].attrs.update({"role": "body", "place": place, "inertia": 1e-4})
+        del f["joint/touchpoint"]
+        f["joint"].move("bearing", "belt")
+        f["joint/belt"].attrs["bodies"] = ["arm", "wheel"]
+        if third:
+            f["body"].copy("wheel", "drum")
+            f["body/drum"].attrs["place"] = 2
+            f["joint"].copy("belt", "hinge")
+            f["joint/hinge"].attrs.update({"bodies": ["wheel", "drum"], "place": 1})
+        change(f)
+
+    with READER.open(changed(bodies_alone(file), chain)) as f:
+        if words:
+            with pytest.raises(DatasetError) as caught:
+                read_stored_case(f, READER)
+            assert words in caught.value.message
+            return
+        found = read_stored_case(f, READER)
+    assert found.attributes["bodies"] == "chain"
+    assert [s.name for s in (found.casing, *found.others)] == ["arm", "wheel", "drum"][: 2 + third]
+    joints = {"belt": ("arm", "wheel")} | ({"hinge": ("wheel", "drum")} if third else {})
+    assert (found.joints, found.casing.inertia[0]) == (joints, 1e-4)
+
+
 # -------------------------------------------------------------------------------------------- import of a case
 
 

@@ -1100,6 +1100,15 @@ class TestEncoders:
             found, known = module._continued_count(np.floor(wrapped))
             assert known == bits
             assert np.diff(found) == pytest.approx(np.diff(true), abs=1.0)
+        for beyond in (
+            [-1.0, 128.0, -1.0],
+            [-129.0, 0.0, -129.0],
+            [0.0, 256.0, 0.0],
+        ):  # of a counter of 8 bits
+            same, none = module._continued_count(np.array(beyond))
+            assert (same.tolist(), none) == (beyond, 0)
+        for within in ([-2.0, 127.0, -2.0], [-128.0, 1.0, -128.0], [0.0, 255.0, 0.0]):
+            assert module._continued_count(np.array(within))[1] == 8
         same, none = module._continued_count(np.array([0.0, 100.0, 50.0]))
         assert (same.tolist(), none) == ([0.0, 100.0, 50.0], 0)
 
