@@ -318,6 +318,42 @@ def test_joints_are_readable(file, name, value, words):
             assert found == {"bodies": ["rotor", "ground"], "kind": "bearing", "place": 0}
 
 
+@pytest.mark.parametrize(
+    ("value", "kind", "expected"),
+    [
+        (7, int, 7),
+        (np.array([7]), int, 7),
+        (2.5, float, 2.5),
+        (np.array([2.5]), float, 2.5),
+        ("PVC", str, "PVC"),
+        (b"PVC", str, "PVC"),
+        (np.array([1.0, 2.0]), float, None),
+        (np.array([[2.5]]), float, None),
+        ("2.5", float, None),
+        (2.5, str, None),
+        (np.array([[1.0, 2.0], [3.0, 4.0]]), tuple, ((1.0, 2.0), (3.0, 4.0))),
+        (np.array([[1.0, math.nan]]), tuple, None),
+        (np.array([[1.0, 2.0, 3.0]]), tuple, None),
+        (np.array([1.0, 2.0]), tuple, None),
+        (["a", "b"], list, ["a", "b"]),
+        ("a", list, ["a"]),
+        ([1.0], list, None),
+    ],
+)
+def test_attributes_are_of_one_kind(tmp_path, value, kind, expected):
+    with h5py.File(tmp_path / "a.h5", "w") as f:
+        f.attrs["x"] = value
+        if expected is None:
+            with pytest.raises(DatasetError, match="the attribute 'x' is not"):
+                READER.attribute(f, "x", kind)
+        else:
+            found = READER.attribute(f, "x", kind)
+            assert (found, type(found)) == (expected, kind)
+        assert READER.attribute(f, "y", kind, expected or 0) == (expected or 0)
+        with pytest.raises(DatasetError, match="lacks the attribute 'y'"):
+            READER.attribute(f, "y", kind)
+
+
 @pytest.mark.parametrize("superseded", [True, False])
 def test_a_clock_that_layout_1_supersedes_is_not_read(file, superseded):
     def change(f):

@@ -303,6 +303,23 @@ class TestEvents:
         assert f"{lost} missed pulses were added" in " ".join(found.notes + tuple(notes))
         assert f"before line {40 + 2}" in " ".join(found.notes)
 
+    @pytest.mark.parametrize(
+        ("lost", "doubled"), [((120,), ()), ((120, 260), ()), ((120,), (300,)), ((), (300,))]
+    )
+    def test_counts_of_times_that_scatter_are_continued_over_missed_pulses(self, lost, doubled):
+        """Intervals scatter by 20 %: each pulse after a missed one is a turn later."""
+        true = np.cumsum(np.full(400, 0.1) * 1.001 ** np.arange(400))
+        time = true + np.random.default_rng(3).normal(0, 0.012, 400)
+        kept = np.delete(time, lost)
+        extra = time[list(doubled)] + 0.02
+        found, notes = read(np.sort(np.concatenate([kept, extra])))
+        said = " ".join(notes)
+        assert (f"{len(lost)} missed pulses were added" in said) == bool(lost)
+        assert (f"{len(doubled)} double pulses were excluded" in said) == bool(doubled)
+        expected = TURN * np.interp(found.time, true, np.arange(400.0))
+        off = found.value - expected
+        assert np.abs(off - np.median(off)).max() < 0.5 * TURN
+
     @pytest.mark.parametrize(("stretch", "added"), [(2.23, 1), (2.25, 0), (1.77, 1), (1.75, 0), (1.3, 0)])
     def test_an_interval_of_a_whole_multiple_is_a_missed_pulse(self, stretch, added):
         """Within 12 %."""
