@@ -85,6 +85,9 @@ class TestFunctions:
             assert not test.columns[[70, 141]].any()
             rows = test.columns[:70]
             assert (test.columns[71:141] == rows).all()
+            # ten splines of one variable, four of each of two variables, 36 of a curve
+            assert rows.shape[1] == (10 if len(values) == 1 else 16)
+            assert test.fine.shape[1] == (36 if len(values) == 1 else 16)
             # the functions add up to 1, and a cubic of each variable is a sum of them
             assert rows.sum(axis=1) == pytest.approx(w.sum(axis=1))
             for f in (*values, *(v**3 for v in values), np.prod(values, axis=0)):

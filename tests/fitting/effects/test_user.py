@@ -55,6 +55,17 @@ def test_a_formula_becomes_an_effect(text, joint, expected):
         assert p.role != "shape" or len(p.grid) >= 5
 
 
+@pytest.mark.parametrize("per_case", [False, True])
+def test_an_effect_of_a_file_states_whether_each_case_has_its_own_value(tmp_path, per_case):
+    path = tmp_path / "own.toml"
+    path.write_text(
+        '[[effect]]\nname = "own"\nbody = "casing"\nlaw = "-k*omega_c**3"\nsignature = "a fall"\nsource = "a book"\n'
+        f"per_case = {str(per_case).lower()}\n"
+    )
+    (found,) = read_effects(path)
+    assert (found.per_case, found.signature, found.source) == (per_case, "a fall", "a book")
+
+
 def test_derived_units_make_the_law_a_torque():
     for text in (
         "casing: -k*omega_c**3",

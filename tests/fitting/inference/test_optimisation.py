@@ -368,6 +368,74 @@ class TestWideSearch:
         assert (seen["absolute"], seen["max_iterations"]) == expected
 
 
+class TestSearchAlongBounds:
+    """A law d x + f x^g whose free minimum has d = -1, below its bound 0; each side holds another variable."""
+
+    FREE_END = np.array([-1.0, 2.0, 1.3])
+
+    def run(self, monkeypatch, ends, *, converged=True, cost=2.0, last=None):
+        """Search with the results `ends` (cost, d) of each side; return the solution and the searches along bounds."""
+        law = PowerLaw(0, 1, 2, 10.0)
+        sides = {(k + 1,): end for k, end in enumerate(ends)}
+        calls = []
+
+        def along(problem, theta, active, enough, most):
+            calls.append((active.held, theta[0], enough, most))
+            end = last if last is not None and enough == 1e-5 else sides.get(active.held)
+            if end is None:
+                return None
+            return Solution(np.array([end[1], 2.0, 1.3]), minimum(end[0]), active)
+
+        def choices(active, theta, lower, upper):
+            if active.held:  # the second bound of a side whose end is out of bounds
+                return iter([(ActiveBounds((), (9,)), np.array([8.0, 2.0, 1.3]))])
+            return iter(
+                [(ActiveBounds((law,), (k + 1,)), np.array([k + 1.0, 2.0, 1.3])) for k in range(len(ends))]
+            )
+
+        sides[9,] = (0.5, 0.0)
+        free = minimum(cost, converged=converged)
+        monkeypatch.setattr(_optimisation, "minimise", lambda *_, **__: free)
+        monkeypatch.setattr(_optimisation, "_minimum_at_bounds", along)
+        monkeypatch.setattr(_optimisation, "_choices_of_bound", choices)
+        model = SimpleNamespace(angle_dependent=(), measurement=())
+        bounds = (np.zeros(3), np.full(3, 5.0))
+        problem = SimpleNamespace(
+            layout=SimpleNamespace(bounds=lambda: bounds, model=model), cases=(), power_laws=(law,), rows=1,
+            transformed_bounds=lambda a, b: (a, b), transformed=lambda x: x, physical=lambda x: self.FREE_END,
+        )  # fmt: skip
+        return search(problem, np.ones(3)), calls
+
+    def test_the_side_of_the_lowest_end_is_continued_to_convergence(self, monkeypatch):
+        found, calls = self.run(monkeypatch, [(3.0, 0.1), (1.0, 0.2), None, (2.0, 0.3)])
+        assert [c[0] for c in calls] == [(1,), (2,), (3,), (4,), (2,)]
+        assert {c[2:] for c in calls[:4]} == {(3e-3, 40)}
+        assert calls[4] == ((2,), 0.2, 1e-5, 200)
+        assert (found.active.held, found.minimum.cost, found.minimum.converged) == ((2,), 1.0, True)
+
+    def test_an_end_out_of_bounds_is_continued_along_a_second_bound(self, monkeypatch):
+        found, calls = self.run(monkeypatch, [(0.1, -0.2), (1.0, 0.2)])
+        assert [c[0] for c in calls] == [(1,), (9,), (2,), (9,)]
+        assert (found.active.held, found.minimum.cost) == ((9,), 0.5)
+
+    @pytest.mark.parametrize(("ends", "last"), [([None, None], None), ([(1.0, 0.2)], (1.0, -0.2))])
+    def test_without_an_end_within_the_bounds_the_search_has_not_converged(self, monkeypatch, ends, last):
+        found, _ = self.run(monkeypatch, ends, last=last)
+        assert found.active is None
+        assert not found.minimum.converged
+        assert found.theta.tolist() == [0.2 if last else 0.0, 2.0, 1.3]
+
+    @pytest.mark.parametrize(
+        ("converged", "cost", "tried"), [(False, 11.0, False), (False, 9.0, True), (True, 11.0, True)]
+    )
+    def test_bounds_are_not_tried_far_from_the_data_without_convergence(
+        self, monkeypatch, converged, cost, tried
+    ):
+        found, calls = self.run(monkeypatch, [(1.0, 0.2)], converged=converged, cost=cost)
+        assert bool(calls) is tried
+        assert found.theta[0] == (0.2 if tried else 0.0)
+
+
 class TestHeldVariables:
     """Residuals of three variables, the first one held at one of its bounds -1 and 1."""
 

@@ -24,6 +24,7 @@ from fitting import (
 )
 from fitting import Model as AnyModel
 from fitting.dynamics._model import INERTIA_CASING, INERTIA_ROTOR
+from fitting.effects._effect import Effect, Parameter
 from fitting.effects._expression import Tape
 from fitting.effects._user import resolve
 from fitting.inference import _parameters
@@ -476,6 +477,46 @@ class TestLayout:
             assert law.order == 1.0
             median = np.median(speeds[:, 0] - speeds[:, 1])
             assert law.reference == pytest.approx(1.5 * median)
+
+    @pytest.mark.parametrize(
+        ("lower", "upper", "start", "order"),
+        [
+            (0.0, 3.0, 1.4, 1.0),
+            (0.0, 3.0, 1.6, 2.0),
+            (1.1, 3.0, 1.4, 2.0),  # the law of order 1 is nearer, but the exponent never reaches it
+            (0.0, 1.9, 1.6, 1.0),
+            (1.0, 1.9, 1.8, 1.0),
+            (1.1, 2.0, 1.2, 2.0),
+            (1.1, 1.9, 1.5, None),
+        ],
+    )
+    def test_a_power_law_is_paired_with_the_nearest_order_that_its_exponent_reaches(
+        self, equal_records, lower, upper, start, order
+    ):
+        bounds = Parameter("g", "1", "shape", lower, upper, start)
+        law = Effect("own", "bearing", "k*abs(delta)**g*sign(delta)", (Parameter("k", "N m s^g"), bounds))
+        layout = ParameterLayout.of(
+            Model.of(["bearing.quadratic", "bearing.linear"]).with_effect(law), equal_records[:1]
+        )
+        speeds = np.stack([np.linspace(300.0, 200.0, 50), np.linspace(10.0, 5.0, 50)], axis=1)
+        (found,) = find_power_laws(layout, [(np.arange(50.0), speeds)])
+        partner = {None: None, 1.0: "bearing.linear.d", 2.0: "bearing.quadratic.e"}[order]
+        assert found.d == (None if partner is None else layout.index[partner])
+        assert found.order == (order or 1.0)
+        assert (found.f, found.g) == (layout.index["own.k"], layout.index["own.g"])
+
+    def test_two_power_laws_are_not_paired_with_the_same_law(self, equal_records):
+        laws = [
+            Effect(n, "bearing", "k*abs(delta)**g*sign(delta)",
+                (Parameter("k", "N m s^g"), Parameter("g", "1", "shape", 0.0, 3.0, 1.2)))
+            for n in ("one", "two")
+        ]  # fmt: skip
+        layout = ParameterLayout.of(
+            Model.of(["bearing.linear"]).with_effect(laws[0]).with_effect(laws[1]), equal_records[:1]
+        )
+        speeds = np.stack([np.linspace(300.0, 200.0, 50), np.linspace(10.0, 5.0, 50)], axis=1)
+        found = find_power_laws(layout, [(np.arange(50.0), speeds)])
+        assert [v.d for v in found] == [layout.index["bearing.linear.d"], None]
 
     @pytest.mark.parametrize(
         ("g", "order", "found"),

@@ -87,6 +87,27 @@ class TestCleaning:
             with pytest.raises(RecordError):
                 _record._profile(pairs, stated=stated)
 
+    @pytest.mark.parametrize(
+        ("where", "change", "words"),
+        [
+            ("casing", lambda run: run[:2], "the casing is not a triple"),
+            ("casing", lambda run: (*run, run[2]), "the casing is not a triple"),
+            ("rotor", lambda run: [run, run[:2]], "the rotor window is not a triple"),
+            ("rotor", lambda run: [(*run, run[2])], "the rotor window is not a triple"),
+            ("rotor", lambda run: 3.0, "the rotor is not a list of windows"),
+            ("casing", lambda run: (run[0], run[1][:-1], run[2]), "have the shapes"),
+            ("casing", lambda run: tuple(a[:, None] for a in run), "have the shapes"),
+            ("casing", lambda run: (run[0], ["a"] * len(T), run[2]), "holds no numbers"),
+            ("quantity", lambda run: "torque", "the quantity is 'torque'"),
+        ],
+    )
+    def test_a_run_is_three_arrays_of_the_same_length(self, where, change, words):
+        run = (T, 4.0 * T, np.full(len(T), 1e-3))
+        given = {"casing": run, "rotor": [], "I_rotor": 1.0, "I_casing": 2.0, "quantity": "angle"}
+        make_record(**given)
+        with pytest.raises(RecordError, match=words):
+            make_record(**given | {where: change(run)})
+
     @pytest.mark.parametrize(("count", "valid"), [(23, False), (24, True)])
     def test_a_body_needs_24_samples(self, count, valid):
         run = (T[:count], 4.0 * T[:count], np.full(count, 1e-3))

@@ -220,7 +220,7 @@ def test_a_further_term_is_needed_if_the_highest_degree_is_the_best(criteria, la
     assert _motion._next_coefficient(fits[-1:]) == 0.0
 
 
-@pytest.mark.parametrize("start", [0.2, 1.57, 2.2])
+@pytest.mark.parametrize("start", [0.2, pytest.param(1.57, marks=pytest.mark.slow), 2.2])
 def test_the_amplitude_of_a_pendulum_is_that_of_its_turning_points(start):
     """The first harmonic of a pendulum that is released at 90 degrees is 1.7 % larger than its deflection."""
     t = np.arange(0, 20, 1 / 30)

@@ -318,6 +318,42 @@ def test_joints_are_readable(file, name, value, words):
             assert found == {"bodies": ["rotor", "ground"], "kind": "bearing", "place": 0}
 
 
+@pytest.mark.parametrize(
+    ("value", "kind", "expected"),
+    [
+        (7, int, 7),
+        (np.array([7]), int, 7),
+        (2.5, float, 2.5),
+        (np.array([2.5]), float, 2.5),
+        ("PVC", str, "PVC"),
+        (b"PVC", str, "PVC"),
+        (np.array([1.0, 2.0]), float, None),
+        (np.array([[2.5]]), float, None),
+        ("2.5", float, None),
+        (2.5, str, None),
+        (np.array([[1.0, 2.0], [3.0, 4.0]]), tuple, ((1.0, 2.0), (3.0, 4.0))),
+        (np.array([[1.0, math.nan]]), tuple, None),
+        (np.array([[1.0, 2.0, 3.0]]), tuple, None),
+        (np.array([1.0, 2.0]), tuple, None),
+        (["a", "b"], list, ["a", "b"]),
+        ("a", list, ["a"]),
+        ([1.0], list, None),
+    ],
+)
+def test_attributes_are_of_one_kind(tmp_path, value, kind, expected):
+    with h5py.File(tmp_path / "a.h5", "w") as f:
+        f.attrs["x"] = value
+        if expected is None:
+            with pytest.raises(DatasetError, match="the attribute 'x' is not"):
+                READER.attribute(f, "x", kind)
+        else:
+            found = READER.attribute(f, "x", kind)
+            assert (found, type(found)) == (expected, kind)
+        assert READER.attribute(f, "y", kind, expected or 0) == (expected or 0)
+        with pytest.raises(DatasetError, match="lacks the attribute 'y'"):
+            READER.attribute(f, "y", kind)
+
+
 @pytest.mark.parametrize("superseded", [True, False])
 def test_a_clock_that_layout_1_supersedes_is_not_read(file, superseded):
     def change(f):
@@ -367,6 +403,47 @@ def test_every_attribute_of_a_case_is_read_from_bodies_alone(file, monkeypatch):
         found = read_stored_case(f, READER).attributes
     assert {a.key for a in layout.CASE_ATTRIBUTES} == set(found)
     assert (found["place"], found["start_u"], found["surface"]) == ("Bonn", 1e-3, "PVC")
+
+
+@pytest.mark.parametrize("third", [False, True])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda f: None, ""),
+        (lambda f: f["joint"].__delitem__("belt"), "no joint connects"),
+        (lambda f: f["joint/belt"].attrs.modify("bodies", ["arm", "arm"]), "is between arm and arm"),
+        (lambda f: f["joint/belt"].attrs.update({"bodies": ["arm"]}), "names 1 of two bodies"),
+        (lambda f: f["body/arm"].attrs.__delitem__("inertia"), "arm has no inertia"),
+        (lambda f: f["body/arm"].attrs.modify("inertia", -1.0), "is -1, not positive"),
+        (lambda f: f["body/arm"].attrs.modify("place", 1), "two bodies of the same place"),
+    ],
+)
+def test_several_bodies_have_an_inertia_and_are_connected(file, third, change, words):
+    def chain(f):
+        for name, old, place in (("wheel", "rotor", 1), ("arm", "casing", 0)):
+            f["body"].move(old, name)
+            f[f"body/{name}"].attrs.update({"role": "body", "place": place, "inertia": 1e-4})
+        del f["joint/touchpoint"]
+        f["joint"].move("bearing", "belt")
+        f["joint/belt"].attrs["bodies"] = ["arm", "wheel"]
+        if third:
+            f["body"].copy("wheel", "drum")
+            f["body/drum"].attrs["place"] = 2
+            f["joint"].copy("belt", "hinge")
+            f["joint/hinge"].attrs.update({"bodies": ["wheel", "drum"], "place": 1})
+        change(f)
+
+    with READER.open(changed(bodies_alone(file), chain)) as f:
+        if words:
+            with pytest.raises(DatasetError) as caught:
+                read_stored_case(f, READER)
+            assert words in caught.value.message
+            return
+        found = read_stored_case(f, READER)
+    assert found.attributes["bodies"] == "chain"
+    assert [s.name for s in (found.casing, *found.others)] == ["arm", "wheel", "drum"][: 2 + third]
+    joints = {"belt": ("arm", "wheel")} | ({"hinge": ("wheel", "drum")} if third else {})
+    assert (found.joints, found.casing.inertia[0]) == (joints, 1e-4)
 
 
 # -------------------------------------------------------------------------------------------- import of a case

@@ -50,7 +50,7 @@ def killed(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
-@pytest.mark.parametrize("count", [0, 1, 2, 3])
+@pytest.mark.parametrize("count", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 3)), 2])
 def test_the_command_that_was_killed_runs_again(killed, tmp_path, count):
     paths = killed(count)
     assert [p.exists() for p in paths] == [k < count for k in range(3)]

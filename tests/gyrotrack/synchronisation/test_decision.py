@@ -112,7 +112,10 @@ def test_clocks_that_differ_are_not_forced_together(motion, make_run):
     assert not matches[0].common_rate
 
 
-@pytest.mark.parametrize(("difference", "common"), [(0.0, True), (1.2e-4, True), (3.5e-4, False)])
+@pytest.mark.parametrize(
+    ("difference", "common"),
+    [pytest.param(0.0, True, marks=pytest.mark.slow), (1.2e-4, True), (3.5e-4, False)],
+)
 def test_one_camera_has_one_clock_up_to_what_tracking_errors_imitate(motion, make_run, difference, common):
     run = make_run(motion, np.random.default_rng(12), 20.0)
     clips = run.clips([3.0], rate=1 + difference / 2) + run.clips([8.0], rate=1 - difference / 2)

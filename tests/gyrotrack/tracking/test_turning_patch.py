@@ -146,6 +146,18 @@ def test_a_click_on_a_long_body_selects_the_place_and_on_a_compact_one_the_body(
         assert spot.radius <= 15.0
 
 
+def test_a_frame_with_less_noise_has_the_noise_of_the_film():
+    """A difference of two grey levels is a body if the noise is small."""
+    background = np.full(FULL.shape, 100.0)
+    frame = background.astype(np.uint8)
+    frame[50:70, 70:90] += 2
+    spot = next(_point_tracker._clicked(frame, _seen(background, 5.0), (80.0, 60.0)))
+    assert spot.place == pytest.approx((79.5, 59.5), abs=0.5)
+    assert spot.radius == pytest.approx(np.sqrt(400 / np.pi), rel=0.1)
+    with pytest.raises(_point_tracker.TrackingError, match="no detail to follow"):
+        next(_point_tracker._clicked(frame, _seen(background, 10.0), (80.0, 60.0)))
+
+
 def test_a_blank_long_body_is_followed_as_a_whole():
     picture = FULL.copy()
     picture[50:70, 40:120] = 180.0

@@ -290,22 +290,18 @@ class TestAnswers:
         assert said.code == 1
         assert "'disc' is an unknown body" in said.error["message"]
 
-    @pytest.mark.parametrize(
-        ("command", "hint"),
-        [
-            ("plan", "gyrotrack diagnose states upper limits"),
-            ("laws", "fit your own laws"),
-            ("scan", "gyrotrack improve adds"),
-        ],
-    )
-    def test_what_is_not_available_says_what_to_do(self, gyrotrack, case, model, tmp_path, command, hint):
-        ledger = ["--ledger", tmp_path / "f.json"] if command != "scan" else []
-        if ledger:
-            gyrotrack("fit", case, "--model", model, *ledger)
-        said = gyrotrack(command, case, *ledger, "--json")
-        assert said.code == 1
-        assert "not available for several bodies with joints" in said.error["message"]
-        assert said.error["hint"].startswith(hint)
+    def test_what_is_not_available_says_what_to_do(self, gyrotrack, case, model, tmp_path):
+        ledger = ["--ledger", tmp_path / "f.json"]
+        gyrotrack("fit", case, "--model", model, *ledger)
+        for command, options, hint in (
+            ("plan", ledger, "gyrotrack diagnose states upper limits"),
+            ("laws", ledger, "fit your own laws"),
+            ("scan", [], "gyrotrack improve adds"),
+        ):
+            said = gyrotrack(command, case, *options, "--json")
+            assert said.code == 1
+            assert "not available for several bodies with joints" in said.error["message"]
+            assert said.error["hint"].startswith(hint)
 
     def test_a_generated_curve_is_one_of_a_gyroscope(self, gyrotrack, case, tmp_path):
         said = gyrotrack("fit", case, "--rotor", "generated", "--ledger", tmp_path / "f.json", "--json")

@@ -9,6 +9,8 @@ from gyrotrack import UsageError
 from gyrotrack.apps.cli import _fitting as module
 from gyrotrack.apps.cli._fitting import (
     budget_command,
+    diagnose_command,
+    duration,
     effects_command,
     fit_command,
     improve_command,
@@ -311,6 +313,40 @@ class TestImprove:
         _, line, warned = self.run(monkeypatch, "missing_effect", 2, stopped="no solution", own=["b", "c"])
         assert line.endswith("; b and c has a value for each recording")
         assert warned == ["the search stopped: no solution"]
+
+
+def test_a_diagnosis_is_shown_stored_and_priced(monkeypatch):
+    """Two seconds of processor time for one diagnosis, of which a certificate makes seven."""
+    refit = SimpleNamespace(sentence=lambda names: f"a fit with {names[0]}")
+    found = SimpleNamespace(
+        trace=[refit], fit=SimpleNamespace(model=SimpleNamespace(names=["touchpoint.constant"]))
+    )
+    kept, asked = [], []
+    study = SimpleNamespace(
+        base=lambda start: (f"base of {start}", "f3"), mechanism="bodies",
+        keep_diagnosis=lambda *args: kept.append(args),
+    )  # fmt: skip
+    clock = iter([10.0, 12.0])
+    monkeypatch.setattr(module, "process_time", lambda: next(clock))
+    monkeypatch.setattr(module, "open_study", lambda *_, **__: study)
+    monkeypatch.setattr(module.shared, "own_effects", lambda *args, friction: [(args, friction)])
+    monkeypatch.setattr(
+        "fitting.discovery._verdict.diagnose",
+        lambda base, own, *, workers: asked.append((base, own)) or found,
+    )
+    monkeypatch.setattr("fitting.discovery._certificate.planned", lambda *_: range(7))
+    monkeypatch.setattr("fitting.study._serialisation.diagnosis_document", lambda d, fit_id: {"of": fit_id})
+    monkeypatch.setattr(module, "diagnosis_tables", lambda d, fit_id: [f"table of {fit_id}"])
+    monkeypatch.setattr("fitting._workers.WorkerPool", nullcontext)
+    out = Out()
+    diagnose_command(["a.h5", "b.h5"], friction=True, start="f2", out=out)
+    own = [((None, "bodies"), True)]
+    assert asked == [("base of f2", own)]
+    assert kept == [("f3", found, own)]
+    assert out.results == [{"of": "f3"}]
+    assert out.shown[:2] == ["table of f3", "a fit with touchpoint.constant"]
+    assert out.shown[2].startswith("`gyrotrack certify a.h5 b.h5` tests this answer")
+    assert f"about {duration(14.0)})" in out.shown[2]
 
 
 def test_one_effect_is_shown_in_full(monkeypatch):

@@ -18,6 +18,7 @@ from gyrotrack.io.readers._motion_table import ReadOptions, checked, only_one, r
 from gyrotrack.io.readers._raw_table import TURN, number_of, table_of
 from gyrotrack.io.readers._registry import read_motion
 from gyrotrack.io.readers._run import Limits, read_cuts
+from gyrotrack.io.readers._spreadsheets import read_excel_97
 
 TIME = np.arange(400) / 100
 ANGLE = 0.3 + 20 * TIME - 1.5 * TIME**2
@@ -508,6 +509,29 @@ def test_excel_97_with_text_above_and_a_second_sheet(tmp_path):
     np.testing.assert_allclose(read.value, ANGLE[kept])
     with pytest.raises(DatasetError, match="damaged workbook"):
         read_motion(write(tmp_path / "b", stream.getvalue()[:3000]))
+
+
+@pytest.mark.parametrize("since_1904", [False, True])
+def test_dates_of_excel_97_count_from_the_first_day_of_the_workbook(tmp_path, since_1904):
+    pytest.importorskip("xlrd")
+    xlwt = pytest.importorskip("xlwt")
+    book = xlwt.Workbook()
+    book.dates_1904 = since_1904
+    sheet = book.add_sheet("Log")
+    # days since 1899-12-30 or since 1904-01-01
+    days = 44000.25 - (1462 if since_1904 else 0)
+    style = xlwt.easyxf(num_format_str="YYYY-MM-DD HH:MM:SS")
+    for row, cells in enumerate((("time", "omega"), (days, 5.0), (days, 4.5))):
+        for column, value in enumerate(cells):
+            sheet.write(row, column, value, style if row and not column else xlwt.Style.default_style)
+    sheet.write(3, 0, xlwt.Formula("1=1"))
+    sheet.write(3, 1, True)
+    stream = io.BytesIO()
+    book.save(stream)
+    table = read_excel_97(tmp_path / "log.xls", stream.getvalue(), None)
+    assert table.names == ("time", "omega")
+    assert [c[:2] for c in table.columns] == [["2020-06-18 06:00:00"] * 2, ["5.0", "4.5"]]
+    assert table.line[:2].tolist() == [2, 3]
 
 
 def test_matlab_7_3_as_matlab_writes_it(tmp_path):

@@ -243,6 +243,15 @@ class TestColumns:
         assert made.reading.left_out == ("'note'",)
 
     @pytest.mark.parametrize(
+        ("count", "tail"), [(8, "'c7'."), (9, "'c7' and 1 more."), (11, "'c7' and 3 more.")]
+    )
+    def test_a_table_without_a_motion_lists_eight_columns(self, count, tail):
+        with pytest.raises(DatasetError) as caught:
+            interpret(named(*((f"c{i}", K) for i in range(count))), ReadOptions(fps=10.0))
+        assert caught.value.message.endswith(tail)
+        assert caught.value.message.count("'c") == 8
+
+    @pytest.mark.parametrize(
         ("given", "body", "names"),
         [
             (["t=Zeit"], "casing", {"zeit": ("t", "")}),

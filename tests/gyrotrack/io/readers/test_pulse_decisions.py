@@ -303,6 +303,23 @@ class TestEvents:
         assert f"{lost} missed pulses were added" in " ".join(found.notes + tuple(notes))
         assert f"before line {40 + 2}" in " ".join(found.notes)
 
+    @pytest.mark.parametrize(
+        ("lost", "doubled"), [((120,), ()), ((120, 260), ()), ((120,), (300,)), ((), (300,))]
+    )
+    def test_counts_of_times_that_scatter_are_continued_over_missed_pulses(self, lost, doubled):
+        """Intervals scatter by 20 %: each pulse after a missed one is a turn later."""
+        true = np.cumsum(np.full(400, 0.1) * 1.001 ** np.arange(400))
+        time = true + np.random.default_rng(3).normal(0, 0.012, 400)
+        kept = np.delete(time, lost)
+        extra = time[list(doubled)] + 0.02
+        found, notes = read(np.sort(np.concatenate([kept, extra])))
+        said = " ".join(notes)
+        assert (f"{len(lost)} missed pulses were added" in said) == bool(lost)
+        assert (f"{len(doubled)} double pulses were excluded" in said) == bool(doubled)
+        expected = TURN * np.interp(found.time, true, np.arange(400.0))
+        off = found.value - expected
+        assert np.abs(off - np.median(off)).max() < 0.5 * TURN
+
     @pytest.mark.parametrize(("stretch", "added"), [(2.23, 1), (2.25, 0), (1.77, 1), (1.75, 0), (1.3, 0)])
     def test_an_interval_of_a_whole_multiple_is_a_missed_pulse(self, stretch, added):
         """Within 12 %."""
@@ -1100,6 +1117,15 @@ class TestEncoders:
             found, known = module._continued_count(np.floor(wrapped))
             assert known == bits
             assert np.diff(found) == pytest.approx(np.diff(true), abs=1.0)
+        for beyond in (
+            [-1.0, 128.0, -1.0],
+            [-129.0, 0.0, -129.0],
+            [0.0, 256.0, 0.0],
+        ):  # of a counter of 8 bits
+            same, none = module._continued_count(np.array(beyond))
+            assert (same.tolist(), none) == (beyond, 0)
+        for within in ([-2.0, 127.0, -2.0], [-128.0, 1.0, -128.0], [0.0, 255.0, 0.0]):
+            assert module._continued_count(np.array(within))[1] == 8
         same, none = module._continued_count(np.array([0.0, 100.0, 50.0]))
         assert (same.tolist(), none) == ([0.0, 100.0, 50.0], 0)
 

@@ -357,6 +357,22 @@ def empty_structs():
     return b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(body)) + body
 
 
+@pytest.mark.parametrize(
+    ("line", "delimiter", "cells"),
+    [
+        ("a, b ,c", ",", ["a", "b", "c"]),
+        ('"a" , " b " ,"c"', ",", ["a", "b", "c"]),
+        ('"a, b",c', ",", ["a, b", "c"]),
+        ('"1,5";"2,5"', ";", ["1,5", "2,5"]),
+        ('"a;b";c', ";", ["a;b", "c"]),
+        ('1.0  "x"\t2', None, ["1.0", "x", "2"]),
+        ("a,,", ",", ["a", "", ""]),
+    ],
+)
+def test_cells_have_no_quotes_and_no_blanks_around_them(line, delimiter, cells):
+    assert split(line, delimiter) == cells
+
+
 BOMBS = {
     "elements": (
         lambda: zipped("a.trk", [b"<object>", *[b"<a/>" * 250_000] * 13, b"</object>"]),
