@@ -11,19 +11,22 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import short, with_uncertainty
-from gyrotrack._errors import OutputError, UsageError
+from gyrotrack._errors import GyrotrackError, OutputError, UsageError
 from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.plotting._charts import AFTER, BEFORE
+from gyrotrack.plotting._frames import Film, find_film
 from gyrotrack.plotting._tracking import jpeg, on_clock
 
 if TYPE_CHECKING:
@@ -32,7 +35,6 @@ if TYPE_CHECKING:
 
     from fitting.inference._result import Fit
     from gyrotrack.io._records import Case, MarkerTrack, Recording
-    from gyrotrack.plotting._frames import Film
     from gyrotrack.tracking._film_tracker import Progress
 
 Array = NDArray[np.float64]
@@ -89,17 +91,14 @@ class Ghost:
         return self._part(np.flatnonzero(kept))
 
     def _part(self, places: NDArray[np.int64]) -> Ghost:
-        return Ghost(
-            self.clip,
-            self.body,
-            self.frame[places],
-            self.time[places],
-            self.models,
-            self.difference[:, places],
-            self.sigma[:, places],
-            {k: v[places] for k, v in self.outlines.items()},
-            self.hub[places],
-            self.sense,
+        return replace(
+            self,
+            frame=self.frame[places],
+            time=self.time[places],
+            difference=self.difference[:, places],
+            sigma=self.sigma[:, places],
+            outlines={k: v[places] for k, v in self.outlines.items()},
+            hub=self.hub[places],
         )
 
     @cached_property
@@ -418,9 +417,6 @@ def animation(ghost: Ghost, film: Film, start: float, stop: float) -> Animation 
 
 def animated(stretch: Stretch) -> Animation | None:
     """Return the animated picture of a stretch; None if its film cannot be read."""
-    from gyrotrack._errors import GyrotrackError
-    from gyrotrack.plotting._frames import Film
-
     try:
         with Film(stretch.film, stretch.recording) as film:
             return animation(stretch.ghost, film, stretch.start, stretch.stop)
@@ -465,7 +461,6 @@ def _panels(ghost: Ghost, i: int, picture: Picture, factor: int) -> Image:
 
 def _turned_panel(ghost: Ghost, i: int, picture: Picture, model: int, factor: int) -> Image:
     """Return a frame turned about the hub so that the ghost of a model points up, with both outlines."""
-    import cv2
     from PIL import Image
 
     first = next(iter(ghost.outlines))
@@ -495,8 +490,6 @@ def _turned_panel(ghost: Ghost, i: int, picture: Picture, model: int, factor: in
 
 
 def _line(picture: Any, corners: Array, colour: tuple[int, int, int], width: int) -> None:
-    import cv2
-
     # coordinates in sixteenths of a pixel
     cv2.polylines(picture, [np.round(16 * corners).astype(np.int32)], True, colour, width, cv2.LINE_AA, 4)  # noqa: FBT003
 
@@ -507,8 +500,6 @@ def _rgb(colour: str) -> tuple[int, int, int]:
 
 def _write(draw: Any, text: str, place: tuple[int, int], colour: str, *, bold: bool = False) -> None:
     """Write a text of at most two lines into a panel."""
-    from textwrap import wrap
-
     from matplotlib import font_manager
     from PIL import ImageFont
 
@@ -551,8 +542,6 @@ def stretches(
     index : int
         Index of the case in the fits.
     """
-    from gyrotrack.plotting._frames import find_film
-
     found = []
     for ghost in ghosts(case, fits, names, index):
         r = case.recordings[ghost.clip]
@@ -665,8 +654,6 @@ def _film_pictures(parts: Sequence[tuple[Ghost, Path, Recording]]) -> Iterator[I
     """Yield the frames of all stretches with the ghosts of all models side by side, as filmed."""
     from PIL import Image, ImageDraw
 
-    from gyrotrack.plotting._frames import Film
-
     for ghost, place, r in parts:
         slow = r.capture_fps / _RATE
         with Film(place, r) as film:
@@ -689,7 +676,6 @@ def _film_pictures(parts: Sequence[tuple[Ghost, Path, Recording]]) -> Iterator[I
 
 def _filmed_panel(ghost: Ghost, i: int, picture: Picture, model: int) -> Image:
     """Return a frame as filmed, cut to a square about the hub, with both outlines."""
-    import cv2
     from PIL import Image
 
     scale = 0.5 * _FILM_PANEL / (_VIEW * ghost.radius)
