@@ -12,8 +12,19 @@ from typing import TYPE_CHECKING, Any, TypedDict, cast
 import numpy as np
 import numpy.typing as npt
 
+from fitting._criteria import DEFAULT
+from fitting._errors import FittingError
+from fitting._numbers import rounded
+from fitting._workers import WorkerPool, single_blas_thread
+from fitting.discovery._oscillator import fit_oscillator, oscillator_laws
+from fitting.discovery._select import improve, rank
+from fitting.discovery._verdict import diagnose
+from fitting.dynamics._model import Model
+from fitting.effects._library import REDUCED
+from fitting.inference._first_order import first_order
+from fitting.inference._fit import fit
+from fitting.study._serialisation import diagnosis_document
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
-from gyrotrack._smoothing import angular_velocity, smoothing_width
 from gyrotrack.apps._drive import Drive, Response, drive_of
 from gyrotrack.apps._motion import (
     TURN,
@@ -41,6 +52,7 @@ from gyrotrack.io._records import (
     Recording,
     Series,
     doubts_of,
+    from_angles,
     no_series,
     series_of,
 )
@@ -577,19 +589,9 @@ def _recording_of(
 
 
 def _body_of(time: Floats, angle: Floats, sigma: Floats) -> BodyTrack:
-    width = smoothing_width(angle, sigma)
-    omega, omega_sigma = angular_velocity(time, angle, sigma, width)
-    return BodyTrack(
-        name="casing",
-        time=time,
-        angle=angle,
-        sigma=sigma,
-        sigma_paper=np.full(len(time), np.nan),
-        n_markers=np.ones(len(time), dtype=np.int64),
-        omega=omega,
-        omega_sigma=omega_sigma,
-        smoothing_width=width,
-    )
+    motion = vars(from_angles(time, angle, sigma))
+    one = np.ones(len(time), dtype=np.int64)
+    return BodyTrack("casing", sigma_paper=np.full(len(time), np.nan), n_markers=one, **motion)
 
 
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:
@@ -672,8 +674,6 @@ def spindown(
     progress: Progress | None = None,
 ) -> SpindownDocument:
     """Measure the motion of one body, fit, diagnose, improve, write case and report; return the JSON document."""
-    from fitting._workers import single_blas_thread
-
     with single_blas_thread():
         found = _passages(source, options)
         if found is None:
@@ -696,17 +696,6 @@ def _analysed(
     force: bool,
     progress: Progress | None,
 ) -> dict[str, Any]:
-    from fitting._criteria import DEFAULT
-    from fitting._errors import FittingError
-    from fitting._workers import WorkerPool
-    from fitting.discovery._oscillator import fit_oscillator, oscillator_laws
-    from fitting.discovery._select import improve, rank
-    from fitting.discovery._verdict import diagnose
-    from fitting.effects._library import REDUCED
-    from fitting.inference._first_order import first_order
-    from fitting.inference._fit import fit
-    from fitting.study._serialisation import diagnosis_document
-
     picture = picture_path(source, target)
     read = read_source(source, options, progress)
     case, body = read.case, read.film
@@ -885,10 +874,6 @@ def _first_order_fit(data: Sequence[CaseData], drives: Sequence[str]) -> Fit:
 
     A dead time of a drive is added if there is evidence for it, because laws of friction would imitate it.
     """
-    from fitting._errors import FittingError
-    from fitting.dynamics._model import Model
-    from fitting.inference._fit import fit
-
     inputs = data[0].record.inputs
     model = changed(
         Model.of(["casing.air.linear"]), [f"casing.input.{name}" for name in drives], (), (), inputs
@@ -924,9 +909,6 @@ def _drive(read: Source) -> Drive | None:
 
 def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
     """Raise an error for a rotation without significant acceleration, or an oscillation without a restoring torque."""
-    from fitting._errors import FittingError
-    from fitting._numbers import rounded
-
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
         raise FittingError(
             f"the angular acceleration, {rounded(motion.alpha.value, motion.alpha.stderr, 'rad/s2')}, is consistent "
@@ -954,8 +936,6 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
 
 def _refuse(reason: str) -> None:
     """Raise an error if `reason` states why a fit does not describe the motion."""
-    from fitting._errors import FittingError
-
     if reason:
         raise FittingError(reason)
 
