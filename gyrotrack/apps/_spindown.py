@@ -12,18 +12,6 @@ from typing import TYPE_CHECKING, Any, TypedDict, cast
 import numpy as np
 import numpy.typing as npt
 
-from fitting._criteria import DEFAULT
-from fitting._errors import FittingError
-from fitting._numbers import rounded
-from fitting._workers import WorkerPool, single_blas_thread
-from fitting.discovery._oscillator import fit_oscillator, oscillator_laws
-from fitting.discovery._select import improve, rank
-from fitting.discovery._verdict import diagnose
-from fitting.dynamics._model import Model
-from fitting.effects._library import REDUCED
-from fitting.inference._first_order import first_order
-from fitting.inference._fit import fit
-from fitting.study._serialisation import diagnosis_document
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
 from gyrotrack.apps._drive import Drive, Response, drive_of
 from gyrotrack.apps._motion import (
@@ -674,6 +662,8 @@ def spindown(
     progress: Progress | None = None,
 ) -> SpindownDocument:
     """Measure the motion of one body, fit, diagnose, improve, write case and report; return the JSON document."""
+    from fitting._workers import single_blas_thread
+
     with single_blas_thread():
         found = _passages(source, options)
         if found is None:
@@ -696,6 +686,17 @@ def _analysed(
     force: bool,
     progress: Progress | None,
 ) -> dict[str, Any]:
+    from fitting._criteria import DEFAULT
+    from fitting._errors import FittingError
+    from fitting._workers import WorkerPool
+    from fitting.discovery._oscillator import fit_oscillator, oscillator_laws
+    from fitting.discovery._select import improve, rank
+    from fitting.discovery._verdict import diagnose
+    from fitting.effects._library import REDUCED
+    from fitting.inference._first_order import first_order
+    from fitting.inference._fit import fit
+    from fitting.study._serialisation import diagnosis_document
+
     picture = picture_path(source, target)
     read = read_source(source, options, progress)
     case, body = read.case, read.film
@@ -874,6 +875,10 @@ def _first_order_fit(data: Sequence[CaseData], drives: Sequence[str]) -> Fit:
 
     A dead time of a drive is added if there is evidence for it, because laws of friction would imitate it.
     """
+    from fitting._errors import FittingError
+    from fitting.dynamics._model import Model
+    from fitting.inference._fit import fit
+
     inputs = data[0].record.inputs
     model = changed(
         Model.of(["casing.air.linear"]), [f"casing.input.{name}" for name in drives], (), (), inputs
@@ -909,6 +914,9 @@ def _drive(read: Source) -> Drive | None:
 
 def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
     """Raise an error for a rotation without significant acceleration, or an oscillation without a restoring torque."""
+    from fitting._errors import FittingError
+    from fitting._numbers import rounded
+
     if motion.kind == "steady" and abs(motion.alpha.value) < 3 * motion.alpha.stderr:
         raise FittingError(
             f"the angular acceleration, {rounded(motion.alpha.value, motion.alpha.stderr, 'rad/s2')}, is consistent "
@@ -936,6 +944,8 @@ def _check_law(motion: BodyMotion, fit: Fit, *, final: bool = False) -> None:
 
 def _refuse(reason: str) -> None:
     """Raise an error if `reason` states why a fit does not describe the motion."""
+    from fitting._errors import FittingError
+
     if reason:
         raise FittingError(reason)
 

@@ -15,18 +15,15 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import short, with_uncertainty
-from gyrotrack._errors import GyrotrackError, OutputError, UsageError
+from gyrotrack._errors import OutputError, UsageError
 from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.plotting._charts import AFTER, BEFORE
-from gyrotrack.plotting._frames import Film, find_film
 from gyrotrack.plotting._tracking import jpeg, on_clock
 
 if TYPE_CHECKING:
@@ -35,6 +32,7 @@ if TYPE_CHECKING:
 
     from fitting.inference._result import Fit
     from gyrotrack.io._records import Case, MarkerTrack, Recording
+    from gyrotrack.plotting._frames import Film
     from gyrotrack.tracking._film_tracker import Progress
 
 Array = NDArray[np.float64]
@@ -417,6 +415,9 @@ def animation(ghost: Ghost, film: Film, start: float, stop: float) -> Animation 
 
 def animated(stretch: Stretch) -> Animation | None:
     """Return the animated picture of a stretch; None if its film cannot be read."""
+    from gyrotrack._errors import GyrotrackError
+    from gyrotrack.plotting._frames import Film
+
     try:
         with Film(stretch.film, stretch.recording) as film:
             return animation(stretch.ghost, film, stretch.start, stretch.stop)
@@ -461,6 +462,7 @@ def _panels(ghost: Ghost, i: int, picture: Picture, factor: int) -> Image:
 
 def _turned_panel(ghost: Ghost, i: int, picture: Picture, model: int, factor: int) -> Image:
     """Return a frame turned about the hub so that the ghost of a model points up, with both outlines."""
+    import cv2
     from PIL import Image
 
     first = next(iter(ghost.outlines))
@@ -490,6 +492,8 @@ def _turned_panel(ghost: Ghost, i: int, picture: Picture, model: int, factor: in
 
 
 def _line(picture: Any, corners: Array, colour: tuple[int, int, int], width: int) -> None:
+    import cv2
+
     # coordinates in sixteenths of a pixel
     cv2.polylines(picture, [np.round(16 * corners).astype(np.int32)], True, colour, width, cv2.LINE_AA, 4)  # noqa: FBT003
 
@@ -500,6 +504,8 @@ def _rgb(colour: str) -> tuple[int, int, int]:
 
 def _write(draw: Any, text: str, place: tuple[int, int], colour: str, *, bold: bool = False) -> None:
     """Write a text of at most two lines into a panel."""
+    from textwrap import wrap
+
     from matplotlib import font_manager
     from PIL import ImageFont
 
@@ -542,6 +548,8 @@ def stretches(
     index : int
         Index of the case in the fits.
     """
+    from gyrotrack.plotting._frames import find_film
+
     found = []
     for ghost in ghosts(case, fits, names, index):
         r = case.recordings[ghost.clip]
@@ -654,6 +662,8 @@ def _film_pictures(parts: Sequence[tuple[Ghost, Path, Recording]]) -> Iterator[I
     """Yield the frames of all stretches with the ghosts of all models side by side, as filmed."""
     from PIL import Image, ImageDraw
 
+    from gyrotrack.plotting._frames import Film
+
     for ghost, place, r in parts:
         slow = r.capture_fps / _RATE
         with Film(place, r) as film:
@@ -676,6 +686,7 @@ def _film_pictures(parts: Sequence[tuple[Ghost, Path, Recording]]) -> Iterator[I
 
 def _filmed_panel(ghost: Ghost, i: int, picture: Picture, model: int) -> Image:
     """Return a frame as filmed, cut to a square about the hub, with both outlines."""
+    import cv2
     from PIL import Image
 
     scale = 0.5 * _FILM_PANEL / (_VIEW * ghost.radius)

@@ -9,18 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from fitting._criteria import DEFAULT
 from fitting._numbers import unit_text
-from fitting.discovery._power import largest_hidden
-from fitting.discovery._residuals import residual_torques, whiteness
-from fitting.dynamics._collocation import Sampler
 from fitting.effects._mechanism import MAIN
-from fitting.inference._metrics import energy_balance
-from fitting.inference._record import median_width, speeds
 from fitting.inference._speed_residuals import SpeedResidual, modelled_speed, speed_residuals
-from fitting.study._serialisation import history_verdict, step_document
 from gyrotrack.plotting._charts import Interval
 
 if TYPE_CHECKING:
@@ -198,6 +191,8 @@ def case_view(
     index: int,
 ) -> CaseView:
     """Return one case with the first and the last model of a history; `torques` are their unmodelled torques."""
+    from fitting.inference._record import median_width, speeds
+
     base, final = history[0].fit, history[-1].fit
     record, width = base.problem.data[index].record, base.problem.data[index].smoothing_width
     fits = [base, final] if len(history) > 1 else [base]
@@ -264,6 +259,8 @@ def _alternatives(base: Fit, final: Fit, diagnosis: Diagnosis | None, index: int
 
 def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | None:
     """Return the torque of another model minus the torque of the base, along the other motion; None if equal."""
+    from fitting.dynamics._collocation import Sampler
+
     old, new = base.problem.cases[index], other.problem.cases[index]
     path = other.predictions[index].path
     if set(other.model.smooth.names) <= set(base.model.smooth.names):
@@ -283,6 +280,9 @@ def added_torque(name: str, base: Fit, other: Fit, index: int) -> AddedTorque | 
 
 
 def _energy(fit: Fit, index: int) -> Energy:
+    from scipy.ndimage import uniform_filter1d
+
+    from fitting.inference._metrics import energy_balance
 
     balance = energy_balance(fit.problem.cases[index], fit.theta, fit.predictions[index].path)
     drift = balance.change
@@ -356,6 +356,9 @@ class StudyView:
 
 def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView:
     """Compute the data of a study from its history of fits, base first, and the diagnosis of the base."""
+    from fitting.discovery._residuals import whiteness
+    from fitting.study._serialisation import history_verdict
+
     base, final = history[0].fit, history[-1].fit
     fits = (base, final) if len(history) > 1 else (base,)
     torques = tuple(_torques(f, diagnosis) for f in fits)
@@ -380,6 +383,8 @@ def gather(history: Sequence[FitStep], diagnosis: Diagnosis | None) -> StudyView
 
 def _upper_limits(last: FitStep, diagnosis: Diagnosis | None) -> tuple[UpperLimit, ...]:
     """Return the limits from the diagnosis of the final model, or compute them."""
+    from fitting.discovery._power import largest_hidden
+
     if diagnosis is not None:
         return diagnosis.upper_limits
     final = last.fit
@@ -389,6 +394,8 @@ def _upper_limits(last: FitStep, diagnosis: Diagnosis | None) -> tuple[UpperLimi
 
 
 def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:
+    from fitting.study._serialisation import step_document
+
     steps = []
     for i, step in enumerate(history):
         d = step_document(step.fit, "", step.change, history[i - 1].fit if i else None)
@@ -401,6 +408,8 @@ def _steps(history: Sequence[FitStep]) -> tuple[Step, ...]:
 
 
 def _torques(fit: Fit, diagnosis: Diagnosis | None) -> tuple[ResidualTorque, ...]:
+    from fitting.discovery._residuals import residual_torques
+
     if diagnosis is not None and diagnosis.fit is fit:
         return diagnosis.torques
     return tuple(residual_torques(fit))

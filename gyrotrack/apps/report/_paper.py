@@ -11,14 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.inference._metrics import energy_balance
-from fitting.inference._record import WIDTH, speeds
-from fitting.inference._speed_residuals import CASING, ROTOR, modelled_speed, speed_residuals
-from fitting.paper._tables import scan_latex
-from gyrotrack._errors import GyrotrackError, OutputError
+from gyrotrack._errors import OutputError
 from gyrotrack.io._atomic import new_file
 from gyrotrack.io._outputs import new_outputs
-from gyrotrack.io._schema import STATUS
 from gyrotrack.plotting._charts import (
     BLUE,
     GREEN,
@@ -33,7 +28,6 @@ from gyrotrack.plotting._charts import (
     plain,
     style,
 )
-from gyrotrack.plotting._frames import Film, find_film
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,6 +79,10 @@ def paper_cases(scan: Scan, data: Sequence[CaseData], cases: Sequence[Case]) -> 
 
 def clear_frame(cases: Sequence[PaperCase], folders: Sequence[Path]) -> NDArray[np.uint8] | None:
     """Return the frame (RGB) with the most detected markers, with the overlay; None without a film."""
+    from gyrotrack._errors import GyrotrackError
+    from gyrotrack.io._schema import STATUS
+    from gyrotrack.plotting._frames import Film, find_film
+
     for case in cases:
         # films at the higher capture rate show the markers of both bodies
         recordings = case.case.recordings.values() if case.case is not None else ()
@@ -162,6 +160,8 @@ def _chart(title: str, unit: str, traces: Sequence[Trace]) -> Chart:
 def _angles(case: PaperCase) -> Chart:
     from scipy.ndimage import median_filter
 
+    from fitting.inference._record import WIDTH
+
     casing = case.data.record.casing
     if case.data.is_angle:
         angle = median_filter(casing.value, min(WIDTH, len(casing)), mode="nearest")
@@ -172,6 +172,9 @@ def _angles(case: PaperCase) -> Chart:
 
 
 def _rotor_data(case: PaperCase) -> Chart:
+    from fitting.inference._record import speeds
+    from fitting.inference._speed_residuals import ROTOR
+
     generated = case.case.rotor_generated if case.case is not None else None
     if generated is not None:
         traces = [Trace("generated", generated.time, generated.omega, "black", width=1.4)]
@@ -192,6 +195,8 @@ def _rotor_data(case: PaperCase) -> Chart:
 def _modelled(
     shown: CaseFit, body: int, label: str, colour: str, dash: tuple[float, ...], width: float
 ) -> Trace:
+    from fitting.inference._speed_residuals import modelled_speed
+
     mesh = shown.fit.predictions[shown.index].path.mesh
     time = np.linspace(mesh.edges[0], mesh.edges[-1], _CURVE)
     value, sigma = modelled_speed(shown.fit, shown.index, body, time)
@@ -207,12 +212,18 @@ def _fits(case: PaperCase, body: int) -> list[Trace]:
 
 
 def _rotor_fits(case: PaperCase) -> Chart:
+    from fitting.inference._record import speeds
+    from fitting.inference._speed_residuals import ROTOR
+
     parts = [(*speeds(w, case.data.record.quantity), None) for w in case.data.record.rotor]
     measured = concatenated("measured", parts, "#c9c9c9", width=6.0, scale="reference")
     return _chart(r"$\omega_r$", "rad/s", [measured, *_fits(case, ROTOR)])
 
 
 def _casing_fits(case: PaperCase) -> Chart:
+    from fitting.inference._record import speeds
+    from fitting.inference._speed_residuals import CASING
+
     time, omega = speeds(case.data.record.casing, case.data.record.quantity)
     sigma = None
     if case.case is not None:
@@ -222,6 +233,8 @@ def _casing_fits(case: PaperCase) -> Chart:
 
 
 def _residuals(case: PaperCase) -> Chart:
+    from fitting.inference._speed_residuals import speed_residuals
+
     traces: list[Trace] = []
     for f in case.fits:
         casing, _ = speed_residuals(f.fit, f.index)
@@ -236,6 +249,8 @@ def _residuals(case: PaperCase) -> Chart:
 
 
 def _energy(case: PaperCase) -> Chart:
+    from fitting.inference._metrics import energy_balance
+
     traces = []
     for f in case.fits:
         balance = energy_balance(f.fit.problem.cases[f.index], f.fit.theta, f.fit.predictions[f.index].path)
@@ -334,6 +349,8 @@ def _figures_tex(figures: Sequence[PaperFigure]) -> str:
 
 def _tables(scan: Scan) -> dict[str, str]:
     """Return all tables in one file, and each in a separate file."""
+    from fitting.paper._tables import scan_latex
+
     whole = scan_latex(scan)
     head = whole[: whole.index("\\begin{table}")]
     each: dict[str, str] = {}

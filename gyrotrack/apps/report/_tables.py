@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting._errors import FittingError
 from fitting._numbers import (
     Units,
     percentage,
@@ -26,16 +25,6 @@ from fitting._numbers import (
     unit_text,
     with_uncertainty,
 )
-from fitting.dynamics._collocation import Sampler
-from fitting.dynamics._model import Dynamics
-from fitting.effects._expression import latex, symbols
-from fitting.effects._instances import laws_of
-from fitting.inference._budget import budget
-from fitting.inference._first_order import first_order
-from fitting.inference._result import not_determined
-from gyrotrack._versions import __version__
-from gyrotrack.io._schema import STATUS_WORDS
-from gyrotrack.plotting._discovery import formula
 from gyrotrack.plotting._study_data import StudyView
 
 if TYPE_CHECKING:
@@ -66,6 +55,8 @@ Row = dict[str, Any]  # the cells of a row, by the names that the templates of t
 
 def parameter_rows(view: StudyView) -> list[Row]:
     """Return one row per parameter of the final model, with its value in the base model."""
+    from fitting.inference._result import not_determined
+
     weak = set(not_determined(view.final.estimates))
     rows = []
     for name, e in view.final.estimates.items():
@@ -92,6 +83,8 @@ def parameter_rows(view: StudyView) -> list[Row]:
 
 def _response_rows(view: StudyView) -> list[Row]:
     """Return the time constant and the gains of a driven body in the final model, as rows of the parameter table."""
+    from fitting.inference._first_order import first_order
+
     rows = []
     for response in first_order(view.final):
         numbers = [("τ", "", response.time_constant), *(("K", name, e) for name, e in response.gains.items())]
@@ -136,6 +129,9 @@ def _note(e: Estimate, before: Estimate | None, *, undetermined: bool, fixed: bo
 
 def candidate_rows(view: StudyView) -> list[Row]:
     """Return one row per candidate effect, best first, with its law as SVG and as text."""
+    from fitting.effects._expression import latex
+    from gyrotrack.plotting._discovery import formula
+
     return [
         {
             "effect": view.name(c.effect).words,
@@ -158,6 +154,8 @@ def candidate_rows(view: StudyView) -> list[Row]:
 
 def limit_rows(view: StudyView) -> list[Row]:
     """Return 95 % upper limits of effects that are not in the final model, the largest rms torque first."""
+    from fitting.effects._instances import laws_of
+
     laws = laws_of(view.final.model.mechanism)
     joints, unit = JOINTS | {"casing": view.body}, view.final.torque_unit
     rows = []
@@ -214,6 +212,8 @@ def _milliradians(sigma: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
 
 
 def _statuses(status: np.ndarray[tuple[int], np.dtype[np.int8]]) -> str:
+    from gyrotrack.io._schema import STATUS_WORDS
+
     total = max(1, len(status))
     parts = []
     for code, words in STATUS_WORDS.items():
@@ -263,6 +263,9 @@ def plausibility_rows(fit: Fit) -> list[Plausibility]:
 
 
 def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
+    from fitting.dynamics._collocation import Sampler
+    from fitting.dynamics._model import Dynamics
+
     case, path, layout = fit.problem.cases[index], fit.predictions[index].path, fit.problem.layout
     record = fit.problem.data[index].record
     inertia = np.array(record.inertias)
@@ -324,6 +327,8 @@ def _plausibility(fit: Fit, index: int, *, named: bool) -> list[Plausibility]:
 
 def _may_supply(effect: Effect) -> bool:
     """Return whether a law may supply energy: the law depends on time or angle, or modifies another torque."""
+    from fitting.effects._expression import symbols
+
     drives = effect.depends_on_angle or any(p.role == "phase" for p in effect.parameters)
     return drives or bool(effect.inputs) or effect.joint == "factor" or "t" in symbols(effect.expression)
 
@@ -347,6 +352,9 @@ _MOST_PARTS, _LEAST_SHARE = 3, 0.005
 
 def budget_rows(view: StudyView) -> list[Row]:
     """Return one row per parameter of the final model, with the combined uncertainty and its largest contributions."""
+    from fitting._errors import FittingError
+    from fitting.inference._budget import budget
+
     try:
         found = budget(view.final)
     except FittingError:  # the fit did not converge
@@ -415,6 +423,8 @@ _LIBRARIES = ("numpy", "scipy", "h5py", "matplotlib", "av", "opencv-contrib-pyth
 
 def origin_rows(fit: Fit, given: Mapping[str, str]) -> list[tuple[str, str]]:
     """Return the rows of the provenance: the rows `given`, the data of the fit, the versions."""
+    from gyrotrack._versions import __version__
+
     rows = [(str(k), str(v)) for k, v in given.items()]
     for data in fit.problem.data:
         r = data.record

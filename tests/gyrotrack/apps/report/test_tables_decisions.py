@@ -228,7 +228,9 @@ class TestBudget:
             unit="s",
             contributions=[part(0.6), part(0.3), part(0.0051), part(0.0049), part(0.1)],
         )
-        monkeypatch.setattr(module, "budget", lambda fit: {"drag.k@a": b, "initial.omega_c@a": b})
+        monkeypatch.setattr(
+            "fitting.inference._budget.budget", lambda fit: {"drag.k@a": b, "initial.omega_c@a": b}
+        )
         found = module.budget_rows(view(final=None))
         assert found[0]["parts"] == ["s0.6 (type B) 60 %", "s0.3 (type B) 30 %", "s0.0051 (type B) 0.51 %"]
         assert [r["effect"] for r in found] == ["<drag>", "<initial.omega_c>"]
