@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from gyrotrack._errors import DatasetError, GyrotrackError, TrackingError, UsageError, VideoError
-from gyrotrack._smoothing import angular_velocity, smoothing_width
 from gyrotrack.apps._drive import Drive, Response, drive_from_rest, drive_of
 from gyrotrack.apps._motion import (
     TURN,
@@ -41,6 +40,7 @@ from gyrotrack.io._records import (
     Recording,
     Series,
     doubts_of,
+    from_angles,
     no_series,
     series_of,
 )
@@ -577,19 +577,9 @@ def _recording_of(
 
 
 def _body_of(time: Floats, angle: Floats, sigma: Floats) -> BodyTrack:
-    width = smoothing_width(angle, sigma)
-    omega, omega_sigma = angular_velocity(time, angle, sigma, width)
-    return BodyTrack(
-        name="casing",
-        time=time,
-        angle=angle,
-        sigma=sigma,
-        sigma_paper=np.full(len(time), np.nan),
-        n_markers=np.ones(len(time), dtype=np.int64),
-        omega=omega,
-        omega_sigma=omega_sigma,
-        smoothing_width=width,
-    )
+    motion = vars(from_angles(time, angle, sigma))
+    one = np.ones(len(time), dtype=np.int64)
+    return BodyTrack("casing", sigma_paper=np.full(len(time), np.nan), n_markers=one, **motion)
 
 
 def _recording_case(recording: Recording, inertia: float, name: str | None = None) -> Case:

@@ -13,6 +13,8 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fitting._errors import FittingError, LedgerError
+from fitting._numbers import Units
 from gyrotrack._errors import DatasetError, UsageError
 
 if TYPE_CHECKING:
@@ -182,8 +184,6 @@ class Study:
         extra : sequence of Effect
             User-defined effects that were tested with the library.
         """
-        from fitting._errors import LedgerError
-
         with suppress(LedgerError):
             self.ledger.keep_diagnosis(fit_id, found, extra)
 
@@ -282,7 +282,6 @@ def open_study(
 
 
 def _prior_of(path: Path, data: Sequence[CaseData], *, rotor: bool) -> Prior:
-    from fitting._numbers import Units
     from fitting.effects._library import of_the_rotor
 
     (entry,) = latest_fits([path]).values()
@@ -474,7 +473,6 @@ class FitRequest:
         start: Mapping[str, float] | None,
         options: dict[str, Any],
     ) -> Fit:
-        from fitting._errors import FittingError
         from fitting.inference._fit import robust_fit
 
         try:

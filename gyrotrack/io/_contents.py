@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NotRequired, TypedDict, cast
 
@@ -454,12 +455,8 @@ def _angles_of_bodies(made: Sequence[Column]) -> list[tuple[str, Floats, Floats]
     return [(str(b), columns["time"][rows[b]], columns["angle"][rows[b]]) for b in bodies]
 
 
-def _project(made: Sequence[Column], stream: BinaryIO) -> None:
-    write_project(stream, _angles_of_bodies(made))
-
-
-def _zipped_project(made: Sequence[Column], stream: BinaryIO) -> None:
-    write_project(stream, _angles_of_bodies(made), zipped=True)
+def _project(made: Sequence[Column], stream: BinaryIO, *, zipped: bool = False) -> None:
+    write_project(stream, _angles_of_bodies(made), zipped=zipped)
 
 
 def _tracker(made: Sequence[Column], stream: BinaryIO) -> None:
@@ -501,5 +498,5 @@ FORMATS: dict[str, Callable[..., Any]] = {
     ".json": _json,
     ".txt": _tracker,
     ".trk": _project,
-    ".trz": _zipped_project,
+    ".trz": partial(_project, zipped=True),
 }

@@ -11,6 +11,7 @@ from fitting import _case_format as layout
 from fitting._case_format import CORRELATED, Attribute, Field, Table
 
 STATUS = {"ok": 0, "blurred": 1, "occluded": 2, "out_of_frame": 3, "lost": 4}
+STATUS_WORDS = {code: word.replace("_", " ") for word, code in STATUS.items()}
 
 _T = ("time",)
 _F = ("frame",)

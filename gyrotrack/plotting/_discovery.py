@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fitting._numbers import POWERS, scaled, short
 from fitting.discovery._select import equivalence_classes
+from fitting.effects._expression import latex, sym
 from gyrotrack._errors import OutputError
 from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.plotting._case_charts import residual_chart, speed_chart
@@ -312,8 +313,6 @@ def formula(latex: str, name: str, *, size: float = 15.0, colour: str = "black")
 
 def symbol(name: str, labels: Sequence[str]) -> str:
     """Return the symbol of a parameter in mathtext, with (A), (B) ... for its case."""
-    from fitting.effects._expression import latex, sym
-
     key, at, label = name.partition("@")
     text = latex(sym(key.rpartition(".")[2]))
     if key.startswith("initial."):

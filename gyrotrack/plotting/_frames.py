@@ -21,7 +21,7 @@ from gyrotrack._column_store import release_pages
 from gyrotrack._errors import OutputError, UsageError, VideoError
 from gyrotrack.io._atomic import new_file, refuse_existing
 from gyrotrack.io._records import MarkerTrack, Recording
-from gyrotrack.io._schema import STATUS
+from gyrotrack.io._schema import STATUS, STATUS_WORDS
 from gyrotrack.tracking._film_tracker import Progress
 from gyrotrack.tracking._polar import CHROMA_SHIFT
 from gyrotrack.video._container import (
@@ -45,7 +45,6 @@ Picture = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float64]
 
 _FOUND, _PARTIAL, _CENTRE = (60, 255, 60), (0, 200, 255), (255, 255, 255)
-_STATUS_NAMES = {code: word.replace("_", " ") for word, code in STATUS.items()}
 
 
 def with_detections(frame: Frame, k: int, recording: Recording) -> Picture:
@@ -90,7 +89,7 @@ def _draw_marker(
         cv2.line(picture, _point(first), _point(second), colour, 1, cv2.LINE_AA)
         for corner in (first, second):
             cv2.circle(picture, _point(corner), 3, colour, 1, cv2.LINE_AA)
-    label = marker.name if whole else f"{marker.name} {_STATUS_NAMES[int(marker.status[k])]}"
+    label = marker.name if whole else f"{marker.name} {STATUS_WORDS[int(marker.status[k])]}"
     place = _point(centre + 1.3 * radius * direction)
     _write(picture, label, place, colour, 0.35)
 
@@ -288,7 +287,7 @@ def _body_line(name: str, k: int, recording: Recording) -> str:
 
 def _marker_line(name: str, k: int, recording: Recording) -> str:
     marker = recording.markers[name]
-    text = f"  {name}: {_STATUS_NAMES[int(marker.status[k])]}"
+    text = f"  {name}: {STATUS_WORDS[int(marker.status[k])]}"
     if not np.isfinite(marker.angle_fine[k]):
         return text
     text += f", {marker.angle_fine[k]:.4f} +- {marker.sigma_calibrated[k]:.4f}"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -89,17 +89,14 @@ class Ghost:
         return self._part(np.flatnonzero(kept))
 
     def _part(self, places: NDArray[np.int64]) -> Ghost:
-        return Ghost(
-            self.clip,
-            self.body,
-            self.frame[places],
-            self.time[places],
-            self.models,
-            self.difference[:, places],
-            self.sigma[:, places],
-            {k: v[places] for k, v in self.outlines.items()},
-            self.hub[places],
-            self.sense,
+        return replace(
+            self,
+            frame=self.frame[places],
+            time=self.time[places],
+            difference=self.difference[:, places],
+            sigma=self.sigma[:, places],
+            outlines={k: v[places] for k, v in self.outlines.items()},
+            hub=self.hub[places],
         )
 
     @cached_property

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting._numbers import probability, scaled, unit_text
+from fitting.effects._expression import Tape, symbols
 from gyrotrack.io._atomic import new_file
 from gyrotrack.plotting._charts import (
     BLUE,
@@ -128,8 +129,6 @@ def _draw_curve(ax: Axes, found: Laws, d: Dependence) -> None:
 
 def _law_curve(law: Law, d: Dependence) -> Any:
     """Return the values of a law that are comparable with the curve; None if the law depends on other variables."""
-    from fitting.effects._expression import Tape, symbols
-
     total = np.zeros(len(d.value))
     for e in law.effects:
         own = {p.symbol for p in e.parameters}

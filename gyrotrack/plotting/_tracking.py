@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting._numbers import short
+from gyrotrack._errors import GyrotrackError
+from gyrotrack.io._schema import STATUS_WORDS
 from gyrotrack.plotting._charts import BLUE, VERMILLION, WIDTH, Picture, beside, canvas, markup, plain, style
 
 if TYPE_CHECKING:
@@ -215,7 +217,6 @@ def _tiles(
     folders: Sequence[Path],
     intervals: Sequence[tuple[float, float]],
 ) -> list[Tile]:
-    from gyrotrack._errors import GyrotrackError
     from gyrotrack.plotting._frames import Film, find_film
 
     path = find_film(r, list(folders))
@@ -262,9 +263,8 @@ def _selected_frames(
 
 
 def _description(r: Recording, placement: Placement | None, index: int) -> str:
-    from gyrotrack.io._schema import STATUS
-
-    names = {code: word.replace("_", " ") for word, code in STATUS.items()}
     time = r.time[index] if placement is None else on_clock(placement, r.time)[index]
-    markers = ", ".join(f"{m.name} {names.get(int(m.status[index]), 'unknown')}" for m in r.markers.values())
+    markers = ", ".join(
+        f"{m.name} {STATUS_WORDS.get(int(m.status[index]), 'unknown')}" for m in r.markers.values()
+    )
     return f"frame {index}, {time:.3f} s: {markers}"

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+from fitting._workers import WorkerPool
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps._filming import Filming
 from gyrotrack.apps._study import open_study
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from fitting.discovery._certificate import Certificate, Item, Outcome
     from fitting.discovery._verdict import Diagnosis
     from fitting.effects._effect import Effect
-    from gyrotrack.apps.batch._workers import Workers
 
 _WIDTH = 79
 # time between two writes of the ledger [s]; number of recordings that a cluster worker simulates in one command
@@ -78,7 +78,6 @@ def certify_command(
 
     Example: gyrotrack certify case1.h5 -n 200
     """
-    from fitting._workers import WorkerPool
     from fitting.discovery._certificate import Certificate, certify, outcomes_of, planned
     from fitting.study._serialisation import certificate_document
 

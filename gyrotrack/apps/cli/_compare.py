@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fitting._numbers import probability, rounded
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.apps._study import FitRequest, latest_fits, open_study, with_ledgers
 from gyrotrack.apps.batch._workers import Workers
@@ -239,8 +240,6 @@ def _times_of(fits: Mapping[str, Any], times: Mapping[str, float]) -> dict[str, 
 
 def comparison_table(found: Comparison) -> str:
     """Return a comparison as text: every run if there are few runs, otherwise the population."""
-    from fitting._numbers import probability, rounded
-
     runs = {r.run for p in found.parameters for r in p.repeats}
     if found.population is not None and len(runs) > _LISTED:
         return "\n".join([*_population_lines(found.population), "", *found.sentences])
@@ -259,8 +258,6 @@ def comparison_table(found: Comparison) -> str:
 
 
 def _population_lines(found: Population) -> list[str]:
-    from fitting._numbers import probability, rounded
-
     lines = [f"{len(found.runs)} runs"]
     for p in found.parameters:
         mean, spread = rounded(p.mean, p.mean_u, p.unit), rounded(p.spread, p.spread_u, p.unit)

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import typer
 
+from fitting._numbers import rounded, speed, speed_unit
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import checked_body_name
 from gyrotrack.apps.cli import _settings as shared
-from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line, printable, sparkline
+from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, command_line, printable, sparkline
 from gyrotrack.apps.cli._settings import option
 from gyrotrack.io.readers._format_names import ALL
 
@@ -143,9 +144,7 @@ def import_command(
     inertia_rotor: shared.InertiaRotor = None,
     inertia_casing: shared.InertiaCasing = None,
     force: shared.Force = False,
-    as_json: shared.Json = False,
-    quiet: shared.Quiet = False,
-    verbose: shared.Verbose = False,
+    out: shared.VerboseOut,
 ) -> int:
     """Make a case from measured angles, angular rates, pulses or tracked points.
 
@@ -171,7 +170,6 @@ def import_command(
     from gyrotrack.io.readers._motion_table import ReadOptions, read_names
     from gyrotrack.io.readers._run import Limits, read_cuts
 
-    out = Output(as_json=as_json, quiet=quiet, verbose=verbose)
     shared.check_pulses(pulses_per_turn)
     if output is None and not dry_run:
         raise UsageError("There is no output.", "Give -o FILE.h5, or --dry-run to check the tables only.")
@@ -291,8 +289,6 @@ def _plots(case: Case) -> list[str]:
     """Return the speeds of the bodies over time, as lines of text."""
     import numpy as np
 
-    from fitting._numbers import speed, speed_unit
-
     lines = []
     for name, series in case.motions:
         omega = series.omega[np.isfinite(series.omega)]
@@ -320,8 +316,6 @@ def _plotted(case: Case) -> list[PlottedMotion]:
 
 
 def _lines(document: dict[str, Any], body: str) -> str:
-    from fitting._numbers import speed_unit
-
     casing = document["casing"]
     unit = "rad" if casing["quantity"] == "angle" else "rad/s"
     heading = f"sigma [{unit}]"
@@ -478,8 +472,6 @@ def _input_line(name: str, i: dict[str, Any]) -> str:
 
 
 def _inertia(summary: dict[str, Any]) -> str:
-    from fitting._numbers import rounded
-
     if summary["per_inertia"]:
         return "unknown; torques are per unit of inertia"
     stated = {"rotor": "I_rotor"} if summary["bodies"] == "two" else {}
@@ -493,8 +485,6 @@ def _inertia(summary: dict[str, Any]) -> str:
 
 
 def _placement_line(p: dict[str, Any]) -> str:
-    from fitting._numbers import rounded
-
     if not p["clock_rate_sigma"]:
         return f"clock    {p['method']}"
     doubt = ", AMBIGUOUS" if p["ambiguous"] else ""
@@ -526,8 +516,6 @@ _WORDS = {"ok": "ok", "blurred": "blurred", "occluded": "occluded", "outside": "
 
 
 def _header(sigma: str) -> str:
-    from fitting._numbers import speed_unit
-
     rate = f"speed [{speed_unit()}]"
     return f"{'':<10}{'samples':>9}{'time [s]':>20}{rate:>20}{f'sigma [{sigma}]':>16}"
 
@@ -541,8 +529,6 @@ def _motion_line(name: str, motion: dict[str, Any]) -> str:
 
 def _speeds(motion: dict[str, Any]) -> str:
     """Return the smallest and the largest speed in the unit in which speeds are printed."""
-    from fitting._numbers import speed
-
     low, high = (motion[k] if motion[k] is None else speed(motion[k]) for k in ("omega_min", "omega_max"))
     return _span(low, high, 1)
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fitting._numbers import rounded, speed, speed_unit
+from fitting._workers import WorkerPool
 from gyrotrack._errors import UsageError
 from gyrotrack.apps._study import open_study, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
@@ -57,7 +59,6 @@ def laws_command(
 
     Example: gyrotrack laws case1.h5 case2.h5 --save-law lab.saturation my_lab.toml
     """
-    from fitting._workers import WorkerPool
     from fitting.law_search._documents import check_name, laws_document
     from fitting.law_search._documents import save_law as save
     from fitting.law_search._laws import laws
@@ -119,8 +120,6 @@ def drawn(found: Laws | Plan | Comparison, picture: Path | None, *, force: bool)
 
 def _laws_table(found: Laws, fit_id: str) -> str:
     """Return the result as text: summary, variables of the torque, laws, and where the laws differ."""
-    from fitting._numbers import speed, speed_unit
-
     lines = [*textwrap.wrap(found.sentence, 79), "", f"fit {fit_id}, verdict: {found.verdict}"]
     lines += _dependences(found.depends_on)
     torques = found.torques
@@ -160,8 +159,6 @@ def _dependences(depends_on: tuple[Dependence, ...]) -> list[str]:
 
 
 def _law(number: int, x: Law, best: Law, letter: str) -> list[str]:
-    from fitting._numbers import rounded
-
     worse = x.penalised - best.penalised
     lines = [f"{letter} {number:>2} {x.formula}  ({x.form})"]
     lines.append(
@@ -259,7 +256,7 @@ def plan_command(
     out.result(plan_document(found) | more | ({"picture": picture} if picture is not None else {}))
     lines = [] if laws is None else ["", "friction laws of a contact:"]
     for sentence in [] if laws is None else laws.sentences:
-        lines += textwrap.wrap(sentence, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+        lines += _indented(sentence)
     out.show(_plan_table(found), *lines, *written)
     return DONE if found.fit.converged else NOT_TRUSTED
 
@@ -313,26 +310,20 @@ def _plan_table(found: Plan) -> str:
         lines.append("  found: significant in these recordings, no upper limit; run `gyrotrack diagnose`")
     absorbed = [str(found.fit.name(e.effect)) for e in found.effects if e.absorbed]
     if absorbed:
-        lines += textwrap.wrap(
-            f"absorbed by the model, no limit: {'; '.join(absorbed)}",
-            _WIDTH,
-            initial_indent="  ",
-            subsequent_indent="    ",
-        )
+        lines += _indented(f"absorbed by the model, no limit: {'; '.join(absorbed)}")
     if found.classes:
         lines += ["", "indistinguishable near these limits:"]
         for c in found.classes:
-            lines += textwrap.wrap(
-                "; ".join(str(found.fit.name(n)) for n in c),
-                _WIDTH,
-                initial_indent="  ",
-                subsequent_indent="    ",
-            )
+            lines += _indented("; ".join(str(found.fit.name(n)) for n in c))
     if found.next_run is not None:
         lines += ["", *textwrap.wrap(f"next run: {found.next_run.sentence}", _WIDTH)]
         body = found.fit.problem.data[0].record.body
         lines += textwrap.wrap(_limits_of_run(found.next_run.bounds, body), _WIDTH)
     return "\n".join(lines)
+
+
+def _indented(text: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent="    ")
 
 
 def _row(e: EffectLimits, key: str) -> str:
@@ -355,7 +346,6 @@ def _row(e: EffectLimits, key: str) -> str:
 
 def _limits_of_run(b: Bounds, body: str) -> str:
     """Return the limits of the next run as a sentence."""
-    from fitting._numbers import speed, speed_unit
 
     def speeds(ends: tuple[float, float]) -> str:
         return f"{speed(ends[0]):.0f} to {speed(ends[1]):.0f} {speed_unit()}"

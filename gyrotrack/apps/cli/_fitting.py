@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import typer
 
+from fitting._numbers import rounded
+from fitting._workers import WorkerPool
 from gyrotrack._errors import DatasetError, UsageError
 from gyrotrack.apps._study import FitRequest, open_study, read_cases, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
@@ -237,7 +239,6 @@ def budget_command(
 
 
 def _budget_table(fit: Fit, found: Mapping[str, ParameterBudget], fit_id: str) -> str:
-    from fitting._numbers import rounded
     from gyrotrack.apps.cli._parameters import in_words, key_beneath
 
     lines = [f"uncertainty budget of fit {fit_id} (combined standard uncertainties)"]
@@ -327,7 +328,6 @@ def diagnose_command(
 
     Example: gyrotrack diagnose case1.h5
     """
-    from fitting._workers import WorkerPool
     from fitting.discovery._certificate import planned
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import diagnosis_document
@@ -375,7 +375,6 @@ def improve_command(
 
     Example: gyrotrack improve case1.h5
     """
-    from fitting._workers import WorkerPool
     from fitting.discovery._select import improve
     from fitting.discovery._verdict import diagnose
     from fitting.study._serialisation import fit_document, history_verdict

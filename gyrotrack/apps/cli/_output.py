@@ -13,6 +13,7 @@ import os
 import re
 import shlex
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -21,6 +22,7 @@ from itertools import pairwise
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from fitting._numbers import interval, rounded, speed, speed_unit
 from gyrotrack._errors import OutputError
 
 if TYPE_CHECKING:
@@ -295,7 +297,6 @@ def fit_tables(fit: Fit, fit_id: str, intervals: Mapping[str, Interval] | None =
 
 def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
     """Return the bias of each parameter caused by a generated rotor curve."""
-    from fitting._numbers import rounded
     from gyrotrack.apps.cli._parameters import in_words
 
     if not bias:
@@ -310,8 +311,6 @@ def bias_tables(fit: Fit, bias: Mapping[str, CurveBias]) -> list[str]:
 
 def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
     """Return the cross-validation errors of each case as text, in units of the noise; and of the casing's rate."""
-    from fitting._numbers import speed, speed_unit
-
     if not predicted:
         return []
     lines = ["", "each case predicted from a fit of the other cases (touch point and initial rates free):"]
@@ -325,8 +324,6 @@ def prediction_tables(predicted: Sequence[Predicted]) -> list[str]:
 
 def diagnosis_tables(d: Diagnosis, fit_id: str) -> list[str]:
     """Return a diagnosis as text: summary, lack of fit, candidate effects."""
-    from fitting._numbers import speed, speed_unit
-
     torque, rate = f"torque [{d.fit.torque_unit}]", f"speed [{speed_unit()}]"
     lines = [*_wrapped(d.sentence), "", f"fit {fit_id}, verdict: {_verdict(d)}"]
     if d.failures:
@@ -356,8 +353,6 @@ _WORDS = 40
 
 def _candidate_lines(d: Diagnosis, shown: Sequence[Candidate]) -> list[str]:
     """Return the candidates as a table: the name in words with its numbers, and the key beneath."""
-    import textwrap
-
     from fitting.discovery._select import equivalence_classes
 
     lines = [
@@ -401,8 +396,6 @@ def _verdict(d: Diagnosis) -> str:
 
 def _curves(d: Diagnosis) -> list[str]:
     """Return the unmodelled torque of each case as a sparkline, with marks below the intervals with lack of fit."""
-    from fitting._numbers import interval
-
     lines = []
     body = d.fit.problem.data[0].record.body
     # if the verdict is undecided, the intervals are not called a lack of fit: a random torque may explain them
@@ -426,7 +419,6 @@ def _curves(d: Diagnosis) -> list[str]:
 
 def ladder_tables(steps: Sequence[dict[str, Any]], record: Record) -> list[str]:
     """Return a history of fits as text, one bar per fit; `record` is the record of any case of the fits."""
-    from fitting._numbers import speed, speed_unit
     from fitting.effects._words import change_name
 
     lines = [
@@ -480,8 +472,6 @@ def _formatted(value: float | None, how: str) -> str:
 
 
 def _wrapped(text: str) -> list[str]:
-    import textwrap
-
     return textwrap.wrap(text, 79)
 
 

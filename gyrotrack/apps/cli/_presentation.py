@@ -12,6 +12,7 @@ from typing import Annotated, NotRequired, TypedDict
 
 import typer
 
+from fitting._workers import WorkerPool
 from gyrotrack._errors import OutputError, UsageError
 from gyrotrack.apps._study import open_study, read_cases, with_ledgers
 from gyrotrack.apps.cli import _settings as shared
@@ -78,7 +79,6 @@ def report_command(
 
     Example: gyrotrack report case1.h5 -o report.html
     """
-    from fitting._workers import WorkerPool
     from gyrotrack.apps.report._page import write_overlay, write_report
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import read_case

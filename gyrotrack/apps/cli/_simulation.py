@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import typer
 
+from fitting._numbers import rounded
+from fitting._workers import available_cores
 from gyrotrack._errors import DatasetError, GyrotrackError, UsageError
 from gyrotrack.apps._study import changed, open_study
 from gyrotrack.apps.cli import _settings as shared
@@ -405,7 +407,6 @@ def _run(
     force: bool,
 ) -> None:
     """Run commands in worker processes and show their results; raise the first error."""
-    from fitting._workers import available_cores
     from gyrotrack.apps.batch._workers import LocalWorkers
     from gyrotrack.io._atomic import mark_new
 
@@ -434,8 +435,6 @@ def _step_summary(verb: str, document: dict[str, Any]) -> str:
             for n, b in document["body"].items()
         )
         return f"  {document['frames']} frames at {document['fps']:.0f}/s: {bodies}"
-    from fitting._numbers import rounded
-
     lines = [
         f"  {Path(c['source']).name} starts at {rounded(c['offset_s'], c['offset_sigma_s'], 's')}"
         + (" (ambiguous)" if c["ambiguous"] else "")

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import typer
 
-from gyrotrack._errors import UsageError
+from fitting._numbers import rounded, speed, speed_unit
+from gyrotrack._errors import TrackingError, UsageError
 from gyrotrack.apps._study import checked_body_name
 from gyrotrack.apps.cli import _settings as shared
 from gyrotrack.apps.cli._output import DONE, NOT_TRUSTED, Output, command_line
@@ -19,6 +20,7 @@ from gyrotrack.apps.cli._settings import option
 
 if TYPE_CHECKING:
     from gyrotrack.apps._drive import Response
+    from gyrotrack.apps._spindown import SpindownOptions
     from gyrotrack.io._contents import MarkerCounts
     from gyrotrack.io._records import Floats, Recording
     from gyrotrack.synchronisation._decision import Match, Rival
@@ -112,7 +114,6 @@ def profile_command(
 
     Example: gyrotrack profile rotor_1.mp4 -o mine.toml --picture mine.png
     """
-    from gyrotrack._errors import TrackingError
     from gyrotrack.io._atomic import new_file
     from gyrotrack.io._outputs import new_outputs
     from gyrotrack.plotting._frames import write_body_picture, write_picture
@@ -370,21 +371,18 @@ def extract_command(
 
     target = output if output is not None else video.with_suffix(".h5")
     if points or colour is not None:
+        from gyrotrack.apps._spindown import SpindownOptions
+
         if profile is not None or body is not None or overlay is not None or contact_sheet is not None:
             what = "--profile, --body, --overlay and --contact-sheet apply to markers, not to points."
             raise UsageError(what, "Omit these options, or omit --point and --colour.")
-        return _extract_points(
-            out,
-            video,
-            target,
-            points,
-            colour,
-            _position(hub),
-            capture_fps,
-            shared.checked_scale(scale),
-            links=links,
-            force=force,
+        options = SpindownOptions(
+            hub=_position(hub),
+            capture_fps=capture_fps,
+            colour=None if colour is None else colour.value,
+            scale=shared.checked_scale(scale),
         )
+        return _extract_points(out, video, target, points or [], options, links=links, force=force)
     if links:
         raise UsageError("--links applies to points.", "Give the two points with --points X,Y --points X,Y.")
     if hub is not None or scale is not None:
@@ -435,11 +433,8 @@ def _extract_points(
     out: Output,
     video: Path,
     target: Path,
-    points: list[str] | None,
-    colour: shared.Colour | None,
-    hub: tuple[float, float] | None,
-    capture_fps: float | None,
-    scale: float | None,
+    points: Sequence[str],
+    options: SpindownOptions,
     *,
     links: bool,
     force: bool,
@@ -448,23 +443,22 @@ def _extract_points(
     import numpy as np
 
     from gyrotrack.apps._points import read_point
-    from gyrotrack.apps._spindown import SpindownOptions, links_recording, points_recording
+    from gyrotrack.apps._spindown import links_recording, points_recording
     from gyrotrack.io._atomic import refuse_existing
     from gyrotrack.io._hdf5 import write_recording
     from gyrotrack.io._records import doubts_of
     from gyrotrack.tracking._film import Film
 
     refuse_existing(target, force=force, reads=[video])
-    starts = [read_point(word) for text in points or [] for word in text.replace(";", " ").split()]
-    name = None if colour is None else colour.value
-    options = SpindownOptions(hub=hub, capture_fps=capture_fps, colour=name, scale=scale)
+    starts = [read_point(word) for text in points for word in text.replace(";", " ").split()]
     with out.progress(f"following points in {video.name}", "frames") as progress:
-        film = Film(video, colour=name)
+        film = Film(video, colour=options.colour)
         if links:
             recording = links_recording(film, starts, options, progress)
         else:
             recording = points_recording(film, starts or [None], options, progress)
-    settings = {"video": video, "points": starts, "colour": name, "hub": hub, "capture_fps": capture_fps}
+    stated = {name: getattr(options, name) for name in ("colour", "hub", "capture_fps")}
+    settings = {"video": video, "points": starts, **stated}
     write_recording(target, recording, command=command_line(), settings=settings, force=force)
     for warning in recording.warnings:
         out.warn(warning)
@@ -765,7 +759,6 @@ _MOST_ALTERNATIVES = 3
 
 def _oscillator_lines(laws: Any) -> list[str]:
     """Return the restoring torque and the damping of an oscillator, with the sets of indistinguishable laws."""
-    from fitting._numbers import rounded
 
     def of(chosen: tuple[str, ...], classes: tuple[tuple[str, ...], ...]) -> str:
         values = [
@@ -786,8 +779,6 @@ def _oscillator_lines(laws: Any) -> list[str]:
 
 def _response_lines(response: Response | None) -> list[str]:
     """Return the first-order response of a driven body."""
-    from fitting._numbers import rounded
-
     if response is None:
         return ["response   not of first order"]
     cause = f"input '{response.input}'" if response.input else "constant drive"
@@ -808,8 +799,6 @@ def _response_lines(response: Response | None) -> list[str]:
 
 def _first_order_lines(document: Mapping[str, Any]) -> list[str]:
     """Return the constants of the first-order fit of a body driven by recorded inputs."""
-    from fitting._numbers import rounded
-
     found = document["first_order"]
     values = [
         (name, e)
@@ -832,8 +821,6 @@ def _first_order_lines(document: Mapping[str, Any]) -> list[str]:
 
 def _law_lines(document: Mapping[str, Any]) -> list[str]:
     """Return the strengths of the fitted laws (not for an oscillator), and their effects on the motion."""
-    from fitting._numbers import rounded
-
     known = () if document["oscillator"] is None else document["oscillator"].parameters
     return [
         f"{'law':<9}  {law.words}"
@@ -844,13 +831,10 @@ def _law_lines(document: Mapping[str, Any]) -> list[str]:
 
 
 def _with_u(value: float, u: float) -> str:
-    from fitting._numbers import rounded
-
     return rounded(value, u, "").rstrip() if math.isfinite(u) and u > 0 else f"{value:.6g}"
 
 
 def _lines(document: Mapping[str, Any]) -> list[str]:
-    from fitting._numbers import rounded, speed, speed_unit
     from gyrotrack.io.readers._reading import units_of_file
 
     motion = document["motion"]

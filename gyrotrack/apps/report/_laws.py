@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from fitting.effects._words import of_body
+
 if TYPE_CHECKING:
     from fitting.inference._result import Fit
 
@@ -38,8 +40,6 @@ _IN_MOTION: dict[str, Callable[[float], str]] = {
 
 def laws_of_body(fit: Fit) -> tuple[LawOfBody, ...]:
     """Return the law parameters of a single body without joints; without other bodies, each law has a clear effect."""
-    from fitting.effects._words import of_body
-
     record = fit.problem.data[0].record
     if record.joints:
         return ()

@@ -22,6 +22,8 @@ from fitting._numbers import (
     typeset,
     unit_text,
 )
+from fitting.effects._expression import latex
+from fitting.effects._words import of_body, symbol_meanings
 from fitting.inference._result import angle_noise_lines
 from gyrotrack._errors import OutputError
 from gyrotrack.apps.report import _tables as tables
@@ -391,8 +393,6 @@ def _of_parts(record: Record) -> Iterator[tuple[str, str]]:
 
 def _meanings(view: StudyView) -> list[tuple[str, str]]:
     """Return the symbols of the equations of the base model with their meanings."""
-    from fitting.effects._words import of_body, symbol_meanings
-
     record = view.base.problem.data[0].record
     found = (
         *_of_parts(record),
@@ -403,9 +403,6 @@ def _meanings(view: StudyView) -> list[tuple[str, str]]:
 
 def _added(view: StudyView) -> list[Added]:
     """Return the added effects."""
-    from fitting.effects._expression import latex
-    from fitting.effects._words import of_body, symbol_meanings
-
     found = []
     for i, effect in enumerate(e for e in view.final.model.effects if e.name in view.added):
         source = latex(effect.expression)

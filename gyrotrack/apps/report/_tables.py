@@ -53,17 +53,6 @@ _LARGE_CHANGE = 3.0
 Row = dict[str, Any]  # the cells of a row, by the names that the templates of the report use
 
 
-@dataclass(frozen=True)
-class LimitRow:
-    """95 % upper limit of the rms torque and strength of an effect that was not found."""
-
-    effect: str
-    key: str
-    joint: str
-    torque: str
-    strength: str
-
-
 def parameter_rows(view: StudyView) -> list[Row]:
     """Return one row per parameter of the final model, with its value in the base model."""
     from fitting.inference._result import not_determined
@@ -163,8 +152,8 @@ def candidate_rows(view: StudyView) -> list[Row]:
     ]
 
 
-def limit_rows(view: StudyView) -> list[LimitRow]:
-    """Return the upper limits of effects that are not in the final model, largest torque first."""
+def limit_rows(view: StudyView) -> list[Row]:
+    """Return 95 % upper limits of effects that are not in the final model, the largest rms torque first."""
     from fitting.effects._instances import laws_of
 
     laws = laws_of(view.final.model.mechanism)
@@ -174,13 +163,13 @@ def limit_rows(view: StudyView) -> list[LimitRow]:
         joint = laws[u.effect].site if u.effect in laws else "–"
         factor, prefix = scaled(u.torque_Nm, Units.by_torque(unit).prefixes)
         rows.append(
-            LimitRow(
-                effect=view.name(u.effect).words,
-                key=view.name(u.effect).key,
-                joint=joints.get(joint, joint),
-                torque=f"< {short(factor * u.torque_Nm, 2 if prefix else 3)} {prefix}{unit_text(unit)}",
-                strength=f"{symbol_text(u.symbol)} < {short(u.upper_limit, 3)} {unit_text(u.unit)}".rstrip(),
-            )
+            {
+                "effect": view.name(u.effect).words,
+                "key": view.name(u.effect).key,
+                "joint": joints.get(joint, joint),
+                "torque": f"< {short(factor * u.torque_Nm, 2 if prefix else 3)} {prefix}{unit_text(unit)}",
+                "strength": f"{symbol_text(u.symbol)} < {short(u.upper_limit, 3)} {unit_text(u.unit)}".rstrip(),
+            }
         )
     return rows
 
@@ -223,14 +212,14 @@ def _milliradians(sigma: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
 
 
 def _statuses(status: np.ndarray[tuple[int], np.dtype[np.int8]]) -> str:
-    from gyrotrack.io._schema import STATUS
+    from gyrotrack.io._schema import STATUS_WORDS
 
     total = max(1, len(status))
     parts = []
-    for name, code in STATUS.items():
+    for code, words in STATUS_WORDS.items():
         count = int((status == code).sum())
-        if count or name == "ok":
-            parts.append(f"{100 * count / total:.3g} % {name.replace('_', ' ')}")
+        if count or words == "ok":
+            parts.append(f"{100 * count / total:.3g} % {words}")
     return ", ".join(parts)
 
 

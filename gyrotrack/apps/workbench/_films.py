@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gyrotrack._errors import GyrotrackError, TrackingError, VideoError
 from gyrotrack.io._records import Recording
-from gyrotrack.io._schema import STATUS
+from gyrotrack.io._schema import STATUS, STATUS_WORDS
 from gyrotrack.io._scratch import scratch_folder
 from gyrotrack.plotting._frames import Film, Picture, find_film
 from gyrotrack.plotting._tracking import jpeg, on_clock
@@ -276,7 +276,6 @@ _SAMPLED, _APART = 5, 8
 _FARTHEST = 3.0  # largest radius of the search for the outer edge [radius of the inner corners]
 _INSIDE = (1.04, 1.12)  # radii between which the colour of a marker is measured [radius of the inner corners]
 _STEPS = 80
-_STATUS = {code: word.replace("_", " ") for word, code in STATUS.items()}
 
 
 def marker_middles(recording: Recording, picture: Callable[[int], Picture]) -> dict[str, float]:
@@ -340,7 +339,7 @@ def marker_positions(
                 "body": m.body,
                 "place": positions(place),
                 "whole": (status == STATUS["ok"]).tolist(),
-                "status": [_STATUS[int(s)] for s in status],
+                "status": [STATUS_WORDS[int(s)] for s in status],
                 "corners": [
                     np.round(c, 2).tolist() if np.isfinite(c).all() and s == STATUS["ok"] else None
                     for c, s in zip(corners, status, strict=True)

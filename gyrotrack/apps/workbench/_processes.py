@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting._errors import FittingError
 from fitting._numbers import to_json
 from gyrotrack._errors import GyrotrackError, UsageError
 from gyrotrack.apps.batch._workers import end_process
@@ -323,7 +324,6 @@ _MAX_CANDIDATES = 12  # largest number of candidates on the page; their effects 
 
 
 def _answer(line: str, case: Path) -> dict[str, Any]:
-    from fitting._errors import FittingError
     from fitting.discovery._score import CaseColumns
     from fitting.discovery._verdict import diagnose
     from fitting.inference._case_data import CaseData

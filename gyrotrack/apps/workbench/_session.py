@@ -10,6 +10,17 @@ from threading import RLock
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from fitting._errors import FittingError
+from fitting._numbers import (
+    interval,
+    scaled,
+    short,
+    symbol_text,
+    to_json,
+    typeset,
+    unit_text,
+    with_uncertainty,
+)
 from gyrotrack._errors import GyrotrackError
 from gyrotrack.plotting._charts import Interval, dashboard_document, interval_document
 
@@ -161,7 +172,6 @@ class Session:
             return self.state()
 
     def _fitted(self, model: Model, start: dict[str, float], old: Fit) -> Fit:
-        from fitting._errors import FittingError
         from fitting.inference._fit import fit
 
         try:
@@ -400,8 +410,6 @@ class Session:
 
     def remember(self, answer: dict[str, Any]) -> dict[str, Any]:
         """Store the parameters of candidates as initial values, and return the typeset answer of the search."""
-        from fitting._numbers import symbol_text, typeset, with_uncertainty
-
         candidates = answer.get("diagnosis", {}).get("candidates", [])
         found = {
             c["effect"]: {k: v["value"] for k, v in c["parameters"].items() if isinstance(v["value"], float)}
@@ -469,8 +477,6 @@ class Session:
 
     def _parameters(self, step: Step) -> list[dict[str, Any]]:
         """Return the parameters of a fit, and their differences from the compared fit in standard uncertainties."""
-        from fitting._numbers import with_uncertainty
-
         compared = self._compared(step)
         other = self.steps[compared].fit.estimates if compared >= 0 else {}
         found = []
@@ -490,8 +496,6 @@ class Session:
 
     def _measures(self, step: Step) -> list[dict[str, str]]:
         """Return the measures of misfit that the first screen does not show: name, value, explanation."""
-        from fitting._numbers import scaled, short, unit_text
-
         fit, left = step.fit, self._rung(self.current).get("torque_left_Nm")
         error = "Error in intervals of the recording that were left out of the fit, divided by the noise"
         found = [
@@ -574,7 +578,6 @@ class Session:
         return self._first[1]
 
     def _board(self, step: Step, *, whole: bool) -> dict[str, Any]:
-        from fitting._numbers import interval, scaled, short
         from fitting.discovery._residuals import find_failures
         from fitting.discovery._select import Step as FitStep
         from gyrotrack.plotting._case_charts import case_dashboard, difference_chart, torque_angle_charts
@@ -632,6 +635,4 @@ def _steps_of(data: CaseData, ledger: Ledger | None) -> list[Step]:
 
 
 def _document(found: Mapping[str, Any]) -> dict[str, Any]:
-    from fitting._numbers import to_json
-
     return dict(to_json(found))

@@ -528,7 +528,7 @@ def test_dates_of_excel_97_count_from_the_first_day_of_the_workbook(tmp_path, si
     sheet.write(3, 1, True)
     stream = io.BytesIO()
     book.save(stream)
-    table = read_excel_97(tmp_path / "log.xls", stream.getvalue(), None)
+    table = read_excel_97(tmp_path / "log.xls", stream.getvalue(), ReadOptions())
     assert table.names == ("time", "omega")
     assert [c[:2] for c in table.columns] == [["2020-06-18 06:00:00"] * 2, ["5.0", "4.5"]]
     assert table.line[:2].tolist() == [2, 3]
