@@ -107,15 +107,27 @@ def _missing_library(what: str) -> UsageError:
 def _sheet_of_samples(path: Path, sheets: dict[str, Rows], options: ReadOptions) -> RawTable:
     """Return the first sheet with about as many samples as the largest sheet, or the sheet that `marker` names.
 
-    A note names the other sheets with samples.
+    A note names the other sheets with samples. A `marker` may also be the name of a column. If it names neither one
+    sheet nor a column, and there are several sheets, the table is refused.
     """
     blocks = {name: found for name, rows in sheets.items() if (found := _block_of_samples(rows)) is not None}
     if not blocks:
         raise DatasetError(f"{path} has no sheet with numbers.", "Give the sheet as CSV.")
     most = max(count for _, count in blocks.values())
     long = [name for name, (_, count) in blocks.items() if count >= _LONG * most]
-    named = [n for n in blocks if options.marker and options.marker.casefold() in n.casefold()]
+    marker = (options.marker or "").casefold()
+    named = [n for n in blocks if n.casefold() == marker] or [
+        n for n in blocks if marker and marker in n.casefold()
+    ]
     chosen = named[0] if len(named) == 1 else long[0]
+    header = " ".join(str(c) for row in sheets[chosen][: blocks[chosen][0]] for c in row if c is not None)
+    if marker and len(named) != 1 and len(long) > 1 and marker not in header.casefold():
+        found = ", ".join(f"'{n[:40]}'" for n in long)
+        which = f"{len(named)} sheets" if named else "no sheet"
+        raise UsageError(
+            f"--marker {options.marker} names {which} of {path.name}, and no column.",
+            f"Give the name of one sheet: {found}.",
+        )
     others = ", ".join(f"'{n[:40]}'" for n in long if n != chosen)
     note = f"{path.name}: the sheet '{chosen[:40]}' was read; --marker NAME selects another sheet: {others}"
     return _table_of_cells(path, sheets[chosen], blocks[chosen][0], (note,) if others else ())

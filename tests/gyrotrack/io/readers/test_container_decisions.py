@@ -137,6 +137,13 @@ def test_the_sheet_with_samples_or_the_named_sheet_is_read():
     assert len(sheet_of(half, long, marker="run2").line) == 6
     assert len(sheet_of(short, long).line) == 6
     assert len(sheet_of(short, long, marker="run1").line) == 2
+    for marker, named in (("run3", "no sheet"), ("run", "2 sheets")):
+        with pytest.raises(UsageError, match=f"--marker {marker} names {named} of .*, and no column"):
+            sheet_of(half, long, marker=marker)
+        assert len(sheet_of(short, long, marker=marker).line) == 6  # one sheet of samples
+    assert len(sheet_of([["t", "running a"], *half[1:]], long, marker="running").line) == 3
+    eleven = {"Run1": half, "Run11": long}
+    assert len(_spreadsheets._sheet_of_samples(PATH, eleven, ReadOptions(marker="Run1")).line) == 3
 
 
 def test_markup_of_a_workbook_is_limited(monkeypatch):
