@@ -122,11 +122,11 @@ def _sheet_of_samples(path: Path, sheets: dict[str, Rows], options: ReadOptions)
     chosen = named[0] if len(named) == 1 else long[0]
     header = " ".join(str(c) for row in sheets[chosen][: blocks[chosen][0]] for c in row if c is not None)
     if marker and len(named) != 1 and len(long) > 1 and marker not in header.casefold():
-        found = ", ".join(f"'{n[:40]}'" for n in long)
+        names = ", ".join(f"'{n[:40]}'" for n in long)
         which = f"{len(named)} sheets" if named else "no sheet"
         raise UsageError(
             f"--marker {options.marker} names {which} of {path.name}, and no column.",
-            f"Give the name of one sheet: {found}.",
+            f"Give the name of one sheet: {names}.",
         )
     others = ", ".join(f"'{n[:40]}'" for n in long if n != chosen)
     note = f"{path.name}: the sheet '{chosen[:40]}' was read; --marker NAME selects another sheet: {others}"
