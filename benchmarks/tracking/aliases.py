@@ -131,9 +131,10 @@ def main() -> None:
     args = parser.parse_args()
     head = (
         "# Errors in step with the frames\n\n"
-        f"Commit {commit()}, `aliases.py`. Errors in mrad. The passage is the angle and order of an error, and the\n"
-        "multiple of the capture rate with which it is in step; 0 is a casing that starts from rest. Claims are the\n"
-        "standard deviations of slow errors, of errors once and twice per turn, and of harmonics from order 3 on.\n\n"
+        f'Commit {commit()}, `aliases.py`. Errors in mrad. The column "passage" states the angle and the order of an\n'
+        "error, and the multiple of the capture rate with which this error is in step; 0 is a casing that starts from\n"
+        'rest. The column "claims" contains the stated standard deviations of slow errors, of errors once and twice\n'
+        "per turn, and of harmonics from order 3 on.\n\n"
         "| camera | passage | sweep | lamp / Hz | rms | z | largest harmonic | means of 0.1 s | claims |\n"
         "|---|---|---|---|---|---|---|---|---|\n"
     )
