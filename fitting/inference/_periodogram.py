@@ -124,8 +124,8 @@ def _highest_peak(data: CaseData, prediction: Prediction, noise: Noise, cases: i
     coarse = np.arange(lowest, highest, step)
     spectrum = periodogram(coarse)[0]
     levels = _noise_levels(spectrum)
-    highest_of_all = int(np.argmax(spectrum / levels))
-    peak, level = coarse[highest_of_all], float(levels[highest_of_all])
+    best = int(np.argmax(spectrum / levels))
+    peak, level = coarse[best], float(levels[best])
     fine = np.linspace(peak - step, peak + step, 2 * _FINER + 1)
     power, torque = periodogram(fine)
     top = int(np.argmax(power))

@@ -819,8 +819,10 @@ def by_texture(
     if abs(net_turn(body.angle)) > MANY_TURNS * 2.0 * np.pi:
         relative = [body.angle, *(a - body.angle for a in others)]
         zeros = template_zeros(off, template, relative)
-        angle = angle + change_of_harmonics(wrapped(off - zeros.zero), template, relative)
+        of_templates, harmonics_sigma = change_of_harmonics(wrapped(off - zeros.zero), template, relative)
+        angle = angle + of_templates
     else:
+        harmonics_sigma = 0.0
         scatter = scatter_of_templates(off - middle, template)
         zeros = TemplateZeros(np.full(len(off), middle), np.full(len(off), scatter))
     columns = {
@@ -859,7 +861,7 @@ def by_texture(
     angle, sigma = (np.where(new, getattr(found, n), getattr(body, n)) for n in ("angle", "sigma"))
     learnt = fast & good if found.axis_off else np.zeros_like(good)
     periodic = periodic_error(texture, centre.sigma, flat.error, learnt) if zeros.uncertainty.any() else 0.0
-    periodic = math.hypot(periodic, change.error)
+    periodic = math.hypot(periodic, change.error, harmonics_sigma)
     slow = float(np.sqrt(np.mean(zeros.uncertainty[new] ** 2))), float(BATCH)
     changes = np.ptp(zeros.uncertainty) > 0
     first = np.flatnonzero(np.diff(template, prepend=-1)) if changes else np.zeros(0, dtype=np.int64)

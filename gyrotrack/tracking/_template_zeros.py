@@ -66,7 +66,6 @@ mean difference m_b [1]. Chosen: factors of 2; finer steps cost time, a smaller 
 _COMMON = np.concatenate([[0.0], np.geomspace(0.5, 30.0, 6)])
 """Trial values of the common error x, divided by the typical uncertainty of a mean difference m_b [1]. Chosen: factors
 of 2.3; finer steps cost time, a smaller range limits the error."""
-
 _VIEW_ORDERS = range(1, 3)
 """Orders of the harmonics that change with the template [periods per turn]. Derived: a displaced centre causes order 1,
 an oblique view order 2."""
@@ -117,47 +116,52 @@ def template_zeros(off: Floats, template: Integers, angles: Sequence[Floats]) ->
     return TemplateZeros(each, np.sqrt(np.interp(np.arange(count), used, left))[template])
 
 
-def change_of_harmonics(off: Floats, template: Integers, angles: Sequence[Floats]) -> Floats:
+def change_of_harmonics(off: Floats, template: Integers, angles: Sequence[Floats]) -> tuple[Floats, float]:
     """Return the change of errors once and twice per turn between templates, (n,) [rad], to be added to the texture.
 
-    A displaced centre and an oblique view turn a template in proportion to its moments, which differ between templates.
-    The harmonics of `off` in a batch differ from those in other batches for this reason only, because both angles
-    contain the motion and the errors of the markers do not depend on the template. The coefficients of orders 1 and 2
-    are fitted in each batch and smoothed as the zeros are; their weighted mean over the batches is subtracted. The
-    arguments are explained in `template_zeros`; the mean of `off` is 0 in each batch.
+    The second result is the rms standard uncertainty of its coefficients [rad]. A displaced centre and an oblique view
+    turn a template in proportion to its moments, which differ between templates. Both angles in `off` contain the
+    motion, and the errors of the markers do not depend on the template. The harmonics of `off` therefore show these
+    differences. The coefficients of orders 1 and 2 are fitted in each batch and smoothed as the zeros are. Their
+    weighted mean over the batches is subtracted, because it may be an error of the markers. The arguments are explained
+    in `template_zeros`; the mean of `off` is 0 in each batch.
     """
     count = int(template.max(initial=-1)) + 1
     batches, used = _batches(off, template, count)
     if len(used) < FEWEST_TEMPLATES:
-        return np.zeros(len(off))
+        return np.zeros(len(off)), 0.0
     white = np.array([float(off[batches[b]].var()) / len(batches[b]) for b in used])
     squares = [_squared_amplitudes(off, a, [batches[b] for b in used], white) for a in angles]
     squares[0][: len(_VIEW_ORDERS)] = 0.0
     found = np.array([_coefficients(off, angles, squares, batches[b]) for b in used])
     change = _changes_of_speed(angles[0], [batches[b] for b in used])
-    correction = np.zeros(len(off))
+    correction, variances = np.zeros(len(off)), []
     turn = np.where(np.isfinite(angles[0]), angles[0], 0.0)
     for (order, wave), (value, variance) in zip(
         product(_VIEW_ORDERS, (np.cos, np.sin)), found.transpose(2, 1, 0), strict=True
     ):
         level, left, _ = _smoothed(value, variance, np.diff(used).astype(np.float64), change, _COMMON[:1])
         level -= np.average(level, weights=1.0 / left)
+        variances.append(left.mean())
         correction += np.interp(np.arange(count), used, level)[template] * wave(order * turn)
-    return correction
+    return correction, float(np.sqrt(np.mean(variances)))
 
 
 def _coefficients(
     off: Floats, angles: Sequence[Floats], squares: Sequence[Floats], frames: Integers
 ) -> Floats:
     """Return coefficients of cos and sin of `_VIEW_ORDERS` in a batch [rad], and their variances [rad^2], (2, 4)."""
-    own = [np.ones(len(frames))]
-    own += [wave(order * angles[0][frames]) for order, wave in product(_VIEW_ORDERS, (np.cos, np.sin))]
+    turn = angles[0][frames]
+    own = [np.ones(len(frames)), *(wave(k * turn) for k, wave in product(_VIEW_ORDERS, (np.cos, np.sin)))]
     others = _marker_errors(angles, squares, frames)
     basis = np.stack(own + others, axis=1)
-    noise = float(off[frames].var())
+    free = basis[:, : len(own)]
+    # the noise includes the errors of the marker, which their coefficients may describe only in part
+    rest = off[frames] - free @ np.linalg.lstsq(free, off[frames], rcond=None)[0]
+    noise = max(float(rest.var()), _FINEST**2)
     prior = np.diag([_FLAT] * len(own) + [1.0] * len(others))
-    covariance = np.linalg.inv(basis.T @ basis / max(noise, _FINEST**2) + prior)
-    fitted = covariance @ (basis.T @ off[frames]) / max(noise, _FINEST**2)
+    covariance = np.linalg.inv(basis.T @ basis / noise + prior)
+    fitted = covariance @ (basis.T @ off[frames]) / noise
     return np.stack([fitted, np.diag(covariance)])[:, 1 : len(own)]
 
 

@@ -18,9 +18,8 @@ from gyrotrack.io._records import Floats, Integers
 
 MIN_SAMPLES = 8
 _TICKS = 2**32  # ticks after which the clock of a microcontroller restarts (Arduino `micros`, `millis`)
-_FEW_TICKS = (
-    2**16
-)  # ticks after which a 16-bit number restarts, for example `millis` in an `unsigned int` of Arduino
+# ticks after which a 16-bit number restarts, for example `millis` in an `unsigned int` of Arduino
+_FEW_TICKS = 2**16
 _DAY = 86400.0
 # largest relative deviation with which intervals count as equal; smallest share of equal intervals of a sampler
 _EQUAL, _SAMPLER = 0.02, 0.9

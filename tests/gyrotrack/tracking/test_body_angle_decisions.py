@@ -340,7 +340,7 @@ class TestRings:
         zeros = module.TemplateZeros(np.full(N, 0.2), np.zeros(N))
         monkeypatch.setattr(module, "template_zeros", lambda *_: zeros)
         monkeypatch.setattr(
-            module, "change_of_harmonics", lambda *args: given.append(args) or np.full(N, 0.03)
+            module, "change_of_harmonics", lambda *args: given.append(args) or (np.full(N, 0.03), 4e-3)
         )
         asked = []
         monkeypatch.setattr(
@@ -348,7 +348,10 @@ class TestRings:
         )
         monkeypatch.setattr(module, "_averages_better", lambda *_: True)
         seen = ring(N, angle=turn - 0.25)
-        module.by_texture(body(turn), seen, path(N, 0.04), Flattening({}, 0.0, 0.0), turn, 250.0, 1e-6, 100.0)
+        found = module.by_texture(
+            body(turn), seen, path(N, 0.04), Flattening({}, 0.0, 0.0), turn, 250.0, 1e-6, 100.0
+        )
+        assert found.periodic == pytest.approx(4e-3)  # the zeros and the moments of this ring are certain
         ((off, _, angles),) = given
         assert off == pytest.approx(np.full(N, 0.05))
         assert angles[0] == pytest.approx(turn)
